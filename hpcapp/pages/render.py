@@ -92,6 +92,7 @@ def _shade(screen: FloatArray, faces: NDArray[np.int64], front: FloatArray) -> F
 
 def _rasterise(screen: FloatArray, faces: NDArray[np.int64], size: int) -> NDArray[np.int64]:
     """Return the nearest face of each pixel, shape (size, size); -1 where there is none."""
+    # (f, 3, 3): the corners on the screen; (f, 2): the pixels that their box covers
     corners = screen[faces]
     low = np.clip(np.ceil(corners[:, :, :2].min(axis=1) - 0.5), 0, size).astype(np.int64)
     high = np.clip(np.ceil(corners[:, :, :2].max(axis=1) - 0.5), 0, size).astype(np.int64)
@@ -102,6 +103,7 @@ def _rasterise(screen: FloatArray, faces: NDArray[np.int64], size: int) -> NDArr
     visible = np.flatnonzero(area > 0)
     bounds = np.cumsum(area[visible]) // _CHUNK_PIXELS
     for part in np.split(visible, np.flatnonzero(np.diff(bounds)) + 1):
+        # (c,): a candidate for each pixel in the box of each face; its place in that box
         face = np.repeat(part, area[part])
         rank = np.arange(len(face)) - np.repeat(np.cumsum(area[part]) - area[part], area[part])
         row, column = np.divmod(rank, width[face])
@@ -121,13 +123,16 @@ def _keep_nearest(
     nearest: NDArray[np.int64],
 ) -> None:
     """Enter those candidate pixels that lie in their triangles and before what was there."""
+    # (c, 2): the pixel's middle; the corners about it
     spot = np.stack([x + 0.5, y + 0.5], axis=1)
     a, b, c = (corners[:, k, :2] - spot for k in range(3))
+    # (c, 3): barycentric coordinates, unscaled: of one sign inside
     weights = np.stack([_cross(b, c), _cross(c, a), _cross(a, b)], axis=1)
     total = weights.sum(axis=1)
     inside = ((weights >= 0.0).all(axis=1) | (weights <= 0.0).all(axis=1)) & (total != 0.0)
     z = (weights[inside] * corners[inside, :, 2]).sum(axis=1) / total[inside]
     pixel, face = (y * size + x)[inside], face[inside]
+    # the last of a pixel is its nearest candidate; it wins if it is before what was there
     order = np.lexsort((z, pixel))
     last = np.flatnonzero(np.r_[pixel[order][1:] != pixel[order][:-1], len(order) > 0])
     winner = order[last]

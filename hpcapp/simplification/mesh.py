@@ -109,12 +109,12 @@ def simplify_mesh(mesh: Mesh, target: Target) -> Mesh:
         return light
     from scipy.spatial import cKDTree  # scipy takes its time
 
-    _, near = cKDTree(mesh.vertices).query(vertices)
+    _, nearest = cKDTree(mesh.vertices).query(vertices)
     return replace(
         light,
-        normals=None if mesh.normals is None else mesh.normals[near],
-        colours=None if mesh.colours is None else mesh.colours[near],
-        attributes={name: column[near] for name, column in mesh.attributes.items()},
+        normals=None if mesh.normals is None else mesh.normals[nearest],
+        colours=None if mesh.colours is None else mesh.colours[nearest],
+        attributes={name: column[nearest] for name, column in mesh.attributes.items()},
     )
 
 
@@ -166,25 +166,25 @@ def simplify_faces(
     rim = _find_rim(faces)
     can_break = not len(_find_broken(faces, np.isin(np.arange(len(vertices)), rim)))
     while True:
-        kept = faces[is_kept]
-        wanted = max(4, (target.faces or 0) - len(kept))
-        moved, light, names = _collapse(vertices, faces[~is_kept], target, wanted, scale)
-        if len(kept):
-            own = np.unique(kept)
-            moved, light, names = unite_vertices(
-                np.concatenate([moved, vertices[own]]),
-                np.concatenate([light, np.searchsorted(own, kept) + len(moved)]),
-                np.concatenate([names, own]),
+        fixed = faces[is_kept]
+        goal = max(4, (target.faces or 0) - len(fixed))
+        moved, corners, names = _collapse(vertices, faces[~is_kept], target, goal, scale)
+        if len(fixed):
+            fixed_vertices = np.unique(fixed)
+            moved, corners, names = unite_vertices(
+                np.concatenate([moved, vertices[fixed_vertices]]),
+                np.concatenate([corners, np.searchsorted(fixed_vertices, fixed) + len(moved)]),
+                np.concatenate([names, fixed_vertices]),
             )
-        broken = _find_broken(light, np.isin(names, rim)) if can_break else light[:0, 0]
+        broken = _find_broken(corners, np.isin(names, rim)) if can_break else corners[:0, 0]
         if not len(broken):
-            return moved, light, names
+            return moved, corners, names
         is_kept |= _find_near(vertices, faces, moved[broken], radius)
         radius *= 2.0
 
 
 def _collapse(
-    vertices: FloatArray, faces: IntArray, target: Target, wanted: int, scale: float
+    vertices: FloatArray, faces: IntArray, target: Target, goal: int, scale: float
 ) -> tuple[FloatArray, IntArray, IntArray]:
     """Have the library collapse edges; vertices on the rim stay, and come first."""
     import pyfqmr
@@ -205,7 +205,7 @@ def _collapse(
         library = pyfqmr.Simplify()
         library.setMesh(vertices[order] / scale, rank[faces])
         library.simplify_mesh(
-            wanted if target.faces is not None else 4,
+            goal if target.faces is not None else 4,
             aggressiveness=_GROWTH,
             max_iterations=passes,
             verbose=False,
@@ -213,10 +213,10 @@ def _collapse(
             K=_OFFSET,
             preserve_border=True,
         )
-        moved, light, _ = library.getMesh()
+        moved, corners, _ = library.getMesh()
     names = np.full(len(moved), -1, np.int64)
     names[: len(rim)] = rim
-    return moved * scale, light.astype(np.int64), names
+    return moved * scale, corners.astype(np.int64), names
 
 
 def _find_scale(vertices: FloatArray, faces: IntArray) -> float:
@@ -263,16 +263,19 @@ def _find_pinches(faces: IntArray) -> IntArray:
 
     # Corner 3 f + c of face f; across a shared edge the corners at each of its ends are one piece.
     corner = np.arange(rows.size).reshape(-1, 3)
+    # (3 f, 2): the vertices of each side, and the corners of its face there
     ends = rows[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     at = corner[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     turned = ends[:, 0] > ends[:, 1]
     ends[turned], at[turned] = ends[turned][:, ::-1], at[turned][:, ::-1]
+    # sides of the same edge side by side: their corners at either end belong together
     order = np.lexsort((ends[:, 1], ends[:, 0]))
     ends, at = ends[order], at[order]
     pairs = np.flatnonzero((ends[1:] == ends[:-1]).all(axis=1))
     left, right = at[pairs].ravel(), at[pairs + 1].ravel()
     joined = coo_array((np.ones(len(left), np.int8), (left, right)), (rows.size, rows.size))
     _, piece = connected_components(joined, directed=False)
+    # each pair of vertex and fan once: a vertex met twice is pinched
     pieces = np.unique(np.stack([rows.ravel(), piece], axis=1), axis=0)[:, 0]
     return used[np.bincount(pieces) > 1]
 

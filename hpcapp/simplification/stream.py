@@ -81,13 +81,15 @@ def _simplify_runs(
     vertices, faces, names, count = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], [], 0
     for run in _cut_runs(stream.faces(), run_faces):
         used, rows = np.unique(run, return_inverse=True)
-        asked = target
+        run_target = target
         if target.faces is not None:
-            asked = replace(target, faces=max(4, ceil(share * len(run))))
-        moved, light, stays = simplify_faces(np.asarray(places[used]), rows.reshape(-1, 3), asked)
+            run_target = replace(target, faces=max(4, ceil(share * len(run))))
+        moved, corners, kept_names = simplify_faces(
+            np.asarray(places[used]), rows.reshape(-1, 3), run_target
+        )
         vertices.append(moved)
-        faces.append(light + count)
-        names.append(np.where(stays >= 0, used[stays], -1))
+        faces.append(corners + count)
+        names.append(np.where(kept_names >= 0, used[kept_names], -1))
         count += len(moved)
     whole = unite_vertices(np.concatenate(vertices), np.concatenate(faces), np.concatenate(names))
     return whole[:2]

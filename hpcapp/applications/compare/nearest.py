@@ -47,6 +47,7 @@ class NearestFace:
         distances : ndarray of float64, shape (n,)
         faces : ndarray of int64, shape (n,)
         """
+        # (n,): the best so far; `open_rows` are those that another face might still beat
         distances = np.full(len(points), np.inf)
         faces = np.zeros(len(points), dtype=np.int64)
         open_rows = np.arange(len(points))
@@ -56,6 +57,7 @@ class NearestFace:
             step = max(1, _CHUNK_ROWS // k)
             for start in range(0, len(open_rows), step):
                 rows = open_rows[start : start + step]
+                # (rows,): the best of k pieces, which it is, and how far the k-th middle is
                 best, piece, farthest = self._try(points[rows], k)
                 distances[rows], faces[rows] = best, self._face[piece]
                 settled[start : start + step] = best <= farthest - self._radius
@@ -82,8 +84,10 @@ class NearestFace:
 
     def _try(self, points: FloatArray, k: int) -> tuple[FloatArray, IntArray, FloatArray]:
         """Return the best of k candidates, which it is, and how far the last middle is."""
+        # (n, k): the k nearest middles of each point, and the pieces that they belong to
         away, piece = (column.reshape(len(points), k) for column in self._tree.query(points, k=k))
         pairs = _distance_to_triangles(np.repeat(points, k, axis=0), self._triangles[piece.ravel()])
+        # (n, k): exact distances; (n,): which piece is nearest
         pairs = pairs.reshape(len(points), k)
         choice = pairs.argmin(axis=1)
         rows = np.arange(len(points))
@@ -120,10 +124,12 @@ def _cut_large(triangles: FloatArray) -> tuple[FloatArray, IntArray, float]:
         large = _radii(triangles) > limit
         if not large.any() or len(triangles) > 2_000_000:
             break
+        # (l, 3) each: the corners of large triangles, and the middles of their sides
         a, b, c = triangles[large].transpose(1, 0, 2)
         ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
         pieces = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
         cut = [np.stack(piece, axis=1) for piece in pieces]
+        # (m + 3 l, 3, 3): small ones, then the four pieces of each large one, corner pieces first
         triangles = np.concatenate([triangles[~large], *cut])
         face = np.concatenate([face[~large], np.tile(face[large], 4)])
     return triangles, face, float(_radii(triangles).max())
@@ -131,6 +137,7 @@ def _cut_large(triangles: FloatArray) -> tuple[FloatArray, IntArray, float]:
 
 def _radii(triangles: FloatArray) -> FloatArray:
     """Return how far each triangle's farthest corner is from its middle."""
+    # (m, 3, 3): corners about their middle; (m,): the longest of the three
     offset = triangles - triangles.mean(axis=1, keepdims=True)
     radii: FloatArray = np.sqrt(np.einsum("ijk,ijk->ij", offset, offset).max(axis=1))
     return radii
@@ -143,18 +150,22 @@ def _distance_to_triangles(points: FloatArray, triangles: FloatArray) -> FloatAr
     -----
     The foot is either inside the triangle or on one of its three sides.
     """
+    # (3, m, 3): corner by corner; (m,): whether the foot can be inside: not without area
     corners = triangles.transpose(1, 0, 2)
     normal = _unit_normals(triangles)
     inside = np.einsum("ij,ij->i", normal, normal) > 0.5
     nearest = np.full(len(triangles), np.inf)
     for k in range(3):
+        # (m, 3): side k and the point about its start; inside is left of all three sides
         start, along = corners[k], corners[(k + 1) % 3] - corners[k]
         offset = points - start
         inside &= np.einsum("ij,ij->i", np.cross(along, offset), normal) >= 0.0
         length = np.einsum("ij,ij->i", along, along)
+        # (m,): where on the side the foot is, 0 to 1; (m, 3): from there to the point
         part = np.einsum("ij,ij->i", offset, along) / np.where(length > 0.0, length, 1.0)
         away = offset - np.clip(part, 0.0, 1.0)[:, None] * along
         nearest = np.minimum(nearest, np.einsum("ij,ij->i", away, away))
+    # (m,): the distance to the plane, which counts where the foot is inside
     height = np.abs(np.einsum("ij,ij->i", points - corners[0], normal))
     distance: FloatArray = np.where(inside, height, np.sqrt(nearest))
     return distance

@@ -161,13 +161,16 @@ def sample_mesh(mesh: Mesh, count: int, seed: int = 0) -> PointCloud:
         With at least one face of positive area.
     """
     rng = np.random.default_rng(seed)
+    # (f, 3, 3): the corners of every face; (f,): twice its area
     corners = mesh.vertices[mesh.faces]
     crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(crosses, axis=1)
     # Equal steps through the summed areas: fewer clumps than independent draws.
     steps = (np.arange(count) + rng.random(count)) / count
+    # (count,): the face on which each point comes to lie
     total = np.cumsum(area)
     face = np.minimum(np.searchsorted(total, steps * total[-1]), len(area) - 1)
+    # (count, 1) each: evenly spread over a parallelogram, whose far half is folded back
     u, v = rng.random((2, count, 1))
     u, v = np.where(u + v > 1.0, 1.0 - u, u), np.where(u + v > 1.0, 1.0 - v, v)
     a, b, c = corners[face].transpose(1, 0, 2)

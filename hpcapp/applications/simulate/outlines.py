@@ -70,9 +70,11 @@ def polygon(corners: Sequence[Sequence[float]]) -> Field:
         return distance
 
     def gradient(points: FloatArray) -> FloatArray:
+        # (n, k, 2): from the start of each of k sides; (n, k): the nearest place on it, 0 to 1
         arms = points[:, None] - starts
         share = np.clip(np.einsum("nki,ki->nk", arms, sides) / (sides**2).sum(axis=1), 0.0, 1.0)
         arms -= share[..., None] * sides
+        # (n,): the nearest side of each point; what follows is of that side alone
         rows, nearest = np.arange(len(points)), (arms**2).sum(axis=2).argmin(axis=1)
         share, arm, side = share[rows, nearest], arms[rows, nearest], sides[nearest]
         out = np.stack([side[:, 1], -side[:, 0]], axis=1)

@@ -90,8 +90,10 @@ def sample_lines(
     """
     low, high = shape.bounds
     radius = 0.5 * diagonal_of(shape) * 1.001
+    # (count, 3): directions, and two vectors that span the plane across each
     directions = unit_vectors(rng.standard_normal((count, 3)))
     side, up = frame_about(directions)
+    # (count,): a place on the disc that covers the shape; (count, 3): from its middle
     angle, distance = 2 * np.pi * rng.random(count), radius * np.sqrt(rng.random(count))
     offset = (distance * np.cos(angle))[:, None] * side + (distance * np.sin(angle))[:, None] * up
     origins = 0.5 * (low + high) + offset - radius * directions
@@ -125,6 +127,7 @@ def closest_points(
     first at an edge, the point of both tangent planes that is nearest is tried too, and with a
     third face that of all three, so that feet find edges and corners.
     """
+    # (n, 3): the nearest surface point so far; (n,): its distance
     best, least = guesses.copy(), _lengths(points - guesses)
 
     def offer(rows: IntArray, trial: FloatArray) -> FloatArray:
@@ -138,10 +141,13 @@ def closest_points(
     everyone = np.arange(len(points))
     offer(everyone, points)
     for _ in range(rounds):
+        # (r,): points at work; (r, k, 3): the k tangent planes that each has met, one at first
         rows, feet, normals = everyone, best[:, None], shape.normal(best)[:, None]
         for _ in range(3):
+            # (r, 3): the nearest point common to these planes, fallen on the surface
             trial = offer(rows, _nearest_on_planes(points[rows], feet, normals))
             other = shape.normal(trial)
+            # (r,): whether it fell on a face that is none of theirs: an edge or a corner is near
             is_other = (np.einsum("nki,ni->nk", normals, other) < _SAME_FACE).all(axis=1)
             rows = rows[is_other]
             if not len(rows):
@@ -153,9 +159,11 @@ def closest_points(
 
 def _nearest_on_planes(points: FloatArray, feet: FloatArray, normals: FloatArray) -> FloatArray:
     """Return the nearest point that lies on each of up to three planes, shape (n, k, 3)."""
+    # (n, k): how far each point is above each of its planes
     heights = np.einsum("nki,nki->nk", points[:, None] - feet, normals)
     # Planes that are nearly parallel in threes have no common point: a trace of 1e-9 finds one.
     gram = normals @ normals.transpose(0, 2, 1) + 1e-9 * np.eye(normals.shape[1])
+    # (n, k, 1): how much of each normal leads to all planes at once
     shares = np.linalg.solve(gram, heights[..., None])
     nearest: FloatArray = points - (normals.transpose(0, 2, 1) @ shares)[..., 0]
     return nearest

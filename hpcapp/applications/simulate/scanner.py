@@ -109,13 +109,13 @@ def sample_surface(shape: Shape, count: int, seed: int = 0) -> PointCloud:
     They are off the surface by less than 1e-12 of the diagonal.
     """
     rng = np.random.default_rng(seed)
-    found = [np.empty((0, 3))]
-    lines, have, tracer = 2 * count, 0, Tracer(shape, 2 * count)
-    while have < count:
-        found.append(sample_lines(shape, lines, rng, tracer))
-        have += len(found[-1])
-        lines = int(1.2 * lines * (count - have) / max(len(found[-1]), 1)) + 100
-    points = np.concatenate(found)
+    crossings = [np.empty((0, 3))]
+    lines, count_so_far, tracer = 2 * count, 0, Tracer(shape, 2 * count)
+    while count_so_far < count:
+        crossings.append(sample_lines(shape, lines, rng, tracer))
+        count_so_far += len(crossings[-1])
+        lines = int(1.2 * lines * (count - count_so_far) / max(len(crossings[-1]), 1)) + 100
+    points = np.concatenate(crossings)
     chosen = points[rng.permutation(len(points))[:count]]
     normals = run_in_blocks(lambda part: shape.normal(chosen[part]), count)
     return PointCloud(chosen, np.concatenate(normals))
@@ -142,6 +142,7 @@ class _Look:
 def _look(shape: Shape, settings: ScanSettings, rng: np.random.Generator) -> _Look:
     """Place the scanner and decide what it will not see."""
     low, high = shape.bounds
+    # (v,): views in a golden spiral on the unit sphere; (v, 3): eyes, turned by chance
     rank = np.arange(settings.views) + 0.5
     height = 1.0 - 2.0 * rank / max(settings.views, 1)
     ring, turn = np.sqrt(1.0 - height**2), _GOLDEN_TURN * rank
@@ -149,6 +150,7 @@ def _look(shape: Shape, settings: ScanSettings, rng: np.random.Generator) -> _Lo
     spin = np.linalg.qr(rng.standard_normal((3, 3)))[0]
     eyes = 0.5 * (low + high) + diagonal_of(shape) * sphere @ spin.T
     ahead = unit_vectors(0.5 * (low + high) - eyes)
+    # (3, v, 3): ahead, side and up of each view
     frames = np.stack([ahead, *frame_about(ahead)])
     waves = rng.uniform(-9.0, 9.0, (settings.views, 6, 3))
     probe = _disc(np.arange(4096), np.zeros(2))
@@ -216,18 +218,22 @@ def _shoot(
     radius = diagonal * np.tan(np.arcsin(0.5))
 
     def shoot(part: slice) -> _Hits:
+        # (b,): the rays of this block, dealt to the views in turn
         number = np.arange(first + part.start, first + part.stop)
         view = number % settings.views
         # The disc at the shape's middle that just covers the bounding sphere, from one diagonal.
+        # (b, 2): where in its view's image a ray points
         spot = _disc(number // settings.views, shift)
         if settings.dropout:
             seen = _ripple(spot, look.waves[view]) <= look.thresholds[view]
             spot, view = spot[seen], view[seen]
         ahead, side, up = look.frames
         aim = spot[:, :1] * side[view] + spot[:, 1:] * up[view]
+        # (b, 3): unit directions
         rays = unit_vectors(diagonal * ahead[view] + radius * aim)
         eye = look.eyes[view]
         met, distance = look.tracer.cross(eye, rays, 1.6 * diagonal, first_only=True)
+        # (h, 3) from here: those that met the surface, where they did, and its normals
         rays = rays[met]
         positions = eye[met] + distance[:, None] * rays
         normals = shape.normal(positions)
@@ -267,6 +273,7 @@ def _fit_normals(positions: FloatArray, facing: FloatArray) -> FloatArray:
         # In the order of the tree, so that one query finds in the cache what the last one read.
         rows = tree.indices[part]
         nearest = tree.query(positions[rows], k=neighbours)[1].reshape(-1, neighbours)
+        # (b, k, 3): each point's neighbours about their mean; (b, 3, 3): their spread
         around = positions[nearest]
         around -= around.mean(axis=1, keepdims=True)
         spread = around.transpose(0, 2, 1) @ around

@@ -88,9 +88,10 @@ class Tracer:
         margin = _MARGIN * diagonal_of(shape)
         self._low, self._high = low - margin, high + margin
         size = self._high - self._low
-        wanted = min(max(rays // _RAYS_PER_CELL, 1), _MOST_CELLS)
-        self._edge = float(np.cbrt(size.prod() / wanted))
+        cell_count = min(max(rays // _RAYS_PER_CELL, 1), _MOST_CELLS)
+        self._edge = float(np.cbrt(size.prod() / cell_count))
         self._cells = np.maximum(np.ceil(size / self._edge), 1.0).astype(np.int64)
+        # (c, 3): the middle of every cell, and the function there, (c,)
         axes = [(np.arange(count) + 0.5) * self._edge for count in self._cells]
         middles = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3) + self._low
         parts = np.array_split(middles, len(middles) // _AT_ONCE + 1)
@@ -100,16 +101,16 @@ class Tracer:
         self, origins: FloatArray, directions: FloatArray, reach: float, first_only: bool
     ) -> tuple[IntArray, FloatArray]:
         """Return where rays cross the surface, as `rays.cross_rays` does."""
-        found = self._bracket(origins, directions, reach, first_only)
-        order = np.lexsort((found.near, found.rays))
-        rays, distances = found.rays[order], np.empty(len(order))
+        brackets = self._bracket(origins, directions, reach, first_only)
+        order = np.lexsort((brackets.near, brackets.rays))
+        rays, distances = brackets.rays[order], np.empty(len(order))
         for start in range(0, len(order), _AT_ONCE):
             part = slice(start, start + _AT_ONCE)
-            some, which = order[part], rays[part]
+            rows, which = order[part], rays[part]
             distances[part] = self._polish(
                 origins[which],
                 directions[which],
-                *(getattr(found, f.name)[some] for f in fields(found)[1:]),
+                *(getattr(brackets, f.name)[rows] for f in fields(brackets)[1:]),
             )
         return rays, distances
 
@@ -120,27 +121,36 @@ class Tracer:
         begin, end = self._clip(origins, directions, reach)
         waiting = np.flatnonzero(begin < end)
         flight = _Flight(waiting[:0], begin[:0], begin[:0], begin[:0])
-        found: list[tuple[IntArray, FloatArray, FloatArray, FloatArray, FloatArray]] = []
+        brackets: list[tuple[IntArray, FloatArray, FloatArray, FloatArray, FloatArray]] = []
         for _ in range(_MOST_STEPS):
             if len(waiting) and len(flight.ray) < _AT_ONCE // 2:
+                # rays that wait take the places of those that have ended
                 new, waiting = np.split(waiting, [_AT_ONCE - len(flight.ray)])
                 flight.join(new, begin[new])
             if not len(flight.ray):
                 break
+            # (f,) each: the rays in flight, how far along they are, the last step and its value
             ray, place, step, last = flight.ray, flight.place, flight.step, flight.last
+            # (f,): the function, or a bound of it, where they are now
             value = self._evaluate(
                 origins.take(ray, axis=0) + place[:, None] * directions.take(ray, axis=0)
             )
             before, now = np.abs(last), np.abs(value)
+            # (f,): whether the balls about both ends leave a gap in which the surface may hide
             is_too_far = step - before - now > self._shortest
+            # (f,): whether the function has changed sign within the step
             crosses = ((value < 0.0) != (last < 0.0)) & ~is_too_far
-            some = np.flatnonzero(crosses)
-            at = place[some]
-            found.append((ray[some], at - step[some], at, last[some], value[some]))
+            crossing = np.flatnonzero(crosses)
+            at = place[crossing]
+            brackets.append(
+                (ray[crossing], at - step[crossing], at, last[crossing], value[crossing])
+            )
+            # (f,): whether a ray has ended; not where its step is taken back
             stops = place >= end[ray]
             if first_only:
                 stops |= crosses
             stops &= ~is_too_far
+            # (f,): the next step: the eager one from here, or the safe one from where it came
             onward = self._choose(now, before, step, crosses)
             safe = np.maximum(before, self._shortest)
             start = np.where(is_too_far, place - step, place)
@@ -149,7 +159,9 @@ class Tracer:
             flight.last = np.where(is_too_far, last, value)
             flight.keep(~stops)
         nothing = (waiting[:0], *[begin[:0]] * 4)
-        return _Brackets(*(np.concatenate(column) for column in zip(nothing, *found, strict=True)))
+        return _Brackets(
+            *(np.concatenate(column) for column in zip(nothing, *brackets, strict=True))
+        )
 
     def _choose(
         self, now: FloatArray, before: FloatArray, step: FloatArray, crosses: BoolArray
@@ -163,16 +175,19 @@ class Tracer:
 
     def _evaluate(self, points: FloatArray) -> FloatArray:
         """Return the function, or a bound of it that is far from zero."""
+        # (n, 3): in cells, then about the middle of the point's own; (n,): how far from there
         local = (points - self._low) / self._edge
         cell = np.minimum(local.astype(np.int64), self._cells - 1)
         cell = np.maximum(cell, 0, out=cell)
         local -= cell
         local -= 0.5
         away = self._edge * np.sqrt(np.einsum("ij,ij->i", local, local))
+        # (n,): the point's cell, and the function at its middle
         number = (cell[:, 0] * self._cells[1] + cell[:, 1]) * self._cells[2] + cell[:, 2]
         middle = self._values[number].astype(np.float64)
         # float32 rounds by less than a ten-millionth.
         bound = np.abs(middle) * (1.0 - 1e-6) - away * (1.0 + 1e-12)
+        # (n,): the bound with its sign; near the surface the function itself
         close = np.flatnonzero(bound < _WORTH * self._edge)
         value: FloatArray = np.where(middle < 0.0, -bound, bound)
         value[close] = self._shape.value(points.take(close, axis=0))
@@ -188,6 +203,7 @@ class Tracer:
             first = (self._low - origins) * inverse
             second = (self._high - origins) * inverse
         # A ray along a face makes 0 * inf there, which fmin and fmax pass over.
+        # (n,): behind the last plane entered, before the first one left
         begin = np.fmax(np.fmin(first, second).max(axis=1, initial=0.0), 0.0)
         end = np.fmin(np.fmax(first, second).min(axis=1, initial=np.inf), reach)
         return begin, end
@@ -208,6 +224,7 @@ class Tracer:
         for turn in range(80):
             if not len(active):
                 break
+            # (k,) each: both ends of the brackets that are still open, and the function there
             a, b, fa, fb = left[active], right[active], at_left[active], at_right[active]
             # Every fourth step halves: a kink of the field cannot stall the search.
             t = 0.5 * (a + b) if turn % 4 == 3 else (a * fb - b * fa) / (fb - fa)

@@ -95,22 +95,27 @@ def sample_indicator_blend(
     included: a quadric in the inside of a box, a mean of up to eight on faces, edges and corners.
     It jumps at faces. Cost: one evaluation for each node of each box.
     """
+    # (nx, ny, nz): the sum of the quadrics at each node, and how many boxes hold it
     total = np.zeros(nodes.shape, np.float32)
     boxes_here = np.zeros(nodes.shape, np.uint8)
+    # (p, 3): the first node of each box along each axis, and the one behind the last
     begin = np.ceil((patches.box_low - nodes.low) / nodes.step - ON_FACE).astype(int)
     end = np.floor((patches.box_high - nodes.low) / nodes.step + ON_FACE).astype(int) + 1
     centers, scales = patches.centers, patches.scales
     for i in range(len(patches)):
         region = tuple(slice(a, b) for a, b in zip(begin[i], end[i], strict=True))
+        # three axes of (a,), (b,), (c,): the box's nodes in patch coordinates
         u = [
             (nodes.low[k] + nodes.step * np.arange(begin[i, k], end[i, k]) - centers[i, k])
             / scales[i]
             for k in range(3)
         ]
+        # (a, b, c): the quadric at these nodes, from (a, 1, 1), (1, b, 1) and (1, 1, c)
         total[region] += _evaluate_on_grid(coefficients[i], *np.ix_(*u))
         boxes_here[region] += 1
         if i % 64 == 63 or i + 1 == len(patches):
             advance(i + 1, len(patches))
+    # (nx, ny, nz): the mean; nodes outside all boxes keep their exact 0
     np.divide(total, boxes_here, out=total, where=boxes_here > 0)
     return total
 
@@ -136,6 +141,7 @@ def settle_zeros(values: NDArray[np.float32]) -> None:
 
 
 def _evaluate_on_grid(c: FloatArray, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
+    # (1, 1, c), then (1, b, c), then (a, b, c): Horner's scheme, one axis after the other
     along_z = c[0] + z * (c[3] + z * c[6])
     along_yz = y * (c[2] + y * c[5] + z * c[8]) + along_z
     values: FloatArray = x * (c[1] + x * c[4] + y * c[7] + z * c[9]) + along_yz

@@ -48,6 +48,7 @@ def extract_iso_surface(
     marching_cubes: Any = measure.marching_cubes  # without type hints
     # Of its two windings "descent" is the one that shows its front to the positive side.
     vertices, faces, _, _ = marching_cubes(values, level=0.0, gradient_direction="descent")
+    # (v, 3) in grid units, float32: in length units from here
     return Mesh(
         nodes.low + nodes.step * vertices.astype(np.float64),
         faces.astype(np.int64),

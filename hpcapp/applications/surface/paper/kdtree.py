@@ -98,7 +98,9 @@ class _Members:
 
     @classmethod
     def of(cls, boxes: _Boxes, order: IntArray) -> _Members:
+        # (m,): the box of each point, where the b boxes hold m points
         owner = np.repeat(np.arange(len(boxes)), boxes.counts)
+        # (b,): where each box begins among them; then order[...], (m,): the points, box after box
         first = np.cumsum(boxes.counts) - boxes.counts
         return cls(order[np.arange(len(owner)) + (boxes.starts - first)[owner]], owner, first)
 
@@ -230,10 +232,12 @@ def _asks_for_split(
         too_many = boxes.counts > rule.max_points
     if rule.cone == "none":
         return too_many
+    # (m, 3): the normals of all points; (b, 3): their mean in each box, of unit length or zero
     local = normals[members.points]
     mean = np.add.reduceat(local, members.first, axis=0)
     length = np.linalg.norm(mean, axis=1, keepdims=True)
     mean = np.divide(mean, length, out=np.zeros_like(mean), where=length > 0.0)
+    # (m,): each normal against its box's mean; (b,): the smallest of a box
     cosines = (local * mean[members.owner]).sum(axis=1)
     narrowest: NDArray[np.bool_] = np.minimum.reduceat(cosines, members.first) <= rule.limit
     return narrowest | too_many
@@ -243,6 +247,7 @@ def _can_be_split(
     boxes: _Boxes, members: _Members, positions: FloatArray, smallest: float
 ) -> NDArray[np.bool_]:
     local = positions[members.points]
+    # (m,): whether a point lies elsewhere than the first of its box; (b,): whether any does
     differs = (local != local[members.first][members.owner]).any(axis=1)
     separable: NDArray[np.bool_] = np.logical_or.reduceat(differs, members.first)
     separable &= boxes.size.max(axis=1) > smallest
@@ -256,16 +261,20 @@ def _split(boxes: _Boxes, order: IntArray, positions: FloatArray, root: str) -> 
     members = _Members.of(boxes, order)
     if root == "tight":
         boxes = _shrink(boxes, members, positions)
+    # (b,): the longest axis of each box, the first of equals, and half its length
     row, axis = np.arange(len(boxes)), boxes.size.argmax(axis=1)
     half = 0.5 * boxes.size[row, axis]
     # Below the top by at least one step: two neighbouring floats must come apart as well.
     top = np.nextafter(boxes.high[row, axis], -np.inf)
     middle = np.minimum(boxes.low[row, axis] + half, top)
+    # (m,): whether a point lies beyond the midplane of its box
     right = positions[members.points, axis[members.owner]] > middle[members.owner]
-    kept = boxes.counts - _part(boxes, members, right, order)
+    # (b,): points that stay below it; `order` now has each box's low half before its high one
+    left_counts = boxes.counts - _part(boxes, members, right, order)
 
-    starts = np.stack([boxes.starts, boxes.starts + kept], axis=1).ravel()
-    counts = np.stack([kept, boxes.counts - kept], axis=1).ravel()
+    # (2 b,), (2 b, 3): the halves, box 2 i below the midplane of box i and box 2 i + 1 above
+    starts = np.stack([boxes.starts, boxes.starts + left_counts], axis=1).ravel()
+    counts = np.stack([left_counts, boxes.counts - left_counts], axis=1).ravel()
     low, high, size = (np.repeat(x, 2, axis=0) for x in (boxes.low, boxes.high, boxes.size))
     high[2 * row, axis] = middle
     low[2 * row + 1, axis] = middle
@@ -275,9 +284,11 @@ def _split(boxes: _Boxes, order: IntArray, positions: FloatArray, root: str) -> 
 
 def _part(boxes: _Boxes, members: _Members, right: NDArray[np.bool_], order: IntArray) -> IntArray:
     """Move each box's `right` points behind its others, stably; return how many they are."""
+    # (b,): how many go right; (m,): how many of them precede a point within its own box
     n_right = np.add.reduceat(right.astype(np.int64), members.first)
     ahead: IntArray = np.cumsum(right) - right
     ahead -= ahead[members.first][members.owner]
+    # (m,): a point's place in its box now, and the place that it goes to if it goes right
     rank = np.arange(len(right)) - members.first[members.owner]
     behind = (boxes.counts - n_right)[members.owner] + ahead
     order[boxes.starts[members.owner] + np.where(right, behind, rank - ahead)] = members.points
@@ -293,6 +304,7 @@ def _shrink(boxes: _Boxes, members: _Members, positions: FloatArray) -> _Boxes:
 
 def _assemble(order: IntArray, leaves: list[_Boxes]) -> Patches:
     starts = np.concatenate([boxes.starts for boxes in leaves])
+    # (p,): runs of `order` do not overlap, so that their starts are the depth-first order
     by_start = np.argsort(starts)
     low = np.concatenate([boxes.low for boxes in leaves])[by_start]
     high = np.concatenate([boxes.high for boxes in leaves])[by_start]

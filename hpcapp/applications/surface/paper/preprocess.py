@@ -156,33 +156,41 @@ def _project(
     distances: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the points `rows` moved onto their surfaces, and these surfaces' normals there."""
+    # (n, 1): the width of each Gaussian; (n, k): the weights of the k neighbours
     width = 0.5 * distances[:, -1:]
     lone = width[:, 0] <= 0.0
     weights = np.exp(-((distances / np.where(lone[:, None], 1.0, width)) ** 2))
+    # (n, k): whether a neighbour looks the same way; `lone`, (n,), whether too few do
     facing = np.einsum("nki,ni->nk", normals[near], normals[rows]) > 0.0
     weights *= facing
     lone |= facing.sum(axis=1) < 6
     weights[lone] = 1.0
 
     shares = weights / weights.sum(axis=1, keepdims=True)
+    # (n, 3): weighted centroids and mean normals, the latter of unit length
     center = np.einsum("nk,nki->ni", shares, positions[near])
     axis = np.einsum("nk,nki->ni", shares, normals[near])
     length = np.linalg.norm(axis, axis=1, keepdims=True)
     lone |= length[:, 0] <= 1e-12
     axis = np.where(lone[:, None], (0.0, 0.0, 1.0), axis / np.where(length > 0.0, length, 1.0))
+    # (n, 3) each: with `axis` a right-angled frame for every neighbourhood
     first, second = _tangents(axis)
 
     unit = np.where(lone[:, None], 1.0, width)
+    # (n, k, 3): neighbours about the centroid, in widths; (n, k): their u, v and height
     offset = (positions[near] - center[:, None]) / unit[:, :, None]
     u, v, h = (np.einsum("nki,ni->nk", offset, t) for t in (first, second, axis))
+    # (n, 6): the quadratic of each neighbourhood, and the point's own place in it, (n,)
     c = _fit_heights(u, v, h, shares)
 
-    own = (positions[rows] - center) / unit
-    u0, v0 = (own * first).sum(axis=1), (own * second).sum(axis=1)
+    local = (positions[rows] - center) / unit
+    u0, v0 = (local * first).sum(axis=1), (local * second).sum(axis=1)
+    # (n,): the surface's height at the point, and its slopes along both tangents
     height = c[:, 0] + c[:, 1] * u0 + c[:, 2] * v0
     height += c[:, 3] * u0 * u0 + c[:, 4] * u0 * v0 + c[:, 5] * v0 * v0
     slope_u = c[:, 1] + 2.0 * c[:, 3] * u0 + c[:, 4] * v0
     slope_v = c[:, 2] + 2.0 * c[:, 5] * v0 + c[:, 4] * u0
+    # (n, 3): the normal of the surface there, and the point on it in the cloud's frame
     normal = axis - slope_u[:, None] * first - slope_v[:, None] * second
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     point = center + unit * (u0[:, None] * first + v0[:, None] * second + height[:, None] * axis)
@@ -192,6 +200,7 @@ def _project(
 
 def _fit_heights(u: FloatArray, v: FloatArray, h: FloatArray, shares: FloatArray) -> FloatArray:
     """Return weighted least-squares quadratics h(u, v), shape (n, 6)."""
+    # (n, k, 6): the quadratic's terms at each neighbour; (n, 6, 6): the normal equations
     columns = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=2)
     weighted = columns * shares[:, :, None]
     gram = np.einsum("nki,nkj->nij", weighted, columns)
@@ -212,11 +221,14 @@ def _tangents(axis: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def _nearest_to_means(positions: FloatArray, keys: IntArray) -> IntArray:
     """Return, for each group of equal keys, the point nearest to the group's mean, ascending."""
+    # (n,): the points group by group, those of a group in their order
     by_key = np.argsort(keys, kind="stable")
+    # (g,): where each group begins, and its size; (n,): the group of each point
     first = np.flatnonzero(np.r_[True, np.diff(keys[by_key]) != 0])
     counts = np.diff(np.r_[first, len(keys)])
     owner = np.repeat(np.arange(len(first)), counts)
     local = positions[by_key]
+    # (g, 3): the mean of each group; (n,): the squared distance of each point from it
     means = np.add.reduceat(local, first, axis=0) / counts[:, None]
     away = ((local - means[owner]) ** 2).sum(axis=1)
     nearest = np.lexsort((away, owner))  # stable, so the first of equals stays first
