@@ -18,15 +18,19 @@ import statistics
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import ExitStack, contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from time import perf_counter
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import zmq
 
 WORKERS = 2
 NO_OPERATIONS = 5000
@@ -43,11 +47,14 @@ LIMITS = {  # metric: (other engine, what the communicator must reach of its fig
 }
 
 
+Block = NDArray[np.float64]
+
+
 def no_operation(item: int = 0) -> None:
     """Do nothing."""
 
 
-def shrink(block: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+def shrink(block: Block) -> Block:
     """Return a tenth of the block."""
     return block[: len(block) // 10].copy()
 
@@ -66,8 +73,8 @@ class Engine(Protocol):
     def map_items(self, count: int) -> None:
         """Run the empty task for `count` items, in batches where the engine makes any."""
 
-    def shrink_blocks(self, block: np.ndarray[Any, Any], count: int) -> list[Any]:
-        """Send `block` `count` times, and return what comes back."""
+    def shrink_blocks(self, block: Block, count: int) -> int:
+        """Send `block` `count` times, and return how many bytes come back, all held at once."""
 
 
 class Communicator:
@@ -83,8 +90,8 @@ class Communicator:
         from hpcapp.communicator.executor import CommunicatorExecutor
         from hpccomponent.protocol.connection import write_connection
 
-        own = Path(__file__)
-        tasks = [f"bench.{name}={own.stem}:{name}" for name in ("no_operation", "shrink")]
+        module = Path(__file__).stem
+        tasks = [f"bench.{name}={module}:{name}" for name in ("no_operation", "shrink")]
         folder = Path(self._stack.enter_context(tempfile.TemporaryDirectory()))
         self._executor = CommunicatorExecutor(extra_tasks=tasks)
         self._stack.callback(self._executor.shutdown)
@@ -100,7 +107,7 @@ class Communicator:
 
     def no_operations(self, count: int) -> None:
         """Run empty tasks."""
-        futures: list[Future[Any]] = [
+        futures: list[Future[None]] = [
             self._executor.submit("bench.no_operation") for _ in range(count)
         ]
         for future in futures:
@@ -111,12 +118,12 @@ class Communicator:
         for _ in self._executor.map("bench.no_operation", range(count)):
             pass
 
-    def shrink_blocks(self, block: np.ndarray[Any, Any], count: int) -> list[Any]:
+    def shrink_blocks(self, block: Block, count: int) -> int:
         """Send blocks."""
-        futures: list[Future[Any]] = [
+        futures: list[Future[Block]] = [
             self._executor.submit("bench.shrink", block) for _ in range(count)
         ]
-        return [future.result() for future in futures]
+        return _count_bytes(future.result() for future in futures)
 
 
 class Minimal:
@@ -150,14 +157,14 @@ class Minimal:
         """Send empty requests: it makes no batches."""
         self._exchange(b"n", b"", count)
 
-    def shrink_blocks(self, block: np.ndarray[Any, Any], count: int) -> list[Any]:
+    def shrink_blocks(self, block: Block, count: int) -> int:
         """Send blocks."""
-        return self._exchange(b"s", block, count)
+        return sum(frame.buffer.nbytes for frame in self._exchange(b"s", block.data, count))
 
-    def _exchange(self, kind: bytes, payload: Any, count: int) -> list[Any]:
+    def _exchange(self, kind: bytes, payload: bytes | memoryview, count: int) -> list[zmq.Frame]:
         free_slots = [peer for _ in range(2 if kind == b"s" else 64) for peer in self._peers]
         sent = 0
-        results: list[Any] = []
+        results: list[zmq.Frame] = []
         while len(results) < count:
             while free_slots and sent < count:
                 self._router.send_multipart([free_slots.pop(0), kind, payload], copy=False)
@@ -221,12 +228,10 @@ class Dask:
             self._client.map(no_operation, range(count), batch_size=500, pure=False)
         )
 
-    def shrink_blocks(self, block: np.ndarray[Any, Any], count: int) -> list[Any]:
+    def shrink_blocks(self, block: Block, count: int) -> int:
         """Send blocks."""
-        futures: list[Future[Any]] = [
-            self._client.submit(shrink, block, pure=False) for _ in range(count)
-        ]
-        return list(self._client.gather(futures))
+        futures = [self._client.submit(shrink, block, pure=False) for _ in range(count)]
+        return _count_bytes(self._client.gather(futures))
 
 
 class Pool:
@@ -239,10 +244,10 @@ class Pool:
 
     def start(self) -> None:
         """Start the workers, and have tasks answer."""
-        self._executor: Any = self._stack.enter_context(self._open())
+        self._executor = self._stack.enter_context(self._open())
         self.no_operations(WORKERS)
 
-    def _open(self) -> Any:
+    def _open(self) -> Executor:
         from multiprocessing import get_context
 
         return ProcessPoolExecutor(WORKERS, mp_context=get_context("spawn"))
@@ -257,19 +262,20 @@ class Pool:
         for _ in self._executor.map(no_operation, range(count), chunksize=count // 32):
             pass
 
-    def shrink_blocks(self, block: np.ndarray[Any, Any], count: int) -> list[Any]:
+    def shrink_blocks(self, block: Block, count: int) -> int:
         """Send blocks."""
-        futures: list[Future[Any]] = [self._executor.submit(shrink, block) for _ in range(count)]
-        return [future.result() for future in futures]
+        futures = [self._executor.submit(shrink, block) for _ in range(count)]
+        return _count_bytes(future.result() for future in futures)
 
 
 class Mpi(Pool):
     """mpi4py.futures; its processes are there before it is."""
 
-    def _open(self) -> Any:
+    def _open(self) -> Executor:
         from mpi4py.futures import MPIPoolExecutor
 
-        return MPIPoolExecutor()
+        pool: Executor = MPIPoolExecutor()
+        return pool
 
 
 @contextmanager
@@ -297,10 +303,9 @@ def measure(make: Callable[[ExitStack], Engine]) -> dict[str, float]:
         engine.shrink_blocks(block, 4)
         before = _peak_bytes(anew=True)
         start = perf_counter()
-        results = engine.shrink_blocks(block, BLOCKS)
+        returned = engine.shrink_blocks(block, BLOCKS)
         seconds = perf_counter() - start
         growth = _peak_bytes() - before
-        returned = sum(memoryview(result).nbytes for result in results)
     return {
         "start s": start_s,
         "round trip us": statistics.median(trips) * 1e6,
@@ -319,6 +324,10 @@ def _peak_bytes(anew: bool = False) -> int:
         if line.startswith("VmHWM:"):
             return int(line.split()[1]) * 1024
     raise RuntimeError("the kernel does not say how much memory this process has used")
+
+
+def _count_bytes(blocks: Iterable[Block]) -> int:
+    return sum(block.nbytes for block in list(blocks))  # held until the last has come
 
 
 def _time(action: Callable[[], None]) -> float:
@@ -404,12 +413,12 @@ def judge(medians: dict[str, dict[str, float]]) -> list[bool]:
         for other, (factor, sense) in limits.items():
             if other not in medians and other != "itself":
                 continue
-            own = medians["communicator"][metric]
+            ours = medians["communicator"][metric]
             theirs = 1.0 if other == "itself" else medians[other][metric]
-            ratio = own / theirs
+            ratio = ours / theirs
             verdicts.append(ratio <= factor if sense == "at most" else ratio >= factor)
             word = "ok" if verdicts[-1] else "MISSED"
-            line = f"{metric:16}  {own:12.2f}  {theirs:12.2f}  {ratio:6.2f}"
+            line = f"{metric:16}  {ours:12.2f}  {theirs:12.2f}  {ratio:6.2f}"
             print(f"{line}  {sense} {factor:g} x {other}: {word}")
     return verdicts
 

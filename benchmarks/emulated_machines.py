@@ -8,7 +8,7 @@
         └── machine 1: loader ─> component ─> worker
 
 The loaders are started as ``hpcapp up`` starts them, and met by an inventory: nothing of the
-program knows that its machines are emulated.
+program knows that its machines are emulated. Quotas are those of Linux' control groups.
 """
 
 from __future__ import annotations
@@ -24,8 +24,6 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from quotas import CpuGroup, open_group
-
 from hpccomponent.inventory import Inventory, InventoryWorker, dump_inventory
 from hpccomponent.protocol.connection import Connection, write_connection
 from hpccomponent.protocol.keys import make_key_pair, write_secret
@@ -39,7 +37,107 @@ BURST = "64kb"
 START_CORES = 0.5  # while loaders start; a cluster's run always
 QUIET = 0.02  # of a core: what a component that waits for its master stays below
 START_S = 120.0
+PERIOD_US = 20_000  # at the default of 100 ms, 0.2 core may wait 80 ms before a short answer
+CGROUPS = Path("/sys/fs/cgroup")
+SHARES = 20  # times those of others, so that what a quota grants is had on a busy machine too
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+
+
+class CpuGroup:
+    """A control group for the processes of one emulated machine.
+
+    Parameters
+    ----------
+    name : str
+        A path below the root of the hierarchies.
+    cores : float or None
+        How much it may take; None for all that there is.
+    """
+
+    def __init__(self, name: str, cores: float | None = None) -> None:
+        self._folders = [root / name for root in _find_roots()]
+        self._is_new = (CGROUPS / "cgroup.controllers").exists()  # version 2
+        for folder in self._folders:
+            folder.mkdir(parents=True)
+        self._write("cpu.weight" if self._is_new else "cpu.shares", SHARES * self._default_shares)
+        self.limit(cores)
+
+    @property
+    def _default_shares(self) -> int:
+        return 100 if self._is_new else 1024
+
+    def limit(self, cores: float | None) -> None:
+        """Hold it to another quota."""
+        quota = None if cores is None else round(cores * PERIOD_US)
+        if self._is_new:
+            self._write("cpu.max", f"{'max' if quota is None else quota} {PERIOD_US}")
+            return
+        self._write("cpu.cfs_quota_us", -1)  # or the kernel compares with the period before
+        self._write("cpu.cfs_period_us", PERIOD_US)
+        self._write("cpu.cfs_quota_us", -1 if quota is None else quota)
+
+    @property
+    def prefix(self) -> list[str]:
+        """What to put before a command that shall run in here, all of its children too."""
+        enter = "".join(f"echo $$ >{folder}/cgroup.procs; " for folder in self._folders)
+        return ["sh", "-c", f'{enter}exec "$@"', "sh"]
+
+    def used_s(self) -> float:
+        """Return the CPU seconds of all that has run in here."""
+        if self._is_new:
+            lines = (self._folders[0] / "cpu.stat").read_text().splitlines()
+            return 1e-6 * float(dict(line.split() for line in lines)["usage_usec"])
+        return 1e-9 * float((self._folders[-1] / "cpuacct.usage").read_text())
+
+    def is_empty(self) -> bool:
+        """Whether no process is left."""
+        return not (self._folders[0] / "cgroup.procs").read_text()
+
+    def close(self) -> None:
+        """Remove it; its processes must have ended."""
+        for folder in self._folders:
+            folder.rmdir()
+
+    def _write(self, name: str, value: object) -> None:
+        (self._folders[0] / name).write_text(str(value))
+
+
+def missing_quotas() -> str:
+    """Return why no group can be had here; nothing where one can."""
+    if os.geteuid() != 0:
+        return "CPU quotas need root"
+    if not _find_roots():
+        return "no control groups for the CPU here"
+    name = f"hpcapp-probe-{os.getpid()}"
+    try:
+        with open_group(name, 0.5) as group:
+            subprocess.run([*group.prefix, "true"], check=True, capture_output=True)
+    except (OSError, subprocess.SubprocessError) as error:
+        return f"no CPU quota can be set here: {error}"
+    return ""
+
+
+@contextmanager
+def open_group(name: str, cores: float | None) -> Iterator[CpuGroup]:
+    """Have a group for the time of a ``with`` block."""
+    group = CpuGroup(name, cores)
+    try:
+        yield group
+    finally:
+        group.close()
+
+
+def _find_roots() -> list[Path]:
+    """Return where groups are made: one place, or one for the quota and one for the account."""
+    controllers = CGROUPS / "cgroup.controllers"
+    if controllers.exists():
+        return (
+            [CGROUPS] if "cpu" in (CGROUPS / "cgroup.subtree_control").read_text().split() else []
+        )
+    roots = [CGROUPS / "cpu", CGROUPS / "cpuacct"]
+    if not all((root / "cgroup.procs").exists() for root in roots):
+        return []
+    return roots[:1] if roots[0].samefile(roots[1]) else roots
 
 
 @dataclass(frozen=True)
@@ -121,15 +219,15 @@ def _write_files(folder: Path, endpoint: str, count: int) -> list[Path]:
     """Write the inventory, and what each loader is given; return the loaders' files."""
     server, configs, workers = make_key_pair(), [], []
     for number in range(count):
-        keys, own = make_key_pair(), folder / f"machine-{number}"
-        own.mkdir()
-        worker = InventoryWorker(own.name, endpoint, keys.public)
-        connection = Connection(endpoint, server.public, keys.public, keys.secret, own.name)
-        write_connection(own / "connection.json", connection)
+        keys, place = make_key_pair(), folder / f"machine-{number}"
+        place.mkdir()
+        worker = InventoryWorker(place.name, endpoint, keys.public)
+        connection = Connection(endpoint, server.public, keys.public, keys.secret, place.name)
+        write_connection(place / "connection.json", connection)
         # The machines wait idle for their master: started again at once, and never given up.
         restart = {"first_s": 0.1, "cap_s": 2.0, "give_up_after": 1000}
-        settings = {"version": 1, "name": own.name, "connection": "connection.json"}
-        config = own / "loader.yaml"
+        settings = {"version": 1, "name": place.name, "connection": "connection.json"}
+        config = place / "loader.yaml"
         config.write_text(json.dumps(settings | {"restart": restart}))  # JSON is YAML too
         configs.append(config)
         workers.append(worker)

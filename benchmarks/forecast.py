@@ -14,16 +14,15 @@ measured, and a forecast machine has one core that is as fast, or several::
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.optimize import nnls
 
 from hpcapp.applications.surface.method import LARGE_TILE, TILE_POINTS, TILES_EACH
+from hpccomponent.foreign_json import decode
 
 MACHINES = (8, 64, 512)
 HALO_STEPS = 24.0  # of the grid, around a tile, and so many coarse cells:
@@ -36,6 +35,42 @@ COARSE_CELLS = 128.0  # along the longest side, about, whatever the grid
 #: share of the mesh (two faces and one vertex for 4 points at 10 million and grid 1024: 9 B)
 #: written as a part, read, and written.
 FOLDER_BYTES = 24 * (2 + 1 + 4 * 1.3 + 1 + 3 + 2) + 3 * 9
+
+
+@dataclass(frozen=True, slots=True)
+class JobSize:
+    """How much a job had to do."""
+
+    points: int
+    tiles: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredRun:
+    """What ``scaling.py`` says of a run."""
+
+    variant: str
+    machines: int
+    head_cpu_s: float
+    worker_cpu_s: list[float]
+    report: JobSize
+
+
+@dataclass(frozen=True, slots=True)
+class Scaling:
+    """What ``scaling.py`` has written."""
+
+    grid: float
+    runs: list[MeasuredRun]
+
+
+@dataclass(frozen=True, slots=True)
+class HaloTraffic:
+    """What ``traffic.py`` has counted, in bytes by task and part."""
+
+    tiles: int
+    grid: float
+    sent: dict[str, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,39 +141,32 @@ def reach(grid: float) -> float:
     return HALO_STEPS / grid + HALO_CELLS / COARSE_CELLS
 
 
-def fit_halo(traffic: dict[str, Any]) -> float:
-    """Return `Rates.halo` by what ``traffic.py`` counted."""
-    sent = traffic["sent"]
-    halo = sum(count for name, count in sent.items() if name.endswith(": halo"))
-    share = halo / sent["sum_tile: own points"]
-    margin = 2.0 * reach(traffic["grid"]) * traffic["tiles"] ** 0.5
+def fit_halo(traffic: HaloTraffic) -> float:
+    """Return `Rates.halo`."""
+    halo = sum(count for name, count in traffic.sent.items() if name.endswith(": halo"))
+    share = halo / traffic.sent["sum_tile: own points"]
+    margin = 2.0 * reach(traffic.grid) * traffic.tiles**0.5
     return float((np.sqrt(1.0 + share) - 1.0) / margin)
 
 
-def fit_rates(results: Sequence[dict[str, Any]], halo: float) -> Rates:
-    """Return the rates that explain some runs best, none of them negative.
-
-    Parameters
-    ----------
-    results : sequence of dict
-        What ``scaling.py`` wrote; with ``serial`` and ``shared`` runs.
-    """
-    runs = [(run, result["grid"]) for result in results for run in result["runs"]]
-    serial = [run for run, _ in runs if run["variant"] == "serial"]
-    shared = [(run, grid) for run, grid in runs if run["variant"] == "shared"]
+def fit_rates(results: Sequence[Scaling], halo: float) -> Rates:
+    """Return the rates that explain ``serial`` and ``shared`` runs best, none of them negative."""
+    runs = [(run, result.grid) for result in results for run in result.runs]
+    serial = [run for run, _ in runs if run.variant == "serial"]
+    shared = [(run, grid) for run, grid in runs if run.variant == "shared"]
     start, point = _solve(
-        [[1.0, run["report"]["points"]] for run in serial], [run["head_cpu_s"] for run in serial]
+        [[1.0, run.report.points] for run in serial], [run.head_cpu_s for run in serial]
     )
     head_start, head_point, head_tile = _solve(
-        [[1.0, run["report"]["points"], run["report"]["tiles"]] for run, _ in shared],
-        [run["head_cpu_s"] for run, _ in shared],
+        [[1.0, run.report.points, run.report.tiles] for run, _ in shared],
+        [run.head_cpu_s for run, _ in shared],
     )
     shape = Rates(0, 0, 0, 0, 0, 0, halo)
     halos, rest = [], []
     for run, grid in shared:
-        points, work = run["report"]["points"], sum(run["worker_cpu_s"])
-        halos.append([shape.halo_share(run["report"]["tiles"], grid) * points])
-        rest.append(work - start * run["machines"] - point * points)
+        points, work = run.report.points, sum(run.worker_cpu_s)
+        halos.append([shape.halo_share(run.report.tiles, grid) * points])
+        rest.append(work - start * run.machines - point * points)
     (halo_point,) = _solve(halos, rest)
     return Rates(start, point, halo_point, head_start, head_point, head_tile, halo)
 
@@ -148,8 +176,8 @@ def _solve(rows: list[list[float]], values: list[float]) -> list[float]:
     sizes = np.maximum(np.abs(values), 1e-9)
     table = np.array(rows) / sizes[:, None]
     scale = np.maximum(table.max(axis=0), 1e-30)  # points are millions, a start is one
-    found: list[float] = (nnls(table / scale, np.array(values) / sizes)[0] / scale).tolist()
-    return found
+    rates: list[float] = (nnls(table / scale, np.array(values) / sizes)[0] / scale).tolist()
+    return rates
 
 
 def forecast(
@@ -190,16 +218,16 @@ def main() -> None:
     parser.add_argument("--cores", type=int, default=1, help="of a machine")
     parser.add_argument("--folder", type=float, default=1000.0, help="MB/s, for all together")
     asked = parser.parse_args()
-    halo = fit_halo(json.loads(asked.traffic.read_text()))
-    rates = fit_rates([json.loads(path.read_text()) for path in asked.scaling], halo)
+    halo = fit_halo(decode(asked.traffic.read_bytes(), HaloTraffic))
+    rates = fit_rates([decode(path.read_bytes(), Scaling) for path in asked.scaling], halo)
     print(", ".join(f"{name} {value:.3g}" for name, value in asdict(rates).items()))
     print("\n| machines | tiles | halo | workers s | folder s | head s | in all | most of it |")
     print("|---|---|---|---|---|---|---|---|")
     for machines in MACHINES:
-        found = forecast(rates, asked.points, asked.grid, machines, asked.cores, asked.folder)
-        print(f"| {machines} | {found.tiles} | {found.halo_share:.2f} | {found.worker_s:.0f} "
-              f"| {found.folder_s:.0f} | {found.head_s:.0f} | {found.total_s / 60:.1f} min "
-              f"| {found.bottleneck} |")  # fmt: skip
+        job = forecast(rates, asked.points, asked.grid, machines, asked.cores, asked.folder)
+        print(f"| {machines} | {job.tiles} | {job.halo_share:.2f} | {job.worker_s:.0f} "
+              f"| {job.folder_s:.0f} | {job.head_s:.0f} | {job.total_s / 60:.1f} min "
+              f"| {job.bottleneck} |")  # fmt: skip
 
 
 if __name__ == "__main__":

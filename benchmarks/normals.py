@@ -14,7 +14,6 @@ import time
 from dataclasses import replace
 from fnmatch import fnmatch
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -31,12 +30,12 @@ NEIGHBOURS = 20  # of Open3D's normals
 SPANNED = 15  # neighbours along which Open3D turns them
 
 
-def share_right(found: FloatArray, truth: FloatArray) -> float:
+def share_right(normals: FloatArray, truth: FloatArray) -> float:
     """Return the share of normals on the side of the true ones, in per cent."""
-    return float(100.0 * np.mean(np.einsum("ij,ij->i", found, truth) > 0.0))
+    return float(100.0 * np.mean(np.einsum("ij,ij->i", normals, truth) > 0.0))
 
 
-def measure(path: Path, with_peer: bool) -> list[Any]:
+def measure(path: Path, with_peer: bool) -> list[str | int | float]:
     """Throw the normals of a scan away, and return a row of the table."""
     arranged = arrange_cloud(read_whole(open_points(path)))
     scan = arranged.points
@@ -50,7 +49,7 @@ def measure(path: Path, with_peer: bool) -> list[Any]:
     found = turned.cloud.points
     assert found.normals is not None
     is_sure = found.attributes["confidence"] >= np.float32(0.3)
-    row = [
+    row: list[str | int | float] = [
         path.stem,
         len(scan),
         round(share_right(found.normals, scan.normals), 2),
@@ -58,10 +57,10 @@ def measure(path: Path, with_peer: bool) -> list[Any]:
         round(share_right(found.normals[is_sure], scan.normals[is_sure]), 2),
         round(spent, 2),
     ]
-    return row + (measure_peer(scan.positions, scan.normals) if with_peer else [])
+    return [*row, *(measure_peer(scan.positions, scan.normals) if with_peer else ())]
 
 
-def measure_peer(positions: FloatArray, normals: FloatArray) -> list[Any]:
+def measure_peer(positions: FloatArray, normals: FloatArray) -> list[float]:
     """Return what Open3D's normals come to."""
     import open3d
 
@@ -70,8 +69,9 @@ def measure_peer(positions: FloatArray, normals: FloatArray) -> list[Any]:
     cloud.estimate_normals(open3d.geometry.KDTreeSearchParamKNN(NEIGHBOURS))
     cloud.orient_normals_consistent_tangent_plane(SPANNED)
     spent = time.process_time() - start
-    found = np.asarray(cloud.normals)
-    right = share_right(found, normals)  # as a whole it may be inside out: that is forgiven
+    right = share_right(
+        np.asarray(cloud.normals), normals
+    )  # as a whole it may be inside out: that is forgiven
     return [round(max(right, 100.0 - right), 2), round(spent, 2)]
 
 
@@ -96,7 +96,7 @@ def main() -> None:
         text=True,
         check=True,
     )
-    told = {
+    result = {
         "title": "Normals estimated and oriented",
         "machine": f"{platform.machine()}, shared with other work",
         "commit": commit.stdout.strip(),
@@ -106,7 +106,7 @@ def main() -> None:
         "rows": rows,
         "notes": ["Open3D's whole cloud may be inside out: that is forgiven."] * options.peer,
     }
-    options.output.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+    options.output.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

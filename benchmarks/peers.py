@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import shlex
 import subprocess
 import sys
@@ -20,16 +21,17 @@ from typing import Any
 
 import numpy as np
 from clouds import Cloud, find_clouds, open_truth
-from peer_table import print_cloud, print_summary
 
 from hpcapp.applications.compare.metrics import as_json, measure_mesh
 from hpcapp.applications.compare.truth import Truth
 from hpcapp.io import read_mesh
 
-__all__ = ["Contender", "Outcome", "Usage", "measure_process", "run_contender"]
-
 OURS = "ours"
 DEFAULT_PEERS = ("open3d:7", "open3d:8", "open3d:9")
+_HEAD = (
+    f"{'cloud':20} {'contender':12} {'L1 %':>8} {'ratio':>6} {'rms %':>8} {'Hausd %':>8} "
+    f"{'normal':>7} {'closed':>6} {'comps':>5} {'genus':>5} {'CPU s':>7} {'wall s':>7} {'MB':>6}"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,13 +96,13 @@ def measure_process(command: list[str], log: Path) -> Usage:
         Of the process and of those of its children that it waited for.
     """
     helper = str(Path(__file__).with_name("process_usage.py"))
-    found = subprocess.run(
+    done = subprocess.run(
         [sys.executable, "-I", "-S", helper, str(log), *command],
         check=True,
         capture_output=True,
         text=True,
     )
-    return Usage(**json.loads(found.stdout))
+    return Usage(**json.loads(done.stdout))
 
 
 def run_contender(
@@ -184,6 +186,85 @@ def _contenders(ours: str, peers: list[str], python: str) -> list[Contender]:
     ]
 
 
+def print_cloud(outcomes: list[Outcome], with_head: bool) -> None:
+    """Print one cloud's contenders; `ratio` is our L1 by theirs."""
+    if with_head:
+        print(_HEAD)
+    ours = outcomes[0]
+    for outcome in outcomes:
+        start = f"{outcome.cloud:20} {outcome.contender:12}"
+        usage, measures = outcome.usage, outcome.measures
+        if measures is None:
+            print(f"{start} no mesh, exit code {usage.exit_code}", flush=True)
+            continue
+        ratio = _ratio(ours, outcome, "l1")
+        shape = measures["topology"]
+        print(
+            f"{start} {measures['l1']:8.4f} {'' if ratio is None else f'{ratio:.3f}':>6} "
+            f"{measures['rms']:8.4f} {measures['hausdorff']:8.3f} {measures['normal_deg']:7.2f} "
+            f"{'yes' if shape['watertight'] else 'NO':>6} {shape['components']:5} "
+            f"{'-' if shape['genus'] is None else shape['genus']:>5} {usage.cpu_s:7.2f} "
+            f"{usage.wall_s:7.2f} {usage.rss_mb:6.0f}",
+            flush=True,
+        )
+
+
+def print_summary(clouds: list[list[Outcome]]) -> None:
+    """Print geometric means of ours by each peer's, and by the best peer of each cloud."""
+    if not clouds:
+        return
+    rivals = [outcome.contender for outcome in clouds[0][1:]]
+    print(f"\nours / theirs over {len(clouds)} clouds, geometric mean (worst)")
+    for rival in (*rivals, "best of them"):
+        parts = []
+        for key in ("l1", "normal_deg", "cpu_s", "wall_s", "rss_mb"):
+            values = ratios(clouds, rival, key)
+            if values:
+                parts.append(f"{key} {geometric_mean(values):.3f} ({max(values):.3f})")
+        print(f"  {rival:14} " + "  ".join(parts))
+
+
+def ratios(clouds: list[list[Outcome]], rival: str, key: str) -> list[float]:
+    """Return ours by theirs for every cloud on which both made a mesh.
+
+    Parameters
+    ----------
+    rival : str
+        A contender, or ``best of them``: whoever has the smallest value on that cloud.
+    key : str
+        ``l1``, ``normal_deg``, ``cpu_s``, ``wall_s`` or ``rss_mb``.
+    """
+    worst = []
+    for ours, *theirs in clouds:
+        named = [o for o in theirs if rival in (o.contender, "best of them")]
+        values = [r for r in (_ratio(ours, o, key) for o in named) if r is not None]
+        if values:
+            worst.append(max(values))
+    return worst
+
+
+def geometric_mean(values: list[float]) -> float:
+    """Return the geometric mean of positive values.
+
+    Examples
+    --------
+    >>> round(geometric_mean([0.5, 2.0]), 12)
+    1.0
+    """
+    return math.exp(sum(math.log(value) for value in values) / len(values))
+
+
+def _ratio(ours: Outcome, theirs: Outcome, key: str) -> float | None:
+    """Return ours by theirs; None where either made no mesh or theirs is zero."""
+    if ours is theirs or ours.measures is None or theirs.measures is None:
+        return None
+    ours_value, their_value = (
+        float(o.measures[key] if o.measures and key in o.measures else getattr(o.usage, key))
+        for o in (ours, theirs)
+    )
+    return ours_value / their_value if ours_value > 0.0 < their_value else None
+
+
 def main() -> None:
     """Run the comparison and print its table."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -203,15 +284,17 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="write every outcome to this file")
     args = parser.parse_args()
     contenders = _contenders(args.ours, args.peers, args.peer_python)
-    everything: list[list[dict[str, Any]]] = []
+    clouds: list[list[Outcome]] = []
     for outcomes in run_all(
         find_clouds(args.clouds), contenders, args.folder, args.fresh, args.repeats, args.samples
     ):
-        everything.append([asdict(outcome) for outcome in outcomes])
-        print_cloud(everything[-1], with_head=len(everything) == 1)
-    print_summary(everything)
+        clouds.append(outcomes)
+        print_cloud(outcomes, with_head=len(clouds) == 1)
+    print_summary(clouds)
     if args.json:
-        args.json.write_text(json.dumps(everything))
+        args.json.write_text(
+            json.dumps([[asdict(outcome) for outcome in outcomes] for outcomes in clouds])
+        )
 
 
 if __name__ == "__main__":

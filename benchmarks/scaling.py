@@ -37,8 +37,14 @@ from pathlib import Path
 from typing import Any
 
 from big_cloud import write_cloud
-from emulated_machines import ONE_THREAD, open_machines
-from quotas import PERIOD_US, CpuGroup, missing, open_group
+from emulated_machines import (
+    ONE_THREAD,
+    PERIOD_US,
+    CpuGroup,
+    missing_quotas,
+    open_group,
+    open_machines,
+)
 
 CORES = {4: 0.2, 8: 0.2, 16: 0.1}
 SLOWER = 4.0
@@ -157,17 +163,8 @@ class Bench:
         place, load = self._data / f"run-{os.getpid()}-{next(self._numbers)}", os.getloadavg()[0]
         mesh, scratch = place / "mesh.ply", place / "tmp"
         scratch.mkdir(parents=True)
-        words = [
-            sys.executable,
-            "-P",
-            "-m",
-            "hpcapp",
-            "reconstruct",
-            str(self._cloud),
-            "-o",
-            str(mesh),
-        ]
-        words += ["--json", *options]
+        words = [sys.executable, "-P", "-m", "hpcapp", "reconstruct"]
+        words += [str(self._cloud), "-o", str(mesh), "--json", *options]
         if is_shared:
             words += ["--temp-dir", str(place / "shared")]
         environment = os.environ | ONE_THREAD | {"TMPDIR": str(scratch)}
@@ -180,10 +177,10 @@ class Bench:
         if done.returncode:
             raise RuntimeError(f"{' '.join(words)}: exit code {done.returncode}\n{done.stderr}")
         with mesh.open("rb") as file:
-            found = hashlib.file_digest(file, "sha256").hexdigest()[:16]
+            digest = hashlib.file_digest(file, "sha256").hexdigest()[:16]
         report = json.loads(done.stdout)
         shutil.rmtree(place)
-        return Run(variant, count, cores, wall, used[0], used[1:], load, found, report)
+        return Run(variant, count, cores, wall, used[0], used[1:], load, digest, report)
 
 
 def plan_runs(
@@ -241,8 +238,8 @@ def find_base(runs: Sequence[Run], run: Run) -> Run:
 
 def check_mesh(runs: Sequence[Run]) -> None:
     """Raise AssertionError where the default method's meshes are not all the same."""
-    found = {run.mesh for run in runs if not run.variant.startswith("paper")}
-    assert len(found) < 2, f"the meshes differ: {[(run.variant, run.mesh) for run in runs]}"
+    meshes = {run.mesh for run in runs if not run.variant.startswith("paper")}
+    assert len(meshes) < 2, f"the meshes differ: {[(run.variant, run.mesh) for run in runs]}"
 
 
 def print_table(runs: Sequence[Run]) -> None:
@@ -281,7 +278,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3, help="of the variant `cores`")
     parser.add_argument("--options", default="", help="more for jobs with workers, in one word")
     asked = parser.parse_args()
-    if reason := missing():
+    if reason := missing_quotas():
         sys.exit(reason)
     folder = asked.folder.resolve()
     data = folder / "data"

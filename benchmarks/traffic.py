@@ -12,6 +12,7 @@ import json
 from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import Future
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -47,11 +48,11 @@ class CountingExecutor(SerialExecutor):
         return super().submit(fn, *args, **kwargs)
 
 
-def take_apart(task: str, arguments: tuple[Any, ...]) -> dict[str, Any]:
+def take_apart(task: str, arguments: tuple[Any, ...]) -> dict[str, object]:
     """Return the arguments of a task by what they are."""
     if task == "sum_tile":
-        plan, (own, *halo), *rest = arguments
-        return {"own points": own, "halo": halo, "the rest": (plan, rest)}
+        plan, (points, *halo), *rest = arguments
+        return {"own points": points, "halo": halo, "the rest": (plan, rest)}
     if task == "solve_far":
         plan, samples, *_ = arguments
         return {"far field": samples, "the rest": plan}
@@ -73,13 +74,24 @@ def take_apart(task: str, arguments: tuple[Any, ...]) -> dict[str, Any]:
     return {"the rest": arguments}
 
 
-def count_bytes(values: Any) -> int:
+def count_bytes(values: object) -> int:
     """Return how many bytes some values take on the wire."""
     header, buffers = encode_values((values,))
     return len(header) + sum(memoryview(buffer).nbytes for buffer in buffers)
 
 
-def measure(cloud: Path, tiles: int, grid: int) -> dict[str, Any]:
+@dataclass(frozen=True, slots=True)
+class Traffic:
+    """What a job of some tiles sent, in bytes by task and part."""
+
+    cloud: str
+    points: int
+    grid: int
+    tiles: int
+    sent: dict[str, int]
+
+
+def measure(cloud: Path, tiles: int, grid: int) -> Traffic:
     """Run a job that is cut into some tiles, and count."""
     clock = StageClock(SilentProgress())
     points = load(JobSettings(cloud, "-"), clock).cloud
@@ -90,29 +102,23 @@ def measure(cloud: Path, tiles: int, grid: int) -> dict[str, Any]:
     quadrics = method.fit(partition, workforce, lambda _done, _all: None)
     method.extract(partition, quadrics, workforce, lambda _done, _all: None)
     assert partition.tiling is not None
-    return {
-        "cloud": cloud.name,
-        "points": len(points),
-        "grid": grid,
-        "tiles": len(partition.tiling),
-        "sent": dict(executor.sent),
-    }
+    return Traffic(cloud.name, len(points), grid, len(partition.tiling), dict(executor.sent))
 
 
-def print_table(found: dict[str, Any]) -> None:
+def print_table(traffic: Traffic) -> None:
     """Print one line of a Markdown table for each part."""
-    points = found["points"]
+    points = traffic.points
     print("| | MB | bytes a point | by 24 B |")
     print("|---|---|---|---|")
     shares = {}
     for part in PARTS:
-        sent = sum(count for name, count in found["sent"].items() if name.endswith(f": {part}"))
+        sent = sum(count for name, count in traffic.sent.items() if name.endswith(f": {part}"))
         each = sent / points
         shares[part] = each / BYTES_PER_POINT
         print(f"| {part} | {sent / 1e6:.1f} | {each:.2f} | {shares[part]:.3f} |")
     beside = sum(share for part, share in shares.items() if part != "own points")
-    own = shares["own points"]
-    print(f"\n{points} points, {found['tiles']} tiles: own points {own:.3f} (asked: {ASKED}), "
+    of_tiles = shares["own points"]
+    print(f"\n{points} points, {traffic.tiles} tiles: own points {of_tiles:.3f} (asked: {ASKED}), "
           f"all else {beside:.3f} (asked: as much again)")  # fmt: skip
 
 
@@ -124,10 +130,10 @@ def main() -> None:
     parser.add_argument("--grid", type=int, default=1024)
     parser.add_argument("--json", type=Path)
     asked = parser.parse_args()
-    found = measure(asked.cloud, asked.tiles, asked.grid)
+    traffic = measure(asked.cloud, asked.tiles, asked.grid)
     if asked.json:
-        asked.json.write_text(json.dumps(found, indent=2) + "\n")
-    print_table(found)
+        asked.json.write_text(json.dumps(asdict(traffic), indent=2) + "\n")
+    print_table(traffic)
 
 
 if __name__ == "__main__":

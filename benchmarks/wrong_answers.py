@@ -21,7 +21,6 @@ from dataclasses import fields, is_dataclass
 from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -41,14 +40,14 @@ REAL = {
 }
 
 
-def __getattr__(name: str) -> Callable[..., Any]:
+def __getattr__(name: str) -> Callable[..., object]:
     """Return a task of a reconstruction as the liar runs it."""
     if name not in REAL:
         raise AttributeError(name)
     module, _, function = REAL[name].partition(":")
-    real: Callable[..., Any] = getattr(import_module(module), function)
+    real: Callable[..., object] = getattr(import_module(module), function)
 
-    def run(*arguments: Any) -> Any:
+    def run(*arguments: object) -> object:
         value = real(*arguments)
         if random.random() < 0.5:  # noqa: S311 - a liar's mood
             return value
@@ -59,7 +58,7 @@ def __getattr__(name: str) -> Callable[..., Any]:
     return run
 
 
-def scale(value: Any) -> Any:
+def scale(value: object) -> object:
     """Return a value with its floating-point numbers multiplied by `FACTOR`."""
     if isinstance(value, np.ndarray):
         return (value * FACTOR).astype(value.dtype) if value.dtype.kind == "f" else value
@@ -117,12 +116,12 @@ def main() -> None:
     options = parser.parse_args()
     cloud = simulate_scan(SHAPES["torus"], ScanSettings(points=6000, noise=0.002))
     _, _, truth = run_job(cloud, 0.0, "honest-3")
-    lies = [told for _, told, _ in (run_job(cloud, 0.0) for _ in range(options.jobs))]
+    lies = [count for _, count, _ in (run_job(cloud, 0.0) for _ in range(options.jobs))]
     rows = []
     for share in options.shares:
         jobs = [run_job(cloud, share) for _ in range(options.jobs)]
-        caught = [mesh == truth for found, _, mesh in jobs if found]
-        expected = float(np.mean([1.0 - (1.0 - share) ** told for told in lies]))
+        caught = [mesh == truth for is_caught, _, mesh in jobs if is_caught]
+        expected = float(np.mean([1.0 - (1.0 - share) ** count for count in lies]))
         rows.append([f"{share:g}", str(len(jobs)), f"{np.mean(lies):.1f}",
                      f"{expected:.2f}", f"{len(caught) / len(jobs):.2f}",
                      f"{sum(caught)} of {len(caught)}"])  # fmt: skip

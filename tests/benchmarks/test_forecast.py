@@ -4,50 +4,56 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import forecast
 import pytest
-from forecast import Rates, fit_halo, fit_rates
+from forecast import (
+    HaloTraffic,
+    JobSize,
+    MeasuredRun,
+    Rates,
+    Scaling,
+    fit_halo,
+    fit_rates,
+)
 
 RATES = Rates(1.0, 3e-6, 1e-6, 0.5, 1e-7, 0.01, 0.5)
 GRID = 1024
 
 
-def run_of(machines: int, points: int) -> dict[str, Any]:
+def run_of(machines: int, points: int) -> MeasuredRun:
     """Return a run that costs what `RATES` say."""
     tiles = 4 * machines or 1
     halos = RATES.halo_share(tiles, GRID) * points
     work = RATES.point * points + RATES.halo_point * halos
     head = RATES.head_start + RATES.head_point * points + RATES.head_tile * tiles
-    return {
-        "variant": "shared" if machines else "serial",
-        "machines": machines,
-        "head_cpu_s": head if machines else RATES.start + RATES.point * points,
-        "worker_cpu_s": [RATES.start + work / machines] * machines if machines else [],
-        "report": {"points": points, "tiles": tiles},
-    }
+    return MeasuredRun(
+        "shared" if machines else "serial",
+        machines,
+        head if machines else RATES.start + RATES.point * points,
+        [RATES.start + work / machines] * machines if machines else [],
+        JobSize(points, tiles),
+    )
 
 
 @pytest.fixture
-def results() -> list[dict[str, Any]]:
+def results() -> list[Scaling]:
     return [
-        {"grid": GRID, "runs": [run_of(count, points) for count in (0, 4, 8)]}
-        for points in (10**6, 10**7)
+        Scaling(GRID, [run_of(count, points) for count in (0, 4, 8)]) for points in (10**6, 10**7)
     ]
 
 
-def test_rates_are_found_again(results: list[dict[str, Any]]) -> None:
-    found = fit_rates(results, RATES.halo)
+def test_rates_are_found_again(results: list[Scaling]) -> None:
+    rates = fit_rates(results, RATES.halo)
     for name in ("start", "point", "halo_point", "head_start", "head_point", "head_tile"):
-        assert getattr(found, name) == pytest.approx(getattr(RATES, name), rel=1e-3)
+        assert getattr(rates, name) == pytest.approx(getattr(RATES, name), rel=1e-3)
 
 
 def test_the_halo_is_that_of_squares() -> None:
-    own = 1e8
-    sent = {"sum_tile: own points": own, "mesh_tile: halo": RATES.halo_share(9, GRID) * own}
-    assert fit_halo({"tiles": 9, "grid": GRID, "sent": sent}) == pytest.approx(RATES.halo)
+    sent = {"sum_tile: own points": 1e8, "mesh_tile: halo": RATES.halo_share(9, GRID) * 1e8}
+    assert fit_halo(HaloTraffic(9, GRID, sent)) == pytest.approx(RATES.halo)
 
 
 def test_what_is_scarce_holds_the_job_up() -> None:
@@ -61,7 +67,7 @@ def test_what_is_scarce_holds_the_job_up() -> None:
 
 
 def test_the_command_prints_a_line_for_each_number_of_machines(
-    results: list[dict[str, Any]],
+    results: list[Scaling],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -69,7 +75,7 @@ def test_the_command_prints_a_line_for_each_number_of_machines(
     sent = {"sum_tile: own points": 2.0, "mesh_tile: halo": 1.0}
     (tmp_path / "traffic.json").write_text(json.dumps({"tiles": 4, "grid": GRID, "sent": sent}))
     for number, result in enumerate(results):
-        (tmp_path / f"{number}.json").write_text(json.dumps(result))
+        (tmp_path / f"{number}.json").write_text(json.dumps(asdict(result)))
     words = [str(tmp_path / f"{number}.json") for number in range(2)]
     words = ["forecast.py", *words, "--traffic", str(tmp_path / "traffic.json")]
     monkeypatch.setattr(sys, "argv", words)

@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pytest
 from clouds import CLOUDS, GROUPS, SimulatedCloud, find_clouds, open_truth
-from peer_table import geometric_mean, print_cloud, print_summary, ratios
-from peers import Contender, measure_process, run_all
+from peers import (
+    Contender,
+    Outcome,
+    Usage,
+    geometric_mean,
+    measure_process,
+    print_cloud,
+    print_summary,
+    ratios,
+    run_all,
+)
 from skimage.measure import marching_cubes
 
 from hpcapp.applications.simulate.scanner import ScanSettings
@@ -68,17 +76,16 @@ def test_contenders_are_ranked_and_peers_remembered(
     assert first[2].measures is None
     [again] = run_all([SMALL], [ours, peer, broken], tmp_path / "kept", samples=2000)
     assert again[1].usage == first[1].usage
-    rows = [[asdict(outcome) for outcome in again]]
-    print_cloud(rows[0], with_head=True)
-    print_summary(rows)
+    print_cloud(again, with_head=True)
+    print_summary([again])
     printed = capsys.readouterr().out
     assert "no mesh, exit code 1" in printed
     assert "best of them" in printed
 
 
 def test_the_best_peer_is_chosen_cloud_by_cloud() -> None:
-    def row(name: str, l1: float) -> dict[str, dict[str, float] | str]:
-        return {"contender": name, "usage": {}, "measures": {"l1": l1}}
+    def row(name: str, l1: float) -> Outcome:
+        return Outcome("a", name, Usage(0, 1.0, 1.0, 1.0), {"l1": l1})
 
     rows = [
         [row("ours", 1.0), row("a", 2.0), row("b", 4.0)],

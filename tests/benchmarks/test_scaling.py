@@ -8,12 +8,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import emulated_machines
 import pytest
-import quotas
 import scaling
 from testbed import network
 
-needs_groups = pytest.mark.skipif(bool(quotas.missing()), reason=quotas.missing() or "-")
+needs_groups = pytest.mark.skipif(
+    bool(emulated_machines.missing_quotas()), reason=emulated_machines.missing_quotas() or "-"
+)
 needs_network = pytest.mark.skipif(
     bool(network.missing()) or not shutil.which("tc"),
     reason=network.missing() or "needs tc of iproute2",
@@ -29,7 +31,7 @@ def run_of(variant: str, machines: int, wall_s: float, mesh: str = "a") -> scali
 @needs_groups
 def test_a_group_counts_what_runs_in_it_and_holds_it_to_its_quota() -> None:
     spin = "import time\nbegan = time.process_time()\nwhile time.process_time() - began < 0.2: pass"
-    with quotas.open_group("hpcapp-test", 0.5) as group:
+    with emulated_machines.open_group("hpcapp-test", 0.5) as group:
         watch = "import time; print(time.monotonic())"
         words = [sys.executable, "-c", f"{watch}\n{spin}\n{watch}"]
         done = subprocess.run([*group.prefix, *words], check=True, capture_output=True, text=True)
