@@ -70,6 +70,7 @@ def no_leaks(request: pytest.FixtureRequest) -> Iterator[None]:
     threads, processes, files = set(threading.enumerate()), children(), open_files()
     yield
     gc.collect()
+    gc.freeze()  # what has outlived a test, modules above all, is not looked through again
     for thread in set(threading.enumerate()) - threads:
         thread.join(timeout=5)
     leaked_threads = {t.name for t in set(threading.enumerate()) - threads}
