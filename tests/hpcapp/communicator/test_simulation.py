@@ -730,6 +730,10 @@ class ManySchedules(AdaptiveClusterWithABadMachine):
     """Bad machines and liars under the default policy, over and over."""
 
 
+class ManyLies(ClusterWithALiar):
+    """A liar under every schedule, over and over."""
+
+
 def schedules(count: int) -> settings:
     return settings(
         max_examples=count,
@@ -744,7 +748,9 @@ FAULTS = schedules(60)
 TestManySchedules = pytest.mark.slow(pytest.mark.timeout(900)(ManySchedules.TestCase))
 TestManySchedules.settings = schedules(1000)
 TestClusterWithALiar = ClusterWithALiar.TestCase
-TestClusterWithALiar.settings = schedules(300)
+TestClusterWithALiar.settings = FAULTS
+TestManyLies = pytest.mark.slow(ManyLies.TestCase)
+TestManyLies.settings = schedules(300)
 TestClusterWithABadMachine = ClusterWithABadMachine.TestCase
 TestClusterWithABadMachine.settings = FAULTS
 TestAdaptiveClusterWithABadMachine = AdaptiveClusterWithABadMachine.TestCase
