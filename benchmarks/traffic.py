@@ -14,7 +14,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
 from hpcapp.applications.surface.input.load import load
@@ -23,6 +23,9 @@ from hpcapp.backends.serial import SerialExecutor
 from hpcapp.progress import SilentProgress, StageClock
 from hpcapp.workforce import Workforce
 from hpccomponent.protocol.codec import encode_values
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 PARTS = ("own points", "halo", "coarse polynomials", "far field", "the rest")
 BYTES_PER_POINT = 24.0  # a position in its block's frame, and a normal; float32
@@ -41,7 +44,7 @@ class CountingExecutor(SerialExecutor):
     def __init__(self) -> None:
         self.sent: Counter[str] = Counter()
 
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+    def submit(self, fn: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> Future[R]:
         """Count what a task would be sent, and run it."""
         for part, values in take_apart(fn.__name__, args).items():
             self.sent[f"{fn.__name__}: {part}"] += count_bytes(values)

@@ -3,23 +3,16 @@
 from __future__ import annotations
 
 import gc
-import json
 import os
 import signal
-import socket
-import subprocess
-import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
-
-from hpccomponent.inventory import Inventory, InventoryWorker, dump_inventory
-from hpccomponent.protocol.connection import Connection, write_connection
-from hpccomponent.protocol.keys import make_key_pair, write_secret
+from standing import StandingCluster, StartCluster
 
 # They are imported by their names: to look for doctests there would import them once more.
 collect_ignore = ["helpers"]
@@ -86,84 +79,8 @@ def is_shared(descriptor: str) -> bool:
     return "/dev/urandom" in descriptor or ".hypothesis" in descriptor or "/dev/null" in descriptor
 
 
-class StandingCluster:
-    """Loaders on loopback that run always, and the inventory by which a master finds them.
-
-    Parameters
-    ----------
-    folder : pathlib.Path
-        Gets ``inventory.json``, and a folder for each loader.
-    names : sequence of str
-        The workers'; those after `running` have died.
-    before : mapping of str to sequence of str
-        By a worker's name, what comes before the command of its loader.
-    tasks : mapping of str to sequence of str
-        By a worker's name, ``NAME=module:function`` of what it runs in place of installed tasks.
-    """
-
-    def __init__(
-        self,
-        folder: Path,
-        names: Sequence[str],
-        running: int,
-        before: Mapping[str, Sequence[str]],
-        tasks: Mapping[str, Sequence[str]],
-    ) -> None:
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            port = probe.getsockname()[1]
-        self.inventory = folder / "inventory.json"
-        master, keys = make_key_pair(), [make_key_pair() for _ in names]
-        self.endpoint = f"tcp://127.0.0.1:{port}"
-        workers = tuple(
-            InventoryWorker(name, "127.0.0.1", pair.public)
-            for name, pair in zip(names, keys, strict=True)
-        )
-        written = Inventory("standing", self.endpoint, master.public, master.secret, workers)
-        write_secret(self.inventory, dump_inventory(written))
-        self.loaders: list[subprocess.Popen[bytes]] = []
-        for name, pair in list(zip(names, keys, strict=True))[:running]:
-            machine = folder / name
-            machine.mkdir()
-            connection = Connection(self.endpoint, master.public, pair.public, pair.secret, name)
-            write_connection(machine / "connection.json", connection)
-            settings = {
-                "version": 1,
-                "name": name,
-                "connection": "connection.json",
-                "tasks": list(tasks.get(name, ())),
-                "restart": {"first_s": 0.05, "cap_s": 0.2},
-            }
-            (machine / "loader.yaml").write_text(json.dumps(settings))
-            self.loaders.append(self._start(machine, before.get(name, ())))
-
-    @staticmethod
-    def _start(machine: Path, before: Sequence[str]) -> subprocess.Popen[bytes]:
-        loader = [sys.executable, "-P", "-m", "hpcloader", "run", "--config", "loader.yaml"]
-        with (machine / "log").open("wb") as log:
-            return subprocess.Popen(
-                [*before, *loader], cwd=machine, stdin=subprocess.DEVNULL, stderr=log
-            )
-
-    def components(self) -> list[int]:
-        """Return the process ids of the components that run now."""
-        return [
-            int(pid)
-            for loader in self.loaders
-            for pid in (PROC.parent / f"{loader.pid}/task/{loader.pid}/children")
-            .read_text()
-            .split()
-        ]
-
-    def close(self) -> None:
-        for loader in self.loaders:
-            loader.terminate()
-        for loader in self.loaders:
-            loader.wait()
-
-
 @pytest.fixture
-def standing_cluster(tmp_path: Path) -> Iterator[Callable[..., StandingCluster]]:
+def standing_cluster(tmp_path: Path) -> Iterator[StartCluster]:
     """Give a function that starts loaders, by default two, and writes their inventory."""
     started: list[StandingCluster] = []
 

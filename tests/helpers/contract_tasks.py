@@ -9,9 +9,9 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hpccomponent.files.whole_files import write_whole
 from hpccomponent.protocol.records import record
@@ -32,7 +32,7 @@ def write(path: str, content: bytes) -> None:
     write_whole(Path(path), [content])
 
 
-def echo(*values: Any) -> Any:
+def echo(*values: object) -> object:
     """Return the only value, or all of them as a tuple."""
     return values[0] if len(values) == 1 else values
 
@@ -41,12 +41,12 @@ def no_operation() -> None:
     """Do nothing."""
 
 
-def total(values: np.ndarray[Any, Any]) -> float:
+def total(values: NDArray[np.generic]) -> float:
     """Return the sum, in the order of the values."""
     return float(np.add.reduce(values))
 
 
-def add_to_first(shared: tuple[np.ndarray[Any, Any], Any], number: int) -> float:
+def add_to_first(shared: tuple[NDArray[np.generic], object], number: int) -> float:
     """Return the sum of a number and the first value of what is shared."""
     return float(shared[0][0]) + number
 

@@ -12,6 +12,7 @@ from hpccomponent.surface.types.grid import Grid
 from hpccomponent.surface.types.points import FloatArray, IntArray
 
 StartComponent = Callable[..., "subprocess.Popen[str]"]
+StartCommand = Callable[..., "subprocess.Popen[str]"]
 
 Function = Callable[[FloatArray], FloatArray]
 BrickFunction = Callable[[IntArray], NDArray[np.float32]]

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from typing import Any
 
 import boto3
 import pytest
@@ -40,7 +39,7 @@ def keys(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
 
 
 @pytest.fixture
-def bucket(endpoint: str, keys: pytest.MonkeyPatch) -> Iterator[Any]:
+def bucket(endpoint: str, keys: pytest.MonkeyPatch) -> Iterator[object]:
     keys.setenv("AWS_ENDPOINT_URL", endpoint)
     resource = boto3.resource("s3")
     lab = resource.create_bucket(Bucket="lab")

@@ -9,10 +9,11 @@ import numpy as np
 from skimage import measure
 
 from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import FloatArray
 
 __all__ = ["mesh_level_set"]
 
-Field = Callable[[Any, Any, Any], "np.ndarray[Any, Any]"]
+Field = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 
 
 def mesh_level_set(field: Field, reach: float, cells: int) -> Mesh:

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 __all__ = ["LIES", "Lie"]
 
-Lie = Callable[[Any], Any]
+Lie = Callable[[object], object]
+Number = int | float
 
 _FAR = 10**9
 _MORE_ROWS, _MORE_BYTES = 10**6, 64 << 20  # the smaller of both
@@ -19,30 +20,33 @@ _MORE_ROWS, _MORE_BYTES = 10**6, 64 << 20  # the smaller of both
 Array = NDArray[Any]
 
 
-def _change(value: Any, of_array: Callable[[Array], Array], of_number: Callable[[Any], Any]) -> Any:
+def _change(
+    value: object, of_array: Callable[[Array], Array], of_number: Callable[[Number], Number]
+) -> object:
     """Change the arrays and the numbers in a value; truth values, texts and None stay."""
 
-    def change(item: Any) -> Any:
+    def change(item: object) -> object:
         if isinstance(item, np.ndarray):
             return of_array(item)
-        if type(item) in (int, float):
+        if isinstance(item, int | float) and not isinstance(item, bool):
             return of_number(item)
         if isinstance(item, tuple | list):
             return type(item)(map(change, item))
         if isinstance(item, dict):
             return {key: change(entry) for key, entry in item.items()}
         if is_dataclass(item) and not isinstance(item, type):
-            return type(item)(*(change(getattr(item, one.name)) for one in fields(item)))
+            make: Callable[..., object] = type(item)
+            return make(*(change(getattr(item, one.name)) for one in fields(item)))
         return item
 
     return change(value)
 
 
-def _set_zero(value: Any) -> Any:
+def _set_zero(value: object) -> object:
     return _change(value, np.zeros_like, lambda number: type(number)(0))
 
 
-def _add_one(value: Any) -> Any:
+def _add_one(value: object) -> object:
     return _change(
         value,
         lambda array: array + array.dtype.type(1) if array.dtype.kind in "iu" else array,
@@ -50,7 +54,7 @@ def _add_one(value: Any) -> Any:
     )
 
 
-def _scale(value: Any) -> Any:
+def _scale(value: object) -> object:
     return _change(
         value,
         lambda array: array * array.dtype.type(1.001) if array.dtype.kind == "f" else array,
@@ -58,11 +62,11 @@ def _scale(value: Any) -> Any:
     )
 
 
-def _turn_round(value: Any) -> Any:
+def _turn_round(value: object) -> object:
     return _change(value, lambda array: array[::-1].copy(), lambda number: number)
 
 
-def _shift(value: Any) -> Any:
+def _shift(value: object) -> object:
     return _change(
         value,
         lambda array: array + array.dtype.type(_FAR) if array.dtype.kind in "iuf" else array,
@@ -70,7 +74,7 @@ def _shift(value: Any) -> Any:
     )
 
 
-def _blow_up(value: Any) -> Any:
+def _blow_up(value: object) -> object:
     first = True
 
     def lengthen(array: Array) -> Array:

@@ -9,7 +9,6 @@ import os
 from collections.abc import Callable
 from importlib import import_module
 from importlib.metadata import entry_points
-from typing import Any
 
 from lies import LIES
 
@@ -27,7 +26,7 @@ TASKS = [f"{_PREFIX}{name}=lying_tasks:{name}" for name in _REAL]
 """For ``python -m hpccomponent --task``."""
 
 
-def fail(*arguments: Any) -> Any:
+def fail(*arguments: object) -> object:
     """Fail, as a task does that was given what it cannot use."""
     raise InputError(f"there is no use for these {len(arguments)} values")
 
@@ -49,16 +48,16 @@ def use_pair(pair: tuple[float, float]) -> float:
     return sum(pair)
 
 
-def __getattr__(name: str) -> Callable[..., Any]:
+def __getattr__(name: str) -> Callable[..., object]:
     if name not in _REAL:
         raise AttributeError(name)
     module, _, function = _REAL[name].partition(":")
     # And with it the records that it takes.
-    real: Callable[..., Any] = getattr(import_module(module), function)
+    real: Callable[..., object] = getattr(import_module(module), function)
     if os.environ.get("LIE_ABOUT", "all") not in ("all", name):
         return real
 
-    def run(*arguments: Any) -> Any:
+    def run(*arguments: object) -> object:
         return LIES[os.environ["LIE"]](real(*arguments))
 
     return run

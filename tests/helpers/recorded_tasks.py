@@ -36,8 +36,8 @@ class Answer:
     """
 
     name: str
-    arguments: tuple[Any, ...]
-    value: Any
+    arguments: tuple[object, ...]
+    value: object
     size_bytes: int
     limit_bytes: int
     declared: tuple[Declared, Declared]

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any
+from typing import ParamSpec, TypeVar, cast
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
 class Recorder(ThreadPoolExecutor):
@@ -12,9 +15,9 @@ class Recorder(ThreadPoolExecutor):
 
     def __init__(self, workers: int) -> None:
         super().__init__(workers)
-        self.tasks: list[tuple[str, Future[Any]]] = []
+        self.tasks: list[tuple[str, Future[object]]] = []
 
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+    def submit(self, fn: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> Future[R]:
         future = super().submit(fn, *args, **kwargs)
-        self.tasks.append((fn.__name__, future))
+        self.tasks.append((fn.__name__, cast("Future[object]", future)))
         return future

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import os
 import shutil
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from importlib import import_module
 from multiprocessing import resource_tracker
 from pathlib import Path
-from typing import Any
+from types import ModuleType
 
 import numpy as np
 import pytest
 import zmq
+from standing import StandingDask, StartDask
 from stopping import SITECUSTOMIZE
 
 from hpcapp.cli import _run
@@ -33,7 +31,7 @@ TASKS = str(Path(__file__).parents[1] / "helpers")
 
 
 @pytest.fixture(scope="module")
-def tasks() -> Iterator[Any]:
+def tasks() -> Iterator[ModuleType]:
     """The module of the tasks, importable here and in every process that is started."""
     patch = pytest.MonkeyPatch()
     patch.syspath_prepend(TASKS)
@@ -46,69 +44,14 @@ def _python_path() -> list[str]:
     return [path for path in os.environ.get("PYTHONPATH", "").split(os.pathsep) if path]
 
 
-def _read_address(contact: Path) -> str:
-    """Return the address in a scheduler's file, once it is there as a whole."""
-    while True:
-        with suppress(OSError, ValueError):
-            return str(json.loads(contact.read_text())["address"])
-        time.sleep(0.01)
-
-
-class StandingDask:
-    """A Dask scheduler and its workers as processes on loopback.
-
-    Parameters
-    ----------
-    folder : pathlib.Path
-        Gets the scheduler's file and the processes' logs.
-    workers : int
-        How many, of one thread each.
-    variables : dict
-        Environment of all of them, for instance Dask's own settings.
-    """
-
-    def __init__(self, folder: Path, workers: int = 2, variables: dict[str, str] | None = None):
-        self._folder = folder
-        scratch = {"DASK_TEMPORARY_DIRECTORY": str(folder)}
-        self._environment = {**os.environ, **scratch, **(variables or {})}
-        contact = folder / "scheduler.json"
-        protocol = "tls" if any("TLS" in name for name in variables or {}) else "tcp"
-        self.scheduler = self._start(
-            "scheduler", f"--protocol={protocol}", "--port=0", f"--scheduler-file={contact}",
-            "--no-dashboard", "--no-jupyter",
-        )  # fmt: skip
-        self.workers = [
-            self._start(
-                "worker", f"--scheduler-file={contact}", "--nthreads=1", "--no-nanny",
-                "--no-dashboard",
-            )
-            for _ in range(workers)
-        ]  # fmt: skip
-        self.address = _read_address(contact)
-
-    def _start(self, role: str, *options: str) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-P", "-m", "dask", role, "--host=127.0.0.1", *options]
-        with (self._folder / f"{role}.log").open("ab") as log:
-            return subprocess.Popen(
-                command, env=self._environment, cwd=self._folder, stdout=log, stderr=log
-            )
-
-    def close(self) -> None:
-        for process in (*self.workers, self.scheduler):
-            process.kill()  # a worker that is asked to end may look for its scheduler for minutes
-            process.wait()
-
-
 @pytest.fixture(scope="module")
-def start_dask(
-    tasks: Any, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[Callable[..., Any]]:
+def start_dask(tasks: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Iterator[StartDask]:
     """Give a function that starts a Dask cluster."""
     pytest.importorskip("distributed", reason="Dask is not installed")
     started: list[StandingDask] = []
 
-    def start(**settings: Any) -> StandingDask:
-        started.append(StandingDask(tmp_path_factory.mktemp("dask"), **settings))
+    def start(workers: int = 2, variables: dict[str, str] | None = None) -> StandingDask:
+        started.append(StandingDask(tmp_path_factory.mktemp("dask"), workers, variables))
         return started[-1]
 
     yield start

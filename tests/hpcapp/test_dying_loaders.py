@@ -14,7 +14,6 @@ import sys
 from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -140,7 +139,7 @@ def test_the_first_step_is_before_anything_is_imported_or_said(
     monkeypatch.setenv("DYING", "hpcloader:machine-0:1 hpcloader:machine-2:1")
     with LocalCluster(WORKERS) as cluster:
         assert cluster.workers == 1
-        found: Future[Any] = cluster.executor.submit("files.sees", ("/no/such/file", 1))
+        found: Future[object] = cluster.executor.submit("files.sees", ("/no/such/file", 1))
         assert found.result() is False
     assert len(list(counting.glob("*.died"))) == 2
 

@@ -9,6 +9,7 @@ from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -34,7 +35,7 @@ HERE = ["serial", "threads", "processes", "zmq", DASK, RAY, "loky:ProcessPoolExe
 
 @pytest.fixture(scope="module", params=["mpi"] if UNDER_MPI else HERE)
 def executor(
-    request: pytest.FixtureRequest, tasks: Any, tmp_path_factory: pytest.TempPathFactory
+    request: pytest.FixtureRequest, tasks: ModuleType, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Executor]:
     with open_named(request, tasks) as backend:
         # Pools start their workers with the first tasks: let them, before leaks are counted.
@@ -50,7 +51,7 @@ def executor(
 
 
 @contextmanager
-def open_named(request: pytest.FixtureRequest, tasks: Any) -> Iterator[Backend]:
+def open_named(request: pytest.FixtureRequest, tasks: ModuleType) -> Iterator[Backend]:
     """Open the backend that is to keep the contract, with two workers where it can have them."""
     name = request.param
     if name == "handed in":
@@ -69,7 +70,7 @@ def open_named(request: pytest.FixtureRequest, tasks: Any) -> Iterator[Backend]:
 
 @pytest.mark.slow
 def test_results_are_bitwise_equal_in_whichever_order_they_come(
-    executor: Executor, tasks: Any
+    executor: Executor, tasks: ModuleType
 ) -> None:
     arrays = [np.random.default_rng(seed).standard_normal((500, 3)) for seed in range(20)]
     futures = {executor.submit(tasks.echo, array): array for array in arrays}
@@ -81,7 +82,7 @@ def test_results_are_bitwise_equal_in_whichever_order_they_come(
         assert future.result().tobytes() == futures[future].tobytes()
 
 
-def test_every_kind_of_value_travels(executor: Executor, tasks: Any) -> None:
+def test_every_kind_of_value_travels(executor: Executor, tasks: ModuleType) -> None:
     numbers = (1, -(2**70), 0.1, True, None)
     pair = tasks.Pair("two", 2)
     values: Any
@@ -91,19 +92,23 @@ def test_every_kind_of_value_travels(executor: Executor, tasks: Any) -> None:
     assert [type(value) for value in received] == [type(value) for value in values]
 
 
-def test_sums_have_the_same_bits_as_here(executor: Executor, tasks: Any) -> None:
+def test_sums_have_the_same_bits_as_here(executor: Executor, tasks: ModuleType) -> None:
     values = np.random.default_rng(3).standard_normal(100_001)
     assert executor.submit(tasks.total, values).result(WAIT) == tasks.total(values)
 
 
-def test_an_exception_comes_back_and_the_next_task_runs(executor: Executor, tasks: Any) -> None:
+def test_an_exception_comes_back_and_the_next_task_runs(
+    executor: Executor, tasks: ModuleType
+) -> None:
     failed = executor.submit(tasks.fail, "no luck")
     with pytest.raises((ValueError, TaskError), match="no luck"):
         failed.result(WAIT)
     assert executor.submit(tasks.echo, 1).result(WAIT) == 1
 
 
-def test_the_same_call_twice_runs_twice(executor: Executor, tasks: Any, tmp_path: Path) -> None:
+def test_the_same_call_twice_runs_twice(
+    executor: Executor, tasks: ModuleType, tmp_path: Path
+) -> None:
     path = tmp_path / "lines"
     for _ in range(2):
         executor.submit(tasks.append_line, str(path)).result(WAIT)
@@ -111,7 +116,7 @@ def test_the_same_call_twice_runs_twice(executor: Executor, tasks: Any, tmp_path
 
 
 def test_map_batches_keeps_the_order_and_passes_on_what_was_raised(
-    executor: Executor, tasks: Any
+    executor: Executor, tasks: ModuleType
 ) -> None:
     workforce = Workforce(executor, 2, 4)
     seen: list[tuple[int, int]] = []
@@ -124,7 +129,7 @@ def test_map_batches_keeps_the_order_and_passes_on_what_was_raised(
 
 
 def test_what_has_not_started_can_be_cancelled(
-    executor: Executor, tasks: Any, tmp_path: Path, request: pytest.FixtureRequest
+    executor: Executor, tasks: ModuleType, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
     if request.node.callspec.params["executor"] == "serial":
         pytest.skip("the serial backend has run a task before it can be cancelled")
@@ -136,7 +141,7 @@ def test_what_has_not_started_can_be_cancelled(
     assert {future.result(WAIT) for future in futures[:-1]} == {str(released)}
 
 
-def test_after_shutdown_nothing_is_taken_and_nothing_is_left_open(tasks: Any) -> None:
+def test_after_shutdown_nothing_is_taken_and_nothing_is_left_open(tasks: ModuleType) -> None:
     extra = [f"contract.echo={tasks.__name__}:echo"]
     with open_executor("zmq", workers=1, extra_tasks=extra) as backend:
         future = backend.executor.submit(tasks.echo, 1)
@@ -148,7 +153,9 @@ def test_after_shutdown_nothing_is_taken_and_nothing_is_left_open(tasks: Any) ->
 
 @pytest.mark.skipif(UNDER_MPI, reason="of this machine")
 @pytest.mark.parametrize("name", ["serial", "threads", POOL])
-def test_after_shutdown_no_backend_of_this_machine_takes_a_task(name: str, tasks: Any) -> None:
+def test_after_shutdown_no_backend_of_this_machine_takes_a_task(
+    name: str, tasks: ModuleType
+) -> None:
     with open_executor(name, workers=1) as backend:
         assert backend.executor.submit(tasks.echo, 1).result(WAIT) == 1
         backend.executor.shutdown(wait=True)
@@ -158,7 +165,7 @@ def test_after_shutdown_no_backend_of_this_machine_takes_a_task(name: str, tasks
 
 @pytest.mark.slow
 @pytest.mark.skipif(UNDER_MPI, reason="this is the run under MPI")
-def test_mpi_keeps_the_contract_too(tasks: Any, run_mpi: RunMpi) -> None:
+def test_mpi_keeps_the_contract_too(tasks: ModuleType, run_mpi: RunMpi) -> None:
     done = run_mpi(3, "-m", "pytest", "-q", "-p", "no:cacheprovider", __file__)
     assert done.returncode == 0, done.stdout + done.stderr
     assert " passed" in done.stdout

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from lies import LIES
 from lying_tasks import TASKS
+from standing import StandingCluster, StartCluster
 
 from hpcapp.applications.simulate.scanner import simulate_scan
 from hpcapp.applications.simulate.settings import ScanSettings
@@ -25,7 +26,6 @@ from hpccomponent.errors import InputError
 
 HELPERS = Path(__file__).parents[1] / "helpers"
 WHERE: dict[str, dict[str, Any]] = {"memory": {}, "folder": {"max_memory": 2.2e8}}
-Start = Callable[..., Any]
 
 
 @pytest.fixture(scope="module")
@@ -43,12 +43,10 @@ def truth(scan: Path) -> bytes:
 
 
 @pytest.fixture
-def lying_cluster(
-    standing_cluster: Start, monkeypatch: pytest.MonkeyPatch
-) -> Callable[[str, str], Any]:
+def lying_cluster(standing_cluster: StartCluster, monkeypatch: pytest.MonkeyPatch) -> StartCluster:
     """Give a function that starts three machines of which the last tells a lie."""
 
-    def start(lie: str, about: str = "all") -> Any:
+    def start(lie: str, about: str = "all") -> StandingCluster:
         monkeypatch.setenv("PYTHONPATH", str(HELPERS))
         monkeypatch.setenv("LIE", lie)
         monkeypatch.setenv("LIE_ABOUT", about)
@@ -58,7 +56,7 @@ def lying_cluster(
 
 
 def reconstruct(
-    scan: Path, folder: Path, cluster: Any, where: str, verify: float | None
+    scan: Path, folder: Path, cluster: StandingCluster, where: str, verify: float | None
 ) -> tuple[bytes, dict[str, Any]]:
     more = {"temp_dir": str(folder / "temp"), **WHERE[where]} if WHERE[where] else {}
     mesh = folder / "mesh.ply"
@@ -80,7 +78,12 @@ def reconstruct(
 
 
 def check_lie(
-    scan: Path, truth: bytes, folder: Path, cluster: Any, where: str, verify: float | None
+    scan: Path,
+    truth: bytes,
+    folder: Path,
+    cluster: StandingCluster,
+    where: str,
+    verify: float | None,
 ) -> dict[str, Any]:
     mesh, found = reconstruct(scan, folder, cluster, where, verify)
     assert mesh == truth
@@ -89,7 +92,7 @@ def check_lie(
 
 
 def test_a_number_that_is_off_by_a_thousandth_is_found_where_all_is_verified(
-    scan: Path, truth: bytes, tmp_path: Path, lying_cluster: Callable[..., Any]
+    scan: Path, truth: bytes, tmp_path: Path, lying_cluster: StartCluster
 ) -> None:
     cluster = lying_cluster("times 1.001", "mesh_tile")
     found = check_lie(scan, truth, tmp_path, cluster, "memory", 1.0)
@@ -99,7 +102,9 @@ def test_a_number_that_is_off_by_a_thousandth_is_found_where_all_is_verified(
 
 
 def test_what_the_next_task_finds_impossible_is_laid_to_who_made_it(
-    standing_cluster: Start, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    standing_cluster: StartCluster,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     monkeypatch.setenv("PYTHONPATH", str(HELPERS))
     names = ("head", "worker-1", "liar")
@@ -114,7 +119,7 @@ def test_what_the_next_task_finds_impossible_is_laid_to_who_made_it(
         known = ["pair.make=lying_tasks:make_pair", *use]
         opened = open_executor(str(cluster.inventory), verification=verification, extra_tasks=known)
         with opened as backend, attempt(verification):
-            submit: Callable[..., Future[Any]] = backend.executor.submit
+            submit: Callable[..., Future[float]] = backend.executor.submit
             made = [submit("pair.make", float(number)) for number in range(60)]
             used = [submit("pair.use", future.result(60)) for future in made]
             return [future.result(60) for future in used]
@@ -126,7 +131,7 @@ def test_what_the_next_task_finds_impossible_is_laid_to_who_made_it(
 
 
 def test_honest_machines_agree_on_every_answer(
-    scan: Path, truth: bytes, tmp_path: Path, standing_cluster: Start
+    scan: Path, truth: bytes, tmp_path: Path, standing_cluster: StartCluster
 ) -> None:
     cluster = standing_cluster(names=("head", "worker-1", "worker-2"))
     found = check_lie(scan, truth, tmp_path, cluster, "folder", 1.0)
@@ -137,7 +142,7 @@ def test_honest_machines_agree_on_every_answer(
 def test_an_error_of_the_job_itself_comes_again_and_is_told(
     scan: Path,
     tmp_path: Path,
-    standing_cluster: Start,
+    standing_cluster: StartCluster,
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
@@ -160,7 +165,7 @@ def test_no_lie_about_all_tasks_changes_the_mesh(
     scan: Path,
     truth: bytes,
     tmp_path: Path,
-    lying_cluster: Callable[..., Any],
+    lying_cluster: StartCluster,
     lie: str,
     where: str,
     verify: float | None,

@@ -10,11 +10,12 @@ import contextlib
 import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from fixture_types import StartCommand
 from process_tree import are_gone
+from standing import StartCluster
 
 from hpcapp.io import write_points
 from hpccomponent.limits import control_groups, read_text
@@ -48,8 +49,8 @@ Reconstruct = Callable[[Sequence[str]], None]
 
 @pytest.fixture
 def reconstruct(
-    standing_cluster: Callable[..., Any],
-    start_command: Callable[..., Any],
+    standing_cluster: StartCluster,
+    start_command: StartCommand,
     cloud: Path,
     known: dict[str, bytes],
     tmp_path: Path,

@@ -1,8 +1,9 @@
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
 from threading import Event
-from typing import Any
+from typing import ParamSpec, TypeVar
 
 import pytest
 from hypothesis import given
@@ -11,6 +12,9 @@ from hypothesis import strategies as st
 from hpcapp.backends.serial import SerialExecutor
 from hpcapp.workforce import Workforce, begin_batch, cut_equal, map_batches
 from hpccomponent.errors import InputError, TaskError, WorkerLostError
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
 @given(rows=st.integers(0, 10_000), batches=st.integers(1, 64))
@@ -63,7 +67,7 @@ def test_our_own_errors_pass_as_they_are() -> None:
 
 
 class BrokenPool(SerialExecutor):
-    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
+    def submit(self, fn: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> Future[R]:
         raise BrokenExecutor
 
 
@@ -145,7 +149,7 @@ def test_what_cannot_be_found_says_so_to_whom_asks_for_it() -> None:
 
 
 class SharingPool(SerialExecutor):
-    def share(self, value: Any) -> tuple[str, Any]:
+    def share(self, value: object) -> tuple[str, object]:
         return ("shared", value)
 
 

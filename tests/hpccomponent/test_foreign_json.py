@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 import pytest
 from msgspec import Meta
@@ -54,4 +54,4 @@ def test_anything_else_is_one_line(text: str | bytes) -> None:
 
 def test_names_that_are_not_utf_8_survive() -> None:
     name = b"\xff.ply".decode(errors="surrogateescape")
-    assert decode(json.dumps([name]), list[Any]) == [name]
+    assert decode(json.dumps([name]), list[object]) == [name]

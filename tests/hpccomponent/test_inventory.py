@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -62,7 +61,7 @@ def test_the_secret_is_not_shown_and_not_left_open(path: Path, inventory: Invent
         ({"further": 1}, "further: is not known"),
     ],
 )
-def test_a_wrong_entry_is_named(path: Path, changes: dict[str, Any], words: str) -> None:
+def test_a_wrong_entry_is_named(path: Path, changes: dict[str, object], words: str) -> None:
     path.write_text(json.dumps(json.loads(path.read_text()) | changes))
     with pytest.raises(ConfigError, match=words):
         read_inventory(path)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import getpass
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from machines.hosts import claim
 from machines.openssh import start_sshd
+from standing import StartCluster
 
 from hpcapp import open_executor
 from hpcapp.applications.quadrature.application import estimate
@@ -59,7 +60,7 @@ def submit(executor: Any, right: float) -> Any:
 
 
 def test_a_program_elsewhere_has_the_workers_of_a_cluster_file(
-    cluster_file: Path, home: Path, standing_cluster: Callable[..., Any]
+    cluster_file: Path, home: Path, standing_cluster: StartCluster
 ) -> None:
     standing_cluster(home / "hpcapp/lab")
     with open_cluster(cluster_file) as cluster:

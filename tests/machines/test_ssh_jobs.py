@@ -7,12 +7,12 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from machines.hosts import claim
 from machines.servers import Machines, Server
+from standing import StartCluster
 
 from hpccomponent.errors import CloudError
 from hpccomponent.inventory import hold_cluster
@@ -28,7 +28,7 @@ ON_WORKERS = ("--backend", "zmq")  # so small a cloud would wait for nobody
 
 @pytest.fixture
 def held(
-    file: Path, hosts: tuple[Server, Server], standing_cluster: Callable[..., Any]
+    file: Path, hosts: tuple[Server, Server], standing_cluster: StartCluster
 ) -> Iterator[Path]:
     """A cluster file whose head is set up, and held by another program: jobs get no further."""
     home = hosts[0].home / FOLDER

@@ -7,7 +7,6 @@ import stat
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import paramiko
 import pytest
@@ -29,7 +28,7 @@ CLOUD_FAILED = 4
 
 
 def set_up(
-    spec: ClusterSpec, machines: Sequence[MachineSeen], access: Access, report: Any
+    spec: ClusterSpec, machines: Sequence[MachineSeen], access: Access, report: object
 ) -> list[Failure]:
     """Log in for real, and leave the keys there that the real one leaves; install nothing."""
     keys = NodeKeys(state_folder(spec.cluster) / "keys.json", (m.id for m in machines))

@@ -301,5 +301,5 @@ class StrictCloud:
 class _QuietHandler(WSGIRequestHandler):
     protocol_version = "HTTP/1.0"  # a connection for each request: a cut one is closed
 
-    def log(self, type: str, message: str, *args: Any) -> None:  # noqa: A002
+    def log(self, type: str, message: str, *args: object) -> None:  # noqa: A002
         pass

@@ -32,9 +32,9 @@ KEY = paramiko.RSAKey.generate(2048)  # making one takes longer than a command
 def remember_models() -> None:
     """Keep what botocore reads: the description of EC2 takes 0.3 s, for each client anew."""
     read = JSONFileLoader.load_file
-    known: dict[str, Any] = {}
+    known: dict[str, object] = {}
 
-    def load_file(self: Any, path: str) -> Any:
+    def load_file(self: object, path: str) -> object:
         if path not in known:
             known[path] = read(self, path)
         return known[path]

@@ -237,7 +237,7 @@ class Machines:
     async def _stop_all(self) -> None:
         for server in self.servers:
             await server.stop()
-        others: set[asyncio.Task[Any]] = asyncio.all_tasks() - {asyncio.current_task()}
+        others: set[asyncio.Task[object]] = asyncio.all_tasks() - {asyncio.current_task()}
         await asyncio.wait(others, timeout=10) if others else None
 
     @classmethod

@@ -90,7 +90,7 @@ class SetUp:
     calls: list[tuple[str, ...]] = field(default_factory=list)
 
     def __call__(
-        self, spec: ClusterSpec, machines: Sequence[MachineSeen], access: Any, report: Any
+        self, spec: ClusterSpec, machines: Sequence[MachineSeen], access: object, report: object
     ) -> list[Failure]:
         self.calls.append(tuple(machine.name.node for machine in machines))
         self.during()

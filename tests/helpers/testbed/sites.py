@@ -7,7 +7,6 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import yaml
 
@@ -49,9 +48,9 @@ class Site:
     def state(self) -> Path:
         return self.bed.home / ".local/state/hpcapp/clusters" / CLUSTER
 
-    def write(self, provider: dict[str, object] | None = None, **blocks: Any) -> None:
+    def write(self, provider: dict[str, object] | None = None, **blocks: object) -> None:
         """Write the cluster file; but for the provider's block it is the same on every machine."""
-        content: dict[str, Any] = {
+        content: dict[str, object] = {
             "version": 1,
             "cluster": CLUSTER,
             "provider": provider or self.bed.cloud.provider_block(),
@@ -61,7 +60,9 @@ class Site:
         }
         self.file.write_text(yaml.safe_dump(content | blocks))
 
-    def hpcapp(self, verb: str, *more: object, **keywords: Any) -> subprocess.CompletedProcess[str]:
+    def hpcapp(
+        self, verb: str, *more: object, **keywords: object
+    ) -> subprocess.CompletedProcess[str]:
         """Run a verb on the cluster file."""
         return self.bed.run("hpcapp", verb, self.file.name, *map(str, more), **keywords)
 

@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fixture_types import StartCommand
+from standing import StartCluster
 
 import hpcapp
 from hpcapp.backends import cluster as cluster_module
@@ -34,7 +36,7 @@ def estimate(backend: Any) -> list[float]:
 
 @pytest.mark.slow
 def test_a_cluster_is_an_executor(
-    standing_cluster: Callable[..., Any], caplog: pytest.LogCaptureFixture
+    standing_cluster: StartCluster, caplog: pytest.LogCaptureFixture
 ) -> None:
     cluster = standing_cluster()
     with caplog.at_level("INFO"), hpcapp.open_executor(str(cluster.inventory)) as backend:
@@ -48,7 +50,7 @@ def test_a_cluster_is_an_executor(
 
 
 def test_a_cluster_with_a_dead_machine_starts(
-    standing_cluster: Callable[..., Any],
+    standing_cluster: StartCluster,
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
@@ -61,7 +63,7 @@ def test_a_cluster_with_a_dead_machine_starts(
 
 
 def test_a_cluster_without_a_living_machine_does_not(
-    standing_cluster: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    standing_cluster: StartCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(cluster_module, "FIRST_WAIT_S", 0.1)
     cluster = standing_cluster(running=0)
@@ -72,7 +74,7 @@ def test_a_cluster_without_a_living_machine_does_not(
         pass
 
 
-def test_what_a_cluster_cannot_have_is_refused(standing_cluster: Callable[..., Any]) -> None:
+def test_what_a_cluster_cannot_have_is_refused(standing_cluster: StartCluster) -> None:
     path = standing_cluster(running=0).inventory
     with (
         pytest.raises(UsageError, match="leave --workers out"),
@@ -86,7 +88,7 @@ def test_what_a_cluster_cannot_have_is_refused(standing_cluster: Callable[..., A
 
 @pytest.mark.slow
 def test_a_machine_that_joins_the_inventory_joins_the_job(
-    standing_cluster: Callable[..., Any],
+    standing_cluster: StartCluster,
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
@@ -106,7 +108,7 @@ def test_a_machine_that_joins_the_inventory_joins_the_job(
     assert "cluster standing shrank from 2 to 1 workers (worker-1)" in caplog.text
 
 
-def test_masters_follow_one_another(standing_cluster: Callable[..., Any]) -> None:
+def test_masters_follow_one_another(standing_cluster: StartCluster) -> None:
     cluster = standing_cluster()
     with hpcapp.open_executor(str(cluster.inventory)):
         code = (
@@ -131,7 +133,7 @@ def test_nothing_heavy_is_imported_for_the_name() -> None:
 
 
 @pytest.fixture
-def run_command(start_command: Any) -> Callable[..., tuple[int, str, str]]:
+def run_command(start_command: StartCommand) -> Callable[..., tuple[int, str, str]]:
     def run(*arguments: str) -> tuple[int, str, str]:
         process = start_command(*arguments)
         output, errors = process.communicate(timeout=120)
@@ -141,7 +143,7 @@ def run_command(start_command: Any) -> Callable[..., tuple[int, str, str]]:
 
 
 def test_a_job_on_a_cluster_gives_the_bytes_of_a_local_one(
-    standing_cluster: Callable[..., Any],
+    standing_cluster: StartCluster,
     run_command: Callable[..., tuple[int, str, str]],
     sphere_file: Path,
     tmp_path: Path,
@@ -163,9 +165,7 @@ def test_a_job_on_a_cluster_gives_the_bytes_of_a_local_one(
     assert {event["stage"] for event in events if "seconds" in event} == set(report["stages"])
 
 
-def test_a_killed_component_costs_no_job(
-    standing_cluster: Callable[..., Any], tmp_path: Path
-) -> None:
+def test_a_killed_component_costs_no_job(standing_cluster: StartCluster, tmp_path: Path) -> None:
     cluster = standing_cluster()
     with hpcapp.open_executor(str(cluster.inventory)) as backend:
         futures = [submit(backend, number) for number in range(50)]

@@ -10,7 +10,8 @@ import signal
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
+from standing import StartDask
 
 import hpcapp
 from hpcapp.backends.selection import open_backend, open_executor
@@ -26,14 +28,15 @@ from hpccomponent.errors import JobError, NoWorkersError, TaskError, UsageError,
 from hpccomponent.surface.build import kernel_id
 from hpccomponent.surface.types.points import PointCloud
 
+if TYPE_CHECKING:
+    from distributed import Client
+
 dask = pytest.importorskip("dask", reason="Dask is not installed")
 distributed = pytest.importorskip("distributed", reason="Dask is not installed")
 engine = pytest.importorskip("hpcapp.backends.dask", reason="Dask is not installed")
 
 # The cluster stands for all tests here, and a client keeps a thread for messages.
 pytestmark = pytest.mark.leaks_allowed
-
-StartDask = Callable[..., Any]
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +45,7 @@ def address(start_dask: StartDask) -> str:
 
 
 @pytest.fixture
-def client(address: str) -> Iterator[Any]:
+def client(address: str) -> Iterator[Client]:
     with distributed.Client(address, set_as_default=False) as client:
         yield client
 
@@ -64,7 +67,7 @@ def test_the_command_gives_the_same_bytes(
     assert (tmp_path / "dask.ply").read_bytes() == (tmp_path / "here.ply").read_bytes()
 
 
-def test_a_client_is_used_and_stays_open(client: Any, sphere: PointCloud) -> None:
+def test_a_client_is_used_and_stays_open(client: Client, sphere: PointCloud) -> None:
     assert sphere.normals is not None
     alone = hpcapp.reconstruct(sphere.positions, sphere.normals, grid=32)
     mesh = hpcapp.reconstruct(sphere.positions, sphere.normals, grid=32, executor=client)
@@ -73,18 +76,20 @@ def test_a_client_is_used_and_stays_open(client: Any, sphere: PointCloud) -> Non
     assert client.submit(pow, 2, 3).result() == 8
 
 
-def test_the_workers_are_counted_by_their_threads(client: Any) -> None:
+def test_the_workers_are_counted_by_their_threads(client: Client) -> None:
     client.wait_for_workers(2)
     with open_backend(client) as backend:
         assert (backend.name, backend.workforce.workers) == ("Client", 2)
 
 
-def test_what_a_task_raises_is_the_tasks(client: Any, tasks: Any) -> None:
+def test_what_a_task_raises_is_the_tasks(client: Client, tasks: ModuleType) -> None:
     with open_backend(client) as backend, pytest.raises(TaskError, match="ValueError: no luck"):
         map_batches(backend.workforce, tasks.fail, [("no luck",)])
 
 
-def test_a_shared_value_is_sent_once_and_comes_to_every_task(client: Any, tasks: Any) -> None:
+def test_a_shared_value_is_sent_once_and_comes_to_every_task(
+    client: Client, tasks: ModuleType
+) -> None:
     value = np.random.default_rng(1).standard_normal((700_000, 3))  # Dask warns from 10 MB on
     with open_backend(client) as backend:
         shared = backend.workforce.share(value)
@@ -98,7 +103,7 @@ def test_a_shared_value_is_sent_once_and_comes_to_every_task(client: Any, tasks:
 
 
 def test_tasks_of_a_killed_worker_run_on_the_other(
-    start_dask: StartDask, tasks: Any, tmp_path: Path
+    start_dask: StartDask, tasks: ModuleType, tmp_path: Path
 ) -> None:
     cluster = start_dask()
     with open_executor(f"dask={cluster.address}") as backend:
@@ -138,7 +143,7 @@ def test_a_mesh_survives_the_death_of_a_worker(start_dask: StartDask, sphere: Po
 
 
 def test_the_job_fails_with_its_scheduler(
-    start_dask: StartDask, tasks: Any, tmp_path: Path
+    start_dask: StartDask, tasks: ModuleType, tmp_path: Path
 ) -> None:
     cluster = start_dask(workers=1)
     started, never = str(tmp_path / "started"), str(tmp_path / "never")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
+from types import ModuleType
 
 import pytest
 
@@ -105,7 +105,7 @@ def test_addresses_are_no_names_of_functions() -> None:
 
 
 @pytest.mark.leaks_allowed  # loky keeps its resource tracker
-def test_a_pool_of_loky_that_has_lost_a_worker_is_made_anew(tasks: Any) -> None:
+def test_a_pool_of_loky_that_has_lost_a_worker_is_made_anew(tasks: ModuleType) -> None:
     pytest.importorskip("loky", reason="loky is not installed")
     with open_executor("loky:ProcessPoolExecutor") as backend:
         first = backend.executor.submit(os.getpid).result(60)

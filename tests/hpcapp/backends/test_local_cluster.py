@@ -94,7 +94,7 @@ def wait_gone(pids: list[int]) -> None:
 def family(cluster: LocalCluster, meeting: Path) -> list[tuple[int, int]]:
     """Return (worker, component) of every machine; `meeting` is a folder to be made."""
     meeting.mkdir()
-    futures: list[Future[Any]] = [
+    futures: list[Future[list[int]]] = [
         cluster.executor.submit("cluster.family", str(meeting), cluster.workers)
         for _ in range(cluster.workers)
     ]
@@ -116,7 +116,7 @@ def submit_many(cluster: LocalCluster, count: int, folder: Path) -> list[Future[
 @pytest.mark.parametrize("policy", ["adaptive", "pull", "equal"])
 def test_work_is_done_and_nothing_is_left(policy: str, tmp_path: Path) -> None:
     with LocalCluster(2, policy=policy, extra_tasks=NAMES) as cluster:
-        futures: list[Future[Any]] = [
+        futures: list[Future[object]] = [
             cluster.executor.submit("cluster.add", i, 1) for i in range(20)
         ]
         assert [future.result() for future in futures] == list(range(1, 21))
@@ -181,7 +181,7 @@ def test_a_killed_component_is_replaced(tmp_path: Path) -> None:
 
 def test_the_job_ends_when_all_loaders_are_killed(tmp_path: Path) -> None:
     with LocalCluster(2, extra_tasks=NAMES) as cluster:
-        futures: list[Future[Any]] = [
+        futures: list[Future[object]] = [
             cluster.executor.submit("cluster.hang", str(tmp_path / "x")) for _ in range(3)
         ]
         for pid in cluster.loader_pids:

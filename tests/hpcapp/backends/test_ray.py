@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -49,7 +49,7 @@ sys.modules["ray"] = None
 
 
 @pytest.fixture(scope="module")
-def backend(tasks: Any) -> Iterator[Backend]:
+def backend(tasks: ModuleType) -> Iterator[Backend]:
     with open_executor("ray", workers=2) as opened:
         yield opened
 
@@ -102,7 +102,7 @@ def test_nothing_is_left_of_a_killed_master() -> None:
 
 @pytest.mark.slow
 def test_tasks_of_a_killed_worker_run_again(
-    backend: Backend, tasks: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    backend: Backend, tasks: ModuleType, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     released = str(tmp_path / "released")
     started = [str(tmp_path / name) for name in ("one", "two")]
@@ -117,19 +117,19 @@ def test_tasks_of_a_killed_worker_run_again(
 
 
 @pytest.mark.slow
-def test_a_task_that_kills_its_workers_is_given_up(backend: Backend, tasks: Any) -> None:
+def test_a_task_that_kills_its_workers_is_given_up(backend: Backend, tasks: ModuleType) -> None:
     with pytest.raises(WorkerLostError, match=r"4 worker\(s\) died .*; look at Ray's logs"):
         map_batches(backend.workforce, tasks.kill_worker, [()])
     assert map_batches(backend.workforce, pow, [(2, 3)]) == [8]
 
 
-def test_what_a_task_raises_is_the_tasks(backend: Backend, tasks: Any) -> None:
+def test_what_a_task_raises_is_the_tasks(backend: Backend, tasks: ModuleType) -> None:
     with pytest.raises(TaskError, match="ValueError: no luck") as caught:
         map_batches(backend.workforce, tasks.fail, [("no luck",)])
     assert "\n" not in str(caught.value)
 
 
-def test_a_shared_value_comes_to_every_task(backend: Backend, tasks: Any) -> None:
+def test_a_shared_value_comes_to_every_task(backend: Backend, tasks: ModuleType) -> None:
     value = np.random.default_rng(1).standard_normal(900_000)
     shared = backend.workforce.share(value)
     assert shared is not value
@@ -140,13 +140,13 @@ def test_a_shared_value_comes_to_every_task(backend: Backend, tasks: Any) -> Non
     assert map_batches(backend.workforce, tasks.total, [(shared,)]) == [tasks.total(value)]
 
 
-def test_a_result_can_be_written_to(backend: Backend, tasks: Any) -> None:
+def test_a_result_can_be_written_to(backend: Backend, tasks: ModuleType) -> None:
     (found,) = map_batches(backend.workforce, tasks.echo, [(np.zeros(100_000),)])
     found[0] = 1.0
     assert found.sum() == 1.0
 
 
-def test_workers_compute_on_one_thread(backend: Backend, tasks: Any) -> None:
+def test_workers_compute_on_one_thread(backend: Backend, tasks: ModuleType) -> None:
     _, _, threads = backend.executor.submit(tasks.read_process).result(60)
     assert threads == "1"
 

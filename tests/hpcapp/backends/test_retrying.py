@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from hpcapp.backends.calls import Ran, align, run_task
 from hpcapp.backends.retrying import MOST_LOSSES, RetryingExecutor
@@ -261,13 +262,13 @@ def test_a_worker_with_other_kernels_refuses() -> None:
         run_task("native-other", pow, 2, 3)
 
 
-def unaligned(values: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+def unaligned(values: NDArray[np.generic]) -> NDArray[np.generic]:
     """Return an equal array whose numbers start at odd addresses."""
     raw = np.empty(values.nbytes + 1, np.uint8)
     there = raw[1:].view(values.dtype)
     there[:] = values
     assert not there.flags.aligned
-    found: np.ndarray[Any, Any] = there
+    found: NDArray[np.generic] = there
     return found
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 from pathlib import Path
-from typing import Any
+from types import ModuleType
 
 import pytest
 
@@ -65,7 +65,7 @@ def test_the_serial_executor_keeps_errors_in_their_futures() -> None:
     assert isinstance(SerialExecutor().submit(divmod, 7, 0).exception(), ZeroDivisionError)
 
 
-def test_a_pool_that_has_lost_a_worker_is_opened_anew(tasks: Any, tmp_path: Path) -> None:
+def test_a_pool_that_has_lost_a_worker_is_opened_anew(tasks: ModuleType, tmp_path: Path) -> None:
     started, released = tmp_path / "started", tmp_path / "released"
     with open_executor("processes", workers=1) as backend:
         dying = backend.executor.submit(tasks.announce_and_wait, str(started), str(released))
@@ -78,7 +78,7 @@ def test_a_pool_that_has_lost_a_worker_is_opened_anew(tasks: Any, tmp_path: Path
         assert [future.result() for future in waiting] == [2**power for power in range(8)]
 
 
-def test_a_task_that_kills_every_worker_is_given_up(tasks: Any) -> None:
+def test_a_task_that_kills_every_worker_is_given_up(tasks: ModuleType) -> None:
     with open_executor("processes", workers=1) as backend:
         with pytest.raises(
             WorkerLostError, match=r"kill_worker was not finished: 4 worker\(s\) died"

@@ -68,7 +68,7 @@ def test_a_worker_does_what_a_task_has_left_once_it_has_nothing_else(
     executor.submit("contract.leave_work", left, first).result(WAIT)
     await_file(Path(left))
     Path(left).unlink()
-    futures: list[Future[Any]] = [
+    futures: list[Future[object]] = [
         executor.submit("contract.leave_work", left, second),
         executor.submit("contract.wait_for_file", second),
     ]
@@ -101,7 +101,7 @@ def test_thousands_of_small_tasks_share_batches(
     start_component()
     start_component()
     executor.wait_for_workers(2, WAIT)
-    futures: list[Future[Any]] = [
+    futures: list[Future[object]] = [
         executor.submit("contract.echo", number) for number in range(2000)
     ]
     assert [future.result(WAIT) for future in futures] == list(range(2000))
@@ -152,8 +152,10 @@ def test_waiting_tasks_can_be_cancelled_and_running_ones_cannot(
     start_component()
     started, released = tmp_path / "started", tmp_path / "released"
     names = str(started), str(released)
-    running: Future[Any] = executor.submit("contract.announce_and_wait", *names)
-    waiting: list[Future[Any]] = [executor.submit("contract.echo", number) for number in range(50)]
+    running: Future[object] = executor.submit("contract.announce_and_wait", *names)
+    waiting: list[Future[object]] = [
+        executor.submit("contract.echo", number) for number in range(50)
+    ]
     await_file(started)
     assert not running.cancel()
     assert waiting[-1].cancel()
@@ -168,14 +170,18 @@ def test_shutdown_finishes_what_is_submitted_and_the_components_leave(
 ) -> None:
     components = [start_component(), start_component()]
     executor.wait_for_workers(2, WAIT)
-    futures: list[Future[Any]] = [executor.submit("contract.echo", number) for number in range(200)]
+    futures: list[Future[object]] = [
+        executor.submit("contract.echo", number) for number in range(200)
+    ]
     executor.shutdown(wait=True)
     assert [future.result(0) for future in futures] == list(range(200))
     assert [component.wait() for component in components] == [0, 0]
 
 
 def test_shutdown_can_cancel_what_waits(executor: CommunicatorExecutor) -> None:
-    futures: list[Future[Any]] = [executor.submit("contract.echo", number) for number in range(5)]
+    futures: list[Future[object]] = [
+        executor.submit("contract.echo", number) for number in range(5)
+    ]
     executor.shutdown(wait=True, cancel_futures=True)
     assert all(future.cancelled() for future in futures)
 
@@ -185,7 +191,7 @@ def test_leaving_with_an_error_abandons_running_tasks(
 ) -> None:
     component = start_component()
     started = tmp_path / "started"
-    running: Future[Any] = executor.submit(
+    running: Future[object] = executor.submit(
         "contract.announce_and_wait", str(started), str(tmp_path / "never")
     )
     worker = int(await_file(started))
@@ -222,7 +228,9 @@ def test_the_batch_of_a_lost_worker_runs_elsewhere(
 ) -> None:
     victim = start_component()
     started, released = tmp_path / "started", tmp_path / "released"
-    future: Future[Any] = executor.submit("contract.announce_and_wait", str(started), str(released))
+    future: Future[object] = executor.submit(
+        "contract.announce_and_wait", str(started), str(released)
+    )
     worker = int(await_file(started))
     started.unlink()
     start_component()
@@ -246,7 +254,7 @@ def test_the_task_of_a_worker_that_hangs_is_run_again_and_its_late_answer_droppe
     note.touch()
     pids: set[int] = set()
     while len(pids) < 2:  # how long the task takes is known of both workers
-        futures: list[Future[Any]] = [
+        futures: list[Future[int]] = [
             executor.submit("contract.freeze_first", str(note)) for _ in range(20)
         ]
         pids |= {future.result(WAIT) for future in futures}
@@ -267,8 +275,10 @@ def test_a_task_that_kills_every_worker_is_given_up(
     executor: CommunicatorExecutor, start_component: StartComponent
 ) -> None:
     start_component()
-    poison: Future[Any] = executor.submit("contract.kill_worker")
-    others: list[Future[Any]] = [executor.submit("contract.echo", number) for number in range(20)]
+    poison: Future[object] = executor.submit("contract.kill_worker")
+    others: list[Future[object]] = [
+        executor.submit("contract.echo", number) for number in range(20)
+    ]
     with pytest.raises(WorkerLostError, match="SIGKILL"):
         poison.result(WAIT)
     assert [future.result(WAIT) for future in others] == list(range(20))
@@ -283,7 +293,7 @@ def test_what_one_machine_lacks_another_one_does(
     note.write_text(str(bad.pid))
     executor.wait_for_workers(2, WAIT)
     while not executor.statistics()["losses"]:  # until "bad" has had one
-        futures: list[Future[Any]] = [
+        futures: list[Future[object]] = [
             executor.submit("contract.lack_below", str(note), lack) for _ in range(2)
         ]
         assert {future.result(WAIT) for future in futures} == {good.pid}
@@ -294,7 +304,7 @@ def test_what_every_machine_lacks_is_said(
 ) -> None:
     note = tmp_path / "bad"
     note.write_text(str(start_component("alone").pid))
-    task: Future[Any] = executor.submit("contract.lack_below", str(note), errno.ENOMEM)
+    task: Future[object] = executor.submit("contract.lack_below", str(note), errno.ENOMEM)
     lacked = r"alone failed .* it lacks what 'contract.lack_below' needs \(MemoryError: no room\)"
     with pytest.raises(WorkerLostError, match=lacked):
         task.result(WAIT)
@@ -313,7 +323,7 @@ def test_a_machine_that_loses_every_worker_is_retired_and_the_others_do_its_task
     start_component("good-2")
     executor.wait_for_workers(3, WAIT)
     while executor.workers == 3:  # what "bad" loses, and when, is the scheduler's affair
-        futures: list[Future[Any]] = [
+        futures: list[Future[object]] = [
             executor.submit("contract.kill_below", str(note)) for _ in range(12)
         ]
         assert bad.pid not in {future.result(WAIT) for future in futures}
@@ -327,7 +337,9 @@ def test_a_preempted_component_says_goodbye_and_its_task_goes_on_elsewhere(
 ) -> None:
     victim = start_component()
     started, released = tmp_path / "started", tmp_path / "released"
-    future: Future[Any] = executor.submit("contract.announce_and_wait", str(started), str(released))
+    future: Future[object] = executor.submit(
+        "contract.announce_and_wait", str(started), str(released)
+    )
     await_file(started)
     started.unlink()
     start_component()
@@ -434,7 +446,7 @@ def test_a_peer_without_curve_gets_nowhere(
 
 
 def test_without_workers_the_launcher_ends_the_wait(executor: CommunicatorExecutor) -> None:
-    future: Future[Any] = executor.submit("contract.echo", 1)
+    future: Future[object] = executor.submit("contract.echo", 1)
     executor.workers_gone("all loaders have ended")
     with pytest.raises(NoWorkersError, match="all loaders have ended"):
         future.result(WAIT)

@@ -16,15 +16,18 @@ from hpcapp.communicator.fetching import (
     Fetcher,
 )
 from hpccomponent.errors import ProtocolError
+from hpccomponent.protocol.frames import Buffer
 from hpccomponent.protocol.messages import (
     Announce,
     Batch,
     Call,
+    ComponentMessage,
     Drain,
     Fetch,
     Goodbye,
     Heartbeat,
     Lost,
+    MasterMessage,
     Piece,
     Ping,
     Register,
@@ -35,7 +38,7 @@ from hpccomponent.protocol.messages import (
     encode_message,
 )
 from hpccomponent.protocol.parcels import UNASKED_BYTES
-from hpccomponent.protocol.session import Send, WorkerSession
+from hpccomponent.protocol.session import Action, Send, WorkerSession
 
 WORKER = b"worker"
 LARGE = 3 * UNASKED_BYTES + 5
@@ -46,7 +49,7 @@ def content_of(task: int, size: int) -> bytes:
     return (task.to_bytes(8, "little") * (size // 8 + 1))[:size]
 
 
-def never(message: Any) -> bool:
+def never(message: object) -> bool:
     del message
     return False
 
@@ -58,12 +61,12 @@ class Wire:
         self.session = WorkerSession(REGISTER, 0.0)
         self.fetcher = Fetcher("s")
         self.taken: list[tuple[int, bytes]] = []
-        self.said: list[Any] = []  # by either, what got lost with it
-        self.up: deque[tuple[Any, list[Any]]] = deque()
-        self.down: deque[Any] = deque()
+        self.said: list[MasterMessage | ComponentMessage] = []  # by either, what got lost with it
+        self.up: deque[tuple[ComponentMessage, list[Buffer]]] = deque()
+        self.down: deque[MasterMessage] = deque()
         self.is_delivering = False
         self.now = 0.0
-        self.is_lost: Callable[[Any], bool] = never
+        self.is_lost: Callable[[object], bool] = never
         self.session.begin()
         self.session.worker_started()
         self.tell(Registered("s", 1.0, 1000.0, 1 << 20))
@@ -83,13 +86,13 @@ class Wire:
         self.now += 2.0
         self.carry_out(self.session.tick(self.now))
 
-    def tell(self, message: Any) -> None:
+    def tell(self, message: MasterMessage) -> None:
         self.said.append(message)
         if not self.is_lost(message):
             self.down.append(message)
         self.deliver()
 
-    def carry_out(self, actions: list[Any]) -> None:
+    def carry_out(self, actions: list[Action]) -> None:
         for action in actions:
             if isinstance(action, Send):
                 self.said.append(action.message)
@@ -109,7 +112,7 @@ class Wire:
                 self.hear(*self.up.popleft())
         self.is_delivering = False
 
-    def hear(self, message: Any, buffers: list[Any]) -> None:
+    def hear(self, message: ComponentMessage, buffers: list[Buffer]) -> None:
         fetcher = self.fetcher
         if isinstance(message, Results) and not fetcher.is_fetching(WORKER):
             self.taken.append((message.batch, bytes(buffers[0])))
@@ -135,11 +138,11 @@ class Wire:
         return sum(isinstance(message, kind) for message in self.said)
 
 
-def first_of(kind: type) -> Callable[[Any], bool]:
+def first_of(kind: type) -> Callable[[object], bool]:
     """Lose the first message of a kind."""
-    seen: list[Any] = []
+    seen: list[object] = []
 
-    def is_lost(message: Any) -> bool:
+    def is_lost(message: object) -> bool:
         if isinstance(message, kind) and not seen:
             seen.append(message)
             return True

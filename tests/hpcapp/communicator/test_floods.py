@@ -8,7 +8,6 @@ import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +15,7 @@ from fixture_types import StartComponent
 
 from hpcapp.communicator.executor import CommunicatorExecutor
 from hpccomponent.protocol.connection import write_connection
+from hpccomponent.surface.types.points import FloatArray
 
 HELPERS = Path(__file__).parents[2] / "helpers"
 WAIT = 60.0
@@ -73,7 +73,7 @@ def is_ready(flooder: subprocess.Popen[str]) -> bool:
 def do_work(executor: CommunicatorExecutor) -> None:
     """Have a job done, small results and large ones."""
     values = np.arange(400_000.0)
-    futures: list[Future[Any]] = []
+    futures: list[Future[FloatArray]] = []
     futures += [executor.submit("contract.echo", values + number) for number in range(6)]
     futures += [executor.submit("contract.echo", values[:10] + number) for number in range(60)]
     for number, future in enumerate(futures):

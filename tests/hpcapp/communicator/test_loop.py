@@ -59,7 +59,7 @@ def test_a_way_that_breaks_between_two_batches_costs_no_task() -> None:
         clock,
         Timing(),
     )
-    futures: list[Future[Any]] = [Future(), Future()]
+    futures: list[Future[object]] = [Future(), Future()]
 
     def begin() -> list[Any]:
         actions = []

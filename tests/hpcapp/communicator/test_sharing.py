@@ -30,7 +30,7 @@ def test_a_shared_value_travels_once_to_each_machine(
     start_component()
     start_component()
     executor.wait_for_workers(2, WAIT)
-    futures: list[Future[Any]] = [
+    futures: list[Future[object]] = [
         executor.submit("contract.add_to_first", blob, i) for i in range(40)
     ]
     for number, future in enumerate(futures):

@@ -44,12 +44,14 @@ from hpccomponent.protocol.messages import (
     Announce,
     Batch,
     Call,
+    ComponentMessage,
     Drain,
     Failure,
     Forget,
     Goodbye,
     Heartbeat,
     Lost,
+    MasterMessage,
     Need,
     Piece,
     Ping,
@@ -64,6 +66,7 @@ from hpccomponent.protocol.messages import (
 )
 from hpccomponent.protocol.parcels import LARGE_BYTES
 from hpccomponent.protocol.session import (
+    Action,
     Discard,
     Keep,
     Run,
@@ -91,8 +94,8 @@ class Component:
 
     identity: bytes
     session: WorkerSession
-    down: deque[Any] = field(default_factory=deque)
-    up: deque[Any] = field(default_factory=deque)
+    down: deque[MasterMessage] = field(default_factory=deque)
+    up: deque[tuple[ComponentMessage, Sequence[Buffer]]] = field(default_factory=deque)
     work: deque[tuple[Batch, int]] = field(default_factory=deque)
     kept: set[bytes] = field(default_factory=set)
     in_worker: set[bytes] = field(default_factory=set)
@@ -101,7 +104,7 @@ class Component:
     is_sick: bool = False
     lie: int = 0
 
-    def carry_out(self, actions: Sequence[Any]) -> None:
+    def carry_out(self, actions: Sequence[Action]) -> None:
         for action in actions:
             if isinstance(action, Send):
                 self.up.append((action.message, action.buffers))
@@ -198,7 +201,7 @@ class Cluster:
         assert number not in self.cancelled, "a cancelled task ended"
         self.ended[number] = outcome
 
-    def send(self, identity: bytes, message: Any) -> None:
+    def send(self, identity: bytes, message: MasterMessage) -> None:
         for component in self.components:
             if component.identity == identity:
                 component.down.append(message)
@@ -213,7 +216,7 @@ class Cluster:
         if component.session.state is State.STOPPED:
             component.work.clear()
 
-    def hear(self, identity: bytes, message: Any, buffers: Sequence[Buffer]) -> None:
+    def hear(self, identity: bytes, message: ComponentMessage, buffers: Sequence[Buffer]) -> None:
         scheduler = self.scheduler
         if isinstance(message, Register):
             self.carry_out(scheduler.register(identity, message, f"key of {message.worker}"))

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 from concurrent.futures import Future
-from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +20,7 @@ TRAITS = Traits(cost=len, split=halves, join=sum)
 
 
 def entry_of(values: list[int], traits: Traits = TRAITS) -> Entry:
-    future: Future[Any] = Future()
+    future: Future[object] = Future()
     future.set_running_or_notify_cancel()
     return make_entry(future, "total", (values,), traits)
 

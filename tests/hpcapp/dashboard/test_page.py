@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -14,6 +14,9 @@ from hpcapp.dashboard.watched_job import WatchedJob, WatchedProgress
 from hpcapp.progress import SilentProgress
 from hpcapp.timeline import MASTER, Timeline, WorkerNow
 from hpccomponent.surface.types.mesh import Mesh
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 FLAGS = [
@@ -28,15 +31,20 @@ pytestmark = [
 
 
 @pytest.fixture
-def page() -> Iterator[Any]:
+def errors() -> list[str]:
+    """What goes wrong on the page."""
+    return []
+
+
+@pytest.fixture
+def page(errors: list[str]) -> Iterator[Page]:
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     with playwright.sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
         page = browser.new_page(viewport={"width": 1400, "height": 1000})
         page.set_default_timeout(120_000)
-        page.errors = []
-        page.on("pageerror", lambda error: page.errors.append(str(error)))
-        page.on("console", lambda said: said.type == "error" and page.errors.append(said.text))
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        page.on("console", lambda said: errors.extend([said.text] * (said.type == "error")))
         yield page
         browser.close()
 
@@ -51,7 +59,7 @@ def half_ball(side: float) -> Mesh:
     return Mesh(places.reshape(-1, 3), faces, np.zeros(3))
 
 
-def test_a_page_follows_its_job_to_the_end(page: Any) -> None:
+def test_a_page_follows_its_job_to_the_end(page: Page, errors: list[str]) -> None:
     timeline = Timeline()
     timeline.roster = lambda: [WorkerNow("machine-0", "busy", "mesh_tile")]
     job = WatchedJob(timeline, "ball.ply → ball.glb")
@@ -81,10 +89,10 @@ def test_a_page_follows_its_job_to_the_end(page: Any) -> None:
         assert page.locator("#view canvas").screenshot() != coloured
         page.click("#reset")
     page.wait_for_selector("#state.done")
-    assert page.errors == []
+    assert errors == []
 
 
-def test_a_job_of_a_moment_is_shown_whole(page: Any) -> None:
+def test_a_job_of_a_moment_is_shown_whole(page: Page, errors: list[str]) -> None:
     job = WatchedJob(Timeline(), "ball.ply → ball.glb")
     progress = WatchedProgress(job, SilentProgress())
     kept = {part: half_ball(1.0 - part / 4) for part in range(8)}
@@ -98,10 +106,12 @@ def test_a_job_of_a_moment_is_shown_whole(page: Any) -> None:
     page.wait_for_selector("#state.done")
     page.locator("#drawn", has_text="8 parts").wait_for()
     assert "ball.glb: watertight" in page.inner_text("#log")
-    assert page.errors == []
+    assert errors == []
 
 
-def test_without_its_token_the_page_is_not_there(page: Any) -> None:
+def test_without_its_token_the_page_is_not_there(page: Page) -> None:
     job = WatchedJob(Timeline(), "ball.ply → ball.glb")
     with open_dashboard("127.0.0.1:0", job) as address:
-        assert page.goto(address.partition("?")[0]).status == 403
+        answer = page.goto(address.partition("?")[0])
+        assert answer is not None
+        assert answer.status == 403

@@ -38,9 +38,9 @@ STATED_UNITS = {"las/1.2-with-color.copc.laz": "m", "las/lots_of_vlr.las": "US f
 NOT_ODD = "text/autzen-bmx-m3c2.txt"
 
 
-def read_expected() -> dict[str, dict[str, Any]]:
+def read_expected() -> dict[str, dict[str, object]]:
     """Return what must come of each file, by its name in the folder."""
-    expected: dict[str, dict[str, Any]] = {}
+    expected: dict[str, dict[str, object]] = {}
     for part in ("", "odd"):
         listed = FOLDER / part / "expected.json"
         if listed.exists():

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hpcapp.pages.arrays import pack_array, quantise
 
 
-def unpack(element: str) -> NDArray[Any]:
+def unpack(element: str) -> NDArray[np.generic]:
     """Decode an array, number by number, as ``static/page.js`` does."""
     found = re.fullmatch(
         r'<script type="application/gzip" id="\w+" data-type="u(\d)" data-rows="(\d+)" '

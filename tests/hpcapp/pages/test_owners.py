@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +16,7 @@ from hpccomponent.surface.types.mesh import Mesh
 
 PLY = Path("m.ply")
 FIVE = Mesh(np.zeros((5, 3)), np.array([[0, 1, 2]]), np.zeros(3))
-GOOD: dict[str, Any] = {"tiles": [0, 2], "vertices": [2, 3], "workers": ["a", "b", "a"]}
+GOOD: dict[str, object] = {"tiles": [0, 2], "vertices": [2, 3], "workers": ["a", "b", "a"]}
 
 
 @given(st.lists(st.integers(0, 40), min_size=1, max_size=200), st.booleans())
@@ -46,7 +45,7 @@ def test_a_report_tells_each_vertex(tiles: list[int], knows_workers: bool) -> No
         (PLY, {"owners": GOOD | {"tiles": [0, 10**9], "workers": []}}),
     ],
 )
-def test_another_mesh_has_no_tiles(path: Path, told: dict[str, Any]) -> None:
+def test_another_mesh_has_no_tiles(path: Path, told: dict[str, object]) -> None:
     marked, workers = mark_tiles(FIVE, path, told, "r.json")
     assert take_labels(marked, workers) == (FIVE, [])
 
@@ -67,6 +66,6 @@ def test_another_mesh_has_no_tiles(path: Path, told: dict[str, Any]) -> None:
         GOOD | {"vertices": None},
     ],
 )
-def test_what_tells_no_tiles_is_refused(told: Any) -> None:
+def test_what_tells_no_tiles_is_refused(told: object) -> None:
     with pytest.raises(InputError, match=r"r\.json: 'owners'"):
         mark_tiles(FIVE, PLY, {"owners": told}, "r.json")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -12,11 +11,11 @@ from hpcapp.pages.job import describe_job
 from hpcapp.pages.report import check_report, read_report
 from hpccomponent.errors import InputError
 
-SPAN: dict[str, Any] = {"name": "fit", "worker": "w", "begin": 0.0, "end": 1.0}
+SPAN: dict[str, object] = {"name": "fit", "worker": "w", "begin": 0.0, "end": 1.0}
 
 
-def nested(depth: int) -> Any:
-    value: Any = 1
+def nested(depth: int) -> object:
+    value: object = 1
     for _ in range(depth):
         value = {"a": [value]}
     return value
@@ -45,7 +44,7 @@ def nested(depth: int) -> Any:
         {"anything": nested(400)},
     ],
 )
-def test_a_report_that_no_job_writes_is_refused(tmp_path: Path, report: dict[str, Any]) -> None:
+def test_a_report_that_no_job_writes_is_refused(tmp_path: Path, report: dict[str, object]) -> None:
     (tmp_path / "r.json").write_text(json.dumps(report).replace("Infinity", "1e400"))
     with pytest.raises(InputError, match=r"r\.json: is no report of a job") as caught:
         read_report(tmp_path / "r.json")
@@ -69,7 +68,7 @@ def test_a_command_to_copy_hides_nothing() -> None:
 
 
 def test_what_is_new_in_a_report_is_said() -> None:
-    report: dict[str, Any] = {
+    report: dict[str, object] = {
         "later": {"deep": [1, {"x": None}]},
         "big": 10**300,
         "timeline": {"spans": [SPAN | {"name": f"task-{number}"} for number in range(5000)]},

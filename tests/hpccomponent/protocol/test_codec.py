@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from typing import Any
-
 import msgspec
 import numpy as np
 import pytest
@@ -33,22 +31,26 @@ VALUES = st.recursive(
 )
 
 
-def assert_same(one: Any, other: Any) -> None:
+def assert_same(one: object, other: object) -> None:
     """Compare type by type and bit by bit."""
     assert type(one) is type(other)
     if isinstance(one, np.ndarray):
+        assert isinstance(other, np.ndarray)
         assert one.shape == other.shape
         assert one.dtype.newbyteorder("=") == other.dtype
         assert one.astype(other.dtype).tobytes() == other.tobytes()
     elif isinstance(one, (list, tuple)):
+        assert isinstance(other, (list, tuple))
         assert len(one) == len(other)
         for a, b in zip(one, other, strict=True):
             assert_same(a, b)
     elif isinstance(one, dict):
+        assert isinstance(other, dict)
         assert list(one) == list(other)
         for key, value in one.items():
             assert_same(value, other[key])
     elif isinstance(one, float):
+        assert isinstance(other, float)
         assert np.float64(one).tobytes() == np.float64(other).tobytes()
     else:
         assert one == other
@@ -57,7 +59,7 @@ def assert_same(one: Any, other: Any) -> None:
 @pytest.mark.slow
 @settings(max_examples=80, deadline=None)
 @given(st.lists(VALUES, max_size=4).map(tuple))
-def test_values_come_back_bit_by_bit(values: tuple[Any, ...]) -> None:
+def test_values_come_back_bit_by_bit(values: tuple[object, ...]) -> None:
     header, buffers = encode_values(values)
     assert_same(values, decode_values(header, [bytes(buffer) for buffer in buffers]))
 
@@ -97,7 +99,7 @@ def test_long_lists_of_numbers_keep_every_kind() -> None:
         assert_same((values,), decode_values(header, buffers))
 
 
-def nested(depth: int) -> list[Any]:
+def nested(depth: int) -> list[object]:
     return [] if depth == 0 else [nested(depth - 1)]
 
 
@@ -115,12 +117,12 @@ def nested(depth: int) -> list[Any]:
         ([0.5] * 1_000_000, "ndarray"),
     ],
 )
-def test_what_cannot_travel_is_refused_with_a_reason(value: Any, word: str) -> None:
+def test_what_cannot_travel_is_refused_with_a_reason(value: object, word: str) -> None:
     with pytest.raises(UsageError, match=word):
         encode_values((value,))
 
 
-def array(*description: Any) -> bytes:
+def array(*description: object) -> bytes:
     return msgspec.msgpack.encode([[2, *description]])
 
 

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -58,7 +57,7 @@ def test_a_file_that_others_may_read_is_refused(
     ],
 )
 def test_a_wrong_entry_is_named(
-    tmp_path: Path, connection: Connection, changes: dict[str, Any], key: str
+    tmp_path: Path, connection: Connection, changes: dict[str, object], key: str
 ) -> None:
     path = tmp_path / "connection.json"
     write_connection(path, connection)

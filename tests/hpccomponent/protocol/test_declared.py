@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from typing import Any
-
 import msgspec
 import numpy as np
 import pytest
@@ -80,7 +78,7 @@ POINTS = np.zeros((4, 3))
     ],
 )
 def test_what_fits_a_pattern_passes_and_nothing_else(
-    pattern: Declared, fits: list[Any], misfits: list[Any]
+    pattern: Declared, fits: list[object], misfits: list[object]
 ) -> None:
     for value in fits:
         check_result(pattern, value)
@@ -100,6 +98,6 @@ def test_an_int_too_long_to_be_printed_does_not_travel() -> None:
 
 def test_long_lists_of_numbers_are_no_containers() -> None:
     check_containers(msgspec.msgpack.encode(np.random.default_rng(1).random(400_000).tolist()))
-    lists: list[Any] = [[] for _ in range(MAX_CONTAINERS + 1)]
+    lists: list[object] = [[] for _ in range(MAX_CONTAINERS + 1)]
     with pytest.raises(ProtocolError, match="lists"):
         check_containers(msgspec.msgpack.encode(lists))

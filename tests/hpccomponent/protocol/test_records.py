@@ -7,6 +7,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from hpccomponent.errors import ProtocolError, UsageError
 from hpccomponent.protocol.codec import RECORD, decode_values, encode_values
@@ -17,7 +18,7 @@ from hpccomponent.protocol.records import make_record, record
 @record("tests.pair")
 @dataclass(frozen=True, slots=True, eq=False)
 class Pair:
-    rows: np.ndarray[Any, Any]
+    rows: NDArray[np.generic]
     count: int
     inner: Pair | None = None
 
@@ -61,7 +62,7 @@ def test_a_dataclass_that_is_not_registered_does_not_travel() -> None:
     ],
 )
 def test_a_message_can_ask_for_registered_classes_with_their_fields_only(
-    name: str, fields: dict[str, Any]
+    name: str, fields: dict[str, object]
 ) -> None:
     with pytest.raises(ProtocolError, match="record"):
         make_record(name, fields)
@@ -73,14 +74,14 @@ def test_a_message_can_ask_for_registered_classes_with_their_fields_only(
     "entry", [[RECORD], [RECORD, "tests.pair"], [RECORD, 1, {}], [RECORD, "tests.pair", [8]],
               [RECORD, "tests.pair", {}, 1]],
 )  # fmt: skip
-def test_a_record_of_another_form_is_refused(entry: list[Any]) -> None:
+def test_a_record_of_another_form_is_refused(entry: list[object]) -> None:
     with pytest.raises(ProtocolError):
         decode_values(msgspec.msgpack.encode([entry]), [])
 
 
 def test_records_nested_without_end_are_refused_at_either_side() -> None:
     deep = Pair(np.zeros(1), 0)
-    entry: Any = [RECORD, "tests.pair", {"rows": None, "count": 1, "inner": None}]
+    entry: object = [RECORD, "tests.pair", {"rows": None, "count": 1, "inner": None}]
     for _ in range(100):
         deep = Pair(deep.rows, 0, deep)
         entry = [RECORD, "tests.pair", {"rows": None, "count": 1, "inner": entry}]
@@ -136,7 +137,7 @@ def small(**changes: Any) -> Pair:
     ],
 )
 def test_a_declared_record_is_checked_field_by_field(
-    make: Callable[[], Any], complaint: str
+    make: Callable[[], object], complaint: str
 ) -> None:
     pattern = Record(Pair, rows=Array("<f8", "n", 3), count=Whole())
     check_result(pattern, small())

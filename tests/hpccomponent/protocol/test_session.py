@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from hpccomponent.protocol.messages import (
     Batch,
     Call,
+    ComponentMessage,
     Drain,
     Farewell,
     Forget,
@@ -30,6 +31,7 @@ from hpccomponent.protocol.messages import (
 from hpccomponent.protocol.session import (
     MAX_CRASHES,
     WINDOW,
+    Action,
     Discard,
     ExitCode,
     Keep,
@@ -69,11 +71,11 @@ def finished(number: int) -> tuple[Results, bytes, memoryview]:
     return results, encode_message(results), memoryview(b"")
 
 
-def runs(actions: list[Any]) -> list[tuple[int, list[bytes]]]:
+def runs(actions: list[Action]) -> list[tuple[int, list[bytes]]]:
     return [(a.batch.batch, list(a.blobs)) for a in actions if isinstance(a, Run)]
 
 
-def sent(actions: list[Any]) -> list[Any]:
+def sent(actions: list[Action]) -> list[ComponentMessage]:
     return [action.message for action in actions if isinstance(action, Send)]
 
 
@@ -249,7 +251,7 @@ def test_whatever_happens_windows_hold_and_it_stops_once(events: list[tuple[Any,
     tally: Counter[str] = Counter()
     for event in events:
         now += event[1] if event[0] == "tick" else 0.0
-        actions: list[Any] = []
+        actions: list[Action] = []
         if event[0] == "batch":
             actions = session.receive(batch(event[1], event[2]), (), now)
         elif event[0] == "finish" and running:

@@ -3,7 +3,6 @@ from __future__ import annotations
 import socket
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -29,7 +28,7 @@ TASKS = TaskRegistry(
 Ends = tuple[Channel, Channel]
 
 
-def call(number: int, name: str, *values: Any) -> Call:
+def call(number: int, name: str, *values: object) -> Call:
     header, buffers = encode_values(values)
     return Call(number, name, header, [len(buffer) for buffer in buffers])
 
@@ -77,7 +76,7 @@ def test_a_call_gives_its_value() -> None:
     ],
 )
 def test_whatever_is_raised_is_the_result(
-    name: str, values: tuple[Any, ...], kind: str, word: str
+    name: str, values: tuple[object, ...], kind: str, word: str
 ) -> None:
     result, buffers = run_call(call(1, name, *values), [], TASKS)
     assert result.failure is not None

@@ -26,7 +26,7 @@ from hpccomponent.store.value import DamagedError, from_bytes, to_buffers
 pytest_plugins = ["lab_bucket"]
 pytestmark = pytest.mark.usefixtures("endpoint")
 
-VALUES: list[Any] = [
+VALUES: list[object] = [
     np.arange(100_000.0).reshape(-1, 4),
     np.zeros((0, 3), np.float32),
     {"keys": np.arange(20_000), "small": np.arange(3, dtype=np.uint8), "name": "tile"},
@@ -42,16 +42,19 @@ def store(request: pytest.FixtureRequest, tmp_path: Path) -> Store:
     return open_store("s3://lab/jobs/7/")
 
 
-def _assert_same(one: Any, other: Any) -> None:
+def _assert_same(one: object, other: object) -> None:
     assert type(one) is type(other)
     if isinstance(one, np.ndarray):
+        assert isinstance(other, np.ndarray)
         assert one.dtype == other.dtype
         np.testing.assert_array_equal(one, other)
     elif isinstance(one, dict):
+        assert isinstance(other, dict)
         assert list(one) == list(other)
         for key in one:
             _assert_same(one[key], other[key])
     elif isinstance(one, tuple | list):
+        assert isinstance(other, tuple | list)
         assert len(one) == len(other)
         for mine, its in zip(one, other, strict=True):
             _assert_same(mine, its)
@@ -121,7 +124,7 @@ def test_many_write_one_name_and_one_of_them_wins(store: Store) -> None:
     assert store.list() == ["a"]
 
 
-def _content(value: Any) -> bytes:
+def _content(value: object) -> bytes:
     return b"".join(to_buffers(value))
 
 
@@ -238,7 +241,7 @@ def test_places_of_other_kinds_are_refused(place: str) -> None:
         open_store(place)
 
 
-def test_tasks_share_a_client(bucket: Any, tmp_path: Path) -> None:
+def test_tasks_share_a_client(bucket: object, tmp_path: Path) -> None:
     assert hold_store("s3://lab/a") is hold_store("s3://lab/a")
     assert hold_store("s3://lab/a") is not hold_store("s3://lab/b")
     hold_store("s3://lab/a").put("x", 1)
@@ -248,7 +251,7 @@ def test_tasks_share_a_client(bucket: Any, tmp_path: Path) -> None:
             hold_store("s3://other/prefix")
 
 
-def test_a_bucket_must_have_a_name_and_be_there(bucket: Any) -> None:
+def test_a_bucket_must_have_a_name_and_be_there(bucket: object) -> None:
     with pytest.raises(UsageError, match="names no bucket"):
         open_store("s3://")
     with pytest.raises(CloudError, match="there is no bucket 'other'; create it") as refusal:
@@ -258,7 +261,7 @@ def test_a_bucket_must_have_a_name_and_be_there(bucket: Any) -> None:
         open_store("s3://No_Bucket!")
 
 
-def test_missing_credentials_are_one_clear_line(bucket: Any, keys: pytest.MonkeyPatch) -> None:
+def test_missing_credentials_are_one_clear_line(bucket: object, keys: pytest.MonkeyPatch) -> None:
     keys.delenv("AWS_ACCESS_KEY_ID")
     keys.delenv("AWS_SECRET_ACCESS_KEY")
     with pytest.raises(CloudError, match=r"s3://lab: there are no credentials; set AWS_ACCESS_KEY"):

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import hpcapp
 from hpcapp.applications.surface.job.run import JobSettings, run_job
@@ -121,7 +122,7 @@ def test_what_progress_raises_ends_the_job(sphere: PointCloud) -> None:
 GOOD = np.random.default_rng(5).normal(size=(50, 3))
 
 
-def spoilt(row: int, value: float) -> np.ndarray[Any, Any]:
+def spoilt(row: int, value: float) -> NDArray[np.generic]:
     rows = GOOD.copy()
     rows[row] = value
     return rows

@@ -146,7 +146,7 @@ def run_small(
     folder: Path,
     cloud: PointCloud,
     sees: bool | None,
-    tell: Callable[[Answer], Any] = lambda answer: answer.value,
+    tell: Callable[[Answer], object] = lambda answer: answer.value,
     **more: Any,
 ) -> None:
     """Run a job through a folder that workers see, or do not see; with None in memory."""
@@ -206,7 +206,9 @@ def test_only_lies_pass_that_nobody_can_tell(lie: str, looked: Looked) -> None:
 def test_what_a_worker_has_kept_is_looked_at(task: str, kept: int, tmp_path: Path) -> None:
     def spoil_kept(answer: Answer) -> None:
         if answer.name == task:
-            place, name = answer.arguments[kept]
+            kept_value = answer.arguments[kept]
+            assert isinstance(kept_value, tuple)
+            place, name = kept_value
             store = open_store(place)
             store.put(name, LIES["plus one"](store.get(name)))
 
@@ -224,7 +226,7 @@ def test_lies_that_pass_are_blamed_on_nobody_else(
     refused: list[str] = []
     told: set[str] = set()
 
-    def tell(answer: Answer) -> Any:
+    def tell(answer: Answer) -> object:
         value = LIES[lie](answer.value)
         if not is_taken(answer, value, len(encode(value))):
             return answer.value

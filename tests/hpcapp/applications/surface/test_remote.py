@@ -5,7 +5,6 @@ from __future__ import annotations
 import gzip
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -30,7 +29,7 @@ class Cluster:
 
     def run(
         self, path: Path, verb: str, points: Path, target: Path, options: Sequence[str]
-    ) -> dict[str, Any]:
+    ) -> dict[str, object]:
         assert verb == "reconstruct"
         self.suffix, self.points, self.options = points.suffix, read_points(points), list(options)
         return {"summary": f"{target}: made on {path}"}
@@ -145,7 +144,7 @@ def test_the_page_of_a_fetched_mesh_is_made_here(
 ) -> None:
     def run(
         path: Path, verb: str, points: Path, target: Path, options: Sequence[str]
-    ) -> dict[str, Any]:
+    ) -> dict[str, object]:
         cluster.options = list(options)
         corners = 0.5 * np.vstack([np.zeros(3), np.eye(3)])
         write_mesh(target, Mesh(corners, np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])))
@@ -163,7 +162,7 @@ def test_the_page_of_a_fetched_mesh_is_made_here(
     assert png.read_bytes().startswith(b"\x89PNG")
 
 
-LIES: list[dict[str, Any]] = [
+LIES: list[dict[str, object]] = [
     {"spacing": "narrow"},
     {"stages": {"fit": 1e400}},
     {"timeline": {"spans": [{"name": "fit"}]}},
@@ -174,9 +173,9 @@ LIES: list[dict[str, Any]] = [
 
 @pytest.mark.parametrize("lie", LIES)
 def test_a_report_of_a_head_that_lies_makes_no_page(
-    tmp_path: Path, sphere_file: Path, lie: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, sphere_file: Path, lie: dict[str, object], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def run(path: Path, verb: str, points: Path, target: Path, words: Sequence[str]) -> Any:
+    def run(path: Path, verb: str, points: Path, target: Path, words: Sequence[str]) -> object:
         write_mesh(target, Mesh(np.eye(3), np.array([[0, 1, 2]]), np.zeros(3)))
         return {"summary": "a mesh", **lie}
 

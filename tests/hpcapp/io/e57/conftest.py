@@ -20,13 +20,13 @@ MakeE57 = Callable[..., Path]
 class ScanToWrite:
     """A scan: values of its fields by name, and what its header states."""
 
-    fields: dict[str, Any]
+    fields: dict[str, object]
     rotation: tuple[float, ...] | None = None
     translation: tuple[float, ...] | None = None
     numbers: dict[str, dict[str, float]] = field(default_factory=dict)
 
 
-def structure(image: Any, numbers: dict[str, float]) -> Any:
+def structure(image: object, numbers: dict[str, float]) -> object:
     node = libe57.StructureNode(image)
     for name, value in numbers.items():
         kind = libe57.IntegerNode if isinstance(value, int) else libe57.FloatNode
@@ -95,7 +95,7 @@ def make_e57(tmp_path: Path) -> MakeE57:
     return make
 
 
-def coordinates(positions: Sequence[Sequence[float]]) -> dict[str, Any]:
+def coordinates(positions: Sequence[Sequence[float]]) -> dict[str, object]:
     columns = np.array(positions, np.float64).reshape(-1, 3).T
     return {f"cartesian{axis}": columns[i] for i, axis in enumerate("XYZ")}
 

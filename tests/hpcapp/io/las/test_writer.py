@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from hpcapp.io import read_points, write_points
 from hpcapp.io.las.points import open_las
@@ -89,7 +90,7 @@ def test_defaults(tmp_path: Path) -> None:
         np.array([[7.25, 7.25, 7.25]]),
     ],
 )
-def test_precision(tmp_path: Path, positions: np.ndarray[Any, np.dtype[np.float64]]) -> None:
+def test_precision(tmp_path: Path, positions: NDArray[np.float64]) -> None:
     again = write_and_read(tmp_path / "a.las", PointCloud(positions)).positions
     extent = float(np.ptp(positions, axis=0).max())
     allowed = min(1e-6, 1e-6 * extent) if 0 < extent < 4000 else max(1e-6, 3e-9 * extent)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from hpcapp.io.meshes.glb import write_glb
 from hpcapp.io.meshes.mesh_stream import as_stream
@@ -17,7 +18,7 @@ TYPES = {5121: "u1", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 
 
-def read_glb(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray[Any, Any]]]:
+def read_glb(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Return the JSON, and the arrays by their semantics, as the specification reads them."""
     raw = path.read_bytes()
     magic, version, total, size, kind = np.frombuffer(raw, "<u4", 5).tolist()

@@ -6,10 +6,10 @@ import base64
 import json
 import zlib
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from hpcapp.io import holds_faces, read_mesh, write_mesh, write_points
 from hpccomponent.errors import InputError
@@ -36,7 +36,7 @@ def test_colours_of_an_obj_come_back(tmp_path: Path, painted: Mesh) -> None:
     np.testing.assert_array_equal(read_mesh(tmp_path / "m.obj").colours, painted.colours)
 
 
-def make_glb(nodes: list[dict[str, Any]], indices: bytes, kind: int, count: int) -> bytes:
+def make_glb(nodes: list[dict[str, object]], indices: bytes, kind: int, count: int) -> bytes:
     """Return a GLB of one triangle with interleaved places, put where `nodes` say."""
     places = np.zeros((3, 6), "<f4")
     places[:, :3] = [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
@@ -66,7 +66,7 @@ def make_glb(nodes: list[dict[str, Any]], indices: bytes, kind: int, count: int)
 
 def test_nodes_put_triangles_where_their_matrices_say(tmp_path: Path) -> None:
     half = 0.5**0.5
-    nodes: list[dict[str, Any]] = [
+    nodes: list[dict[str, object]] = [
         {"children": [1, 2], "translation": [10, 0, 0]},
         {"mesh": 0, "rotation": [0, 0, half, half], "scale": [2, 2, 2]},  # a quarter turn about z
         {"mesh": 0, "scale": [-1, 1, 1]},
@@ -104,7 +104,7 @@ def test_nodes_put_triangles_where_their_matrices_say(tmp_path: Path) -> None:
     ],
 )
 def test_a_damaged_glb_is_said(
-    tmp_path: Path, nodes: list[dict[str, Any]], indices: list[int], said: str
+    tmp_path: Path, nodes: list[dict[str, object]], indices: list[int], said: str
 ) -> None:
     content = make_glb(nodes, np.array(indices, "u1").tobytes(), 5121, 3)
     (tmp_path / "m.glb").write_bytes(content)
@@ -130,7 +130,7 @@ def test_a_glb_that_nests_without_end_is_one_line(tmp_path: Path, key: str, half
     ("name", "value"),
     [("count", 10**30), ("count", -1), ("count", 2**40), ("byteOffset", 10**30), ("count", "3")],
 )
-def test_numbers_of_a_glb_that_cannot_be_are_said(tmp_path: Path, name: str, value: Any) -> None:
+def test_numbers_of_a_glb_that_cannot_be_are_said(tmp_path: Path, name: str, value: object) -> None:
     content = make_glb([{"mesh": 0}], np.array([0, 1, 2], "u1").tobytes(), 5121, 3)
     length = int.from_bytes(content[12:16], "little")
     told, body = json.loads(content[20 : 20 + length]), content[20 + length :]
@@ -144,7 +144,7 @@ def test_numbers_of_a_glb_that_cannot_be_are_said(tmp_path: Path, name: str, val
 
 
 def test_nodes_without_a_scene_are_drawn_once(tmp_path: Path) -> None:
-    nodes: list[dict[str, Any]] = [{"children": [1], "translation": [1, 0, 0]}, {"mesh": 0}]
+    nodes: list[dict[str, object]] = [{"children": [1], "translation": [1, 0, 0]}, {"mesh": 0}]
     content = make_glb(nodes, np.array([0, 1, 2], "u1").tobytes(), 5121, 3)
     (tmp_path / "m.glb").write_bytes(content.replace(b'"scenes"', b'"screes"'))
     assert len(read_mesh(tmp_path / "m.glb").faces) == 1
@@ -163,7 +163,7 @@ def test_a_file_that_is_cut_anywhere_is_said(tmp_path: Path, painted: Mesh, suff
 
 def make_vtp(form: str, compressed: bool = False) -> bytes:
     """Return a tetrahedron with a quad in a form that VTK writes."""
-    arrays: list[tuple[str, str, np.ndarray[Any, Any]]] = [
+    arrays: list[tuple[str, str, NDArray[np.generic]]] = [
         ("Float64", "Points", np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], "<f8")),
         ("Int64", "connectivity", np.array([0, 1, 2, 3], "<i8")),
         ("Int64", "offsets", np.array([4], "<i8")),

@@ -1,11 +1,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 from zipfile import ZipFile
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hpcapp.io.meshes.threemf import write_3mf
 from hpccomponent.surface.types.mesh import Mesh
@@ -24,7 +24,7 @@ def read_model(path: Path) -> ElementTree.Element:
         return ElementTree.fromstring(package.read("3D/3dmodel.model"))  # noqa: S314
 
 
-def numbers(rows: list[ElementTree.Element], names: str) -> np.ndarray[Any, Any]:
+def numbers(rows: list[ElementTree.Element], names: str) -> NDArray[np.generic]:
     return np.array([[float(row.attrib[name]) for name in names.split()] for row in rows])
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from level_sets import mesh_level_set
+from numpy.typing import NDArray
 
 from hpcapp.io.meshes.tileset import write_tileset
 from hpccomponent.errors import OutputError
@@ -22,7 +23,7 @@ def ball() -> Mesh:
     return replace(mesh, origin=np.array([4e5, 5e6, 20.0]), colours=colours)
 
 
-def read_tile(path: Path) -> tuple[dict[str, Any], np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+def read_tile(path: Path) -> tuple[dict[str, Any], NDArray[Any], NDArray[Any]]:
     """Return the JSON, and places (in the tileset's frame) and faces, of a GLB."""
     raw = path.read_bytes()
     size = int.from_bytes(raw[12:16], "little")

@@ -1,17 +1,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from hpcapp.io.meshes.vtp import write_vtp
 from hpccomponent.surface.types.mesh import Mesh
 
 
-def read_vtp(path: Path) -> tuple[ElementTree.Element, dict[str, np.ndarray[Any, Any]]]:
+def read_vtp(path: Path) -> tuple[ElementTree.Element, dict[str, NDArray[np.generic]]]:
     """Return the piece, and the arrays by name, as VTK reads them."""
     raw = path.read_bytes()
     head, _, body = raw.partition(b'<AppendedData encoding="raw">\n_')

@@ -5,7 +5,6 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -45,7 +44,7 @@ BINARY = {"binary_little_endian": "<", "binary_big_endian": ">"}
 ENCODINGS = ["ascii", *BINARY]
 
 
-def body_of(encoding: str, fields: list[tuple[str, NDArray[Any]]]) -> bytes:
+def body_of(encoding: str, fields: list[tuple[str, NDArray[np.generic]]]) -> bytes:
     """Rows of some columns, each of a numpy type without byte order."""
     if encoding == "ascii":
         rows = zip(*(values.astype(kind).tolist() for kind, values in fields), strict=True)

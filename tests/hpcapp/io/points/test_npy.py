@@ -22,7 +22,7 @@ COLOURS = RANDOM.integers(0, 256, (50, 3)).astype(np.uint8)
 INTENSITY = np.arange(50) + 0.5
 
 
-def save(path: Path, array: NDArray[Any]) -> Path:
+def save(path: Path, array: NDArray[np.generic]) -> Path:
     np.save(path, array)
     return path
 
@@ -66,7 +66,7 @@ def test_records_of_numpy_are_read_from_any_row_on(tmp_path: Path) -> None:
 )
 def test_columns_are_told_by_their_values(
     tmp_path: Path,
-    columns: list[NDArray[Any]],
+    columns: list[NDArray[np.generic]],
     normals: bool,
     colours: bool,
     attributes: list[str],
@@ -181,7 +181,7 @@ def test_a_written_cloud_comes_back(tmp_path: Path) -> None:
         (np.zeros(5, [("name", "S4")]), "without numbers"),
     ],
 )
-def test_what_is_no_cloud_is_refused(tmp_path: Path, array: NDArray[Any], said: str) -> None:
+def test_what_is_no_cloud_is_refused(tmp_path: Path, array: NDArray[np.generic], said: str) -> None:
     with pytest.raises(InputError, match=said):
         read(save(tmp_path / "a.npy", array))
 

@@ -101,7 +101,7 @@ def expect_warning(source: PointSource, *words: str) -> None:
         (BYTES * 0.97 + 3.3, None),
     ],
 )
-def test_colours_become_bytes(raw: NDArray[Any], bytes_: NDArray[Any] | None) -> None:
+def test_colours_become_bytes(raw: NDArray[np.generic], bytes_: NDArray[np.generic] | None) -> None:
     source = recognise(make_source(TORUS, colours=raw))
     colours = read(source).colours
     assert colours is not None

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 from fixture_types import BrickFunction, BrickValues
@@ -65,7 +63,7 @@ def test_the_result_does_not_depend_on_the_seeds(
     sphere: BrickFunction,
 ) -> None:
     seeds = [seed_bricks(GRID, np.array([point])) for point in ([2.9, 3.1, 4.3], [1.01, 3.1, 2.4])]
-    found: list[tuple[NDArray[Any], ...]] = [
+    found: list[tuple[NDArray[np.generic], ...]] = [
         grow_bricks(sphere, open_kinds(seed), GRID.bricks) for seed in seeds
     ]
     assert all(np.array_equal(a, b) for a, b in zip(*found, strict=True))

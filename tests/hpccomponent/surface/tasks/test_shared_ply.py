@@ -32,7 +32,7 @@ def part() -> MeshPart:
 
 
 @pytest.fixture
-def call(part: MeshPart, tmp_path: Path) -> tuple[Any, ...]:
+def call(part: MeshPart, tmp_path: Path) -> tuple[object, ...]:
     """What the task is called with; the bricks lie apart in the file."""
     face_start = HEADER + 3 * VERTICES * 24
     (tmp_path / "hidden").write_bytes(bytes(face_start + 3 * FACES * FACE_SIZE))

@@ -27,7 +27,7 @@ def _part(vertices: Any, faces: Any, foreign: int) -> MeshPart:
 
 
 @pytest.fixture
-def call(tmp_path: Path) -> tuple[Any, ...]:
+def call(tmp_path: Path) -> tuple[object, ...]:
     """What the task is called with: a face with a corner in another part, and unused vertices."""
     part = _part([[0, 0, 0], [5, 5, 5], [1, 0, 0]], [[0, 2, -1]], foreign=1)
     other = _part([[9, 9, 9], [0, 1, 0]], [], foreign=0)

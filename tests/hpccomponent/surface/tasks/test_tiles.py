@@ -161,7 +161,7 @@ def test_what_fails_in_idle_time_is_tried_again_by_the_task(
     given = tiling.tile(1), coarse.around(tiling.own(1))
     wanted = mesh_tile(plan, given[0], None, given[1])
 
-    def lack(*_: Any) -> None:
+    def lack(*_: object) -> None:
         raise MemoryError
 
     for steps, name in ((0, "plan_tile"), (1, "near_bricks")):

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 import pytest
@@ -20,6 +21,9 @@ from hpcapp.io import write_points
 from hpcapp.progress import SilentProgress, StageClock
 from hpcapp.workforce import Workforce
 from hpccomponent.surface.types.points import PointCloud
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
 @pytest.fixture
@@ -87,10 +91,10 @@ def test_workers_elsewhere_are_asked_what_they_see(
 class RunsTwice(ThreadPoolExecutor):
     """Runs every task again after its result is there, as for a worker that lags."""
 
-    def submit(self, task: Any, /, *args: Any, **options: Any) -> Future[Any]:
-        first = super().submit(task, *args, **options)
+    def submit(self, fn: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> Future[R]:
+        first = super().submit(fn, *args, **kwargs)
         with contextlib.suppress(RuntimeError):  # it is shut down while the last ones come
-            first.add_done_callback(lambda _: super(RunsTwice, self).submit(task, *args, **options))
+            first.add_done_callback(lambda _: super(RunsTwice, self).submit(fn, *args, **kwargs))
         return first
 
 

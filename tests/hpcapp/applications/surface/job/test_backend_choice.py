@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from standing import StartCluster
 
 import hpcapp
 from hpcapp.applications.surface.job import backend_choice
@@ -122,7 +122,7 @@ def test_workers_that_pay_are_started(sphere_file: Path) -> None:
 
 @pytest.mark.usefixtures("hopeful")
 def test_a_clusters_workers_are_used_where_they_pay(
-    sphere_file: Path, standing_cluster: Callable[..., Any]
+    sphere_file: Path, standing_cluster: StartCluster
 ) -> None:
     _, alone = run(sphere_file, backend="serial")
     report, mesh = run(sphere_file, cluster=standing_cluster().inventory)
@@ -131,7 +131,7 @@ def test_a_clusters_workers_are_used_where_they_pay(
 
 
 def test_a_cluster_of_too_few_workers_is_not_waited_for(
-    sphere_file: Path, standing_cluster: Callable[..., Any]
+    sphere_file: Path, standing_cluster: StartCluster
 ) -> None:
     report, _ = run(sphere_file, cluster=standing_cluster(running=0).inventory)
     assert (report["backend"], report["workers"]) == ("serial", 1)
@@ -140,7 +140,7 @@ def test_a_cluster_of_too_few_workers_is_not_waited_for(
 
 @pytest.mark.usefixtures("hopeful")
 def test_a_cluster_whose_workers_do_not_come_is_done_without(
-    sphere_file: Path, standing_cluster: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    sphere_file: Path, standing_cluster: StartCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(backend_choice, "WAIT_S", 0.1)
     report, _ = run(sphere_file, cluster=standing_cluster(running=0).inventory)

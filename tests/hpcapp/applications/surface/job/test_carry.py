@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import hpcapp
 from hpcapp.applications.surface import surface
@@ -46,7 +47,7 @@ def cloud() -> PointCloud:
     return paint(arms / np.linalg.norm(arms, axis=1, keepdims=True))
 
 
-def read_vertices(path: Path) -> np.ndarray[Any, Any]:
+def read_vertices(path: Path) -> NDArray[Any]:
     """Return the vertices of a binary PLY by the names of their properties."""
     head, _, body = path.read_bytes().partition(b"end_header\n")
     lines = [line.split() for line in head.decode().splitlines()]

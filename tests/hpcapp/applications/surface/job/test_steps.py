@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from pathlib import Path
-from typing import Any
+from typing import ParamSpec, TypeVar, cast
 
 import numpy as np
 import pytest
@@ -17,6 +18,9 @@ from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.io import write_points
 from hpcapp.progress import SilentProgress, StageClock
 from hpccomponent.surface.types.points import PointCloud
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
 class OtherMachine(Executor):
@@ -31,17 +35,18 @@ class OtherMachine(Executor):
     def __init__(self, folder: Path, other: Path) -> None:
         self._folder, self._other = str(folder), str(other)
 
-    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
+    def submit(self, fn: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> Future[R]:
         """Run a task with the names as they are understood there."""
-        future: Future[Any] = Future()
+        future: Future[R] = Future()
         future.set_running_or_notify_cancel()
         try:
-            future.set_result(fn(*(self._understand(value) for value in args), **kwargs))
+            there = cast("Callable[..., R]", fn)  # of the same types
+            future.set_result(there(*(self._understand(value) for value in args), **kwargs))
         except Exception as error:
             future.set_exception(error)
         return future
 
-    def _understand(self, value: Any) -> Any:
+    def _understand(self, value: object) -> object:
         if isinstance(value, str):
             return value.replace(self._folder, self._other)
         if isinstance(value, tuple | list):

@@ -4,7 +4,7 @@ import json
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures._base import Future
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 import pytest
@@ -16,6 +16,9 @@ from hpccomponent.errors import InputError, UsageError
 from hpccomponent.surface.cloud.arranged import MemoryCloud
 from hpccomponent.surface.types.mesh import Mesh
 from hpccomponent.surface.types.points import FloatArray, PointCloud
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 RADIUS = 2.0
 
@@ -103,9 +106,11 @@ class RecordingExecutor(ThreadPoolExecutor):
         super().__init__(1)
         self.patches: list[int] = []
 
-    def submit(self, task: Callable[..., Any], /, *batch: Any, **named: Any) -> Future[Any]:
-        self.patches.append(len(batch[3]))
-        return super().submit(task, *batch, **named)
+    def submit(self, fn: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> Future[R]:
+        centers = args[3]
+        assert isinstance(centers, np.ndarray)
+        self.patches.append(len(centers))
+        return super().submit(fn, *args, **kwargs)
 
 
 def test_each_worker_gets_as_many_patches() -> None:

@@ -24,8 +24,10 @@ from hpccomponent.surface.kernels.portable import (
 from hpccomponent.surface.kernels.portable import marching_cubes as extraction
 from hpccomponent.surface.types import grid as grid_types
 from hpccomponent.surface.types import lattice
-from hpccomponent.surface.types.field import PIECES, Features
+from hpccomponent.surface.types.field import PIECES, Features, Field
+from hpccomponent.surface.types.grid import Grid
 from hpccomponent.surface.types.mesh import BrickMesh, Survey
+from hpccomponent.surface.types.points import IntArray
 
 coordinates = arrays.arrays(
     np.int64, st.tuples(st.integers(1, 60), st.just(3)), elements=st.integers(-40, 40)
@@ -34,7 +36,7 @@ coordinates = arrays.arrays(
 
 @given(coordinates, st.integers(-2, 1), st.integers(0, 3))
 @settings(deadline=None, max_examples=40)
-def test_sets_of_places(native: ModuleType, places: Any, low: int, width: int) -> None:
+def test_sets_of_places(native: ModuleType, places: IntArray, low: int, width: int) -> None:
     keys = lattice.unique_keys(lattice.pack_places(places))
     spread = native.spread_keys(keys, low, low + width)
     np.testing.assert_array_equal(spread, lattice.spread_keys(keys, low, low + width))
@@ -48,7 +50,7 @@ def test_sets_of_places(native: ModuleType, places: Any, low: int, width: int) -
 
 @given(coordinates)
 @settings(deadline=None, max_examples=60)
-def test_cells_that_touch(native: ModuleType, places: Any) -> None:
+def test_cells_that_touch(native: ModuleType, places: IntArray) -> None:
     keys = lattice.unique_keys(lattice.pack_places(places // 4))
     pieces, label = native.label_cells(keys)
     wanted_pieces, wanted = portable.label_cells(keys)
@@ -58,7 +60,7 @@ def test_cells_that_touch(native: ModuleType, places: Any) -> None:
 
 @given(coordinates, st.integers(0, 4))
 @settings(deadline=None, max_examples=40)
-def test_ancestors(native: ModuleType, places: Any, depth: int) -> None:
+def test_ancestors(native: ModuleType, places: IntArray, depth: int) -> None:
     keys = lattice.unique_keys(lattice.pack_places(places))
     above = lattice.unique_keys(lattice.pack_places(lattice.unpack_keys(keys) >> depth))[::2].copy()
     found = native.mark_ancestors(keys, depth, above)
@@ -85,13 +87,17 @@ sides = st.lists(st.integers(0, 5), min_size=3, max_size=3).map(np.array)
 @given(coordinates, coordinates, sides, sides)
 @settings(deadline=None, max_examples=60)
 def test_boxes_around_cells(
-    native: ModuleType, places: Any, others: Any, low: Any, high: Any
+    native: ModuleType,
+    places: IntArray,
+    others: IntArray,
+    low: IntArray,
+    high: IntArray,
 ) -> None:
     keys, cells = (lattice.unique_keys(lattice.pack_places(each // 2)) for each in (places, others))
     found = native.mark_near(keys, cells, low, high)
     np.testing.assert_array_equal(found, portable.mark_near(keys, cells, low, high))
     off = lattice.unpack_keys(keys)[:, None] - lattice.unpack_keys(cells)
-    boxed = ((off >= -low) & (off <= high)).all(axis=2).any(axis=1)
+    boxed = np.any(np.all((off >= -low) & (off <= high), axis=2), axis=1)
     np.testing.assert_array_equal(found, boxed)
 
 
@@ -252,7 +258,7 @@ def test_sampled_grid(native: ModuleType, cloud: Any) -> None:
     np.testing.assert_allclose(native.sample_corners(*corners), wanted, 1e-12, 1e-12)
 
 
-def test_bricks(native: ModuleType, any_ball: Any) -> None:
+def test_bricks(native: ModuleType, any_ball: tuple[Field, Grid]) -> None:
     function, grid = any_ball
     places = np.stack(np.meshgrid(*map(np.arange, grid.bricks), indexing="ij"), axis=-1)
     places = np.ascontiguousarray(places.reshape(-1, 3))[::3]
@@ -263,7 +269,7 @@ def test_bricks(native: ModuleType, any_ball: Any) -> None:
     assert ((found < 0) == (expected < 0)).all()
 
 
-def test_bricks_with_edges(native: ModuleType, any_ball: Any) -> None:
+def test_bricks_with_edges(native: ModuleType, any_ball: tuple[Field, Grid]) -> None:
     function, grid = any_ball
     rng = np.random.default_rng(8)
     keys = function.levels[0].keys[::3].copy()
@@ -301,14 +307,14 @@ def test_joined_quadrics(native: ModuleType, noise: float) -> None:
     assert np.quantile(off, 0.97) < 1e-5
 
 
-def test_surface(native: ModuleType, any_ball: Any) -> None:
+def test_surface(native: ModuleType, any_ball: tuple[Field, Grid]) -> None:
     function, grid = any_ball
     normals = np.random.default_rng(2).normal(size=(20, 3))
     surface_points = 0.8 * normals / np.linalg.norm(normals, axis=1, keepdims=True)
     seeds = native.seed_bricks(grid, surface_points)
     np.testing.assert_array_equal(seeds, bricks.seed_bricks(grid, surface_points))
 
-    def evaluate(places: Any) -> Any:
+    def evaluate(places: IntArray) -> Any:
         places = np.ascontiguousarray(places)
         return native.evaluate_bricks(function, grid, places, 1)
 
@@ -351,7 +357,7 @@ def test_balancing_what_folds(native: ModuleType, seed: int) -> None:
     arrays.arrays(np.int64, st.tuples(st.integers(1, 40), st.just(3)), elements=st.integers(0, 12))
 )
 @settings(deadline=None, max_examples=60)
-def test_connectivity(native: ModuleType, faces: Any) -> None:
+def test_connectivity(native: ModuleType, faces: IntArray) -> None:
     count, label = native.label_components(faces, 13)
     wanted_count, wanted_label = connectivity.label_components(faces, 13)
     assert count == wanted_count

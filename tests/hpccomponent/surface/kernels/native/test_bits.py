@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from hpccomponent.surface.kernels.portable import cells
-from hpccomponent.surface.types.grid import OPEN, OWN, BrickKinds
+from hpccomponent.surface.types.field import Field
+from hpccomponent.surface.types.grid import OPEN, OWN, BrickKinds, Grid
 
 THREADS = (2, 3, 16)
 WEIGHTS = (0.2, 0.3, 1000.0)
@@ -45,7 +46,9 @@ def test_threads(native: ModuleType, cloud: Any, threads: int) -> None:
 
 
 @pytest.mark.parametrize("threads", THREADS)
-def test_threads_of_the_extraction(native: ModuleType, ball: Any, threads: int) -> None:
+def test_threads_of_the_extraction(
+    native: ModuleType, ball: tuple[Field, Grid], threads: int
+) -> None:
     function, grid = ball
     kinds = np.full(grid.bricks, OPEN, np.uint8)
     kinds[4, 3, 3] = OWN

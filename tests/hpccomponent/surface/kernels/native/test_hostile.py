@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 from types import ModuleType
-from typing import Any
 
 import numpy as np
 import pytest
@@ -31,10 +30,10 @@ dtypes = st.sampled_from([np.float64, np.int64, np.float32, np.int8, np.bool_, n
 
 
 @st.composite
-def hostile_arrays(draw: st.DrawFn) -> Any:
+def hostile_arrays(draw: st.DrawFn) -> object:
     shape, dtype = draw(shapes), draw(dtypes)
     random = np.random.default_rng(draw(st.integers(0, 2**16)))
-    values: NDArray[Any] = random.integers(-2, 5, size=shape).astype(dtype)
+    values: NDArray[np.generic] = random.integers(-2, 5, size=shape).astype(dtype)
     if dtype == np.int64 and draw(st.booleans()):
         values = np.sort(random.integers(0, 2**62, size=shape), axis=0)
     if values.size and dtype == np.float64 and draw(st.booleans()):
@@ -63,7 +62,7 @@ brick_kinds = st.builds(BrickKinds, origins, hostile_arrays())
 
 @given(st.sampled_from(KERNELS), st.lists(arguments, min_size=1, max_size=8))
 @settings(deadline=None, max_examples=400)
-def test_random_arguments(native: ModuleType, name: str, values: list[Any]) -> None:
+def test_random_arguments(native: ModuleType, name: str, values: list[object]) -> None:
     with contextlib.suppress(TypeError, ValueError, OverflowError, RuntimeError, MemoryError):
         getattr(native, name)(*values)
 

@@ -15,7 +15,7 @@ from hpccomponent.surface.types.mesh import BrickSums, Seams
 
 
 @st.composite
-def random_parts(draw: st.DrawFn) -> dict[str, Any]:
+def random_parts(draw: st.DrawFn) -> dict[str, object]:
     """Faces without any order, over few enough nodes that all kinds of rings and knots come up."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     own, foreign, twins = draw(st.integers(1, 12)), draw(st.integers(0, 3)), draw(st.integers(0, 4))
