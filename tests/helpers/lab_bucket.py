@@ -6,7 +6,8 @@ They use `endpoint` for the whole module, so that it is there before a test's le
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from typing import Protocol
 
 import boto3
 import pytest
@@ -38,8 +39,32 @@ def keys(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
     return monkeypatch
 
 
+class Item(Protocol):
+    """An object in a bucket."""
+
+    key: str
+
+
+class Items(Protocol):
+    """What is in a bucket."""
+
+    def all(self) -> Iterable[Item]: ...
+
+
+class Bucket(Protocol):
+    """As much of boto3's bucket as tests use."""
+
+    objects: Items
+
+    def put_object(self, *, Key: str, Body: bytes) -> object: ...  # noqa: N803
+
+    def create(self) -> object: ...
+
+    def delete(self) -> object: ...
+
+
 @pytest.fixture
-def bucket(endpoint: str, keys: pytest.MonkeyPatch) -> Iterator[object]:
+def bucket(endpoint: str, keys: pytest.MonkeyPatch) -> Iterator[Bucket]:
     keys.setenv("AWS_ENDPOINT_URL", endpoint)
     resource = boto3.resource("s3")
     lab = resource.create_bucket(Bucket="lab")

@@ -28,7 +28,7 @@ def _change(
     def change(item: object) -> object:
         if isinstance(item, np.ndarray):
             return of_array(item)
-        if isinstance(item, int | float) and not isinstance(item, bool):
+        if type(item) is int or type(item) is float:
             return of_number(item)
         if isinstance(item, tuple | list):
             return type(item)(map(change, item))

@@ -63,13 +63,13 @@ class RecordedTasks(Executor):
         look: Callable[[Answer], None],
         workers: int = 3,
         sees: bool = True,
-        tell: Callable[[Answer], Any] = lambda answer: answer.value,
+        tell: Callable[[Answer], object] = lambda answer: answer.value,
     ) -> None:
         self.workers = workers
         self._look, self._sees, self._tell = look, sees, tell
         self._blobs: dict[bytes, Blob] = {}
 
-    def share(self, value: Any) -> Blob:
+    def share(self, value: object) -> Blob:
         blob = make_blob(*encode_values((value,)))
         return self._blobs.setdefault(blob.key, blob)
 
@@ -83,7 +83,7 @@ class RecordedTasks(Executor):
             future.set_exception(error)
         return future
 
-    def _run(self, task: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+    def _run(self, task: Callable[..., object], arguments: tuple[object, ...]) -> object:
         if task is sees_files:
             return self._sees
         traits = traits_of(task)

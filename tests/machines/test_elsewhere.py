@@ -6,8 +6,8 @@ import getpass
 import json
 import sys
 from collections.abc import Iterator
+from concurrent.futures import Executor, Future
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +18,7 @@ from standing import StartCluster
 from hpcapp import open_executor
 from hpcapp.applications.quadrature.application import estimate
 from hpccomponent.errors import CloudError
+from hpccomponent.surface.types.points import FloatArray
 from hpcdeploy.reconcile.cluster import open_cluster
 
 
@@ -55,8 +56,10 @@ def cluster_file(tmp_path: Path, home: Path, monkeypatch: pytest.MonkeyPatch) ->
     server.communicate()
 
 
-def submit(executor: Any, right: float) -> Any:
-    return executor.submit("quadrature.estimate", "wave", np.zeros(1), np.array([right]))
+def submit(executor: Executor, right: float) -> Future[FloatArray]:
+    arguments = "wave", np.zeros(1), np.array([right])
+    future: Future[FloatArray] = executor.submit("quadrature.estimate", *arguments)  # type: ignore[arg-type]
+    return future
 
 
 def test_a_program_elsewhere_has_the_workers_of_a_cluster_file(

@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterable
 from socket import socket
 from types import TracebackType
 from typing import Any, Self
+from wsgiref.types import StartResponse, WSGIEnvironment
 
 from moto.moto_server.werkzeug_app import DomainDispatcherApplication, create_backend_app
 from werkzeug.serving import WSGIRequestHandler, make_server
@@ -201,7 +202,7 @@ class StrictCloud:
 
     # the wire -----------------------------------------------------------------------------
 
-    def __call__(self, environ: dict[str, Any], start: Callable[..., Any]) -> Iterable[bytes]:
+    def __call__(self, environ: WSGIEnvironment, start: StartResponse) -> Iterable[bytes]:
         body = environ["wsgi.input"].read(int(environ.get("CONTENT_LENGTH") or 0))
         text = body.decode("latin-1")
         sent = dict(urllib.parse.parse_qsl(text, keep_blank_values=True))
@@ -232,7 +233,7 @@ class StrictCloud:
         if self.hook is not None:
             self.hook(call, moment)
 
-    def _check(self, environ: dict[str, Any], body: bytes, call: Call) -> None:
+    def _check(self, environ: WSGIEnvironment, body: bytes, call: Call) -> None:
         path = urllib.parse.urlsplit(self.endpoint_url).path
         if environ["PATH_INFO"].rstrip("/") != path.rstrip("/"):
             raise RefusedError("InvalidAction", f"nothing answers at {environ['PATH_INFO']}", 404)
@@ -253,19 +254,25 @@ class StrictCloud:
             raise RefusedError("InvalidParameterValue", f"Failed to bind the fields: {fields}", 400)
 
     def _act(
-        self, environ: dict[str, Any], call: Call, version: str
+        self, environ: WSGIEnvironment, call: Call, version: str
     ) -> tuple[str, list[tuple[str, str]], bytes]:
         def moto(parameters: dict[str, str]) -> tuple[str, list[tuple[str, str]], bytes]:
             body = urllib.parse.urlencode(
                 {"Action": call.action, "Version": version, **parameters}
             ).encode()
-            got: list[Any] = []
-            answer = self._ask_moto(
-                {**environ, "PATH_INFO": "/"}, body, lambda *a: got.extend(a[:2])
-            )
+            heads: list[tuple[str, list[tuple[str, str]]]] = []
+
+            def start(
+                status: str, headers: list[tuple[str, str]], *_: object
+            ) -> Callable[..., None]:
+                heads.append((status, headers))
+                return lambda _: None
+
+            answer = self._ask_moto({**environ, "PATH_INFO": "/"}, body, start)
+            [(status, headers)] = heads
             # Its length goes, since rules change the body; the connection's end says it.
-            headers = [(k, v) for k, v in got[1] if k.lower() != "content-length"]
-            return got[0], headers, b"".join(answer)
+            headers = [(k, v) for k, v in headers if k.lower() != "content-length"]
+            return status, headers, b"".join(answer)
 
         if self.profile != "aws" and call.action in SILENT:
             return "200 OK", [("Content-Type", "text/xml")], b"<Empty/>"
@@ -283,9 +290,7 @@ class StrictCloud:
                 self.on_terminate(instance)
         return answer
 
-    def _ask_moto(
-        self, environ: dict[str, Any], body: bytes, start: Callable[..., Any]
-    ) -> list[bytes]:
+    def _ask_moto(self, environ: WSGIEnvironment, body: bytes, start: StartResponse) -> list[bytes]:
         # moto knows the regions of Amazon only: whatever was signed for is served as us-east-1.
         environ = dict(environ)
         authorization = environ.get("HTTP_AUTHORIZATION", "")

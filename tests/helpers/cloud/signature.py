@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Any
+from wsgiref.types import WSGIEnvironment
 
 from botocore.auth import SigV4Auth
 from botocore.awsrequest import AWSRequest
@@ -17,7 +17,7 @@ _SCOPE = re.compile(
 )
 
 
-def key_of(environ: dict[str, Any]) -> str:
+def key_of(environ: WSGIEnvironment) -> str:
     """Return the access key of a request; empty where it is not signed."""
     match = _SCOPE.search(environ.get("HTTP_AUTHORIZATION", ""))
     return match[1] if match else ""
@@ -29,7 +29,7 @@ def signed_region(authorization: str) -> str:
     return match[2] if match else ""
 
 
-def verify(environ: dict[str, Any], body: bytes) -> bool:
+def verify(environ: WSGIEnvironment, body: bytes) -> bool:
     """Tell whether a request was signed with our secret key."""
     match = _SCOPE.search(environ["HTTP_AUTHORIZATION"])
     assert match is not None

@@ -8,9 +8,9 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,19 +19,25 @@ from standing import StartCluster
 
 import hpcapp
 from hpcapp.backends import cluster as cluster_module
+from hpcapp.backends.selection import Backend
+from hpcapp.communicator.executor import CommunicatorExecutor
 from hpccomponent.errors import NoWorkersError, UsageError
 from hpccomponent.inventory import dump_inventory, read_inventory
 from hpccomponent.protocol.keys import write_secret
+from hpccomponent.surface.types.points import FloatArray
 
 TASK = "quadrature.estimate"
 
 
-def submit(backend: Any, right: float = 1.0) -> Any:
-    return backend.executor.submit(TASK, "wave", np.zeros(1), np.array([right]))
+def submit(backend: Backend, right: float = 1.0) -> Future[FloatArray]:
+    executor = backend.executor
+    assert isinstance(executor, CommunicatorExecutor)
+    return executor.submit(TASK, "wave", np.zeros(1), np.array([right]))
 
 
-def estimate(backend: Any) -> list[float]:
-    return submit(backend).result(30).ravel().tolist()  # type: ignore[no-any-return]
+def estimate(backend: Backend) -> list[float]:
+    estimates: list[float] = submit(backend).result(30).ravel().tolist()
+    return estimates
 
 
 @pytest.mark.slow

@@ -6,10 +6,10 @@ import errno
 import os
 import platform
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
-from typing import Any
+from typing import ParamSpec, TypeVar, cast
 
 import numpy as np
 import pytest
@@ -21,17 +21,20 @@ from hpcapp.workforce import Workforce, map_batches
 from hpccomponent.errors import JobError, WorkerLostError
 from hpccomponent.runtime.numerics import numerics_id
 
+P = ParamSpec("P")
+R = TypeVar("R")
+
 
 class FailingEngine(Executor):
     """Keeps tasks until it is told what becomes of them."""
 
     def __init__(self) -> None:
-        self.waiting: list[tuple[Future[Any], Any, tuple[Any, ...]]] = []
+        self.waiting: list[tuple[Future[object], Callable[..., object], tuple[object, ...]]] = []
         self.came = threading.Semaphore(0)
 
-    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
-        future: Future[Any] = Future()
-        self.waiting.append((future, fn, args))
+    def submit(self, fn: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> Future[R]:
+        future: Future[R] = Future()
+        self.waiting.append((cast("Future[object]", future), fn, args))
         self.came.release()
         return future
 
@@ -286,6 +289,8 @@ def test_tasks_get_and_give_aligned_arrays(executor: RetryingExecutor, engines: 
     odd = unaligned(np.arange(9.0))
     future = executor.submit(np.positive, odd)
     inner, function, arguments = engines.opened[0].waiting[0]
-    assert function(*arguments).value.flags.aligned
+    ran = function(*arguments)
+    assert isinstance(ran, Ran)
+    assert ran.value.flags.aligned
     inner.set_result(Ran(odd, "worker", 0.0))
     assert future.result(60).flags.aligned

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from typing import Any
 
 import pytest
 
@@ -217,8 +216,8 @@ def announce(number: int, size: int) -> Announce:
     return Announce("s", number, number, [number], 100, size)
 
 
-def asked_bytes(requests: list[Any]) -> int:
-    return sum(request.end - request.start for request in requests)
+def asked_bytes(requests: list[Fetch | Release]) -> int:
+    return sum(request.end - request.start for request in requests if isinstance(request, Fetch))
 
 
 def test_what_is_on_its_way_is_bounded_for_each_and_for_all() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -16,7 +15,7 @@ from fixture_types import StartComponent
 from hpcapp.applications.quadrature.application import estimate
 from hpcapp.communicator.executor import CommunicatorExecutor
 from hpccomponent.protocol.codec import encode_values
-from hpccomponent.protocol.frames import LARGEST_FRAME, split_buffers
+from hpccomponent.protocol.frames import LARGEST_FRAME, Buffer, split_buffers
 from hpccomponent.protocol.messages import (
     PROTOCOL_VERSION,
     Batch,
@@ -37,11 +36,11 @@ WAIT = 60.0
 ROWS = 200
 MOST_MEMORY = 200 << 20  # that a lie may cost the master
 
-Answer = Callable[[int], tuple[list[Result], list[Any]]]
+Answer = Callable[[int], tuple[list[Result], list[Buffer]]]
 
 
-def say(value: Any) -> Answer:
-    def answer(task: int) -> tuple[list[Result], list[Any]]:
+def say(value: object) -> Answer:
+    def answer(task: int) -> tuple[list[Result], list[Buffer]]:
         header, buffers = encode_values((value,))
         return [Result(task, 0.001, header, [len(buffer) for buffer in buffers])], list(buffers)
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import queue
 from collections.abc import Sequence
 from concurrent.futures import Future
-from typing import Any
 
 from hpcapp.communicator.loop import Engine, Timing
 from hpcapp.communicator.policy import PullPolicy
 from hpcapp.communicator.scheduler import Scheduler
+from hpcapp.communicator.state import Action
 from hpcapp.communicator.submission import Entry
 from hpccomponent.clock import ManualClock
-from hpccomponent.protocol.frames import LARGEST_FRAME
+from hpccomponent.protocol.frames import LARGEST_FRAME, Buffer
 from hpccomponent.protocol.messages import PROTOCOL_VERSION, Batch, Register, decode_master_message
 
 
@@ -40,7 +40,7 @@ class Wire:
     def take_disconnected(self) -> bool:
         return False
 
-    def send(self, identity: bytes, frames: Sequence[Any]) -> bool:
+    def send(self, identity: bytes, frames: Sequence[Buffer]) -> bool:
         message = decode_master_message(bytes(frames[0]))
         if not isinstance(message, Batch):
             return True
@@ -61,8 +61,8 @@ def test_a_way_that_breaks_between_two_batches_costs_no_task() -> None:
     )
     futures: list[Future[object]] = [Future(), Future()]
 
-    def begin() -> list[Any]:
-        actions = []
+    def begin() -> list[Action]:
+        actions: list[Action] = []
         for number, future in enumerate(futures, start=1):
             engine.ledger.add(number, Entry(future, "task", b"", []))
             actions += engine.scheduler.submit(number, "task", 0)

@@ -6,7 +6,6 @@ from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from random import Random
-from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, Phase, settings
@@ -24,6 +23,7 @@ from hpcapp.communicator.fetching import Fetcher, TakeBuffers
 from hpcapp.communicator.losses import LOSS_BUDGET
 from hpcapp.communicator.policy import AdaptivePolicy, EqualPolicy, Policy, PullPolicy
 from hpcapp.communicator.scheduler import Scheduler
+from hpcapp.communicator.state import Action as SchedulerAction
 from hpcapp.communicator.state import (
     AskRegister,
     Assign,
@@ -88,6 +88,15 @@ def value_of(task: int) -> memoryview:
     return memoryview(task.to_bytes(8, "little") + ZEROS.get(task % 10, b""))
 
 
+Outcome = Result | BaseException
+
+
+def written_in(outcome: Outcome) -> int:
+    """Return what a task has written."""
+    assert isinstance(outcome, Result)
+    return outcome.written
+
+
 @dataclass(eq=False)
 class Component:
     """A session with its worker process, and what is on its way to and from it."""
@@ -133,7 +142,7 @@ class Cluster:
         self.fetcher = Fetcher(SESSION)
         self.components: list[Component] = []
         self.calls: dict[int, Call] = {}
-        self.ended: dict[int, Any] = {}
+        self.ended: dict[int, Outcome] = {}
         self.deliveries: Counter[int] = Counter()
         self.assigned: Counter[int] = Counter()
         self.runs: Counter[int] = Counter()
@@ -173,7 +182,7 @@ class Cluster:
         component.carry_out(session.begin())
         return component
 
-    def carry_out(self, actions: Sequence[Any]) -> None:
+    def carry_out(self, actions: Sequence[SchedulerAction]) -> None:
         for action in actions:
             if isinstance(action, Deliver):
                 self.end(action.task, action.result)
@@ -196,7 +205,7 @@ class Cluster:
             elif isinstance(action, Dismiss):
                 self.send(action.worker, Drain(SESSION))
 
-    def end(self, number: int, outcome: Any) -> None:
+    def end(self, number: int, outcome: Outcome) -> None:
         assert number not in self.ended, "a task ended twice"
         assert number not in self.cancelled, "a cancelled task ended"
         self.ended[number] = outcome
@@ -593,8 +602,10 @@ class ClusterWithABadMachine(RuleBasedStateMachine):
             if not cluster.scheduler.tasks:
                 break
         assert not cluster.scheduler.tasks, "tasks are stuck"
-        assert all(isinstance(outcome, Result) for outcome in cluster.ended.values())
-        assert not any(outcome.failure for outcome in cluster.ended.values())
+        assert all(
+            isinstance(outcome, Result) and not outcome.failure
+            for outcome in cluster.ended.values()
+        )
         assert all(name.startswith(("bad", "sick")) for name in cluster.scheduler._losses.retired)
 
 
@@ -675,7 +686,7 @@ class ClusterWithALiar(RuleBasedStateMachine):
     def with_every_answer_verified_no_lie_is_used(self) -> None:
         if self.verification.share == 1.0:
             assert all(
-                isinstance(outcome, DistrustError) or outcome.written == number
+                isinstance(outcome, DistrustError) or written_in(outcome) == number
                 for number, outcome in self.cluster.ended.items()
             )
 
@@ -702,7 +713,7 @@ class ClusterWithALiar(RuleBasedStateMachine):
             return
         assert all(isinstance(outcome, Result) for outcome in ended.values())
         if self.verification.liars:  # then all that is left is the truth
-            assert all(outcome.written == number for number, outcome in ended.items())
+            assert all(written_in(outcome) == number for number, outcome in ended.items())
 
 
 class AdaptiveClusterWithABadMachine(ClusterWithABadMachine):

@@ -5,13 +5,13 @@ from __future__ import annotations
 import base64
 import gzip
 import re
-from typing import Any
+from typing import cast
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hpcapp.pages.arrays import pack_array, quantise
+from hpcapp.pages.arrays import Packable, pack_array, quantise
 
 
 def unpack(element: str) -> NDArray[np.generic]:
@@ -39,10 +39,12 @@ def unpack(element: str) -> NDArray[np.generic]:
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.uint32])
 @pytest.mark.parametrize("columns", [1, 3])
-def test_every_number_comes_back(dtype: type[Any], columns: int) -> None:
+def test_every_number_comes_back(
+    dtype: type[np.uint8 | np.uint16 | np.uint32], columns: int
+) -> None:
     most = np.iinfo(dtype).max
     rng = np.random.default_rng(1)
-    values = rng.integers(0, most, (200, columns), dtype=dtype, endpoint=True)
+    values = cast(Packable, rng.integers(0, most, (200, columns), dtype=dtype, endpoint=True))
     values[:4] = [[0], [most], [0], [most // 2]]
     np.testing.assert_array_equal(unpack(pack_array("a", values)), values)
 

@@ -11,7 +11,7 @@ import sys
 import threading
 import zlib
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -22,6 +22,9 @@ from hpccomponent.errors import CloudError, JobError, OutputError, UsageError
 from hpccomponent.store.base import FolderStore, Store
 from hpccomponent.store.places import hold_store, open_store
 from hpccomponent.store.value import DamagedError, from_bytes, to_buffers
+
+if TYPE_CHECKING:
+    from lab_bucket import Bucket
 
 pytest_plugins = ["lab_bucket"]
 pytestmark = pytest.mark.usefixtures("endpoint")
@@ -159,7 +162,7 @@ def test_other_bytes_are_no_value(junk: bytes, kept: int) -> None:
             from_bytes(memoryview(content))
 
 
-def test_a_damaged_value_is_named(bucket: Any, tmp_path: Path) -> None:
+def test_a_damaged_value_is_named(bucket: Bucket, tmp_path: Path) -> None:
     content = _content(np.arange(10_000))[:-1]
     bucket.put_object(Key="a", Body=content)
     (tmp_path / "a").write_bytes(content)
@@ -241,7 +244,7 @@ def test_places_of_other_kinds_are_refused(place: str) -> None:
         open_store(place)
 
 
-def test_tasks_share_a_client(bucket: object, tmp_path: Path) -> None:
+def test_tasks_share_a_client(bucket: Bucket, tmp_path: Path) -> None:
     assert hold_store("s3://lab/a") is hold_store("s3://lab/a")
     assert hold_store("s3://lab/a") is not hold_store("s3://lab/b")
     hold_store("s3://lab/a").put("x", 1)
@@ -251,7 +254,7 @@ def test_tasks_share_a_client(bucket: object, tmp_path: Path) -> None:
             hold_store("s3://other/prefix")
 
 
-def test_a_bucket_must_have_a_name_and_be_there(bucket: object) -> None:
+def test_a_bucket_must_have_a_name_and_be_there(bucket: Bucket) -> None:
     with pytest.raises(UsageError, match="names no bucket"):
         open_store("s3://")
     with pytest.raises(CloudError, match="there is no bucket 'other'; create it") as refusal:
@@ -261,7 +264,7 @@ def test_a_bucket_must_have_a_name_and_be_there(bucket: object) -> None:
         open_store("s3://No_Bucket!")
 
 
-def test_missing_credentials_are_one_clear_line(bucket: object, keys: pytest.MonkeyPatch) -> None:
+def test_missing_credentials_are_one_clear_line(bucket: Bucket, keys: pytest.MonkeyPatch) -> None:
     keys.delenv("AWS_ACCESS_KEY_ID")
     keys.delenv("AWS_SECRET_ACCESS_KEY")
     with pytest.raises(CloudError, match=r"s3://lab: there are no credentials; set AWS_ACCESS_KEY"):
@@ -280,7 +283,7 @@ def test_an_endpoint_that_does_not_answer(keys: pytest.MonkeyPatch) -> None:
             open_store("s3://lab")
 
 
-def test_a_bucket_that_goes_away_is_named(bucket: Any) -> None:
+def test_a_bucket_that_goes_away_is_named(bucket: Bucket) -> None:
     store = open_store("s3://lab")
     bucket.delete()
     with pytest.raises(CloudError, match=r"s3://lab: PutObject was refused \(NoSuchBucket\)"):

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tracemalloc
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -30,6 +30,9 @@ from hpccomponent.surface.extraction.parts import MeshPart
 from hpccomponent.surface.tasks import shared_ply, tile_ply
 from hpccomponent.surface.tasks import tiles as region
 from hpccomponent.surface.types.points import PointCloud
+
+if TYPE_CHECKING:
+    from lab_bucket import Bucket
 
 pytest_plugins = ["lab_bucket"]
 pytestmark = pytest.mark.usefixtures("endpoint")
@@ -206,7 +209,7 @@ def test_workers_that_see_no_folder_are_sent_points_and_give_tiles_back(
 @pytest.mark.leaks_allowed  # boto3 closes its connections when it is collected
 @pytest.mark.parametrize("backend", ["serial", "zmq"])
 def test_tiles_are_kept_in_a_bucket(
-    backend: str, scan: Path, whole: bytes, tmp_path: Path, bucket: Any
+    backend: str, scan: Path, whole: bytes, tmp_path: Path, bucket: Bucket
 ) -> None:
     output = tmp_path / "mesh.ply"
     workers = None if backend == "serial" else 2

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from hpcapp.io.meshes.tileset import write_tileset
 from hpccomponent.errors import OutputError
 from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import FloatArray
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +24,7 @@ def ball() -> Mesh:
     return replace(mesh, origin=np.array([4e5, 5e6, 20.0]), colours=colours)
 
 
-def read_tile(path: Path) -> tuple[dict[str, Any], NDArray[Any], NDArray[Any]]:
+def read_tile(path: Path) -> tuple[dict[str, Any], FloatArray, NDArray[np.integer]]:
     """Return the JSON, and places (in the tileset's frame) and faces, of a GLB."""
     raw = path.read_bytes()
     size = int.from_bytes(raw[12:16], "little")

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -33,7 +34,7 @@ def read(path: Path) -> PointCloud:
 
 @pytest.mark.parametrize("dtype", ["<f8", ">f8", "<f4", "<f2", "<i4"])
 @pytest.mark.parametrize("order", ["C", "F"])
-def test_any_numbers_in_any_order(tmp_path: Path, dtype: str, order: Any) -> None:
+def test_any_numbers_in_any_order(tmp_path: Path, dtype: str, order: Literal["C", "F"]) -> None:
     points = np.asarray((POSITIONS * 100).astype(dtype), order=order)
     source = open_npy(save(tmp_path / "a.npy", points))
     assert (read_whole(source).positions == points).all()
@@ -131,7 +132,7 @@ def test_swapped_axes_are_told(tmp_path: Path, columns: int) -> None:
 )
 @pytest.mark.parametrize("save_", [np.savez, np.savez_compressed])
 def test_arrays_are_taken_by_their_names(
-    tmp_path: Path, arrays: dict[str, Any], save_: Any
+    tmp_path: Path, arrays: dict[str, NDArray[np.generic]], save_: Callable[..., None]
 ) -> None:
     save_(tmp_path / "a.npz", **arrays, unit="m", pose=np.eye(4))
     source = open_npy(tmp_path / "a.npz")

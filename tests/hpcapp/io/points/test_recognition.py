@@ -38,8 +38,8 @@ BYTES = RANDOM.integers(0, 256, (POINTS, 3))
 
 def make_source(
     positions: FloatArray,
-    normals: NDArray[Any] | None = None,
-    colours: NDArray[Any] | None = None,
+    normals: NDArray[np.floating] | NDArray[np.integer] | None = None,
+    colours: NDArray[np.generic] | None = None,
     **more: Any,
 ) -> PointSource:
     """Return a source of a cloud that is in memory."""

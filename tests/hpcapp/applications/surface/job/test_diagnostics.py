@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from hpcapp.applications.surface.job.diagnostics import (
@@ -19,7 +17,7 @@ def surface_of(vertices: FloatArray) -> WholeSurface:
     return WholeSurface(Mesh(vertices, np.zeros((0, 3), int)))
 
 
-def turned(cloud: PointCloud, signs: Any) -> PointCloud:
+def turned(cloud: PointCloud, signs: FloatArray | float) -> PointCloud:
     assert cloud.normals is not None
     return PointCloud(cloud.positions, cloud.normals * signs)
 
