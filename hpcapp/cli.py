@@ -42,17 +42,7 @@ class Verbs(click.Group):
     """A group whose commands are imported when they are used."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the names of all verbs, shipped ones first.
-
-        Parameters
-        ----------
-        ctx : click.Context
-            Not used.
-
-        Returns
-        -------
-        list of str
-        """
+        """Return the names of all verbs, shipped ones first."""
         del ctx
         from importlib.metadata import entry_points  # 20 ms that a shipped verb can save
 
@@ -60,18 +50,7 @@ class Verbs(click.Group):
         return [*SHIPPED, *sorted(others)]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import the verb `cmd_name`; None where there is none.
-
-        Parameters
-        ----------
-        ctx : click.Context
-            Not used.
-        cmd_name : str
-
-        Returns
-        -------
-        click.Command or None
-        """
+        """Import the verb `cmd_name`; None where there is none."""
         del ctx
         if cmd_name in SHIPPED:
             module, _, attribute = SHIPPED[cmd_name].partition(":")

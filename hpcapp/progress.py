@@ -16,31 +16,15 @@ class Progress(Protocol):
     """A display of stages."""
 
     def begin(self, stage: str) -> None:
-        """Announce that `stage` begins.
-
-        Parameters
-        ----------
-        stage : str
-        """
+        """Announce that `stage` begins."""
         ...
 
     def advance(self, done: int, total: int) -> None:
-        """Announce that `done` of `total` parts of the current stage are finished.
-
-        Parameters
-        ----------
-        done, total : int
-        """
+        """Announce that `done` of `total` parts of the current stage are finished."""
         ...
 
     def end(self, stage: str, seconds: float) -> None:
-        """Announce that `stage` took `seconds`.
-
-        Parameters
-        ----------
-        stage : str
-        seconds : float
-        """
+        """Announce that `stage` took `seconds`."""
         ...
 
     def show_part(self, load: Callable[[], Any]) -> None:
@@ -62,37 +46,16 @@ class SilentProgress:
     """A display that shows nothing."""
 
     def begin(self, stage: str) -> None:
-        """Show nothing.
-
-        Parameters
-        ----------
-        stage : str
-        """
+        """Show nothing."""
 
     def advance(self, done: int, total: int) -> None:
-        """Show nothing.
-
-        Parameters
-        ----------
-        done, total : int
-        """
+        """Show nothing."""
 
     def end(self, stage: str, seconds: float) -> None:
-        """Show nothing.
-
-        Parameters
-        ----------
-        stage : str
-        seconds : float
-        """
+        """Show nothing."""
 
     def show_part(self, load: Callable[[], Any]) -> None:
-        """Show nothing.
-
-        Parameters
-        ----------
-        load : callable
-        """
+        """Show nothing."""
 
     def wait_for_viewers(self) -> None:
         """Wait for nobody."""

@@ -51,12 +51,7 @@ class LineProgress:
         self._next_line = 0.0
 
     def begin(self, stage: str) -> None:
-        """Remember the stage; a short one is announced at its end only.
-
-        Parameters
-        ----------
-        stage : str
-        """
+        """Remember the stage; a short one is announced at its end only."""
         self._stage, self._start = stage, time.monotonic()
         self._next_line = self._start + LINE_PERIOD_S
 
@@ -76,22 +71,11 @@ class LineProgress:
             )
 
     def end(self, stage: str, seconds: float) -> None:
-        """Write how long the stage took.
-
-        Parameters
-        ----------
-        stage : str
-        seconds : float
-        """
+        """Write how long the stage took."""
         self._write(f"{stage}: done in {seconds:.2f} s")
 
     def show_part(self, load: Callable[[], Any]) -> None:
-        """Show nothing: a part is nothing for a line of text.
-
-        Parameters
-        ----------
-        load : callable
-        """
+        """Show nothing: a part is nothing for a line of text."""
 
     def wait_for_viewers(self) -> None:
         """Wait for nobody."""
@@ -156,12 +140,7 @@ class BarProgress:
             self._bars.stop_task(self._task)
 
     def show_part(self, load: Callable[[], Any]) -> None:
-        """Show nothing: a part is nothing for a bar.
-
-        Parameters
-        ----------
-        load : callable
-        """
+        """Show nothing: a part is nothing for a bar."""
 
     def wait_for_viewers(self) -> None:
         """Wait for nobody."""
@@ -188,12 +167,7 @@ class EventProgress:
             self._write({"dashboard": dashboard})
 
     def begin(self, stage: str) -> None:
-        """Write that nothing is done yet.
-
-        Parameters
-        ----------
-        stage : str
-        """
+        """Write that nothing is done yet."""
         self._stage = stage
         self._write({"stage": stage, "done": 0, "total": 0})
         self._display.begin(stage)
@@ -214,7 +188,6 @@ class EventProgress:
 
         Parameters
         ----------
-        stage : str
         seconds : float
             Written to the microsecond.
         """
@@ -222,12 +195,7 @@ class EventProgress:
         self._display.end(stage, seconds)
 
     def show_part(self, load: Callable[[], Any]) -> None:
-        """Pass a part on: it is nothing for a line of JSON.
-
-        Parameters
-        ----------
-        load : callable
-        """
+        """Pass a part on: it is nothing for a line of JSON."""
         self._display.show_part(load)
 
     def wait_for_viewers(self) -> None:
@@ -262,10 +230,6 @@ def open_events(
     dashboard : str, optional
         Address of the job's page: the first event.
 
-    Yields
-    ------
-    Progress
-
     Raises
     ------
     OutputError
@@ -295,10 +259,6 @@ def open_progress(stream: TextIO) -> Iterator[Progress]:
     ----------
     stream : file
         For text, such as stderr; stays open.
-
-    Yields
-    ------
-    Progress
     """
     if not stream.isatty():
         yield LineProgress(stream)

@@ -69,7 +69,6 @@ class WorkerNow:
 
     Parameters
     ----------
-    name : str
     state : str
         ``busy``, ``idle``, ``leaving`` (it gets nothing new) or ``retired`` (for the job).
     task : str
@@ -133,14 +132,10 @@ class Timeline:
 
         Parameters
         ----------
-        name, worker, outcome
-            See `Span`.
         seconds : float
             How long it took, by the worker's own clock; a span begins with the job at the earliest.
         ago : float
             How long before now it ended, in seconds.
-        bytes_in, bytes_out : int
-            See `Span`.
         """
         end = max(0.0, self.now() - ago)
         begin = max(0.0, end - max(0.0, seconds))
@@ -165,7 +160,6 @@ def note_worker(future: Future[Any], worker: str | None) -> None:
 
     Parameters
     ----------
-    future : concurrent.futures.Future
     worker : str or None
         As in the spans; None where it is not known.
     """

@@ -61,10 +61,6 @@ def _translated(path: Path) -> Iterator[None]:
 def to_trace(timeline: Timeline) -> dict[str, Any]:
     """Return a timeline in the Trace Event Format.
 
-    Parameters
-    ----------
-    timeline : Timeline
-
     Returns
     -------
     dict

@@ -55,16 +55,7 @@ class Workforce:
             self.background.enable()
 
     def cut(self, rows: int) -> list[slice]:
-        """Cut `rows` rows into batches for this workforce, in order and equal to within one row.
-
-        Parameters
-        ----------
-        rows : int
-
-        Returns
-        -------
-        list of slice
-        """
+        """Cut `rows` rows into batches for this workforce, in order and equal to within one row."""
         return cut_equal(rows, self.workers * self.batches_per_worker)
 
     def share(self, value: Any) -> Any:
@@ -179,8 +170,6 @@ def stream_batches(
 
     Parameters
     ----------
-    workforce : Workforce
-    task : callable
     batches : iterable of tuple
         See `map_batches`; the next one is asked for when there is room for it.
     at_once : int
@@ -192,7 +181,6 @@ def stream_batches(
     ------
     index : int
         Of the batch.
-    result : object
 
     Raises
     ------
@@ -227,8 +215,6 @@ def begin_batch(
 
     Parameters
     ----------
-    workforce, task
-        See `map_batches`.
     batch : tuple
         The positional arguments of the call.
 

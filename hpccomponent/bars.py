@@ -63,10 +63,6 @@ def say_rate(per_second: float) -> str:
     per_second : float
         Above 0.
 
-    Returns
-    -------
-    str
-
     Examples
     --------
     >>> say_rate(0.125), say_rate(2.5), say_rate(1234.5)
@@ -79,14 +75,6 @@ def say_rate(per_second: float) -> str:
 
 def say_seconds(seconds: float) -> str:
     """Return a duration as people say it.
-
-    Parameters
-    ----------
-    seconds : float
-
-    Returns
-    -------
-    str
 
     Examples
     --------

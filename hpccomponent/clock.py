@@ -43,10 +43,5 @@ class ManualClock:
         return self._now
 
     def advance(self, seconds: float) -> None:
-        """Turn the clock forward by `seconds`.
-
-        Parameters
-        ----------
-        seconds : float
-        """
+        """Turn the clock forward by `seconds`."""
         self._now += seconds

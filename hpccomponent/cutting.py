@@ -14,7 +14,6 @@ def cut_equal(rows: int, batches: int) -> list[slice]:
     ----------
     rows : int
         0 or more.
-    batches : int
 
     Returns
     -------

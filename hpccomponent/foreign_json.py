@@ -29,10 +29,6 @@ def decode(text: str | bytes, kind: type[T]) -> T:
     kind : type
         As `msgspec.convert` takes it; keys that it does not name are left out.
 
-    Returns
-    -------
-    T
-
     Raises
     ------
     ValueError
@@ -63,11 +59,6 @@ def convert(told: Any, kind: type[T]) -> T:
     ----------
     told : object
         Dicts, lists, texts and numbers.
-    kind : type
-
-    Returns
-    -------
-    T
 
     Raises
     ------

@@ -56,12 +56,10 @@ class Inventory:
 
     Parameters
     ----------
-    cluster : str
     bind : str
         ZeroMQ endpoint to listen on: the head's private address and the communicator's port.
     server_public_key, server_secret_key : str
         The master's CURVE keys, Z85.
-    workers : tuple of InventoryWorker
     version : int
         Of the file's format.
     """
@@ -77,10 +75,6 @@ class Inventory:
 def dump_inventory(inventory: Inventory) -> str:
     """Return the text of an inventory's file, which must be for its owner only (0600).
 
-    Parameters
-    ----------
-    inventory : Inventory
-
     Returns
     -------
     str
@@ -91,14 +85,6 @@ def dump_inventory(inventory: Inventory) -> str:
 
 def read_inventory(path: Path | str) -> Inventory:
     """Read an inventory, and trust it only if nobody else can read it.
-
-    Parameters
-    ----------
-    path : Path or str
-
-    Returns
-    -------
-    Inventory
 
     Raises
     ------

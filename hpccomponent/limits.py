@@ -43,10 +43,6 @@ def control_groups(controller: str, root: Path = _ROOT) -> Iterator[Path]:
         ``cpu``, ``memory`` or ``pids``: what the groups limit; in version 2 they limit everything.
     root : Path
         Where ``proc`` and ``sys`` lie.
-
-    Yields
-    ------
-    Path
     """
     mounts = root / "sys/fs/cgroup"
     for line in read_text(root / "proc/self/cgroup").splitlines():
@@ -70,10 +66,6 @@ def available_cores(root: Path = _ROOT) -> int:
     ----------
     root : Path
         Where ``proc`` and ``sys`` lie.
-
-    Returns
-    -------
-    int
     """
     if hasattr(os, "sched_getaffinity"):
         cores = float(len(os.sched_getaffinity(0)))
@@ -257,10 +249,6 @@ def _read_fields(path: Path) -> dict[str, int]:
 def read_text(path: Path) -> str:
     """Return the text of a file, or nothing where it cannot be read.
 
-    Parameters
-    ----------
-    path : Path
-
     Returns
     -------
     str
@@ -274,10 +262,6 @@ def read_text(path: Path) -> str:
 
 def is_shortage(error: BaseException) -> bool:
     """Tell whether an error says that a machine lacks something, and not what the task did wrong.
-
-    Parameters
-    ----------
-    error : BaseException
 
     Returns
     -------

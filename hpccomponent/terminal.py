@@ -36,14 +36,6 @@ _ORDERS = re.compile(
 def visible_text(text: str) -> str:
     r"""Return text with all that a terminal would obey written out; tabs and newlines stay.
 
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    str
-
     Examples
     --------
     >>> print(visible_text("a\x1b[2Jb\n\u202ec \udcff"))
@@ -55,14 +47,6 @@ def visible_text(text: str) -> str:
 
 def visible_line(text: str) -> str:
     r"""Return text as one line: newlines are written out too.
-
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    str
 
     Examples
     --------
@@ -89,10 +73,6 @@ class VisibleFormatter(logging.Formatter):
 
 def write_block(excerpt: str) -> str:
     r"""Write an excerpt of somebody else's words as a block: indented and visible.
-
-    Parameters
-    ----------
-    excerpt : str
 
     Returns
     -------
@@ -124,12 +104,7 @@ def echo(text: str, *, err: bool = False) -> None:
 
 
 def echo_json(value: Any) -> None:
-    """Print a JSON value on the standard output, in one line of printable ASCII.
-
-    Parameters
-    ----------
-    value : object
-    """
+    """Print a JSON value on the standard output, in one line of printable ASCII."""
     import click
 
     click.echo(json.dumps(value).replace("\x7f", r"\u007f"))  # the one that JSON does not write out

@@ -19,10 +19,6 @@ def parse_size(size: int | str) -> int:
     size : int or str
         Bytes, or a number with K, M, G or T for powers of 1024, with or without ``B`` or ``iB``.
 
-    Returns
-    -------
-    int
-
     Raises
     ------
     ValueError
@@ -48,10 +44,6 @@ def parse_duration(text: object) -> float:
     ----------
     text : str
         A number with its unit: ``90s``, ``15m``, ``2h``, ``1d``.
-
-    Returns
-    -------
-    float
 
     Raises
     ------

@@ -27,7 +27,6 @@ def borrow_executor(
 
     Parameters
     ----------
-    executor : concurrent.futures.Executor or distributed.Client
     workers : int, optional
         How many tasks it runs at once, where it does not tell.
 

@@ -47,13 +47,8 @@ def run_task(numerics: str, task: Callable[..., Any], *arguments: Any) -> Ran:
     ----------
     numerics : str
         The master's numerics id.
-    task : callable
     *arguments
         Its values.
-
-    Returns
-    -------
-    Ran
 
     Raises
     ------
@@ -123,10 +118,6 @@ def count_bytes(value: Any) -> int:
     ----------
     value : object
         An array, bytes, or tuples, lists, dicts and dataclasses that may hold some.
-
-    Returns
-    -------
-    int
 
     Examples
     --------

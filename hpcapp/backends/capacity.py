@@ -143,10 +143,6 @@ def check_workers(backend: str, count: int | None, default: int, root: Path = _R
     root : Path
         Where ``proc`` and ``sys`` lie.
 
-    Returns
-    -------
-    int
-
     Raises
     ------
     UsageError
@@ -171,10 +167,6 @@ def check_workers(backend: str, count: int | None, default: int, root: Path = _R
 
 def make_room(peers: int) -> None:
     """See that a master can hold a connection to each of so many workers elsewhere.
-
-    Parameters
-    ----------
-    peers : int
 
     Raises
     ------

@@ -40,13 +40,7 @@ WATCH_S = 2.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Listening:
-    """A master that the workers of a cluster may come to.
-
-    Parameters
-    ----------
-    executor : CommunicatorExecutor
-    inventory : Inventory
-    """
+    """A master that the workers of a cluster may come to."""
 
     executor: CommunicatorExecutor
     inventory: Inventory
@@ -111,7 +105,6 @@ def open_inventory(
 
     Yields
     ------
-    executor : CommunicatorExecutor
     workers : int
         How many have come; those that come later join in.
 
@@ -143,10 +136,6 @@ def listen_inventory(
     ----------
     path, policy, verification, extra_tasks, lead
         As for `open_inventory`.
-
-    Yields
-    ------
-    Listening
 
     Raises
     ------

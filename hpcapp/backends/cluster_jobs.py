@@ -19,10 +19,6 @@ def load_cluster_function(name: str) -> Callable[..., Any]:
     name : str
         ``open`` or ``run``.
 
-    Returns
-    -------
-    callable
-
     Raises
     ------
     UsageError

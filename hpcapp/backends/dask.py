@@ -60,10 +60,6 @@ class DaskExecutor(Executor):
             Importable on the workers.
         *args, **kwargs
             Its arguments.
-
-        Returns
-        -------
-        concurrent.futures.Future
         """
         future: Future[T] = self._executor.submit(fn, *args, **kwargs)
         return future
@@ -72,10 +68,6 @@ class DaskExecutor(Executor):
         """Return a Dask future of `value`, by whose content it is known to all workers.
 
         It is the result of a task, not scattered: Dask makes it again when its worker dies.
-
-        Parameters
-        ----------
-        value : object
 
         Returns
         -------
@@ -111,10 +103,6 @@ def open_dask(address: str) -> Iterator[RetryingExecutor]:
     address : str
         ``tcp://host:port``, or ``tls://host:port`` with the certificates of Dask's configuration.
 
-    Yields
-    ------
-    RetryingExecutor
-
     Raises
     ------
     NoWorkersError
@@ -144,14 +132,6 @@ def open_dask(address: str) -> Iterator[RetryingExecutor]:
 @contextmanager
 def borrow_client(client: Client) -> Iterator[RetryingExecutor]:
     """Use a Client that stays open.
-
-    Parameters
-    ----------
-    client : distributed.Client
-
-    Yields
-    ------
-    RetryingExecutor
 
     Raises
     ------
@@ -188,9 +168,5 @@ def count_deaths(error: BaseException) -> int:
     ----------
     error : BaseException
         What a task ended by.
-
-    Returns
-    -------
-    int
     """
     return error.allowed_failures + 1 if isinstance(error, KilledWorker) else 0

@@ -21,14 +21,6 @@ _NAME = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")
 def is_factory(name: str) -> bool:
     """Tell whether a backend's name has the form ``module:function``.
 
-    Parameters
-    ----------
-    name : str
-
-    Returns
-    -------
-    bool
-
     Examples
     --------
     >>> is_factory("loky:get_reusable_executor"), is_factory("tcp://host:1")
@@ -44,10 +36,6 @@ def find_factory(name: str) -> Callable[..., Any]:
     ----------
     name : str
         ``module:function``.
-
-    Returns
-    -------
-    callable
 
     Raises
     ------

@@ -37,10 +37,6 @@ def check_mpi() -> None:
 def open_mpi() -> Iterator[RetryingExecutor]:
     """Use the workers of this MPI job.
 
-    Yields
-    ------
-    RetryingExecutor
-
     Raises
     ------
     UsageError

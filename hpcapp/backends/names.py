@@ -67,14 +67,9 @@ def open_engine(name: str, workers: int | None) -> AbstractContextManager[Retryi
 
     Parameters
     ----------
-    name : str
     workers : int, optional
         For a function that takes them and a Ray that is started here: others have those that there
         are.
-
-    Returns
-    -------
-    context manager of RetryingExecutor
 
     Raises
     ------

@@ -34,10 +34,6 @@ def open_processes(count: int) -> Iterator[Executor]:
     ----------
     count : int
         How many processes.
-
-    Yields
-    ------
-    Executor
     """
     # Spawned, not forked: a fork copies locks that threads of this process may hold.
     pool = ProcessPoolExecutor(
@@ -54,12 +50,7 @@ def open_processes(count: int) -> Iterator[Executor]:
 
 
 def kill_processes(pool: Any) -> None:
-    """Kill the workers of a pool, whatever they do: the pool is broken then.
-
-    Parameters
-    ----------
-    pool : concurrent.futures.ProcessPoolExecutor
-    """
+    """Kill the workers of a pool, whatever they do: the pool is broken then."""
     for process in list((pool._processes or {}).values()):
         process.kill()
 

@@ -141,7 +141,6 @@ class RayExecutor(Executor):
 
     Parameters
     ----------
-    ray : module
     cores : int
         How many tasks Ray runs at once.
     head : Head
@@ -166,26 +165,15 @@ class RayExecutor(Executor):
         ----------
         fn : callable
             Importable on the workers.
-        *args, **kwargs
         """
         return self._threads.submit(self._run, fn, args, kwargs)
 
     def share(self, value: Any) -> Any:
-        """Return a reference to `value` in Ray's object store, which nodes fetch once each.
-
-        Parameters
-        ----------
-        value : object
-        """
+        """Return a reference to `value` in Ray's object store, which nodes fetch once each."""
         return self._ray.put(value)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Wait for what was submitted, or cancel what has not started; Ray stays connected.
-
-        Parameters
-        ----------
-        wait, cancel_futures : bool
-        """
+        """Wait for what was submitted, or cancel what has not started; Ray stays connected."""
         self._threads.shutdown(wait, cancel_futures=cancel_futures)
 
     def _run(self, function: Callable[..., T], arguments: Any, keywords: Any) -> T:
@@ -302,10 +290,6 @@ def open_ray(address: str | None, workers: int | None) -> Iterator[RetryingExecu
         it, one is started, which ends with the context.
     workers : int, optional
         How many cores a Ray that is started here takes; by default all.
-
-    Yields
-    ------
-    RetryingExecutor
 
     Raises
     ------

@@ -62,12 +62,7 @@ def watched(place: Path) -> Iterator[None]:
 
 
 def end_all(place: str) -> None:
-    """Kill all processes that have a file of a folder open, and remove it.
-
-    Parameters
-    ----------
-    place : str
-    """
+    """Kill all processes that have a file of a folder open, and remove it."""
     for _ in range(TRIES):
         users = _find_users(place)
         for process in users:

@@ -21,7 +21,6 @@ class RecordedExecutor(Executor):
     ----------
     executor : concurrent.futures.Executor
         Of this process; stays open.
-    timeline : Timeline
     """
 
     def __init__(self, executor: Executor, timeline: Timeline) -> None:
@@ -35,13 +34,8 @@ class RecordedExecutor(Executor):
 
         Parameters
         ----------
-        fn : callable
         *args, **kwargs
             Its arguments.
-
-        Returns
-        -------
-        concurrent.futures.Future
         """
         submitter, name = threading.get_ident(), getattr(fn, "__name__", repr(fn))
 

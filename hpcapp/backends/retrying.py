@@ -45,14 +45,6 @@ MOST_LOSSES = 3
 def count_broken(error: BaseException) -> int:
     """Return how many workers an error tells the loss of, on pools of the standard library's kind.
 
-    Parameters
-    ----------
-    error : BaseException
-
-    Returns
-    -------
-    int
-
     Examples
     --------
     >>> count_broken(BrokenExecutor()), count_broken(ValueError())
@@ -63,10 +55,6 @@ def count_broken(error: BaseException) -> int:
 
 def count_workers(executor: Executor) -> int:
     """Return how many tasks an Executor runs at once, as far as it tells; else the cores here.
-
-    Parameters
-    ----------
-    executor : concurrent.futures.Executor
 
     Returns
     -------
@@ -198,10 +186,6 @@ class RetryingExecutor(Executor):
 
     def share(self, value: Any) -> Any:
         """Return what stands for `value` among arguments; see `Workforce.share`.
-
-        Parameters
-        ----------
-        value : object
 
         Returns
         -------

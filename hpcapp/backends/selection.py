@@ -106,10 +106,6 @@ class Backend:
     def record(self, timeline: Timeline) -> Backend:
         """Record from now on what becomes of tasks.
 
-        Parameters
-        ----------
-        timeline : Timeline
-
         Returns
         -------
         Backend
@@ -173,10 +169,6 @@ def open_executor(
         Tasks beside the installed ones, each ``NAME=module:function``.
     machines : LocalMachines, optional
         What `start_early` has started for `zmq`.
-
-    Yields
-    ------
-    Backend
 
     Raises
     ------
@@ -270,13 +262,8 @@ def open_backend(
 
     Parameters
     ----------
-    executor : str, concurrent.futures.Executor or distributed.Client
     workers : int, optional
         As for `open_executor`; how many an Executor has that does not tell.
-
-    Yields
-    ------
-    Backend
     """
     if isinstance(executor, str):
         with open_executor(executor, workers=workers) as backend:
@@ -359,14 +346,8 @@ def wrap_communicator(
     ----------
     name : str
         Of the backend.
-    executor : CommunicatorExecutor
-    workers : int
     policy : str
         One of `POLICIES`.
-
-    Returns
-    -------
-    Backend
     """
     if executor.verification.share and workers < LEAST_MACHINES:
         log.info(

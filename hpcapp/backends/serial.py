@@ -23,7 +23,6 @@ class SerialExecutor(Executor):
 
         Parameters
         ----------
-        fn : callable
         *args, **kwargs
             Its arguments.
 

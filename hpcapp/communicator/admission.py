@@ -42,10 +42,6 @@ class Admission:
             The public key (Z85) that it came under.
         workers : collection of Worker
             Those that are registered.
-
-        Returns
-        -------
-        str or None
         """
         reason = self.banned.get(key) or self.banned.get(register.worker)
         if reason is not None:

@@ -25,16 +25,7 @@ class Assignments:
         return len(self._owners)
 
     def add(self, worker: Worker) -> int:
-        """Return the number of a new batch for a worker.
-
-        Parameters
-        ----------
-        worker : Worker
-
-        Returns
-        -------
-        int
-        """
+        """Return the number of a new batch for a worker."""
         self._owners.append(worker.identity)
         return self.last
 

@@ -95,13 +95,8 @@ def find_closest(
     ----------
     source : OrderedDict of int to Task
         Not empty.
-    worker : Worker
     added : container of bytes, optional
         Keys of blobs that will be there before it.
-
-    Returns
-    -------
-    Task
     """
     best, least = None, -1
     for task in islice(source.values(), AFFINITY_WINDOW):
@@ -129,13 +124,8 @@ def find_holder(
     ----------
     source : OrderedDict of int to Task
         Not empty.
-    workers : sequence of Worker
     chosen : Worker
         One of them.
-
-    Returns
-    -------
-    Worker
     """
     task = find_closest(source, chosen)
     if not task.blobs:

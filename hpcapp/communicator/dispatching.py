@@ -94,12 +94,7 @@ class Dispatcher:
             self.queue.move_to_end(task.number, last=False)
 
     def withdraw(self, number: int) -> None:
-        """Have a task not wait any more, if it does.
-
-        Parameters
-        ----------
-        number : int
-        """
+        """Have a task not wait any more, if it does."""
         self.queue.pop(number, None)
         self.lost.pop(number, None)
 
@@ -110,10 +105,6 @@ class Dispatcher:
         ----------
         everyone : iterable of Worker
             All that are registered.
-
-        Returns
-        -------
-        list of Assign
         """
         actions: list[Assign] = []
         everyone = list(everyone)

@@ -170,12 +170,7 @@ class CommunicatorExecutor(Executor):
         }
 
     def record(self, timeline: Timeline) -> None:
-        """Record from now on what becomes of tasks.
-
-        Parameters
-        ----------
-        timeline : Timeline
-        """
+        """Record from now on what becomes of tasks."""
         scheduler = self._engine.scheduler
         timeline.roster = lambda: list_workers(scheduler.workers)
         scheduler.recording.timeline = timeline
@@ -215,20 +210,11 @@ class CommunicatorExecutor(Executor):
         ----------
         worker : str
             Its name, unique within the job.
-
-        Returns
-        -------
-        Connection
         """
         return self._door.invite(worker)
 
     def wait_for_workers(self, count: int, timeout_s: float) -> None:
         """Wait until `count` workers are registered, less those of which `worker_gone` was told.
-
-        Parameters
-        ----------
-        count : int
-        timeout_s : float
 
         Raises
         ------
@@ -320,10 +306,6 @@ class CommunicatorExecutor(Executor):
         *args
             Values (see ``docs/explanation/design.md``), and what `share` returned; arrays must not
             change before the future is done.
-
-        Returns
-        -------
-        concurrent.futures.Future
 
         Raises
         ------

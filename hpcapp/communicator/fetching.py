@@ -175,7 +175,6 @@ class Fetcher:
         ----------
         worker : bytes
             Its identity.
-        announce : Announce
         limits : sequence of int
             How large each of its results may be, in bytes; 0 where nobody waits for it.
 
@@ -275,7 +274,6 @@ class Fetcher:
 
         Yields
         ------
-        message : Results or Lost
         take_buffers : callable
             Returns the buffers of the results.
 

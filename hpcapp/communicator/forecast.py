@@ -38,7 +38,6 @@ class Forecast:
         ----------
         worker : bytes
             Its identity.
-        task : Task
         seconds : float
             How long its function took.
         way_s : float, optional
@@ -112,10 +111,6 @@ class Forecast:
         ----------
         worker : bytes
             Its identity.
-
-        Returns
-        -------
-        float
         """
         spent_s, common_s = self._spent_s.get(worker, (1.0, 1.0))
         return spent_s / common_s
@@ -125,10 +120,6 @@ class Forecast:
 
         To it, in its queue, and back until this process has taken the result: of many at once
         the last one waits for the others.
-
-        Parameters
-        ----------
-        name : str
 
         Returns
         -------
@@ -144,7 +135,6 @@ class Forecast:
         ----------
         worker : bytes
             Its identity.
-        task : Task
 
         Returns
         -------
@@ -160,7 +150,6 @@ class Forecast:
 
         Parameters
         ----------
-        worker : Worker
         now : float
             The present moment of the scheduler's clock, in seconds.
 
@@ -187,7 +176,6 @@ class Forecast:
         ----------
         worker : Worker
             Its `remaining_s`, `next_s` and `slowness` are set.
-        name : str
         now : float
             The present moment of the scheduler's clock, in seconds.
         """
@@ -200,7 +188,6 @@ class Forecast:
 
         Parameters
         ----------
-        worker : Worker
         now : float
             The present moment of the scheduler's clock, in seconds.
 

@@ -113,10 +113,6 @@ class Door:
         ----------
         worker : str
             Its name, unique within the job.
-
-        Returns
-        -------
-        Connection
         """
         keys = make_key_pair()
         self.allow(keys.public)

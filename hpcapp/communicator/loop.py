@@ -163,7 +163,6 @@ class Engine:
         ----------
         number : int
             From the ledger.
-        entry : Entry
         """
         self.ledger.add(number, entry)
         can_split = entry.traits.split is not None

@@ -52,7 +52,6 @@ class Losses:
 
         Parameters
         ----------
-        task : Task
         worker : Worker
             Who had it.
         reason : str
@@ -64,16 +63,7 @@ class Losses:
             self._record(worker).spoilt[task.name] += 1
 
     def is_bad(self, worker: Worker) -> bool:
-        """Tell whether the machine of a worker is to be retired, and is not yet.
-
-        Parameters
-        ----------
-        worker : Worker
-
-        Returns
-        -------
-        bool
-        """
+        """Tell whether the machine of a worker is to be retired, and is not yet."""
         return worker.machine not in self.retired and self._record(worker).is_bad()
 
     def accuse(self, worker: Worker, reason: str) -> None:
@@ -81,7 +71,6 @@ class Losses:
 
         Parameters
         ----------
-        worker : Worker
         reason : str
             Why it was lost.
         """
@@ -98,10 +87,6 @@ class Losses:
             Whoever has lost it is to blame for that now.
         worker : Worker
             Who has done it.
-
-        Returns
-        -------
-        list of str
         """
         record = self._record(worker)
         record.done[task.name] += 1
@@ -143,7 +128,6 @@ class Losses:
 
         Parameters
         ----------
-        task : Task
         workers : sequence of Worker
             Those that may get tasks at all.
 
@@ -162,13 +146,8 @@ class Losses:
 
         Parameters
         ----------
-        task : Task
         workers : iterable of Worker
             Those that may get tasks.
-
-        Returns
-        -------
-        bool
         """
         if len(task.losses) >= LOSS_BUDGET:
             return True
@@ -180,15 +159,10 @@ class Losses:
 
         Parameters
         ----------
-        task : Task
         worker : Worker
             Where it failed.
         workers : iterable of Worker
             Those that may get tasks.
-
-        Returns
-        -------
-        bool
         """
         if task.has_failed:
             return False
@@ -218,16 +192,7 @@ class Losses:
         return "; ".join(said)
 
     def explain(self, task: Task) -> WorkerLostError:
-        """Return the error of a task that is given up.
-
-        Parameters
-        ----------
-        task : Task
-
-        Returns
-        -------
-        WorkerLostError
-        """
+        """Return the error of a task that is given up."""
         return WorkerLostError(
             f"task {task.name!r} lost {task.losses.total()} workers one after the other: "
             f"{self.describe(task.losses)}",
@@ -239,13 +204,8 @@ class Losses:
 
         Parameters
         ----------
-        tasks : int
         reason : str
             Why nobody is left.
-
-        Returns
-        -------
-        NoWorkersError
         """
         lost = self.describe()
         return NoWorkersError(

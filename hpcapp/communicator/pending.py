@@ -44,7 +44,6 @@ class Ledger:
         ----------
         number : int
             From `number`.
-        entry : Entry
         """
         self._entries[number] = entry
 
@@ -60,11 +59,6 @@ class Ledger:
         ----------
         numbers : iterable of int
             Of tasks that are here.
-
-        Returns
-        -------
-        calls : list of Call
-        buffers : list of bytes-like
         """
         calls: list[Call] = []
         buffers: list[Buffer] = []
@@ -104,10 +98,6 @@ class Ledger:
     def claim(self, number: int) -> bool:
         """Mark a task as running, or let it go if its future was cancelled.
 
-        Parameters
-        ----------
-        number : int
-
         Returns
         -------
         bool
@@ -120,10 +110,6 @@ class Ledger:
 
     def split(self, number: int) -> list[Task]:
         """Replace a task by others that together do the same; none if it cannot be split.
-
-        Parameters
-        ----------
-        number : int
 
         Returns
         -------
@@ -160,10 +146,6 @@ class Ledger:
     def is_cancelled(self, number: int) -> bool:
         """Tell whether a task can be forgotten because its future was cancelled in time.
 
-        Parameters
-        ----------
-        number : int
-
         Returns
         -------
         bool
@@ -172,16 +154,7 @@ class Ledger:
         return number in self._entries and not self.claim(number)
 
     def find(self, number: int) -> Entry | None:
-        """Return an entry that is still here.
-
-        Parameters
-        ----------
-        number : int
-
-        Returns
-        -------
-        Entry or None
-        """
+        """Return an entry that is still here."""
         return self._entries.get(number)
 
     def deliver(self, number: int, result: Result, value: Any, worker: str | None = None) -> None:
@@ -189,7 +162,6 @@ class Ledger:
 
         Parameters
         ----------
-        number : int
         result : Result
             What the worker has sent.
         value : object

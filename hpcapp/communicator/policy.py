@@ -97,11 +97,6 @@ class Policy(Protocol):
         ----------
         waiting : int
             At least 1.
-        loads : sequence of Load
-
-        Returns
-        -------
-        Placement or None
         """
         ...
 
@@ -121,14 +116,8 @@ class EqualPolicy:
 
         Parameters
         ----------
-        waiting : int
-            Not used.
         loads : sequence of Load
             Not empty.
-
-        Returns
-        -------
-        Placement
         """
         del waiting
         fewest = min(range(len(loads)), key=lambda i: loads[i].placed)
@@ -162,10 +151,6 @@ class PullPolicy:
             How many tasks there are for all workers.
         loads : sequence of Load
             Not empty.
-
-        Returns
-        -------
-        Placement or None
         """
         shortest = min(range(len(loads)), key=lambda i: loads[i].queued)
         if loads[shortest].queued >= self.depth:
@@ -195,10 +180,6 @@ class AdaptivePolicy:
             How many tasks there are for all workers.
         loads : sequence of Load
             Not empty.
-
-        Returns
-        -------
-        Placement or None
         """
         may_queue = waiting >= len(loads)  # the last ones go to whoever is idle first
         free = [

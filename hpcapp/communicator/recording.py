@@ -12,12 +12,7 @@ __all__ = ["Recording"]
 
 
 class Recording:
-    """Records tasks in a timeline, from the time on when there is one.
-
-    Attributes
-    ----------
-    timeline : Timeline or None
-    """
+    """Records tasks in a timeline, from the time on when there is one."""
 
     def __init__(self) -> None:
         self.timeline: Timeline | None = None
@@ -35,7 +30,6 @@ class Recording:
             The batch that the task is of, if the worker still has it.
         task : Task
             Which it answers; one that is done was answered before.
-        result : Result
         later_s : float
             How long the tasks took, in seconds, whose answers came with it and after it.
         """
@@ -95,10 +89,6 @@ def list_workers(workers: Mapping[bytes, Worker]) -> list[WorkerNow]:
     ----------
     workers : mapping of bytes to Worker
         The scheduler's own; copied in one step each, since it changes meanwhile.
-
-    Returns
-    -------
-    list of WorkerNow
     """
     found = []
     for worker in list(workers.values()):

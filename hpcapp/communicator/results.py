@@ -49,7 +49,6 @@ def open_results(
 
     Parameters
     ----------
-    results : sequence of Result
     limits : sequence of int
         How large each may be, in bytes; 0 where nobody waits for it: it is not looked at.
     take_buffers : callable

@@ -30,10 +30,6 @@ def choose_to_split(
         How long tasks take.
     now : float
         The present moment of the scheduler's clock, in seconds.
-
-    Returns
-    -------
-    Task or None
     """
     candidates = [task for task in queue if task.can_split and not task.is_claimed]
     if not candidates or len(queue) >= len(workers):
@@ -62,10 +58,6 @@ def choose_to_run_again(
         Who has nothing to do; each gets one task at most.
     forecast, now
         As for `choose_to_split`.
-
-    Returns
-    -------
-    list of (Worker, Task)
     """
     if not idle:
         return []

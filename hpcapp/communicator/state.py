@@ -57,16 +57,7 @@ class Task:
     has_written: bool = False
 
     def lacking_bytes(self, worker: Worker) -> int:
-        """Return the size of those of its blobs that are not known to be on `worker`.
-
-        Parameters
-        ----------
-        worker : Worker
-
-        Returns
-        -------
-        int
-        """
+        """Return the size of those of its blobs that are not known to be on `worker`."""
         return sum(blob.size_bytes for blob in self.blobs if blob.key not in worker.blobs)
 
 
@@ -91,16 +82,7 @@ class Flight:
             self.work[task.name] = self.work.get(task.name, 0.0) + task.work
 
     def pop(self, number: int) -> Task | None:
-        """Take a task out, if it is here.
-
-        Parameters
-        ----------
-        number : int
-
-        Returns
-        -------
-        Task or None
-        """
+        """Take a task out, if it is here."""
         task = self.tasks.pop(number, None)
         if task is not None:
             self.work[task.name] -= task.work

@@ -123,13 +123,7 @@ class RouterTransport:
             return  # it is awake already, or closed
 
     def wait(self, timeout_s: float) -> None:
-        """Wait until a message has come, or `wake` was called, or the time is over.
-
-        Parameters
-        ----------
-        timeout_s : float
-            In seconds.
-        """
+        """Wait until a message has come, or `wake` was called, or the time is over."""
         ready = dict(self._poller.poll(max(0, int(timeout_s * 1000.0))))
         if self._waking.fileno() in ready:
             self._waking.recv(4096)
@@ -170,10 +164,6 @@ class RouterTransport:
         ----------
         most_frames, most_bytes : int
             What is kept of it, at most.
-
-        Returns
-        -------
-        list of memoryview
 
         Raises
         ------

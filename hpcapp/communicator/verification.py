@@ -135,7 +135,6 @@ class Verification:
 
         Returns
         -------
-        verdict : Verdict
         liars : list of str
             Machines that have given another answer than two others, or than themselves before.
         """
@@ -195,14 +194,6 @@ class Verification:
 
         What a task or this process found impossible may come of a lie that looked right: once,
         everything is verified.
-
-        Parameters
-        ----------
-        error : Exception
-
-        Returns
-        -------
-        str
         """
         if self.distrust or isinstance(error, DistrustError):
             return self.distrust or str(error)
@@ -232,16 +223,7 @@ class Verification:
 
 
 def explain_dispute(task: Task) -> JobError:
-    """Return the error of a task to which machines gave different answers, and no other is left.
-
-    Parameters
-    ----------
-    task : Task
-
-    Returns
-    -------
-    JobError
-    """
+    """Return the error of a task to which machines gave different answers, and no other is left."""
     names = " and ".join(sorted(task.answers))
     problem = f"{names} gave different answers to {task.name!r}, and no machine can decide"
     return JobError(problem, "give the job another machine")
@@ -252,7 +234,6 @@ def digest_answer(result: Result, buffers: Sequence[Buffer]) -> bytes:
 
     Parameters
     ----------
-    result : Result
     buffers : sequence of bytes-like
         Those that it announces.
 

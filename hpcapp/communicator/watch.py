@@ -73,15 +73,10 @@ class Connection:
 def choose_to_end(connections: Iterable[Connection]) -> tuple[list[Connection], list[str]]:
     """Return which connections send without end, and the keys that this is certain of.
 
-    Parameters
-    ----------
-    connections : iterable of Connection
-
     Returns
     -------
     connections : list of Connection
         All of a key that has too much on the way; of those without a known key the worst.
-    keys : list of str
     """
     by_key: dict[str, list[Connection]] = defaultdict(list)
     for connection in connections:

@@ -76,10 +76,6 @@ def _dotted(location: Location) -> str:
 def show(node: yaml.Node) -> str:
     """Show a node as the user wrote it, cut to a readable length.
 
-    Parameters
-    ----------
-    node : yaml.Node
-
     Returns
     -------
     str
@@ -103,10 +99,6 @@ def is_miscounted(detail: ErrorDetails, root: yaml.MappingNode) -> bool:
         The finding.
     root : yaml.MappingNode
         The text.
-
-    Returns
-    -------
-    bool
     """
     if detail["type"] != "too_short":
         return False

@@ -65,7 +65,6 @@ class Misfit(NamedTuple):
     ----------
     location : tuple of int and str
         The path of the value; it need not be in the text.
-    message : str
     choices : collection of str
         What would fit; the nearest to the value is named.
     """
@@ -93,10 +92,6 @@ def read_config(
         Tells which values do not fit together.
     environment : mapping of str to str, optional
         Where ``${NAME}`` in a value is looked up; without it, values are taken literally.
-
-    Returns
-    -------
-    instance of `model`
 
     Raises
     ------
@@ -139,12 +134,6 @@ def parse_config(
     check : callable, optional
         Tells which values do not fit together. Where a block of the text is wrong by itself, the
         others are checked against that block's defaults, if it has any.
-    environment : mapping of str to str, optional
-        See `read_config`.
-
-    Returns
-    -------
-    instance of `model`
 
     Raises
     ------

@@ -66,10 +66,6 @@ def compose(text: str, name: str) -> yaml.MappingNode:
     name : str
         What messages call the text.
 
-    Returns
-    -------
-    yaml.MappingNode
-
     Raises
     ------
     ConfigError
@@ -109,7 +105,6 @@ def refuse_length(text: str, name: str) -> NoReturn:
 
     Parameters
     ----------
-    text : str
     name : str
         What messages call the text.
 
@@ -132,7 +127,6 @@ def refuse_text(name: str, where: yaml.Node) -> NoReturn:
     ----------
     name : str
         What messages call the text.
-    where : yaml.Node
 
     Raises
     ------

@@ -38,10 +38,6 @@ def read_items(record: bytes) -> list[tuple[int, int, int]]:
     ----------
     record : bytes
         Of the compressor.
-
-    Returns
-    -------
-    list of tuple of int
     """
     items = record[_ITEMS_AT:]
     return list(_ITEM.iter_unpack(items[: len(items) // _ITEM.size * _ITEM.size]))

@@ -53,7 +53,6 @@ class Decoder:
 
     Parameters
     ----------
-    process : subprocess.Popen
     path : Path
         The file.
     memory : ndarray of uint8
@@ -62,7 +61,6 @@ class Decoder:
         How long it may compute, for all of its answers.
     patience_s : float
         How long one answer may take.
-    refuse : callable
     """
 
     def __init__(
@@ -164,7 +162,6 @@ def open_decoder(
         Bytes of the memory that is shared.
     arguments : sequence of str
         As the module takes them.
-    refuse : callable
     patience_s : float
         How long one answer may take, beside the time that it may compute.
 

@@ -54,14 +54,7 @@ _TRIES = 3  # a worker that is late may put something into a folder that is bein
 
 @dataclass(frozen=True, slots=True)
 class Owner:
-    """Who holds a folder.
-
-    Parameters
-    ----------
-    user, host : str
-    pid : int
-    command : str
-    """
+    """Who holds a folder."""
 
     user: str
     host: str
@@ -88,7 +81,6 @@ class HeldFolder:
 
     Parameters
     ----------
-    path : Path
     lock : int or None
         The descriptor whose lock holds it; None where the file system has no locks.
     """
@@ -127,10 +119,6 @@ def create_held(path: Path) -> HeldFolder:
     path : Path
         Nothing may be there; folders above it are made.
 
-    Returns
-    -------
-    HeldFolder
-
     Raises
     ------
     OutputError
@@ -157,7 +145,6 @@ def hold(path: Path, *, waits: bool = False) -> HeldFolder | None:
 
     Parameters
     ----------
-    path : Path
     waits : bool
         Whether to wait until whoever holds it has ended.
 
@@ -225,7 +212,6 @@ def remove_abandoned(parent: Path, prefix: str) -> list[Owner]:
 
     Parameters
     ----------
-    parent : Path
     prefix : str
         With which the folders' names begin.
 

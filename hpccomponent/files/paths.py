@@ -51,14 +51,6 @@ def home_folder() -> Path:
 def expand_home(path: str | Path) -> Path:
     """Return a path with its home folder written out, if it begins with ``~`` or ``~USER``.
 
-    Parameters
-    ----------
-    path : str or Path
-
-    Returns
-    -------
-    Path
-
     Raises
     ------
     UsageError
@@ -124,10 +116,6 @@ def new_file_here(name: str, flag: str) -> Path:
 def check_regular(path: Path) -> None:
     """Find out whether a path is a regular file, or nothing yet; nothing is opened.
 
-    Parameters
-    ----------
-    path : Path
-
     Raises
     ------
     UsageError
@@ -146,13 +134,8 @@ def read_regular(path: Path, most: int = -1) -> bytes:
 
     Parameters
     ----------
-    path : Path
     most : int
         Bytes that are read at most; by default all.
-
-    Returns
-    -------
-    bytes
 
     Raises
     ------

@@ -82,12 +82,6 @@ def create_private(path: Path, buffering: int = -1) -> BinaryIO:
 def open_at_once(name: str, flags: int) -> int:
     """Open a file, as an `opener` of `open` does; a pipe that has its name is not waited for.
 
-    Parameters
-    ----------
-    name : str
-    flags : int
-        See `os.open`.
-
     Returns
     -------
     int

@@ -55,10 +55,6 @@ def make_blob(header: bytes, buffers: Sequence[Buffer]) -> Blob:
     buffers : sequence of buffer
         Those of the value, which the blob refers to without a copy.
 
-    Returns
-    -------
-    Blob
-
     Examples
     --------
     >>> make_blob(b"h", [b"abc"]).key == make_blob(b"h", [bytearray(b"abc")]).key

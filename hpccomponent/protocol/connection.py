@@ -45,11 +45,6 @@ class Connection:
 def write_connection(path: Path | str, connection: Connection) -> None:
     """Write `connection` to `path` as JSON, readable by its owner only.
 
-    Parameters
-    ----------
-    path : Path or str
-    connection : Connection
-
     Raises
     ------
     OutputError
@@ -65,10 +60,6 @@ def read_connection(path: Path | str) -> Connection:
     ----------
     path : pathlib.Path or str
         What `write_connection` wrote.
-
-    Returns
-    -------
-    Connection
 
     Raises
     ------

@@ -69,7 +69,6 @@ def check_result(declared: Declared, value: Any) -> None:
 
     Parameters
     ----------
-    declared : Declared
     value : object
         As the codec has decoded it.
 
@@ -99,13 +98,7 @@ class Anything:
     """Any value that may travel: what a task returns that declares nothing."""
 
     def check(self, value: Any, place: str, extents: Extents) -> None:
-        """Let everything pass.
-
-        Parameters
-        ----------
-        value, place, extents
-            See `Declared.check`.
-        """
+        """Let everything pass."""
 
 
 ANYTHING = Anything()
@@ -200,12 +193,7 @@ class Text:
 
 @dataclass(frozen=True, slots=True)
 class Exactly:
-    """A value that the master knows: a str, a number, or a tuple of such.
-
-    Parameters
-    ----------
-    value : object
-    """
+    """A value that the master knows: a str, a number, or a tuple of such."""
 
     value: Any
 
@@ -271,7 +259,6 @@ class Record:
 
     Parameters
     ----------
-    kind : type
     **items : Declared
         One for each field.
     """

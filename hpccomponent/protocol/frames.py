@@ -36,13 +36,8 @@ def split_buffers(buffers: Sequence[Buffer], largest: int) -> list[memoryview]:
 
     Parameters
     ----------
-    buffers : sequence of buffer
     largest : int
         In bytes.
-
-    Returns
-    -------
-    list of memoryview
 
     Examples
     --------

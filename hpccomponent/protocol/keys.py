@@ -48,14 +48,6 @@ def make_key_pair() -> KeyPair:
 def is_key(text: object) -> bool:
     """Tell whether `text` has the form of a Z85 key.
 
-    Parameters
-    ----------
-    text : object
-
-    Returns
-    -------
-    bool
-
     Examples
     --------
     >>> is_key(make_key_pair().public), is_key("too short")

@@ -324,16 +324,7 @@ _component_decoder: msgspec.msgpack.Decoder[ComponentMessage] = msgspec.msgpack.
 
 
 def encode_message(message: MasterMessage | ComponentMessage) -> bytes:
-    """Encode a message as the first frame of a wire message.
-
-    Parameters
-    ----------
-    message : MasterMessage or ComponentMessage
-
-    Returns
-    -------
-    bytes
-    """
+    """Encode a message as the first frame of a wire message."""
     return _encoder.encode(message)
 
 
@@ -344,10 +335,6 @@ def decode_master_message(frame: bytes | memoryview) -> MasterMessage:
     ----------
     frame : bytes or memoryview
         The first of a wire message.
-
-    Returns
-    -------
-    MasterMessage
 
     Raises
     ------
@@ -367,10 +354,6 @@ def decode_component_message(frame: bytes | memoryview) -> ComponentMessage:
     ----------
     frame : bytes or memoryview
         The first of a wire message.
-
-    Returns
-    -------
-    ComponentMessage
 
     Raises
     ------

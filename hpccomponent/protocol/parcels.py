@@ -70,10 +70,6 @@ class Parcels:
             The encoded `Results`.
         payload : buffer
             Its buffers, laid out as in `payload`.
-
-        Returns
-        -------
-        int
         """
         self.last += 1
         self._parcels[self.last] = _Parcel(memoryview(head), memoryview(payload))

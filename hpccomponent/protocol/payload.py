@@ -37,13 +37,8 @@ def cut_payload(payload: memoryview, sizes: Iterable[int]) -> list[memoryview]:
 
     Parameters
     ----------
-    payload : memoryview
     sizes : iterable of int
         In bytes.
-
-    Returns
-    -------
-    list of memoryview
 
     Raises
     ------

@@ -23,15 +23,10 @@ def read_private_json(path: Path, version: int, keys: Collection[str]) -> dict[s
 
     Parameters
     ----------
-    path : pathlib.Path
     version : int
         What its key ``version`` must be.
     keys : collection of str
         All keys, ``version`` among them.
-
-    Returns
-    -------
-    dict of str to object
 
     Raises
     ------

@@ -23,7 +23,6 @@ class RecordType:
 
     Parameters
     ----------
-    kind : type
     name : str
         By which it travels.
     fields : tuple of str
@@ -88,10 +87,6 @@ def record(name: str) -> Callable[[type[T]], type[T]]:
 def find_record(kind: type) -> RecordType | None:
     """Return how values of a class travel.
 
-    Parameters
-    ----------
-    kind : type
-
     Returns
     -------
     RecordType or None
@@ -105,13 +100,8 @@ def make_record(name: str, values: Mapping[str, Any]) -> Any:
 
     Parameters
     ----------
-    name : str
     values : mapping of str to object
         The fields, in the order of the class.
-
-    Returns
-    -------
-    object
 
     Raises
     ------

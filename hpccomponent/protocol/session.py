@@ -198,15 +198,10 @@ class WorkerSession:
 
         Parameters
         ----------
-        message : MasterMessage
         frames : sequence of buffer
             That came with it.
         now : float
             In seconds, as for the class.
-
-        Returns
-        -------
-        list of Action
         """
         if self.state is State.STOPPED:
             return []
@@ -257,17 +252,12 @@ class WorkerSession:
 
         Parameters
         ----------
-        results : Results
         head : buffer
             The same, encoded.
         payload : memoryview
             Their buffers, laid out as in `payload`.
         now : float
             In seconds, as for the class.
-
-        Returns
-        -------
-        list of Action
         """
         self.progress += len(results.results)
         self._said = now
@@ -320,10 +310,6 @@ class WorkerSession:
         ----------
         reason : str
             For the master; its first 1000 characters are sent.
-
-        Returns
-        -------
-        list of Action
         """
         self._worker_is_up = False
         self._shelf.worker_has.clear()
@@ -352,10 +338,6 @@ class WorkerSession:
         ----------
         now : float
             In seconds, as for the class.
-
-        Returns
-        -------
-        list of Action
         """
         if self.state is State.STOPPED:
             return []

@@ -51,10 +51,6 @@ class Shelf:
     def use(self, keys: Iterable[bytes]) -> list[bytes]:
         """Note that a batch names these blobs.
 
-        Parameters
-        ----------
-        keys : iterable of bytes
-
         Returns
         -------
         list of bytes
@@ -70,10 +66,6 @@ class Shelf:
 
     def hand_over(self, keys: Iterable[bytes]) -> list[bytes]:
         """Return those that the worker process lacks; from now on it has them.
-
-        Parameters
-        ----------
-        keys : iterable of bytes
 
         Returns
         -------

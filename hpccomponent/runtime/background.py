@@ -73,10 +73,6 @@ class Background:
         ----------
         find : callable
             Finds it, without arguments.
-
-        Returns
-        -------
-        Deferred
         """
         deferred = Deferred(find)
 

@@ -105,10 +105,6 @@ class Channel:
     def send_file(self, file: MemoryFile) -> None:
         """Send a message that lies in a memory file, without copying it.
 
-        Parameters
-        ----------
-        file : MemoryFile
-
         Raises
         ------
         ChannelClosedError

@@ -102,10 +102,6 @@ def run_component(connection: Connection, options: ComponentOptions) -> ExitCode
         Where the master is, and this worker's keys.
     options : ComponentOptions
         How to serve.
-
-    Returns
-    -------
-    ExitCode
     """
     with ExitStack() as stack:
         return _Component(connection, options, stack).run()

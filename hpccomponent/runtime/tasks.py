@@ -78,10 +78,6 @@ class Traits:
         ----------
         arguments : tuple
             Of the call.
-
-        Returns
-        -------
-        Declared
         """
         return self.result(*arguments) if callable(self.result) else self.result
 
@@ -120,11 +116,6 @@ def declare(
 ) -> Callable[[FunctionT], FunctionT]:
     """Declare what a task costs, returns, and how to split it; the function stays what it is.
 
-    Parameters
-    ----------
-    cost, split, join, result, limit, is_verified
-        See `Traits`.
-
     Returns
     -------
     callable
@@ -159,10 +150,6 @@ def traits_of(task: Callable[..., Any] | str) -> Traits:
     ----------
     task : callable or str
         The function, or its name.
-
-    Returns
-    -------
-    Traits
     """
     traits: Traits = getattr(task, "task_traits", PLAIN)
     return traits
@@ -222,10 +209,6 @@ class TaskRegistry:
         name : str
             With `EACH` before it: of a task that is run for each item of its columns.
 
-        Returns
-        -------
-        callable
-
         Raises
         ------
         UsageError
@@ -260,14 +243,6 @@ class TaskRegistry:
 
     def name_of(self, task: Callable[..., Any] | str) -> str:
         """Return the name under which a function, or a name itself, is registered.
-
-        Parameters
-        ----------
-        task : callable or str
-
-        Returns
-        -------
-        str
 
         Raises
         ------

@@ -20,10 +20,6 @@ def sees_files(*files: tuple[str, int]) -> bool:
         Path and length in bytes of each. A name with a random part in it is found nowhere by
         chance; a name that a user gave is, so let a random one be among them.
 
-    Returns
-    -------
-    bool
-
     Examples
     --------
     >>> sees_files((__file__, os.path.getsize(__file__))), sees_files((__file__, -1))

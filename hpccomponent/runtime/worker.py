@@ -149,10 +149,8 @@ def run_batch(
 
     Parameters
     ----------
-    batch : Batch
     payload : memoryview
         That came with it; see `Channel.receive`.
-    tasks : TaskRegistry
     channel : Channel
         Where results go.
     blobs : mapping of bytes to object, optional

@@ -36,7 +36,6 @@ class Store(Protocol):
 
         Parameters
         ----------
-        name : str
         value : ndarray, int, float, bool, str, bytes, None, or tuple, list, dict of these
         replaces : bool
             Whether it takes the place of what has that name; else that stays.
@@ -52,14 +51,6 @@ class Store(Protocol):
     def get(self, name: str) -> Any:
         """Return a value; its large arrays are read-only.
 
-        Parameters
-        ----------
-        name : str
-
-        Returns
-        -------
-        object
-
         Raises
         ------
         UsageError
@@ -72,14 +63,6 @@ class Store(Protocol):
 
     def has(self, name: str) -> bool:
         """Tell whether there is a value of a name.
-
-        Parameters
-        ----------
-        name : str
-
-        Returns
-        -------
-        bool
 
         Raises
         ------
@@ -111,10 +94,6 @@ class Store(Protocol):
     def delete(self, name: str) -> None:
         """Take a value away, if it is there.
 
-        Parameters
-        ----------
-        name : str
-
         Raises
         ------
         UsageError
@@ -126,10 +105,6 @@ class Store(Protocol):
 
 def check_name(name: str) -> None:
     """Raise UsageError where a name is none; see `Store`.
-
-    Parameters
-    ----------
-    name : str
 
     Raises
     ------

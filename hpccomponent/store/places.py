@@ -28,10 +28,6 @@ def open_store(place: str, *, makes_folders: bool = True) -> Store:
     makes_folders : bool
         Of a folder: see `FolderStore`.
 
-    Returns
-    -------
-    Store
-
     Raises
     ------
     UsageError
@@ -69,9 +65,5 @@ def hold_store(place: str) -> Store:
     ----------
     place : str
         As for `open_store`, which raises the same.
-
-    Returns
-    -------
-    Store
     """
     return open_store(place, makes_folders=False)

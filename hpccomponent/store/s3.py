@@ -32,7 +32,6 @@ class S3Store:
     Parameters
     ----------
     client : S3 client of boto3
-    bucket : str
     prefix : str
         Of all names in it, without the ``/`` behind; may be empty.
     """
