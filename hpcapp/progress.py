@@ -66,8 +66,6 @@ class StageClock:
 
     Parameters
     ----------
-    progress : Progress
-        Where stages are announced.
     timeline : Timeline, optional
         Of the job: its stages, and what backends record in it (see `Backend.record`).
 

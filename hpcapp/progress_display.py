@@ -41,7 +41,6 @@ class LineProgress:
     Parameters
     ----------
     stream : file
-        Where lines go.
     """
 
     def __init__(self, stream: TextIO) -> None:
@@ -152,7 +151,6 @@ class EventProgress:
     Parameters
     ----------
     stream : file
-        Where lines go.
     display : Progress
         The other one.
     dashboard : str, optional

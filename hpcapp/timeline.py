@@ -40,8 +40,6 @@ class Span:
 
     Parameters
     ----------
-    name : str
-        Of the stage or the task.
     worker : str
         `MASTER`, a worker's name, or `ANY_WORKER`.
     begin, end : float
@@ -87,15 +85,8 @@ def _nobody() -> list[WorkerNow]:
 class Timeline:
     """The spans of one job, in the order in which they ended.
 
-    Parameters
-    ----------
-    clock : callable, optional
-        Returns monotonic seconds.
-
     Attributes
     ----------
-    spans : list of Span
-        Grows while the job runs.
     roster : callable
         Returns a `WorkerNow` for each worker that the backend knows now; set by the backend.
 

@@ -33,8 +33,6 @@ class Workforce:
 
     Parameters
     ----------
-    executor : concurrent.futures.Executor
-        Runs the tasks.
     workers : int
         How many tasks run at once.
     batches_per_worker : int
@@ -131,19 +129,10 @@ def map_batches(
 
     Parameters
     ----------
-    workforce : Workforce
-        Where the batches run.
     task : callable
         A registered task (see ``docs/explanation/design.md``).
-    batches : sequence of tuple
-        The positional arguments of each call.
     advance : callable, optional
         Told (batches done, batches in all) after each result.
-
-    Returns
-    -------
-    list
-        One result per batch.
 
     Raises
     ------
@@ -177,11 +166,6 @@ def stream_batches(
     makers : dict, optional
         Gets the worker of each batch, before its result is yielded, where the backend tells.
 
-    Yields
-    ------
-    index : int
-        Of the batch.
-
     Raises
     ------
     TaskError, WorkerLostError
@@ -212,11 +196,6 @@ def begin_batch(
     workforce: Workforce, task: Callable[..., Result], batch: tuple[Any, ...]
 ) -> Iterator[Callable[[], Result]]:
     """Run `task` once, while this process does something else.
-
-    Parameters
-    ----------
-    batch : tuple
-        The positional arguments of the call.
 
     Yields
     ------

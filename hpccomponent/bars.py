@@ -29,8 +29,6 @@ def make_bars(stream: TextIO, *, is_transient: bool = False) -> Progress:
 
     Parameters
     ----------
-    stream : TextIO
-        The terminal.
     is_transient : bool
         Whether they vanish in the end.
 

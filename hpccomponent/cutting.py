@@ -10,11 +10,6 @@ __all__ = ["cut_equal"]
 def cut_equal(rows: int, batches: int) -> list[slice]:
     """Cut `rows` rows into at most `batches` runs, equal to within one row, none empty.
 
-    Parameters
-    ----------
-    rows : int
-        0 or more.
-
     Returns
     -------
     list of slice

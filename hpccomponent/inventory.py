@@ -39,8 +39,6 @@ class InventoryWorker:
     ----------
     name : str
         ``head``, ``worker-1``, ...
-    address : str
-        Its private one.
     public_key : str
         CURVE, Z85.
     """
@@ -60,8 +58,6 @@ class Inventory:
         ZeroMQ endpoint to listen on: the head's private address and the communicator's port.
     server_public_key, server_secret_key : str
         The master's CURVE keys, Z85.
-    version : int
-        Of the file's format.
     """
 
     cluster: str
@@ -73,13 +69,7 @@ class Inventory:
 
 
 def dump_inventory(inventory: Inventory) -> str:
-    """Return the text of an inventory's file, which must be for its owner only (0600).
-
-    Returns
-    -------
-    str
-        JSON.
-    """
+    """Return the text of an inventory's file, which must be for its owner only (0600)."""
     return json.dumps(asdict(inventory), indent=2) + "\n"
 
 

@@ -41,8 +41,6 @@ def control_groups(controller: str, root: Path = _ROOT) -> Iterator[Path]:
     ----------
     controller : str
         ``cpu``, ``memory`` or ``pids``: what the groups limit; in version 2 they limit everything.
-    root : Path
-        Where ``proc`` and ``sys`` lie.
     """
     mounts = root / "sys/fs/cgroup"
     for line in read_text(root / "proc/self/cgroup").splitlines():
@@ -60,13 +58,7 @@ def control_groups(controller: str, root: Path = _ROOT) -> Iterator[Path]:
 
 
 def available_cores(root: Path = _ROOT) -> int:
-    """Return how many cores this process may keep busy: by affinity and by quota, at least one.
-
-    Parameters
-    ----------
-    root : Path
-        Where ``proc`` and ``sys`` lie.
-    """
+    """Return how many cores this process may keep busy: by affinity and by quota, at least one."""
     if hasattr(os, "sched_getaffinity"):
         cores = float(len(os.sched_getaffinity(0)))
     else:
@@ -87,11 +79,6 @@ def available_memory(root: Path = _ROOT) -> float | None:
 
     Of the machine, and of each control group with a limit: what it holds of files that nobody has
     used lately is given back before anything else, and counts as free.
-
-    Parameters
-    ----------
-    root : Path
-        Where ``proc`` and ``sys`` lie.
 
     Returns
     -------
@@ -159,11 +146,6 @@ def _count_open() -> int:
 def available_tasks(root: Path = _ROOT) -> tuple[int, str] | None:
     """Return how many more processes and threads there may be, and the limit that says so.
 
-    Parameters
-    ----------
-    root : Path
-        Where ``proc`` and ``sys`` lie.
-
     Returns
     -------
     (int, str) or None
@@ -204,11 +186,6 @@ def total_memory(root: Path = _ROOT) -> int:
     """Return the memory that there is for this process, used or not.
 
     That of the machine, or the lowest limit of its control groups.
-
-    Parameters
-    ----------
-    root : Path
-        Where ``proc`` and ``sys`` lie.
 
     Returns
     -------

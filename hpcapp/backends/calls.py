@@ -27,12 +27,8 @@ class Ran:
 
     Parameters
     ----------
-    value : object
-        What the task returned.
     worker : str
         The machine and the process, and the thread where it is not the process's first.
-    seconds : float
-        How long the task took.
     """
 
     value: Any
@@ -42,13 +38,6 @@ class Ran:
 
 def run_task(numerics: str, task: Callable[..., Any], *arguments: Any) -> Ran:
     """Run a task, on a worker, if it computes the same bits as the master.
-
-    Parameters
-    ----------
-    numerics : str
-        The master's numerics id.
-    *arguments
-        Its values.
 
     Raises
     ------

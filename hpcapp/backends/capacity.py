@@ -85,8 +85,6 @@ def count_carried(backend: str, root: Path = _ROOT) -> tuple[int, str]:
     ----------
     backend : str
         A key of `NEEDS`.
-    root : Path
-        Where ``proc`` and ``sys`` lie.
 
     Returns
     -------
@@ -140,8 +138,6 @@ def check_workers(backend: str, count: int | None, default: int, root: Path = _R
         How many were asked for.
     default : int
         How many there are otherwise, where the machine carries so many.
-    root : Path
-        Where ``proc`` and ``sys`` lie.
 
     Raises
     ------

@@ -58,11 +58,6 @@ class Listening:
         first_s, others_s : float, optional
             How long to wait for the first one, and then for the others, in seconds.
 
-        Returns
-        -------
-        int
-            At least 1.
-
         Raises
         ------
         NoWorkersError
@@ -131,11 +126,6 @@ def listen_inventory(
     lead: Callable[[str], AbstractContextManager[None]] | None = None,
 ) -> Iterator[Listening]:
     """Be the master of a cluster, and do not wait for its workers; see `open_inventory`.
-
-    Parameters
-    ----------
-    path, policy, verification, extra_tasks, lead
-        As for `open_inventory`.
 
     Raises
     ------

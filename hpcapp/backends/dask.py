@@ -58,8 +58,6 @@ class DaskExecutor(Executor):
         ----------
         fn : callable
             Importable on the workers.
-        *args, **kwargs
-            Its arguments.
         """
         future: Future[T] = self._executor.submit(fn, *args, **kwargs)
         return future

@@ -28,13 +28,7 @@ _NOTED_S = 1.0  # so long nobody waits to note an exit code
 
 @contextmanager
 def open_processes(count: int) -> Iterator[Executor]:
-    """Open a pool of processes whose workers end with it, and whose losses are noticed.
-
-    Parameters
-    ----------
-    count : int
-        How many processes.
-    """
+    """Open a pool of processes whose workers end with it, and whose losses are noticed."""
     # Spawned, not forked: a fork copies locks that threads of this process may hold.
     pool = ProcessPoolExecutor(
         count,

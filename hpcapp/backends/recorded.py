@@ -30,13 +30,7 @@ class RecordedExecutor(Executor):
         timeline.roster = self._roster
 
     def submit(self, fn: Callable[..., T], /, *args: object, **kwargs: object) -> Future[T]:
-        """Have a task run, and recorded.
-
-        Parameters
-        ----------
-        *args, **kwargs
-            Its arguments.
-        """
+        """Have a task run, and recorded."""
         submitter, name = threading.get_ident(), getattr(fn, "__name__", repr(fn))
 
         def run() -> T:

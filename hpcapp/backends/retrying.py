@@ -56,11 +56,6 @@ def count_broken(error: BaseException) -> int:
 def count_workers(executor: Executor) -> int:
     """Return how many tasks an Executor runs at once, as far as it tells; else the cores here.
 
-    Returns
-    -------
-    int
-        At least 1.
-
     Notes
     -----
     No Executor has to tell. Those of the standard library, loky and mpi4py have

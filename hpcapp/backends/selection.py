@@ -230,8 +230,6 @@ def start_early(name: str, workers: int | None) -> Iterator[LocalMachines | None
     ----------
     name : str
         What `open_executor` takes.
-    workers : int, optional
-        Likewise.
 
     Yields
     ------
@@ -344,8 +342,6 @@ def wrap_communicator(
 
     Parameters
     ----------
-    name : str
-        Of the backend.
     policy : str
         One of `POLICIES`.
     """

@@ -21,11 +21,6 @@ class SerialExecutor(Executor):
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
         """Run `fn` now and return its finished future.
 
-        Parameters
-        ----------
-        *args, **kwargs
-            Its arguments.
-
         Returns
         -------
         concurrent.futures.Future
@@ -47,12 +42,6 @@ class SerialExecutor(Executor):
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Take no more tasks; those that were taken are done.
-
-        Parameters
-        ----------
-        wait, cancel_futures : bool
-            Not used: nothing waits.
-        """
+        """Take no more tasks; those that were taken are done."""
         del wait, cancel_futures
         self._is_shut_down = True

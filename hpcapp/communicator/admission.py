@@ -36,12 +36,8 @@ class Admission:
 
         Parameters
         ----------
-        register : Register
-            What it says of itself.
         key : str
             The public key (Z85) that it came under.
-        workers : collection of Worker
-            Those that are registered.
         """
         reason = self.banned.get(key) or self.banned.get(register.worker)
         if reason is not None:

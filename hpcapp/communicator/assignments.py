@@ -30,15 +30,7 @@ class Assignments:
         return self.last
 
     def take_back(self, batch: int, flight: Flight) -> None:
-        """Note that a batch was given up; whoever had it may still answer.
-
-        Parameters
-        ----------
-        batch : int
-            Its number.
-        flight : Flight
-            What was left of it.
-        """
+        """Note that a batch was given up; whoever had it may still answer."""
         if flight.limits:
             self._taken_back[batch] = flight
         if len(self._taken_back) > MOST_TAKEN_BACK:
@@ -55,12 +47,6 @@ class Assignments:
 
         Parameters
         ----------
-        worker : Worker
-            Who answers.
-        batch : int
-            What it says that it answers.
-        numbers : iterable of int
-            The tasks.
         waiting : container of int
             All tasks that have no answer yet.
 

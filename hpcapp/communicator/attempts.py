@@ -25,8 +25,6 @@ def attempt(
 
     Parameters
     ----------
-    verification : Verification
-        Of the job.
     is_callers : callable, optional
         Tells of an error whether the caller has raised it, so that it is no lie.
     """
@@ -48,15 +46,8 @@ def repeat_until_trusted(verification: Verification, run: Callable[[bool], Outco
 
     Parameters
     ----------
-    verification : Verification
-        Of the job.
     run : callable
         Told whether it is the first time; does its work within `attempt`.
-
-    Returns
-    -------
-    object
-        What `run` returns.
     """
     verification.begin_job()
     while True:

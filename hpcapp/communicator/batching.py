@@ -33,8 +33,6 @@ class BatchCutter:
     ----------
     claim : callable
         Called with a task's number right before it first leaves; False if it was cancelled.
-    forecast : Forecast
-        Says how long tasks take.
     """
 
     def __init__(self, claim: Callable[[int], bool], forecast: Forecast) -> None:
@@ -93,8 +91,6 @@ def find_closest(
 
     Parameters
     ----------
-    source : OrderedDict of int to Task
-        Not empty.
     added : container of bytes, optional
         Keys of blobs that will be there before it.
     """
@@ -122,8 +118,6 @@ def find_holder(
 
     Parameters
     ----------
-    source : OrderedDict of int to Task
-        Not empty.
     chosen : Worker
         One of them.
     """

@@ -35,12 +35,6 @@ class Dispatcher:
 
     Parameters
     ----------
-    policy : Policy
-        Which worker gets the next tasks.
-    clock : Clock
-        Monotonic time.
-    losses : Losses
-        Which worker may have a task that was lost.
     claim : callable
         Called with a task's number right before it first leaves; False if it was cancelled.
     split : callable
@@ -52,10 +46,6 @@ class Dispatcher:
         What any worker may have, in order.
     lost : OrderedDict of int to Task
         What was lost with a worker, or is to be answered by another one: not for every one.
-    assignments : Assignments
-        Every batch that was sent.
-    forecast : Forecast
-        How long tasks take.
     """
 
     def __init__(
@@ -99,13 +89,7 @@ class Dispatcher:
         self.lost.pop(number, None)
 
     def dispatch(self, everyone: Iterable[Worker]) -> list[Assign]:
-        """Place what waits, and send what the credit windows allow.
-
-        Parameters
-        ----------
-        everyone : iterable of Worker
-            All that are registered.
-        """
+        """Place what waits, and send what the credit windows allow."""
         actions: list[Assign] = []
         everyone = list(everyone)
         workers = [worker for worker in everyone if worker.is_open]

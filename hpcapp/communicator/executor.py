@@ -81,8 +81,6 @@ class CommunicatorExecutor(Executor):
         The numerics id that workers must have; by default that of the first one.
     timing : Timing
         How often the parties speak, and how long they listen.
-    clock : Clock, optional
-        Monotonic time.
 
     Raises
     ------
@@ -180,11 +178,6 @@ class CommunicatorExecutor(Executor):
     def allow(self, public_key: str) -> None:
         """Let the owner of `public_key` connect.
 
-        Parameters
-        ----------
-        public_key : str
-            Z85.
-
         Raises
         ------
         UsageError
@@ -193,13 +186,7 @@ class CommunicatorExecutor(Executor):
         self._door.allow(public_key)
 
     def revoke(self, public_key: str) -> None:
-        """Keep the owner of `public_key` out, and turn its workers away.
-
-        Parameters
-        ----------
-        public_key : str
-            Z85.
-        """
+        """Keep the owner of `public_key` out, and turn its workers away."""
         self._door.forbid(public_key)
         self._engine.post(lambda: self._engine.scheduler.expel(public_key))
 

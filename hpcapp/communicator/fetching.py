@@ -142,13 +142,7 @@ class _Line:
 
 
 class Fetcher:
-    """Fetches parcels, and keeps what each worker says in order meanwhile.
-
-    Parameters
-    ----------
-    session : str
-        The master's.
-    """
+    """Fetches parcels, and keeps what each worker says in order meanwhile."""
 
     def __init__(self, session: str) -> None:
         self.last = 0
@@ -173,8 +167,6 @@ class Fetcher:
 
         Parameters
         ----------
-        worker : bytes
-            Its identity.
         limits : sequence of int
             How large each of its results may be, in bytes; 0 where nobody waits for it.
 

@@ -36,10 +36,6 @@ class Forecast:
 
         Parameters
         ----------
-        worker : bytes
-            Its identity.
-        seconds : float
-            How long its function took.
         way_s : float, optional
             What it took besides, in seconds.
         """
@@ -59,13 +55,7 @@ class Forecast:
         self._way_s[task.name] = (self._way_s.get(task.name, way_s) + way_s) / 2.0
 
     def forget(self, worker: bytes) -> None:
-        """Let a lost worker count no more; the last one to know a task leaves what it knew.
-
-        Parameters
-        ----------
-        worker : bytes
-            Its identity.
-        """
+        """Let a lost worker count no more; the last one to know a task leaves what it knew."""
         for name, known in self._unit_s.items():
             if len(known) > 1:
                 known.pop(worker, None)
@@ -74,13 +64,6 @@ class Forecast:
 
     def unit_s(self, worker: bytes, name: str) -> float:
         """Return how long a unit of work of a task is expected to take on a worker.
-
-        Parameters
-        ----------
-        worker : bytes
-            Its identity.
-        name : str
-            Of the task.
 
         Returns
         -------
@@ -105,13 +88,7 @@ class Forecast:
         return self._common_s[name]
 
     def slowness(self, worker: bytes) -> float:
-        """Return how many times as long as the first worker a worker takes; 1 if unknown.
-
-        Parameters
-        ----------
-        worker : bytes
-            Its identity.
-        """
+        """Return how many times as long as the first worker a worker takes; 1 if unknown."""
         spent_s, common_s = self._spent_s.get(worker, (1.0, 1.0))
         return spent_s / common_s
 
@@ -131,11 +108,6 @@ class Forecast:
     def expect(self, worker: bytes, task: Task) -> float:
         """Return how long a task is expected to take on a worker.
 
-        Parameters
-        ----------
-        worker : bytes
-            Its identity.
-
         Returns
         -------
         float
@@ -147,11 +119,6 @@ class Forecast:
         """Return how long a worker still has to do with what it holds.
 
         A task that takes longer than expected is expected to take as long again as it has.
-
-        Parameters
-        ----------
-        now : float
-            The present moment of the scheduler's clock, in seconds.
 
         Returns
         -------
@@ -176,8 +143,6 @@ class Forecast:
         ----------
         worker : Worker
             Its `remaining_s`, `next_s` and `slowness` are set.
-        now : float
-            The present moment of the scheduler's clock, in seconds.
         """
         worker.remaining_s = self.remaining_s(worker, now)
         worker.next_s = self.unit_s(worker.identity, name)
@@ -186,15 +151,8 @@ class Forecast:
     def ends(self, worker: Worker, now: float) -> Iterator[tuple[Task, float]]:
         """Yield each task that a worker holds, with how long it will be until it is done.
 
-        Parameters
-        ----------
-        now : float
-            The present moment of the scheduler's clock, in seconds.
-
         Yields
         ------
-        task : Task
-            In the order in which they are run.
         left_s : float
             In seconds.
         """

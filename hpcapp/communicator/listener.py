@@ -82,11 +82,6 @@ class Door:
     def allow(self, public_key: str) -> None:
         """Let the owner of `public_key` connect.
 
-        Parameters
-        ----------
-        public_key : str
-            Z85.
-
         Raises
         ------
         UsageError
@@ -97,13 +92,7 @@ class Door:
         self._allowed.add(public_key)
 
     def forbid(self, public_key: str) -> None:
-        """Keep the owner of `public_key` out from now on.
-
-        Parameters
-        ----------
-        public_key : str
-            Z85.
-        """
+        """Keep the owner of `public_key` out from now on."""
         self._allowed.discard(public_key)
 
     def invite(self, worker: str) -> Connection:

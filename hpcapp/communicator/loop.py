@@ -109,10 +109,6 @@ class Engine:
         Makes the scheduler around the engine's ledger.
     transport : RouterTransport
         Likewise; the engine closes it.
-    clock : Clock
-        The scheduler's.
-    timing : Timing
-        How often to speak.
     """
 
     def __init__(
@@ -157,13 +153,7 @@ class Engine:
             self._transport.wake()
 
     def submit(self, number: int, entry: Entry) -> None:
-        """Take a task.
-
-        Parameters
-        ----------
-        number : int
-            From the ledger.
-        """
+        """Take a task."""
         self.ledger.add(number, entry)
         can_split = entry.traits.split is not None
         self.post(
@@ -182,13 +172,7 @@ class Engine:
             self.ledger.fail_all(self._end)
 
     def cancel(self, number: int) -> None:
-        """Forget a task whose future was cancelled.
-
-        Parameters
-        ----------
-        number : int
-            Of the task.
-        """
+        """Forget a task whose future was cancelled."""
 
         def event() -> list[Action]:
             return self.scheduler.cancel(number) if self.ledger.is_cancelled(number) else []
@@ -196,13 +180,7 @@ class Engine:
         self.post(event)
 
     def close(self, abandon: bool = False) -> None:
-        """End the thread once all tasks are done, or at once, failing those that are not.
-
-        Parameters
-        ----------
-        abandon : bool, optional
-            Whether to end at once.
-        """
+        """End the thread once all tasks are done, or at once, failing those that are not."""
 
         def event() -> list[Action]:
             self._is_closing = True

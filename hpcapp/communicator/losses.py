@@ -48,15 +48,7 @@ class Losses:
         self._records: dict[str, _Record] = {}
 
     def blame(self, task: Task, worker: Worker, reason: str) -> None:
-        """Hold the loss of a task against its machine, and against the task.
-
-        Parameters
-        ----------
-        worker : Worker
-            Who had it.
-        reason : str
-            Why it was lost.
-        """
+        """Hold the loss of a task against its machine, and against the task."""
         self.accuse(worker, reason)
         task.losses[worker.machine] += 1
         if task.is_done:  # it was run twice, and another one has done it
@@ -67,13 +59,7 @@ class Losses:
         return worker.machine not in self.retired and self._record(worker).is_bad()
 
     def accuse(self, worker: Worker, reason: str) -> None:
-        """Hold the loss of a worker against its machine.
-
-        Parameters
-        ----------
-        reason : str
-            Why it was lost.
-        """
+        """Hold the loss of a worker against its machine."""
         record = self._record(worker)
         record.lost += 1
         record.reason, record.is_shaken = reason, True
@@ -85,8 +71,6 @@ class Losses:
         ----------
         task : Task
             Whoever has lost it is to blame for that now.
-        worker : Worker
-            Who has done it.
         """
         record = self._record(worker)
         record.done[task.name] += 1
@@ -101,20 +85,7 @@ class Losses:
         return bad
 
     def retire(self, machine: str, tasks: Iterable[Task]) -> str:
-        """Have a machine get nothing more, take its losses off the tasks, and say why.
-
-        Parameters
-        ----------
-        machine : str
-            Its name; it has lost something.
-        tasks : iterable of Task
-            All that have no result yet.
-
-        Returns
-        -------
-        str
-            What `describe` says of it.
-        """
+        """Have a machine get nothing more, take its losses off the tasks, and say why."""
         self.retired[machine] = self.describe([machine])
         for task in tasks:
             task.losses.pop(machine, None)
@@ -125,11 +96,6 @@ class Losses:
 
         First those on machines that have neither lost nor answered it, nor lost another one just
         now; then those on machines that have neither; then those that have not lost it; then all.
-
-        Parameters
-        ----------
-        workers : sequence of Worker
-            Those that may get tasks at all.
 
         Returns
         -------
@@ -142,28 +108,14 @@ class Losses:
         return steady or others or whole or list(workers)
 
     def is_spent(self, task: Task, workers: Iterable[Worker]) -> bool:
-        """Tell whether a task is to be given up, with these workers left.
-
-        Parameters
-        ----------
-        workers : iterable of Worker
-            Those that may get tasks.
-        """
+        """Tell whether a task is to be given up, with these workers left."""
         if len(task.losses) >= LOSS_BUDGET:
             return True
         others = any(worker.machine not in task.losses for worker in workers)
         return not others and task.losses.total() >= LOSS_BUDGET
 
     def can_ask_another(self, task: Task, worker: Worker, workers: Iterable[Worker]) -> bool:
-        """Tell whether another machine can say if it is the task that fails, or this machine.
-
-        Parameters
-        ----------
-        worker : Worker
-            Where it failed.
-        workers : iterable of Worker
-            Those that may get tasks.
-        """
+        """Tell whether another machine can say if it is the task that fails, or this machine."""
         if task.has_failed:
             return False
         known = {worker.machine, *task.losses}
@@ -171,11 +123,6 @@ class Losses:
 
     def describe(self, machines: Iterable[str] | None = None) -> str:
         """Say what some machines have lost, and why; by default all that have lost anything.
-
-        Parameters
-        ----------
-        machines : iterable of str, optional
-            Their names.
 
         Returns
         -------
@@ -200,13 +147,7 @@ class Losses:
         )
 
     def explain_absence(self, tasks: int, reason: str) -> NoWorkersError:
-        """Return the error of so many tasks that nobody is left for.
-
-        Parameters
-        ----------
-        reason : str
-            Why nobody is left.
-        """
+        """Return the error of so many tasks that nobody is left for."""
         lost = self.describe()
         return NoWorkersError(
             f"{tasks} tasks have no worker: {reason}{lost and f' ({lost})'}",

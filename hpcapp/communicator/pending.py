@@ -38,13 +38,7 @@ class Ledger:
         return next(self._numbers)
 
     def add(self, number: int, entry: Entry) -> None:
-        """Take a new entry.
-
-        Parameters
-        ----------
-        number : int
-            From `number`.
-        """
+        """Take a new entry."""
         self._entries[number] = entry
 
     def cancel_all(self) -> None:
@@ -53,13 +47,7 @@ class Ledger:
             entry.future.cancel()
 
     def calls(self, numbers: Iterable[int]) -> tuple[list[Call], list[Buffer]]:
-        """Return what has to be sent for these tasks, and all their buffers in order.
-
-        Parameters
-        ----------
-        numbers : iterable of int
-            Of tasks that are here.
-        """
+        """Return what has to be sent for these tasks, and all their buffers in order."""
         calls: list[Call] = []
         buffers: list[Buffer] = []
         for number in numbers:
@@ -71,18 +59,7 @@ class Ledger:
         return calls, buffers
 
     def find_changed(self, keys: Iterable[bytes]) -> list[int]:
-        """Return the tasks that name one of these blobs, where its value has been changed.
-
-        Parameters
-        ----------
-        keys : iterable of bytes
-            Of the blobs.
-
-        Returns
-        -------
-        list of int
-            The tasks' numbers.
-        """
+        """Return the tasks that name one of these blobs, where its value has been changed."""
         sought = set(keys)
         changed: dict[bytes, bool] = {}
         found = []
@@ -109,13 +86,7 @@ class Ledger:
         return False
 
     def split(self, number: int) -> list[Task]:
-        """Replace a task by others that together do the same; none if it cannot be split.
-
-        Returns
-        -------
-        list of Task
-            With new numbers; their entries are here.
-        """
+        """Replace a task by others that together do the same; none if it cannot be split."""
         entry = self._entries[number]
         try:
             parts = split_entry(entry)
@@ -162,8 +133,6 @@ class Ledger:
 
         Parameters
         ----------
-        result : Result
-            What the worker has sent.
         value : object
             The value in it; not used where the task raised.
         worker : str, optional
@@ -196,13 +165,7 @@ class Ledger:
             entry.future.set_exception(own)
 
     def fail_all(self, error: HpcError) -> None:
-        """Set the exception of every future that is left.
-
-        Parameters
-        ----------
-        error : HpcError
-            Each gets a copy of its own.
-        """
+        """Set the exception of every future that is left."""
         for number in list(self._entries):
             self.fail(number, error)
 

@@ -62,10 +62,6 @@ class Placement:
 
     Parameters
     ----------
-    worker : int
-        Index into the loads.
-    tasks : int
-        How many tasks it gets, at most.
     is_fixed : bool
         Whether all of them wait for this worker, even where its credit window is full;
         otherwise one batch of them leaves now, and what does not fit stays with the others.
@@ -92,11 +88,6 @@ class Policy(Protocol):
 
         Called until it says nobody, or nothing waits; `loads` is in the order of registration
         and never empty.
-
-        Parameters
-        ----------
-        waiting : int
-            At least 1.
         """
         ...
 
@@ -112,13 +103,7 @@ class EqualPolicy:
     batches_per_worker: ClassVar[int] = 1
 
     def place(self, waiting: int, loads: Sequence[Load]) -> Placement | None:
-        """Choose the worker that has been given the fewest tasks.
-
-        Parameters
-        ----------
-        loads : sequence of Load
-            Not empty.
-        """
+        """Choose the worker that has been given the fewest tasks."""
         del waiting
         fewest = min(range(len(loads)), key=lambda i: loads[i].placed)
         return Placement(fewest, 1, is_fixed=True)
@@ -143,15 +128,7 @@ class PullPolicy:
         self.depth = depth
 
     def place(self, waiting: int, loads: Sequence[Load]) -> Placement | None:
-        """Choose the worker with the shortest queue, unless that is full too.
-
-        Parameters
-        ----------
-        waiting : int
-            How many tasks there are for all workers.
-        loads : sequence of Load
-            Not empty.
-        """
+        """Choose the worker with the shortest queue, unless that is full too."""
         shortest = min(range(len(loads)), key=lambda i: loads[i].queued)
         if loads[shortest].queued >= self.depth:
             return None
@@ -172,15 +149,7 @@ class AdaptivePolicy:
     batches_per_worker: ClassVar[int] = 4
 
     def place(self, waiting: int, loads: Sequence[Load]) -> Placement | None:
-        """Choose the worker that has the next task done first, if any has room for it.
-
-        Parameters
-        ----------
-        waiting : int
-            How many tasks there are for all workers.
-        loads : sequence of Load
-            Not empty.
-        """
+        """Choose the worker that has the next task done first, if any has room for it."""
         may_queue = waiting >= len(loads)  # the last ones go to whoever is idle first
         free = [
             i

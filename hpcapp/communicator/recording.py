@@ -24,8 +24,6 @@ class Recording:
 
         Parameters
         ----------
-        worker : Worker
-            Who answers.
         flight : Flight or None
             The batch that the task is of, if the worker still has it.
         task : Task
@@ -51,10 +49,6 @@ class Recording:
 
         Parameters
         ----------
-        worker : Worker
-            Who had it.
-        flight : Flight
-            What was left of it.
         at_work_s : float
             How long the first of them has been at work, in seconds; the others had not begun.
         """
@@ -71,13 +65,7 @@ class Recording:
             at_work_s = 0.0
 
     def turned_away(self, register: Register) -> None:
-        """Record that a worker was not taken in.
-
-        Parameters
-        ----------
-        register : Register
-            How it introduced itself.
-        """
+        """Record that a worker was not taken in."""
         if self.timeline is not None:
             self.timeline.record("register", register.worker, 0.0, "refused")
 

@@ -54,10 +54,6 @@ class Scheduler:
 
     Parameters
     ----------
-    policy : Policy
-        Which worker gets the next tasks.
-    clock : Clock
-        Monotonic time.
     package : str
         The release that components must have.
     claim : callable

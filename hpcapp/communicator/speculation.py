@@ -18,19 +18,7 @@ LAG_S = 0.25  # if that is more than so many seconds
 def choose_to_split(
     queue: Collection[Task], workers: Sequence[Worker], forecast: Forecast, now: float
 ) -> Task | None:
-    """Choose the longest waiting task that can be split, if too few wait for idle workers.
-
-    Parameters
-    ----------
-    queue : collection of Task
-        What waits.
-    workers : sequence of Worker
-        Who may get it.
-    forecast : Forecast
-        How long tasks take.
-    now : float
-        The present moment of the scheduler's clock, in seconds.
-    """
+    """Choose the longest waiting task that can be split, if too few wait for idle workers."""
     candidates = [task for task in queue if task.can_split and not task.is_claimed]
     if not candidates or len(queue) >= len(workers):
         return None
@@ -52,12 +40,8 @@ def choose_to_run_again(
 
     Parameters
     ----------
-    workers : collection of Worker
-        Everyone at work.
     idle : sequence of Worker
         Who has nothing to do; each gets one task at most.
-    forecast, now
-        As for `choose_to_split`.
     """
     if not idle:
         return []

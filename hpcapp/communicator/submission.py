@@ -53,17 +53,6 @@ class Entry:
 def make_entry(future: Future[Any], name: str, arguments: tuple[Any, ...], traits: Traits) -> Entry:
     """Encode a task.
 
-    Parameters
-    ----------
-    future : concurrent.futures.Future
-        Of the task's result.
-    name : str
-        Of the task.
-    arguments : tuple
-        Its positional arguments.
-    traits : Traits
-        What it declares.
-
     Returns
     -------
     Entry
@@ -95,11 +84,6 @@ def make_entry(future: Future[Any], name: str, arguments: tuple[Any, ...], trait
 
 def each_traits(traits: Traits) -> Traits:
     """Return what a task declares when it is run for each item of some columns of arguments.
-
-    Parameters
-    ----------
-    traits : Traits
-        What it declares for a single item.
 
     Returns
     -------

@@ -60,8 +60,6 @@ class RouterTransport:
     ----------
     bind : str
         ZeroMQ endpoint to listen on; port 0 means any free one.
-    keys : KeyPair
-        The master's own keys.
     is_allowed : callable
         Tells of a public key (Z85) whether its owner may connect.
 
@@ -194,8 +192,6 @@ class RouterTransport:
 
         Parameters
         ----------
-        identity : bytes
-            The receiver.
         frames : sequence of bytes-like
             Must not change until they have been sent; nobody tells when.
 

@@ -124,10 +124,6 @@ class Verification:
 
         Parameters
         ----------
-        task : Task
-            Holds the answers before this one.
-        machine : str
-            Who gives it.
         others : collection of str
             Machines that have not answered the task and could.
         digest : callable
@@ -174,10 +170,6 @@ class Verification:
         ----------
         names : collection of str
             Its name, and others that its key has had.
-        key : str
-            Empty where it has none.
-        reason : str
-            What it did.
         tasks : iterable of Task
             All that are open: its answers to them count no more.
         """
@@ -231,11 +223,6 @@ def explain_dispute(task: Task) -> JobError:
 
 def digest_answer(result: Result, buffers: Sequence[Buffer]) -> bytes:
     """Return what tells one answer to a task from another one.
-
-    Parameters
-    ----------
-    buffers : sequence of bytes-like
-        Those that it announces.
 
     Returns
     -------

@@ -135,10 +135,6 @@ class ConnectionWatch:
         ----------
         descriptor : int
             Of the connection; it may be closed, and another one may have its number.
-        key : str
-            That the message came under.
-        size_bytes : int
-            As `wire_bytes` has it.
         """
         connection = self._connections.get(descriptor)
         if connection is not None:

@@ -42,15 +42,8 @@ def problems_error(name: str, problems: list[Problem]) -> ConfigError:
 
     Parameters
     ----------
-    name : str
-        What messages call the text.
     problems : list of tuple
         `Problem`, in any order; the first 100 places are told.
-
-    Returns
-    -------
-    ConfigError
-        To be raised.
     """
     lines: dict[tuple[int, int, str], list[str]] = {}
     for node, location, message in problems:
@@ -91,15 +84,7 @@ def show(node: yaml.Node) -> str:
 
 
 def is_miscounted(detail: ErrorDetails, root: yaml.MappingNode) -> bool:
-    """Tell whether pydantic finds too few entries only because it counts those that are right.
-
-    Parameters
-    ----------
-    detail : pydantic_core.ErrorDetails
-        The finding.
-    root : yaml.MappingNode
-        The text.
-    """
+    """Tell whether pydantic finds too few entries only because it counts those that are right."""
     if detail["type"] != "too_short":
         return False
     _, value, _ = _locate(root, detail["loc"])
@@ -111,10 +96,6 @@ def place_finding(detail: ErrorDetails, root: yaml.MappingNode, model: type[Base
 
     Parameters
     ----------
-    detail : pydantic_core.ErrorDetails
-        The finding.
-    root : yaml.MappingNode
-        The text.
     model : type
         The class of `pydantic.BaseModel` that it was checked against.
 
@@ -158,8 +139,6 @@ def place_misfit(
         What is wrong.
     choices : collection of str
         What would fit; the nearest is named, or all of them.
-    root : yaml.MappingNode
-        The text.
 
     Returns
     -------

@@ -63,8 +63,6 @@ def compose(text: str, name: str) -> yaml.MappingNode:
     ----------
     text : str
         One document, a mapping at the top.
-    name : str
-        What messages call the text.
 
     Raises
     ------
@@ -103,11 +101,6 @@ def compose(text: str, name: str) -> yaml.MappingNode:
 def refuse_length(text: str, name: str) -> NoReturn:
     """Refuse a text of more than `MOST_BYTES`, at the line that goes beyond.
 
-    Parameters
-    ----------
-    name : str
-        What messages call the text.
-
     Raises
     ------
     ConfigError
@@ -122,11 +115,6 @@ def refuse_length(text: str, name: str) -> NoReturn:
 
 def refuse_text(name: str, where: yaml.Node) -> NoReturn:
     """Refuse what comes to more than `MOST_TEXT`, at the value that goes beyond.
-
-    Parameters
-    ----------
-    name : str
-        What messages call the text.
 
     Raises
     ------

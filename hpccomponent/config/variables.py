@@ -28,14 +28,10 @@ def expand_variables(
 
     Parameters
     ----------
-    root : yaml.MappingNode
-        Of a document.
     environment : mapping of str to str, optional
         Without it, values are taken literally, and only measured.
     found : list of Problem
         Gets a problem for each variable that is not set, with its place.
-    name : str
-        What messages call the text.
 
     Raises
     ------

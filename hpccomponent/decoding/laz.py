@@ -32,13 +32,7 @@ _ITEM = struct.Struct("<HHH")
 
 
 def read_items(record: bytes) -> list[tuple[int, int, int]]:
-    """Return kind, size in bytes and version of what a compressed point consists of.
-
-    Parameters
-    ----------
-    record : bytes
-        Of the compressor.
-    """
+    """Return kind, size in bytes and version of what a compressed point consists of."""
     items = record[_ITEMS_AT:]
     return list(_ITEM.iter_unpack(items[: len(items) // _ITEM.size * _ITEM.size]))
 

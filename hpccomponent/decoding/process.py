@@ -53,8 +53,6 @@ class Decoder:
 
     Parameters
     ----------
-    path : Path
-        The file.
     memory : ndarray of uint8
         Shared: each answer overwrites it.
     computing_s : float
@@ -156,8 +154,6 @@ def open_decoder(
     ----------
     module : str
         Of this package: what runs there.
-    path : Path
-        The file.
     size : int
         Bytes of the memory that is shared.
     arguments : sequence of str

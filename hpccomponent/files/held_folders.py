@@ -181,11 +181,6 @@ def hold(path: Path, *, waits: bool = False) -> HeldFolder | None:
 def read_owner(path: Path) -> Owner | None:
     """Return who has said of itself that it holds a folder of this user.
 
-    Parameters
-    ----------
-    path : Path
-        Of the folder.
-
     Returns
     -------
     Owner or None

@@ -84,8 +84,6 @@ def new_file_here(name: str, flag: str) -> Path:
 
     Parameters
     ----------
-    name : str
-        As it was told.
     flag : str
         The option by which the user says where it goes.
 
@@ -153,13 +151,6 @@ def read_regular(path: Path, most: int = -1) -> bytes:
 
 def refuse_special(mode: int, path: Path) -> None:
     """Raise OSError, whose `strerror` says so, where a mode is not that of a regular file.
-
-    Parameters
-    ----------
-    mode : int
-        As `os.stat` tells it.
-    path : Path
-        For the message.
 
     Raises
     ------

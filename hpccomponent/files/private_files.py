@@ -51,8 +51,6 @@ def create_private(path: Path, buffering: int = -1) -> BinaryIO:
     ----------
     path : Path
         Nothing may be there.
-    buffering : int
-        As for `open`.
 
     Returns
     -------
@@ -80,13 +78,7 @@ def create_private(path: Path, buffering: int = -1) -> BinaryIO:
 
 
 def open_at_once(name: str, flags: int) -> int:
-    """Open a file, as an `opener` of `open` does; a pipe that has its name is not waited for.
-
-    Returns
-    -------
-    int
-        The descriptor.
-    """
+    """Open a file, as an `opener` of `open` does; a pipe that has its name is not waited for."""
     return os.open(name, flags | os.O_NONBLOCK)
 
 

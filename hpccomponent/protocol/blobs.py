@@ -50,8 +50,6 @@ def make_blob(header: bytes, buffers: Sequence[Buffer]) -> Blob:
 
     Parameters
     ----------
-    header : bytes
-        Of the value.
     buffers : sequence of buffer
         Those of the value, which the blob refers to without a copy.
 
@@ -73,8 +71,6 @@ def check_blob(
 
     Parameters
     ----------
-    key, header : bytes
-        As announced.
     sizes : sequence of int
         The length of each buffer, in bytes.
     pieces : iterable of sequence of bytes-like

@@ -162,8 +162,6 @@ def decode_values(
 
     Parameters
     ----------
-    header : bytes-like
-        The header.
     buffers : sequence of bytes-like
         The buffers, each in one piece.
     blobs : mapping of bytes to value

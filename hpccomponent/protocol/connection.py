@@ -30,8 +30,6 @@ class Connection:
         The worker's own CURVE keys, Z85.
     worker : str
         The worker's name, unique within the job.
-    version : int
-        Version of this file's format.
     """
 
     endpoint: str

@@ -208,13 +208,7 @@ class Exactly:
 
 @dataclass(frozen=True, slots=True, init=False)
 class Fixed:
-    """A tuple of so many items.
-
-    Parameters
-    ----------
-    *items : Declared
-        One for each.
-    """
+    """A tuple of so many items."""
 
     items: tuple[Declared, ...]
 
@@ -231,13 +225,7 @@ class Fixed:
 
 @dataclass(frozen=True, slots=True, init=False)
 class Fields:
-    """A dict with these keys and no others.
-
-    Parameters
-    ----------
-    **items : Declared
-        One for each.
-    """
+    """A dict with these keys and no others."""
 
     items: tuple[tuple[str, Declared], ...]
 
@@ -255,13 +243,7 @@ class Fields:
 
 @dataclass(frozen=True, slots=True, init=False)
 class Record:
-    """A record (see `hpccomponent.protocol.records`).
-
-    Parameters
-    ----------
-    **items : Declared
-        One for each field.
-    """
+    """A record (see `hpccomponent.protocol.records`)."""
 
     kind: type
     items: tuple[tuple[str, Declared], ...]
@@ -284,8 +266,6 @@ class Each:
 
     Parameters
     ----------
-    item : Declared
-        What each is.
     count : int, optional
         How many there are; any number by default.
     """
@@ -308,13 +288,7 @@ class Each:
 
 @dataclass(frozen=True, slots=True)
 class EachOf:
-    """A list of items that are declared one by one.
-
-    Parameters
-    ----------
-    items : sequence of Declared
-        One for each.
-    """
+    """A list of items that are declared one by one."""
 
     items: Sequence[Declared]
 
@@ -363,8 +337,6 @@ class Where:
 
     Parameters
     ----------
-    pattern : Declared
-        What is checked first.
     agrees : callable
         Tells of a value that fits the pattern whether its parts agree.
     rule : str

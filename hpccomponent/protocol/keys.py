@@ -63,8 +63,6 @@ def write_secret(path: Path, text: str) -> None:
     ----------
     path : pathlib.Path
         The file; an older one is replaced as a whole.
-    text : str
-        Its new content.
 
     Raises
     ------

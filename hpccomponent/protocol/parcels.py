@@ -78,13 +78,6 @@ class Parcels:
     def cut(self, parcel: int, start: int, end: int) -> Sequence[Buffer] | None:
         """Return the bytes from `start` to `end` of a parcel, without copying.
 
-        Parameters
-        ----------
-        parcel : int
-            Its number.
-        start, end : int
-            In bytes of its content: the head, then the payload.
-
         Returns
         -------
         sequence of buffer or None

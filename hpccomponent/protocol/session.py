@@ -194,15 +194,7 @@ class WorkerSession:
         return [Send(self._register), StartWorker(0.0)]
 
     def receive(self, message: MasterMessage, frames: Sequence[Buffer], now: float) -> list[Action]:
-        """Take a message of the master; one of another session is dropped and counted.
-
-        Parameters
-        ----------
-        frames : sequence of buffer
-            That came with it.
-        now : float
-            In seconds, as for the class.
-        """
+        """Take a message of the master; one of another session is dropped and counted."""
         if self.state is State.STOPPED:
             return []
         if isinstance(message, Registered):
@@ -252,12 +244,8 @@ class WorkerSession:
 
         Parameters
         ----------
-        head : buffer
-            The same, encoded.
         payload : memoryview
             Their buffers, laid out as in `payload`.
-        now : float
-            In seconds, as for the class.
         """
         self.progress += len(results.results)
         self._said = now
@@ -332,13 +320,7 @@ class WorkerSession:
         return [*actions, StartWorker(min(delay_s, LONGEST_BACKOFF_S))]
 
     def tick(self, now: float) -> list[Action]:
-        """Take the time: heartbeats, registration anew, and an end to a silent master.
-
-        Parameters
-        ----------
-        now : float
-            In seconds, as for the class.
-        """
+        """Take the time: heartbeats, registration anew, and an end to a silent master."""
         if self.state is State.STOPPED:
             return []
         if now - self._heard > self._silence_s:

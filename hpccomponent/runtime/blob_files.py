@@ -15,13 +15,6 @@ __all__ = ["BlobFiles", "check_share"]
 def check_share(share: Share, frames: Sequence[Buffer]) -> None:
     """Make sure that the frames are those of the blob that a message announces.
 
-    Parameters
-    ----------
-    share : Share
-        The message.
-    frames : sequence of buffer
-        That came with it.
-
     Raises
     ------
     ProtocolError
@@ -39,13 +32,6 @@ class BlobFiles:
     def keep(self, share: Share, frames: Sequence[Buffer]) -> None:
         """Copy a blob out of its frames, once for all tasks.
 
-        Parameters
-        ----------
-        share : Share
-            The message that announces it.
-        frames : sequence of buffer
-            That came with it.
-
         Raises
         ------
         OSError
@@ -56,13 +42,6 @@ class BlobFiles:
 
     def hand_over(self, keys: Iterable[bytes], channel: Channel) -> None:
         """Let the worker process map these blobs.
-
-        Parameters
-        ----------
-        keys : iterable of bytes
-            Of blobs that are kept here.
-        channel : Channel
-            To the worker process.
 
         Raises
         ------
@@ -77,10 +56,6 @@ class BlobFiles:
 
         Parameters
         ----------
-        keys : sequence of bytes
-            Of blobs that are kept here.
-        session : str
-            The master's.
         channel : Channel or None
             To the worker process; None where there is none.
 

@@ -80,8 +80,6 @@ class Channel:
 
         Parameters
         ----------
-        control : bytes-like
-            The message.
         buffers : sequence of sequence of bytes-like
             The pieces of each buffer.
 
@@ -137,8 +135,6 @@ class Channel:
 
         Returns
         -------
-        control : memoryview
-            The message.
         payload : memoryview
             Its buffers, to be cut by `cut_payload`.
 

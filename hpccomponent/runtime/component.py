@@ -94,15 +94,7 @@ class ComponentOptions:
 
 
 def run_component(connection: Connection, options: ComponentOptions) -> ExitCode:
-    """Serve one master until it, the lifeline or a signal ends the component.
-
-    Parameters
-    ----------
-    connection : Connection
-        Where the master is, and this worker's keys.
-    options : ComponentOptions
-        How to serve.
-    """
+    """Serve one master until it, the lifeline or a signal ends the component."""
     with ExitStack() as stack:
         return _Component(connection, options, stack).run()
 

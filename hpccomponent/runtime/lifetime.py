@@ -50,8 +50,6 @@ def exit_at_end_of_pipe(descriptor: int, code: int) -> threading.Thread:
     ----------
     descriptor : int
         Reading end of the pipe; nothing is ever written to the other.
-    code : int
-        Exit code of the process.
 
     Returns
     -------

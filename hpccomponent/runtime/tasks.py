@@ -72,22 +72,11 @@ class Traits:
     is_verified: bool = True
 
     def result_of(self, arguments: tuple[Any, ...]) -> Declared:
-        """Return what the result of one call must be.
-
-        Parameters
-        ----------
-        arguments : tuple
-            Of the call.
-        """
+        """Return what the result of one call must be."""
         return self.result(*arguments) if callable(self.result) else self.result
 
     def limit_of(self, arguments: tuple[Any, ...]) -> int:
         """Return how large the encoded result of one call may be.
-
-        Parameters
-        ----------
-        arguments : tuple
-            Of the call.
 
         Returns
         -------
@@ -116,11 +105,6 @@ def declare(
 ) -> Callable[[FunctionT], FunctionT]:
     """Declare what a task costs, returns, and how to split it; the function stays what it is.
 
-    Returns
-    -------
-    callable
-        The decorator.
-
     Raises
     ------
     UsageError
@@ -144,13 +128,7 @@ def declare(
 
 
 def traits_of(task: Callable[..., Any] | str) -> Traits:
-    """Return what a task declares; nothing if only its name is given.
-
-    Parameters
-    ----------
-    task : callable or str
-        The function, or its name.
-    """
+    """Return what a task declares; nothing if only its name is given."""
     traits: Traits = getattr(task, "task_traits", PLAIN)
     return traits
 
@@ -268,11 +246,6 @@ class TaskRegistry:
 
 def each_result(single: Traits) -> Callable[..., Declared]:
     """Return what is declared of the results of a task that is run for each item of columns.
-
-    Parameters
-    ----------
-    single : Traits
-        Of the task, for one item.
 
     Returns
     -------

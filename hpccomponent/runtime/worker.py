@@ -72,12 +72,6 @@ def run_call(
 
     Parameters
     ----------
-    call : Call
-        What to run.
-    buffers : list of memoryview
-        Its buffers.
-    tasks : TaskRegistry
-        Where its name is looked up.
     blobs : mapping of bytes to value
         The values of the blobs among its arguments, by their keys.
 
@@ -151,8 +145,6 @@ def run_batch(
     ----------
     payload : memoryview
         That came with it; see `Channel.receive`.
-    channel : Channel
-        Where results go.
     blobs : mapping of bytes to object, optional
         The values of blobs, by their keys.
 
@@ -263,11 +255,6 @@ def main(arguments: list[str] | None = None) -> int:
     ----------
     arguments : list of str, optional
         Of the command line; by default those of this process.
-
-    Returns
-    -------
-    int
-        The exit code.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal's Ctrl-C is for the master only
     parser = argparse.ArgumentParser(prog="hpccomponent.runtime.worker", allow_abbrev=False)

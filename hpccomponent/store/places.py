@@ -60,10 +60,5 @@ def hold_store(place: str) -> Store:
 
     A client of a bucket takes longer to make than a tile takes to be put there. Of a folder none is
     made: a task that is late must not bring back what its job has taken away.
-
-    Parameters
-    ----------
-    place : str
-        As for `open_store`, which raises the same.
     """
     return open_store(place, makes_folders=False)

@@ -79,11 +79,6 @@ def from_bytes(content: memoryview, name: str = "", *, is_checked: bool = False)
     is_checked : bool
         Whether the very same bytes were found whole before.
 
-    Returns
-    -------
-    object
-        The value.
-
     Raises
     ------
     DamagedError
