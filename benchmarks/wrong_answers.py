@@ -29,7 +29,7 @@ from hpcapp.applications.simulate.scanner import simulate_scan
 from hpcapp.applications.simulate.settings import ScanSettings
 from hpcapp.applications.simulate.shapes import SHAPES
 from hpcapp.communicator.executor import CommunicatorExecutor
-from hpcapp.communicator.verification import Verification
+from hpcapp.communicator.scheduling.verification import Verification
 from hpccomponent.protocol.connection import write_connection
 
 FACTOR = 1.001

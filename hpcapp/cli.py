@@ -58,10 +58,10 @@ class Verbs(click.Group):
         else:
             from importlib.metadata import entry_points
 
-            found = entry_points(group="hpc.commands", name=cmd_name)
-            if not found:
+            entries = entry_points(group="hpc.commands", name=cmd_name)
+            if not entries:
                 return None
-            command = next(iter(found)).load()
+            command = next(iter(entries)).load()
         assert isinstance(command, click.Command)  # noqa: S101 - a plug-in's own mistake
         return command
 

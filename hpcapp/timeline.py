@@ -22,7 +22,7 @@ __all__ = [
     "MASTER",
     "Span",
     "Timeline",
-    "WorkerNow",
+    "WorkerState",
     "find_worker",
     "note_worker",
 ]
@@ -62,7 +62,7 @@ class Span:
 
 
 @dataclass(frozen=True, slots=True)
-class WorkerNow:
+class WorkerState:
     """What a worker does at the moment.
 
     Parameters
@@ -78,7 +78,7 @@ class WorkerNow:
     task: str = ""
 
 
-def _nobody() -> list[WorkerNow]:
+def _nobody() -> list[WorkerState]:
     return []
 
 
@@ -87,8 +87,8 @@ class Timeline:
 
     Attributes
     ----------
-    roster : callable
-        Returns a `WorkerNow` for each worker that the backend knows now; set by the backend.
+    list_workers : callable
+        Returns a `WorkerState` for each worker that the backend knows now; set by the backend.
 
     Examples
     --------
@@ -100,7 +100,7 @@ class Timeline:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.spans: list[Span] = []
-        self.roster: Callable[[], list[WorkerNow]] = _nobody
+        self.list_workers: Callable[[], list[WorkerState]] = _nobody
         self._clock = clock
         self._start = clock()
 

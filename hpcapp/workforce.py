@@ -111,12 +111,12 @@ class Workforce:
         OSError
             This process does not see one of them itself.
         """
-        found = tuple((str(file.resolve()), file.stat().st_size) for file in files)
+        sizes = tuple((str(file.resolve()), file.stat().st_size) for file in files)
         if self.in_process:
             return True
-        if any(visible_text(path) != path for path, _ in found):
+        if any(visible_text(path) != path for path, _ in sizes):
             return False
-        return all(map_batches(self, sees_files, [found] * (_ASKED * self.workers)))
+        return all(map_batches(self, sees_files, [sizes] * (_ASKED * self.workers)))
 
 
 def map_batches(

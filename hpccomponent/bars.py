@@ -107,8 +107,8 @@ class _Rate(ProgressColumn):
         speed = task.finished_speed or task.speed
         if not speed or task.total == 1:
             return Text("")
-        said = f"{decimal(int(speed))}/s" if task.fields.get("is_bytes") else say_rate(speed)
-        return Text(said, style="progress.data.speed")
+        rate = f"{decimal(int(speed))}/s" if task.fields.get("is_bytes") else say_rate(speed)
+        return Text(rate, style="progress.data.speed")
 
 
 class _Remaining(ProgressColumn):

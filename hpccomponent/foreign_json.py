@@ -44,12 +44,12 @@ def decode(text: str | bytes, kind: type[T]) -> T:
     """
     try:
         # Not msgspec's own: names that are not UTF-8 travel as halves of characters.
-        told = json.loads(text, parse_constant=_refuse)
+        parsed = json.loads(text, parse_constant=_refuse)
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
     except ValueError as error:
         raise ValueError(f"it is no JSON: {error}") from None
-    return convert(told, kind)
+    return convert(parsed, kind)
 
 
 def convert(told: Any, kind: type[T]) -> T:

@@ -91,8 +91,8 @@ def available_memory(root: Path = _ROOT) -> float | None:
         limit = memory_limit(group)
         used = read_text(group / "memory.current") or read_text(group / "memory.usage_in_bytes")
         if limit is not None and used.strip().isdigit():
-            told = _read_fields(group / "memory.stat")
-            idle = told.get("total_inactive_file", told.get("inactive_file", 0))
+            statistics = _read_fields(group / "memory.stat")
+            idle = statistics.get("total_inactive_file", statistics.get("inactive_file", 0))
             free.append(max(0.0, float(limit - int(used) + idle)))
     return min(free, default=None)
 
@@ -151,23 +151,23 @@ def available_tasks(root: Path = _ROOT) -> tuple[int, str] | None:
     (int, str) or None
         None where the system does not say.
     """
-    left: list[tuple[int, str]] = []
+    free: list[tuple[int, str]] = []
     user_limit, _ = resource.getrlimit(resource.RLIMIT_NPROC)
     if user_limit != resource.RLIM_INFINITY and os.geteuid() != 0:  # it does not bind root
-        left.append((user_limit - _count_tasks_of_user(root), "'ulimit -u'"))
+        free.append((user_limit - _count_tasks_of_user(root), "'ulimit -u'"))
     for group in control_groups("pids", root):
         limit = read_text(group / "pids.max").strip()
         used = read_text(group / "pids.current").strip()
         if limit.isdigit() and used.isdigit():
-            left.append((int(limit) - int(used), "the control group's pids.max"))
+            free.append((int(limit) - int(used), "the control group's pids.max"))
     running = read_text(root / "proc/loadavg").partition("/")[2].split()
     for name in ("threads-max", "pid_max"):
         limit = read_text(root / "proc/sys/kernel" / name).strip()
         if limit.isdigit() and running and running[0].isdigit():
-            left.append((int(limit) - int(running[0]), f"the kernel's {name}"))
-    if not left:
+            free.append((int(limit) - int(running[0]), f"the kernel's {name}"))
+    if not free:
         return None
-    least, reason = min(left)
+    least, reason = min(free)
     return max(0, least), reason
 
 

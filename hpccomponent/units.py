@@ -31,10 +31,10 @@ def parse_size(size: int | str) -> int:
     """
     if isinstance(size, int) and not isinstance(size, bool):
         return size
-    found = _SIZE.fullmatch(str(size).strip())
-    if found is None:
+    match = _SIZE.fullmatch(str(size).strip())
+    if match is None:
         raise ValueError("should be a size such as 512M or 2 GiB")
-    return int(float(found[1]) * 1024.0 ** " KMGT".index(found[2].upper() or " "))
+    return int(float(match[1]) * 1024.0 ** " KMGT".index(match[2].upper() or " "))
 
 
 def parse_duration(text: object) -> float:

@@ -44,10 +44,11 @@ def run_task(numerics: str, task: Callable[..., Any], *arguments: Any) -> Ran:
     JobError
         This worker runs other kernels.
     """
-    here = _numerics_here()
-    if here != numerics:
+    numerics_here = _numerics_here()
+    if numerics_here != numerics:
         raise JobError(
-            f"a worker on {platform.node()} computes with {here}, the master with {numerics}",
+            f"a worker on {platform.node()} computes with {numerics_here}, "
+            f"the master with {numerics}",
             "install the same build of hpcapp and numpy on all of them ('hpcapp --version')",
         )
     start = time.perf_counter()

@@ -147,18 +147,18 @@ def check_workers(backend: str, count: int | None, default: int, root: Path = _R
     if backend not in NEEDS:
         return default if count is None else count
     most, reason = count_carried(backend, root)
-    asked = min(default, max(1, most)) if count is None else count
-    if asked > most:
+    workers = min(default, max(1, most)) if count is None else count
+    if workers > most:
         if most == 0:
             raise UsageError(
-                f"--workers {asked}: this machine carries none ({reason})",
+                f"--workers {workers}: this machine carries none ({reason})",
                 "raise this limit, or use --backend serial",
             )
         raise UsageError(
-            f"--workers {asked}: this machine carries {most} ({reason})", f"use --workers {most}"
+            f"--workers {workers}: this machine carries {most} ({reason})", f"use --workers {most}"
         )
-    raise_descriptor_limit(OWN_DESCRIPTORS + asked * NEEDS[backend].descriptors)
-    return asked
+    raise_descriptor_limit(OWN_DESCRIPTORS + workers * NEEDS[backend].descriptors)
+    return workers
 
 
 def make_room(peers: int) -> None:

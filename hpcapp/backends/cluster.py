@@ -17,19 +17,27 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
+from importlib.metadata import entry_points
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from hpcapp.communicator.executor import CommunicatorExecutor
-from hpcapp.communicator.listener import Door
-from hpcapp.communicator.policy import DEFAULT_POLICY, POLICIES
-from hpcapp.communicator.verification import CLUSTER_SHARE, Verification
+from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY, POLICIES
+from hpcapp.communicator.scheduling.verification import CLUSTER_SHARE, Verification
 from hpccomponent.errors import ConfigError, NoWorkersError, UsageError
 from hpccomponent.inventory import Inventory, hold_cluster, read_inventory
 from hpccomponent.limits import raise_descriptor_limit
 from hpccomponent.protocol.keys import KeyPair
-from hpccomponent.runtime.numerics import numerics_id
 
-__all__ = ["Listening", "listen_inventory", "open_inventory"]
+if TYPE_CHECKING:
+    from hpcapp.communicator.executor import CommunicatorExecutor
+    from hpcapp.communicator.listener import Listener
+
+__all__ = [
+    "Listening",
+    "listen_inventory",
+    "load_cluster_function",
+    "open_inventory",
+]
 
 log = logging.getLogger("hpcapp")
 
@@ -89,7 +97,7 @@ def open_inventory(
     path : pathlib.Path
         The inventory.
     policy : str
-        How batches are handed out: a name in `POLICIES` of ``communicator/policy.py``.
+        How batches are handed out: a name in `POLICIES` of ``communicator/scheduling/policy.py``.
     verification : Verification, optional
         Which answers are asked for again on another machine; by default `CLUSTER_SHARE` of them.
     extra_tasks : sequence of str
@@ -136,15 +144,18 @@ def listen_inventory(
     """
     if not read_inventory(path).workers:
         raise UsageError(f"{path} lists no worker", "give the cluster one with 'hpcapp scale'")
+    from hpcapp.communicator.executor import CommunicatorExecutor
+    from hpccomponent.runtime.numerics import numerics_id
+
     verification = verification or Verification()
     if verification.share is None:
         verification.share = CLUSTER_SHARE
     with hold_cluster(path, lambda: log.info("waiting for the cluster's present job to end")):
         inventory = read_inventory(path)  # machines may have changed while this waited
         with (
-            _open_door(inventory, is_led=lead is not None) as door,
+            _open_listener(inventory, is_led=lead is not None) as listener,
             CommunicatorExecutor(
-                door,
+                listener,
                 policy=POLICIES[policy](),
                 verification=verification,
                 extra_tasks=extra_tasks,
@@ -156,9 +167,11 @@ def listen_inventory(
             yield Listening(executor, inventory)
 
 
-def _open_door(inventory: Inventory, *, is_led: bool) -> Door:
+def _open_listener(inventory: Inventory, *, is_led: bool) -> Listener:
     """Listen where the inventory says, or on loopback where something leads there."""
-    return Door(
+    from hpcapp.communicator.listener import Listener
+
+    return Listener(
         "tcp://127.0.0.1:0" if is_led else inventory.bind,
         allowed_keys=[worker.public_key for worker in inventory.workers],
         keys=KeyPair(inventory.server_public_key, inventory.server_secret_key),
@@ -200,3 +213,23 @@ def _follow_inventory(
     finally:
         is_over.set()
         watcher.join(WATCH_S)  # a folder of a machine that hangs may hold it up
+
+
+def load_cluster_function(name: str) -> Callable[..., Any]:
+    """Return the function that is registered under `name` as an entry point ``hpc.clusters``.
+
+    Parameters
+    ----------
+    name : str
+        ``open`` or ``run``.
+
+    Raises
+    ------
+    UsageError
+        No installed package knows cluster files.
+    """
+    registered = entry_points(group="hpc.clusters", name=name)
+    if not registered:
+        raise UsageError("no installed package knows cluster files", "install hpcapp anew")
+    function: Callable[..., Any] = next(iter(registered)).load()
+    return function

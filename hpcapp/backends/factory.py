@@ -44,7 +44,7 @@ def find_factory(name: str) -> Callable[..., Any]:
     """
     module, _, function = name.partition(":")
     try:
-        found = getattr(import_module(module), function)
+        factory = getattr(import_module(module), function)
     except AttributeError:
         raise UsageError(
             f"backend {name}: the module {module} has no {function}", "correct the name"
@@ -54,9 +54,9 @@ def find_factory(name: str) -> Callable[..., Any]:
             f"backend {name}: {module} cannot be imported ({type(error).__name__}: {error})",
             "install it, or add its folder to PYTHONPATH",
         ) from error
-    if not callable(found):
-        raise UsageError(f"backend {name}: it is {found!r}, not a function", "name a function")
-    return found  # type: ignore[no-any-return]
+    if not callable(factory):
+        raise UsageError(f"backend {name}: it is {factory!r}, not a function", "name a function")
+    return factory  # type: ignore[no-any-return]
 
 
 @contextmanager

@@ -408,12 +408,12 @@ def _joined(ray: Any, **options: Any) -> Iterator[None]:
 
 def _init(ray: Any, **options: Any) -> None:
     """Connect, more than once where needed: a client's server now and then dies as it is forked."""
-    for left in reversed(range(CONNECT_TRIES)):
+    for tries_left in reversed(range(CONNECT_TRIES)):
         try:
             ray.init(log_to_driver=False, logging_level=logging.CRITICAL, **options)
             return
         except ConnectionAbortedError:
-            if not left:
+            if not tries_left:
                 raise
             ray.shutdown()
 
@@ -475,9 +475,9 @@ def _private_place() -> Iterator[Path]:
     """
     usual = tempfile.gettempdir()
     parent = Path(usual if len(usual) <= LONGEST_PLACE else SHORT_PLACE)
-    held = create_held(parent / f"hpcapp-{secrets.token_hex(4)}")
+    folder = create_held(parent / f"hpcapp-{secrets.token_hex(4)}")
     try:
-        with watched(held.path):
-            yield held.path / "ray"  # Ray opens its own folder to everybody
+        with watched(folder.path):
+            yield folder.path / "ray"  # Ray opens its own folder to everybody
     finally:
-        held.remove()
+        folder.remove()

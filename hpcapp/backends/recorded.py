@@ -7,7 +7,7 @@ from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from typing import TypeVar
 
-from hpcapp.timeline import ANY_WORKER, Timeline, WorkerNow
+from hpcapp.timeline import ANY_WORKER, Timeline, WorkerState
 
 __all__ = ["RecordedExecutor"]
 
@@ -27,7 +27,7 @@ class RecordedExecutor(Executor):
         self._executor = executor
         self._timeline = timeline
         self._running: dict[str, str] = {}
-        timeline.roster = self._roster
+        timeline.list_workers = self._list_workers
 
     def submit(self, fn: Callable[..., T], /, *args: object, **kwargs: object) -> Future[T]:
         """Have a task run, and recorded."""
@@ -48,6 +48,6 @@ class RecordedExecutor(Executor):
 
         return self._executor.submit(run)
 
-    def _roster(self) -> list[WorkerNow]:
+    def _list_workers(self) -> list[WorkerState]:
         running = sorted(dict(self._running).items())
-        return [WorkerNow(worker, "busy" if task else "idle", task) for worker, task in running]
+        return [WorkerState(worker, "busy" if task else "idle", task) for worker, task in running]

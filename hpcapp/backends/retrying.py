@@ -275,13 +275,20 @@ class RetryingExecutor(Executor):
         timeline = self._timeline
         if timeline is None:
             return
-        sent = count_bytes(task.arguments)
+        sent_bytes = count_bytes(task.arguments)
         if ran is None:
-            spent = time.monotonic() - task.since
-            timeline.record(task.name, ANY_WORKER, spent, outcome, bytes_out=sent)
+            elapsed_s = time.monotonic() - task.since
+            timeline.record(task.name, ANY_WORKER, elapsed_s, outcome, bytes_out=sent_bytes)
             return
-        came = count_bytes(ran.value)
-        timeline.record(task.name, ran.worker, ran.seconds, outcome, bytes_in=came, bytes_out=sent)
+        received_bytes = count_bytes(ran.value)
+        timeline.record(
+            task.name,
+            ran.worker,
+            ran.seconds,
+            outcome,
+            bytes_in=received_bytes,
+            bytes_out=sent_bytes,
+        )
 
     def _mend(self, task: _Task, engine: Executor, error: BaseException) -> None:
         """Run a task again whose worker was lost, or give it up."""

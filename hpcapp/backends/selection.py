@@ -22,9 +22,10 @@ module:func  the Executor that a function makes
 from __future__ import annotations
 
 import logging
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -34,8 +35,8 @@ from hpcapp.backends import BACKENDS, IN_PROCESS
 from hpcapp.backends.capacity import check_address_space, check_workers
 from hpcapp.backends.recorded import RecordedExecutor
 from hpcapp.backends.serial import SerialExecutor
-from hpcapp.communicator.policy import DEFAULT_POLICY, POLICIES
-from hpcapp.communicator.verification import LEAST_MACHINES, Verification
+from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY, POLICIES
+from hpcapp.communicator.scheduling.verification import LEAST_MACHINES, Verification
 from hpcapp.timeline import Timeline
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import UsageError
@@ -44,7 +45,8 @@ from hpccomponent.limits import available_cores
 if TYPE_CHECKING:
     from distributed import Client
 
-    from hpcapp.backends.local_machines import LocalMachines
+    from hpcapp.backends.local_cluster import LocalMachines
+    from hpcapp.backends.retrying import RetryingExecutor
     from hpcapp.communicator.executor import CommunicatorExecutor
 
 __all__ = [
@@ -210,9 +212,9 @@ def open_executor(
     if name == "zmq":
         from hpcapp.backends.local_cluster import LocalCluster
 
-        here = machines or check_workers(name, workers, available_cores())
+        machines_or_count = machines or check_workers(name, workers, available_cores())
         with LocalCluster(
-            here, policy=policy, verification=verification, extra_tasks=extra_tasks
+            machines_or_count, policy=policy, verification=verification, extra_tasks=extra_tasks
         ) as cluster:
             yield wrap_communicator(name, cluster.executor, cluster.workers, policy)
         return
@@ -246,7 +248,7 @@ def start_early(name: str, workers: int | None) -> Iterator[LocalMachines | None
     if name != "zmq":
         yield None
         return
-    from hpcapp.backends.local_machines import LocalMachines
+    from hpcapp.backends.local_cluster import LocalMachines
 
     with LocalMachines(count) as machines:
         yield machines
@@ -267,15 +269,13 @@ def open_backend(
         with open_executor(executor, workers=workers) as backend:
             yield backend
         return
-    from hpcapp.backends.borrowed import borrow_executor
-
     begin = getattr(executor, "start_over", None)
     if begin is not None:
         begin()
 
     per_worker = POLICIES[DEFAULT_POLICY].batches_per_worker
     in_process = isinstance(executor, SerialExecutor | ThreadPoolExecutor)
-    with borrow_executor(executor, workers) as borrowed:
+    with _borrow_executor(executor, workers) as borrowed:
         workforce = Workforce(borrowed, borrowed.workers, per_worker, in_process)
         yield Backend(type(executor).__name__, workforce)
 
@@ -317,8 +317,7 @@ def _open_cluster(
     name: str, policy: str, verification: Verification, extra_tasks: Sequence[str]
 ) -> Iterator[tuple[CommunicatorExecutor, int]]:
     """Open a cluster by its inventory, or by the cluster file through the package that knows it."""
-    from hpcapp.backends.cluster import open_inventory
-    from hpcapp.backends.cluster_jobs import load_cluster_function
+    from hpcapp.backends.cluster import load_cluster_function, open_inventory
 
     path = Path(name)
     open_listed = partial(
@@ -356,3 +355,55 @@ def wrap_communicator(
 
     workforce = Workforce(executor, workers, POLICIES[policy].batches_per_worker)
     return Backend(name, workforce, traffic, is_here=name in BACKENDS)
+
+
+@contextmanager
+def _borrow_executor(
+    executor: Executor | Client, workers: int | None = None
+) -> Iterator[RetryingExecutor | CommunicatorExecutor | SerialExecutor]:
+    """Use an Executor, or a Dask Client, that its owner has opened and will close.
+
+    Parameters
+    ----------
+    workers : int, optional
+        How many tasks it runs at once, where it does not tell.
+
+    Yields
+    ------
+    Executor
+        With ``workers``.
+
+    Raises
+    ------
+    UsageError
+        It is neither.
+    """
+    from hpcapp.backends.retrying import RetryingExecutor
+    from hpcapp.communicator.executor import CommunicatorExecutor
+
+    if isinstance(executor, RetryingExecutor | CommunicatorExecutor | SerialExecutor):
+        yield executor
+        return
+    distributed = sys.modules.get("distributed")
+    if distributed is not None and isinstance(executor, distributed.Client):
+        from hpcapp.backends.dask import borrow_client
+
+        with borrow_client(executor) as borrowed:
+            yield borrowed
+        return
+    if not isinstance(executor, Executor):
+        raise UsageError(
+            f"a {type(executor).__name__} is no Executor",
+            "give a backend's name, a concurrent.futures.Executor, or a Dask Client",
+        )
+    lender = nullcontext(executor)
+    retrying = RetryingExecutor(
+        lambda: lender,
+        workers,
+        most_losses=0,  # only its owner can open it anew
+        advice="open another Executor; a backend by name is opened anew by itself",
+    )
+    try:
+        yield retrying
+    finally:
+        retrying.shutdown(wait=True, cancel_futures=True)

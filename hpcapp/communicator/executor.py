@@ -22,14 +22,14 @@ from concurrent.futures import Executor, Future
 from types import TracebackType
 from typing import Any, TypeVar
 
-from hpcapp.communicator.listener import Door
-from hpcapp.communicator.loop import Engine, Timing
-from hpcapp.communicator.pending import Ledger
-from hpcapp.communicator.policy import AdaptivePolicy, Policy
-from hpcapp.communicator.recording import list_workers
-from hpcapp.communicator.scheduler import Scheduler
+from hpcapp.communicator.listener import Listener
+from hpcapp.communicator.loop import EventLoop, Timing
+from hpcapp.communicator.pending import PendingTasks
+from hpcapp.communicator.scheduling.policy import AdaptivePolicy, Policy
+from hpcapp.communicator.scheduling.recording import list_workers
+from hpcapp.communicator.scheduling.scheduler import Scheduler
+from hpcapp.communicator.scheduling.verification import Verification
 from hpcapp.communicator.submission import each_traits, make_entry
-from hpcapp.communicator.verification import Verification
 from hpcapp.timeline import Timeline
 from hpccomponent.clock import Clock, MonotonicClock
 from hpccomponent.errors import NoWorkersError, UsageError
@@ -48,19 +48,19 @@ EXIT_S = 5.0  # how long the interpreter's exit waits for the communicator's thr
 
 
 class _TaskFuture(Future[Any]):
-    """A future that tells the engine when it is cancelled."""
+    """A future that tells the loop when it is cancelled."""
 
-    def __init__(self, number: int, engine: Engine) -> None:
+    def __init__(self, number: int, loop: EventLoop) -> None:
         super().__init__()
         self._number = number
-        self._engine = weakref.ref(engine)
+        self._loop = weakref.ref(loop)
 
     def cancel(self) -> bool:
         """Cancel the task unless it has left for a worker, or is done."""
         was_cancelled = super().cancel()
-        engine = self._engine()
-        if was_cancelled and engine is not None:
-            engine.cancel(self._number)
+        loop = self._loop()
+        if was_cancelled and loop is not None:
+            loop.cancel(self._number)
         return was_cancelled
 
 
@@ -69,7 +69,7 @@ class CommunicatorExecutor(Executor):
 
     Parameters
     ----------
-    door : Door, optional
+    listener : Listener, optional
         Where it listens; by default on loopback, with fresh keys, until it is shut down.
     policy : Policy, optional
         How tasks are spread; `AdaptivePolicy` by default.
@@ -90,7 +90,7 @@ class CommunicatorExecutor(Executor):
 
     def __init__(
         self,
-        door: Door | None = None,
+        listener: Listener | None = None,
         *,
         policy: Policy | None = None,
         verification: Verification | None = None,
@@ -107,40 +107,40 @@ class CommunicatorExecutor(Executor):
         self._blobs: weakref.WeakValueDictionary[bytes, Blob] = weakref.WeakValueDictionary()
         timing = timing or Timing()
         clock = clock or MonotonicClock()
-        self._door = door or Door()
+        self._listener = listener or Listener()
         self.verification = verification or Verification()
 
-        def make_scheduler(ledger: Ledger) -> Scheduler:
+        def make_scheduler(pending: PendingTasks) -> Scheduler:
             return Scheduler(
                 policy or AdaptivePolicy(),
                 clock,
                 package_version(),
-                ledger.claim,
+                pending.claim,
                 numerics,
                 timing.liveness_s,
                 timing.worker_wait_s,
-                ledger.split,
+                pending.split,
                 self.verification,
             )
 
-        self._transport = self._door.answer()
-        self._engine = Engine(make_scheduler, self._transport, clock, timing)
+        self._transport = self._listener.answer()
+        self._loop = EventLoop(make_scheduler, self._transport, clock, timing)
         atexit.register(self._exit)
 
     @property
     def endpoint(self) -> str:
         """Return where workers connect to."""
-        return self._door.endpoint
+        return self._listener.endpoint
 
     @property
     def server_key(self) -> str:
         """Return the master's public key."""
-        return self._door.server_key
+        return self._listener.server_key
 
     @property
     def workers(self) -> int:
         """Return how many workers are registered now, without those that get nothing more."""
-        workers = list(self._engine.scheduler.workers.values())
+        workers = list(self._loop.scheduler.workers.values())
         return sum(not worker.is_retired for worker in workers)
 
     def statistics(self) -> dict[str, int]:
@@ -150,27 +150,27 @@ class CommunicatorExecutor(Executor):
         asked about, batches sent again; second answers of tasks that were run twice, tasks that
         were split; messages that were dropped, peers that were refused.
         """
-        scheduled, own = self._engine.scheduler.counts, self._engine.counts
+        scheduled, sent = self._loop.scheduler.counts, self._loop.counts
         return {
             "bytes_sent": self._transport.bytes_sent,
             "bytes_received": self._transport.bytes_received,
-            "tasks": own["tasks"],
-            "batches": own["batches"],
-            "blobs": own["blobs"],
+            "tasks": sent["tasks"],
+            "batches": sent["batches"],
+            "blobs": sent["blobs"],
             "losses": scheduled["losses"],
             "lies": scheduled["lies"],
             "doubted": scheduled["doubted"],
             "resent": scheduled["resent"],
             "duplicates": scheduled["duplicates"],
             "splits": scheduled["splits"],
-            "dropped": own["dropped"] + scheduled["dropped"],
+            "dropped": sent["dropped"] + scheduled["dropped"],
             "refused": scheduled["refused"] + self._transport.troubles.total(),
         }
 
     def record(self, timeline: Timeline) -> None:
         """Record from now on what becomes of tasks."""
-        scheduler = self._engine.scheduler
-        timeline.roster = lambda: list_workers(scheduler.workers)
+        scheduler = self._loop.scheduler
+        timeline.list_workers = lambda: list_workers(scheduler.workers)
         scheduler.recording.timeline = timeline
 
     # -- workers -------------------------------------------------------------------------------
@@ -183,12 +183,12 @@ class CommunicatorExecutor(Executor):
         UsageError
             If it is not a key.
         """
-        self._door.allow(public_key)
+        self._listener.allow(public_key)
 
     def revoke(self, public_key: str) -> None:
         """Keep the owner of `public_key` out, and turn its workers away."""
-        self._door.forbid(public_key)
-        self._engine.post(lambda: self._engine.scheduler.expel(public_key))
+        self._listener.forbid(public_key)
+        self._loop.post(lambda: self._loop.scheduler.expel(public_key))
 
     def invite(self, worker: str) -> Connection:
         """Make keys for one worker, allow them, and return what its component must know.
@@ -198,7 +198,7 @@ class CommunicatorExecutor(Executor):
         worker : str
             Its name, unique within the job.
         """
-        return self._door.invite(worker)
+        return self._listener.invite(worker)
 
     def wait_for_workers(self, count: int, timeout_s: float) -> None:
         """Wait until `count` workers are registered, less those of which `worker_gone` was told.
@@ -209,8 +209,8 @@ class CommunicatorExecutor(Executor):
             If they have not come in `timeout_s` seconds, or the launcher says that they will
             not; the message names what kept peers out.
         """
-        with self._engine.roster:
-            have_come = self._engine.roster.wait_for(
+        with self._loop.workers_changed:
+            have_come = self._loop.workers_changed.wait_for(
                 lambda: self._gone is not None or self.workers >= max(1, count - self._missing),
                 timeout_s,
             )
@@ -225,9 +225,9 @@ class CommunicatorExecutor(Executor):
 
     def worker_gone(self) -> None:
         """Take the launcher's word that one more of those waited for will not come."""
-        with self._engine.roster:
+        with self._loop.workers_changed:
             self._missing += 1
-            self._engine.roster.notify_all()
+            self._loop.workers_changed.notify_all()
 
     def workers_gone(self, reason: str) -> None:
         """Take the launcher's word that no worker will come (any more), and why.
@@ -237,14 +237,14 @@ class CommunicatorExecutor(Executor):
         reason : str
             For the errors of the tasks that nobody is left for.
         """
-        with self._engine.roster:
+        with self._loop.workers_changed:
             self._gone = reason
-            self._engine.roster.notify_all()
-        self._engine.post(lambda: self._engine.scheduler.workers_gone(reason))
+            self._loop.workers_changed.notify_all()
+        self._loop.post(lambda: self._loop.scheduler.workers_gone(reason))
 
     def start_over(self) -> None:
         """Begin anew after a `DistrustError`: machines that have lied stay out."""
-        self._engine.post(self._engine.scheduler.start_over)
+        self._loop.post(self._loop.scheduler.start_over)
 
     # -- tasks ---------------------------------------------------------------------------------
 
@@ -271,14 +271,12 @@ class CommunicatorExecutor(Executor):
         """
         blob = make_blob(*encode_values((value,)))
         with self._lock:
-            known = self._blobs.get(blob.key)
-            if known is not None:
-                return known
+            shared = self._blobs.get(blob.key)
+            if shared is not None:
+                return shared
             self._blobs[blob.key] = blob
-        engine, key = self._engine, blob.key
-        weakref.finalize(
-            blob, lambda: engine.post(lambda: engine.scheduler.forget(key))
-        ).atexit = False
+        loop, key = self._loop, blob.key
+        weakref.finalize(blob, lambda: loop.post(lambda: loop.scheduler.forget(key))).atexit = False
         return blob
 
     def submit(
@@ -310,14 +308,14 @@ class CommunicatorExecutor(Executor):
         return self._submit(name, args, traits_of(fn))
 
     def _submit(self, name: str, args: tuple[Any, ...], traits: Traits) -> Future[Any]:
-        number = self._engine.ledger.number()
-        future = _TaskFuture(number, self._engine)
+        number = self._loop.pending.number()
+        future = _TaskFuture(number, self._loop)
         entry = make_entry(future, name, args, traits)
         with self._lock:
             if self._is_shut_down:
                 raise RuntimeError("cannot schedule new futures after shutdown")
-            self._engine.counts["tasks"] += 1
-            self._engine.submit(number, entry)
+            self._loop.counts["tasks"] += 1
+            self._loop.submit(number, entry)
         return future
 
     def map(
@@ -378,10 +376,10 @@ class CommunicatorExecutor(Executor):
         with self._lock:
             self._is_shut_down = True
         if cancel_futures:
-            self._engine.ledger.cancel_all()
-        self._engine.close()
+            self._loop.pending.cancel_all()
+        self._loop.close()
         if wait:
-            self._engine.join()
+            self._loop.join()
             atexit.unregister(self._exit)
 
     def __exit__(
@@ -400,8 +398,8 @@ class CommunicatorExecutor(Executor):
     def _exit(self) -> None:
         with self._lock:
             self._is_shut_down = True
-        self._engine.close(abandon=True)
-        self._engine.join(EXIT_S)
+        self._loop.close(abandon=True)
+        self._loop.join(EXIT_S)
 
 
 def _in_order(parts: Sequence[Future[list[ResultT]]], timeout: float | None) -> Iterator[ResultT]:

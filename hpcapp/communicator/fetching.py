@@ -2,7 +2,7 @@
 
 ::
 
-    Announce ──> within the limits? ──> line of the worker ──> Fetch, Piece, ... ──> complete
+    Announce ──> within the limits? ──> queue of the worker ──> Fetch, Piece, ... ──> complete
     Results, Lost, while a parcel waits ──> behind it                                   │
                                        taken in the order in which they were sent <─────┘
 
@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hpccomponent.errors import ProtocolError
-from hpccomponent.protocol.frames import Buffer, join_frames
+from hpccomponent.protocol.frames import Buffer, aligned, check_payload, cut_payload, join_frames
 from hpccomponent.protocol.messages import (
     Announce,
     Fetch,
@@ -31,9 +31,8 @@ from hpccomponent.protocol.messages import (
     decode_component_message,
 )
 from hpccomponent.protocol.parcels import MAX_HEAD_BYTES, UNASKED_BYTES
-from hpccomponent.protocol.payload import aligned, check_payload, cut_payload
 
-__all__ = ["Asked", "Fetcher", "TakeBuffers"]
+__all__ = ["Fetcher", "Request", "TakeBuffers"]
 
 PIECE_BYTES = 1 << 20
 WINDOW_BYTES = 8 << 20  # on its way from one worker: 80 MB/s where the round trip takes 0.1 s
@@ -73,7 +72,7 @@ class _Parcel:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Waiting:
+class _QueuedMessage:
     message: Results | Lost
     frames: Sequence[Buffer]
 
@@ -87,7 +86,7 @@ class _Waiting:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Asked:
+class Request:
     """A piece of a parcel that has been asked for."""
 
     parcel: _Parcel
@@ -124,12 +123,12 @@ class Asked:
 
 
 @dataclass(slots=True, eq=False)
-class _Line:
+class _WorkerQueue:
     """What a worker has said of its batches, from its first parcel on, in order."""
 
-    items: deque[_Parcel | _Waiting] = field(default_factory=deque)
+    items: deque[_Parcel | _QueuedMessage] = field(default_factory=deque)
     waiting_bytes: int = 0
-    asked: dict[int, Asked] = field(default_factory=dict)
+    asked: dict[int, Request] = field(default_factory=dict)
     asked_bytes: int = 0
     heard: int = 0  # the number of the last results that it has sent or announced,
     taken: int = 0  # of the last that are wanted no more,
@@ -148,18 +147,18 @@ class Fetcher:
         self.last = 0
         self.dropped = 0
         self._session = session
-        self._lines: dict[bytes, _Line] = {}
+        self._queues: dict[bytes, _WorkerQueue] = {}
         self._asked_bytes = 0
 
     def is_fetching(self, worker: bytes) -> bool:
         """Tell whether results of this worker must `wait`."""
-        return worker in self._lines and bool(self._lines[worker].items)
+        return worker in self._queues and bool(self._queues[worker].items)
 
     def batches(self, worker: bytes) -> set[int]:
         """Return the batches of which something waits."""
         return {
             item.announce.batch if isinstance(item, _Parcel) else item.message.batch
-            for item in (self._lines[worker].items if worker in self._lines else ())
+            for item in (self._queues[worker].items if worker in self._queues else ())
         }
 
     def announce(self, worker: bytes, announce: Announce, limits: Sequence[int]) -> None:
@@ -183,17 +182,17 @@ class Fetcher:
             raise ProtocolError(
                 f"it announces results of {announce.payload_bytes} bytes where {limit} are allowed"
             )
-        line = self._line(worker)
-        if announce.number <= line.heard:
+        queue = self._queue(worker)
+        if announce.number <= queue.heard:
             self.dropped += 1
             return
-        line.heard = announce.number
+        queue.heard = announce.number
         size = announce.head_bytes + announce.payload_bytes
-        self._append(line, _Parcel(announce, limit > 0, size if limit else 0), 0)
+        self._append(queue, _Parcel(announce, limit > 0, size if limit else 0), 0)
 
     def note_taken(self, worker: bytes, results: Results, size_bytes: int) -> None:
         """Note that results which came unasked, and had nothing to wait for, have been taken."""
-        self._line(worker).note_taken(results.number, size_bytes)
+        self._queue(worker).note_taken(results.number, size_bytes)
 
     def wait(self, worker: bytes, message: Results | Lost, frames: Sequence[Buffer]) -> None:
         """Keep what a worker has sent until the parcels before it are complete.
@@ -203,15 +202,15 @@ class Fetcher:
         ProtocolError
             If too much of this worker waits already.
         """
-        waiting = _Waiting(message, frames)
-        self._append(self._line(worker), waiting, waiting.size)
+        waiting = _QueuedMessage(message, frames)
+        self._append(self._queue(worker), waiting, waiting.size)
 
-    def take(self, worker: bytes, number: int) -> Asked | None:
+    def take(self, worker: bytes, number: int) -> Request | None:
         """Return what was asked for under this number, once.
 
         Returns
         -------
-        Asked or None
+        Request or None
             None where nobody waits for it any more.
 
         Raises
@@ -221,11 +220,11 @@ class Fetcher:
         """
         if not 0 < number <= self.last:
             raise ProtocolError(f"it sends piece {number}, which nobody asked for")
-        line = self._lines.get(worker)
-        if line is None or number not in line.asked:
+        queue = self._queues.get(worker)
+        if queue is None or number not in queue.asked:
             self.dropped += 1
             return None
-        return self._forget_request(line, number)
+        return self._forget_request(queue, number)
 
     def heartbeat(self, worker: bytes, message: Heartbeat) -> None:
         """Take what a worker says of requests and results: what got lost is asked for again.
@@ -233,36 +232,36 @@ class Fetcher:
         Messages keep their order: what was asked for up to `last_fetch`, and has not come, is
         lost, and so are results up to `last_results` that are not here.
         """
-        line = self._line(worker)
-        for number in [number for number in line.asked if number <= message.last_fetch]:
-            lost = self._forget_request(line, number)
+        queue = self._queue(worker)
+        for number in [number for number in queue.asked if number <= message.last_fetch]:
+            lost = self._forget_request(queue, number)
             lost.parcel.again.append((lost.start, lost.end))
-        waiting = [item.number for item in line.items if item.number is not None]
-        line.note_taken(waiting[0] - 1 if waiting else message.last_results, 0)
-        if message.released < line.taken:
-            line.told, line.untold_bytes = message.released, RELEASE_BYTES
+        waiting = [item.number for item in queue.items if item.number is not None]
+        queue.note_taken(waiting[0] - 1 if waiting else message.last_results, 0)
+        if message.released < queue.taken:
+            queue.told, queue.untold_bytes = message.released, RELEASE_BYTES
 
     def requests(self, worker: bytes) -> Iterator[Fetch | Release]:
         """Return what the worker is to be told now; it counts as told."""
-        line = self._lines.get(worker)
-        if line is None:
+        queue = self._queues.get(worker)
+        if queue is None:
             return
-        if line.told < line.taken and line.untold_bytes >= RELEASE_BYTES:
-            line.told, line.untold_bytes = line.taken, 0
-            yield Release(self._session, line.taken)
-        for item in line.items:
-            while isinstance(item, _Parcel) and self._has_room(line):
+        if queue.told < queue.taken and queue.untold_bytes >= RELEASE_BYTES:
+            queue.told, queue.untold_bytes = queue.taken, 0
+            yield Release(self._session, queue.taken)
+        for item in queue.items:
+            while isinstance(item, _Parcel) and self._has_room(queue):
                 span = item.take_range()
                 if span is None:
                     break
                 self.last += 1
-                asked = line.asked[self.last] = Asked(item, *span)
-                line.asked_bytes += asked.size
-                self._asked_bytes += asked.size
+                request = queue.asked[self.last] = Request(item, *span)
+                queue.asked_bytes += request.size
+                self._asked_bytes += request.size
                 yield Fetch(self._session, self.last, item.announce.number, *span)
 
     def complete(self, worker: bytes) -> Iterator[tuple[Results | Lost, TakeBuffers]]:
-        """Return what is complete and has nothing before it that is not; it leaves the line.
+        """Return what is complete and has nothing before it that is not; it leaves the queue.
 
         Yields
         ------
@@ -274,46 +273,46 @@ class Fetcher:
         ProtocolError
             If a parcel holds something else than it announced.
         """
-        line = self._lines.get(worker)
-        while line is not None and line.items:
-            item = line.items[0]
+        queue = self._queues.get(worker)
+        while queue is not None and queue.items:
+            item = queue.items[0]
             if isinstance(item, _Parcel) and item.missing:
                 return
-            line.items.popleft()
-            if isinstance(item, _Waiting):
-                line.waiting_bytes -= item.size
-                line.note_taken(item.number or 0, item.size)
+            queue.items.popleft()
+            if isinstance(item, _QueuedMessage):
+                queue.waiting_bytes -= item.size
+                queue.note_taken(item.number or 0, item.size)
                 yield item.message, _frames_taker(item.frames)
                 continue
-            line.note_taken(item.number, RELEASE_BYTES)  # told at once
+            queue.note_taken(item.number, RELEASE_BYTES)  # told at once
             if item.is_wanted:
                 yield _open(item)
 
     def retain(self, workers: Collection[bytes]) -> None:
         """Forget all workers but these."""
-        for worker in [worker for worker in self._lines if worker not in workers]:
-            self._asked_bytes -= self._lines.pop(worker).asked_bytes
+        for worker in [worker for worker in self._queues if worker not in workers]:
+            self._asked_bytes -= self._queues.pop(worker).asked_bytes
 
-    def _line(self, worker: bytes) -> _Line:
-        return self._lines.setdefault(worker, _Line())
+    def _queue(self, worker: bytes) -> _WorkerQueue:
+        return self._queues.setdefault(worker, _WorkerQueue())
 
-    def _append(self, line: _Line, item: _Parcel | _Waiting, size: int) -> None:
-        line.waiting_bytes += size
-        if len(line.items) >= MOST_WAITING or line.waiting_bytes > UNASKED_BYTES:
+    def _append(self, queue: _WorkerQueue, item: _Parcel | _QueuedMessage, size: int) -> None:
+        queue.waiting_bytes += size
+        if len(queue.items) >= MOST_WAITING or queue.waiting_bytes > UNASKED_BYTES:
             raise ProtocolError("it sends results, but not those that it has announced before them")
-        line.items.append(item)
+        queue.items.append(item)
 
-    def _has_room(self, line: _Line) -> bool:
-        if not line.asked:
+    def _has_room(self, queue: _WorkerQueue) -> bool:
+        if not queue.asked:
             return True
         is_narrow = self._asked_bytes + PIECE_BYTES > MOST_ASKED_BYTES
-        return not is_narrow and line.asked_bytes + PIECE_BYTES <= WINDOW_BYTES
+        return not is_narrow and queue.asked_bytes + PIECE_BYTES <= WINDOW_BYTES
 
-    def _forget_request(self, line: _Line, number: int) -> Asked:
-        asked = line.asked.pop(number)
-        line.asked_bytes -= asked.size
-        self._asked_bytes -= asked.size
-        return asked
+    def _forget_request(self, queue: _WorkerQueue, number: int) -> Request:
+        request = queue.asked.pop(number)
+        queue.asked_bytes -= request.size
+        self._asked_bytes -= request.size
+        return request
 
 
 def _frames_taker(frames: Sequence[Buffer]) -> TakeBuffers:

@@ -1,7 +1,7 @@
 """Where a communicator listens, and who may come in.
 
 Nothing heavy is imported here: workers can be invited, and start, while the master still imports
-what it will compute with. What comes early waits at the door.
+what it will compute with. What comes early waits until it answers.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from hpccomponent.errors import UsageError
 from hpccomponent.protocol.connection import Connection
 from hpccomponent.protocol.keys import KeyPair, is_key, make_key_pair
 
-__all__ = ["Door"]
+__all__ = ["Listener"]
 
 
-class Door:
+class Listener:
     """A listening socket with a list of keys that may connect.
 
     Parameters
@@ -52,7 +52,7 @@ class Door:
         self._transport = RouterTransport(bind, self._keys, self._allowed.__contains__)
         self._is_answered = False
 
-    def __enter__(self) -> Door:
+    def __enter__(self) -> Listener:
         return self
 
     def __exit__(

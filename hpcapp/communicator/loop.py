@@ -17,10 +17,10 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from hpcapp.communicator.fetching import Fetcher, TakeBuffers
-from hpcapp.communicator.pending import Ledger
+from hpcapp.communicator.pending import PendingTasks
 from hpcapp.communicator.results import open_results
-from hpcapp.communicator.scheduler import Scheduler
-from hpcapp.communicator.state import (
+from hpcapp.communicator.scheduling.scheduler import Scheduler
+from hpcapp.communicator.scheduling.state import (
     Action,
     AskRegister,
     Assign,
@@ -63,7 +63,7 @@ from hpccomponent.protocol.messages import (
 )
 from hpccomponent.protocol.parcels import LARGE_BYTES
 
-__all__ = ["Engine", "Timing"]
+__all__ = ["EventLoop", "Timing"]
 
 _BROKEN = "its connection broke"
 _FLOODS = "it sent a message without end, or more of them than can be taken"
@@ -100,29 +100,29 @@ class Timing:
     probe_s: float = 0.5
 
 
-class Engine:
+class EventLoop:
     """One thread that owns the sockets, the scheduler, and the results of futures.
 
     Parameters
     ----------
     make_scheduler : callable
-        Makes the scheduler around the engine's ledger.
+        Makes the scheduler around the loop's pending tasks.
     transport : RouterTransport
-        Likewise; the engine closes it.
+        Closed by the loop.
     """
 
     def __init__(
         self,
-        make_scheduler: Callable[[Ledger], Scheduler],
+        make_scheduler: Callable[[PendingTasks], Scheduler],
         transport: RouterTransport,
         clock: Clock,
         timing: Timing,
     ) -> None:
         self.session = secrets.token_hex(8)
         self.counts: Counter[str] = Counter()
-        self.roster = threading.Condition()
-        self.ledger = Ledger()
-        self.scheduler = make_scheduler(self.ledger)
+        self.workers_changed = threading.Condition()
+        self.pending = PendingTasks()
+        self.scheduler = make_scheduler(self.pending)
         self._fetcher = Fetcher(self.session)
         self._transport = transport
         self._clock = clock
@@ -140,7 +140,7 @@ class Engine:
     # -- from any thread -----------------------------------------------------------------------
 
     def post(self, event: Callable[[], list[Action]]) -> None:
-        """Have `event` called on the engine's thread, and the actions it returns carried out.
+        """Have `event` called on the event loop's thread, and the actions it returns carried out.
 
         Parameters
         ----------
@@ -154,7 +154,7 @@ class Engine:
 
     def submit(self, number: int, entry: Entry) -> None:
         """Take a task."""
-        self.ledger.add(number, entry)
+        self.pending.add(number, entry)
         can_split = entry.traits.split is not None
         self.post(
             lambda: self.scheduler.submit(
@@ -169,13 +169,13 @@ class Engine:
             )
         )
         if self._end is not None:  # nobody would ever answer
-            self.ledger.fail_all(self._end)
+            self.pending.fail_all(self._end)
 
     def cancel(self, number: int) -> None:
         """Forget a task whose future was cancelled."""
 
         def event() -> list[Action]:
-            return self.scheduler.cancel(number) if self.ledger.is_cancelled(number) else []
+            return self.scheduler.cancel(number) if self.pending.is_cancelled(number) else []
 
         self.post(event)
 
@@ -200,12 +200,12 @@ class Engine:
         if self._is_over.wait(timeout_s):
             self._thread.join(CLOSE_S)
 
-    # -- on the engine's thread ----------------------------------------------------------------
+    # -- on the event loop's thread ----------------------------------------------------------------
 
     def _run(self) -> None:
         reason = "the communicator was shut down"
         try:
-            while not (self._is_closing and (self._is_abandoned or not len(self.ledger))):
+            while not (self._is_closing and (self._is_abandoned or not len(self.pending))):
                 self._is_asleep = True
                 patience_s = max(0.0, self._probe_at - self._clock.now())
                 # The flag first, then the look: a post in between sees the flag, and wakes.
@@ -223,7 +223,7 @@ class Engine:
             reason = f"the communicator broke: {error!r}"
         finally:
             self._end = JobError(reason, "submit the work anew")
-            self.ledger.fail_all(self._end)
+            self.pending.fail_all(self._end)
             self._is_over.set()
             self._transport.close()
 
@@ -245,16 +245,16 @@ class Engine:
             received = self._transport.receive()
             if received is None:
                 return
-            known = self.scheduler.workers.get(received.identity)
+            sender = self.scheduler.workers.get(received.identity)
             try:
-                if known is not None and known.key != received.key:
+                if sender is not None and sender.key != received.key:
                     raise ProtocolError("it came under another key than its sender registered with")
                 self._take_message(received, decode_component_message(received.head))
             except ProtocolError as error:
                 self.counts["dropped"] += 1
                 reason = error.problem[:MOST_REASON]
                 _log.warning("a message of %r was dropped: %s", received.identity[:100], reason)
-                if known is not None and known.key == received.key:
+                if sender is not None and sender.key == received.key:
                     self._carry_out(self.scheduler.expose(received.identity, reason))
 
     def _take_message(self, received: Received, message: ComponentMessage) -> None:
@@ -285,9 +285,9 @@ class Engine:
         if worker in self.scheduler.workers:
             self._fetcher.heartbeat(worker, message)
             self._ask(worker)
-        held = [*message.held, *self._fetcher.batches(worker)]
+        held_batches = [*message.held, *self._fetcher.batches(worker)]
         self._carry_out(
-            self.scheduler.heartbeat(worker, message.progress, message.last_batch, held)
+            self.scheduler.heartbeat(worker, message.progress, message.last_batch, held_batches)
         )
 
     def _fetch(self, identity: bytes, message: Announce | Piece | Results | Lost) -> None:
@@ -303,10 +303,10 @@ class Engine:
                 limits = self._limits(worker, message.batch, message.tasks)
                 fetcher.announce(identity, message, limits)
             case Piece():
-                asked = fetcher.take(identity, message.fetch)
+                request = fetcher.take(identity, message.fetch)
                 self._ask(identity)  # before this one is copied
-                if asked is not None:  # head and payload are cut into frames apart
-                    asked.fill(self._take_frames(identity, asked.sizes))
+                if request is not None:  # head and payload are cut into frames apart
+                    request.fill(self._take_frames(identity, request.sizes))
             case Lost():
                 fetcher.wait(identity, message, [])
             case Results():
@@ -366,7 +366,7 @@ class Engine:
         worker, answers = self.scheduler.workers.get(identity), []
         if worker is not None:
             limits = self._limits(worker, message.batch, [r.task for r in message.results])
-            answers = open_results(message.results, limits, take_buffers, self.ledger.find)
+            answers = open_results(message.results, limits, take_buffers, self.pending.find)
         actions = self.scheduler.results(
             identity,
             message.batch,
@@ -380,16 +380,16 @@ class Engine:
         for action in actions:
             if isinstance(action, Deliver):
                 name = None if maker is None else maker.machine
-                self.ledger.deliver(action.task, action.result, answers[action.index].value, name)
+                self.pending.deliver(action.task, action.result, answers[action.index].value, name)
 
     def _take_need(self, worker: bytes, message: Need) -> None:
         # A value that was changed after it was shared is refused by every worker, for ever.
-        for number in self.ledger.find_changed(message.keys):
+        for number in self.pending.find_changed(message.keys):
             error = UsageError(
                 "a shared value was changed while tasks use it",
                 "change a copy, or share it once it is complete",
             )
-            self.ledger.fail(number, error)
+            self.pending.fail(number, error)
             self._carry_out(self.scheduler.cancel(number))
         self._carry_out(self.scheduler.need(worker, message.batch, message.keys))
 
@@ -407,23 +407,23 @@ class Engine:
         self._announce()
 
     def _announce(self) -> None:
-        with self.roster:
-            self.roster.notify_all()
+        with self.workers_changed:
+            self.workers_changed.notify_all()
 
     def _carry_out(self, actions: Iterable[Action]) -> None:
-        pending = deque(actions)
-        while pending:
-            action = pending.popleft()
+        remaining = deque(actions)
+        while remaining:
+            action = remaining.popleft()
             match action:
                 case Assign():
                     if not self._assign(action):
-                        pending.extend(
+                        remaining.extend(
                             self.scheduler.undelivered(action.worker, action.batch, _BROKEN)
                         )
                 case Retire():
                     _log.warning("%s gets no more of this job: %s", action.machine, action.reason)
                 case Fail():
-                    self.ledger.fail(action.task, action.error)
+                    self.pending.fail(action.task, action.error)
                 case Welcome():
                     timing = self._timing
                     self._say(
@@ -458,7 +458,7 @@ class Engine:
                 action.worker, [share, *split_buffers(blob.buffers, largest)]
             ):
                 return False
-        calls, buffers = self.ledger.calls(action.tasks)
+        calls, buffers = self.pending.calls(action.tasks)
         self.counts["batches"] += 1
         message = encode_message(Batch(self.session, action.batch, calls))
         return self._transport.send(action.worker, [message, *split_buffers(buffers, largest)])

@@ -7,7 +7,7 @@ import logging
 from collections.abc import Iterable
 from typing import Any
 
-from hpcapp.communicator.state import Task
+from hpcapp.communicator.scheduling.state import Task
 from hpcapp.communicator.submission import Entry, split_entry
 from hpcapp.timeline import note_worker
 from hpccomponent import errors
@@ -15,15 +15,15 @@ from hpccomponent.errors import HpcError, TaskError
 from hpccomponent.protocol.frames import Buffer
 from hpccomponent.protocol.messages import Call, Failure, Result
 
-__all__ = ["Ledger"]
+__all__ = ["PendingTasks"]
 
 _log = logging.getLogger(__name__)
 
 
-class Ledger:
+class PendingTasks:
     """Entries by task number; each leaves exactly once, with its future done.
 
-    `number`, `add` and `cancel_all` are for any thread, the rest for that of the engine.
+    `number`, `add` and `cancel_all` are for any thread, the rest for that of the loop.
     """
 
     def __init__(self) -> None:
@@ -60,17 +60,17 @@ class Ledger:
 
     def find_changed(self, keys: Iterable[bytes]) -> list[int]:
         """Return the tasks that name one of these blobs, where its value has been changed."""
-        sought = set(keys)
+        sought_keys = set(keys)
         changed: dict[bytes, bool] = {}
-        found = []
+        numbers = []
         for number, entry in self._entries.items():
             for blob in entry.blobs:
-                if blob.key in sought and blob.key not in changed:
+                if blob.key in sought_keys and blob.key not in changed:
                     changed[blob.key] = not blob.is_unchanged()
                 if changed.get(blob.key):
-                    found.append(number)
+                    numbers.append(number)
                     break
-        return found
+        return numbers
 
     def claim(self, number: int) -> bool:
         """Mark a task as running, or let it go if its future was cancelled.
@@ -98,11 +98,11 @@ class Ledger:
         del self._entries[number]
         tasks = []
         for part in parts:
-            own = self.number()
-            self._entries[own] = part
+            part_number = self.number()
+            self._entries[part_number] = part
             tasks.append(
                 Task(
-                    own,
+                    part_number,
                     part.name,
                     part.size_bytes,
                     part.blobs,
@@ -159,10 +159,10 @@ class Ledger:
         entry = self._entries.pop(number, None)  # at the end, two threads may come here
         if entry is not None and entry.claim():
             # One exception raised in two places would mix their tracebacks.
-            own = type(error)(error.problem, error.advice)
+            copy = type(error)(error.problem, error.advice)
             for note in getattr(error, "__notes__", []):
-                own.add_note(note)
-            entry.future.set_exception(own)
+                copy.add_note(note)
+            entry.future.set_exception(copy)
 
     def fail_all(self, error: HpcError) -> None:
         """Set the exception of every future that is left."""

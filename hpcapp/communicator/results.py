@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from hpcapp.communicator.fetching import TakeBuffers
+from hpcapp.communicator.scheduling.verification import digest_answer
 from hpcapp.communicator.submission import Entry
-from hpcapp.communicator.verification import digest_answer
 from hpccomponent.errors import ProtocolError
 from hpccomponent.protocol.codec import decode_values
 from hpccomponent.protocol.declared import check_result
@@ -91,6 +91,6 @@ def _open(result: Result, buffers: list[Buffer], entry: Entry | None) -> Any:
             raise ProtocolError(f"the result is {len(values)} values")
         check_result(entry.declared, values[0])
     except (ProtocolError, ValueError) as error:
-        said = error.problem if isinstance(error, ProtocolError) else str(error)
-        raise ProtocolError(f"its answer to {entry.name!r} is wrong: {said}") from error
+        problem = error.problem if isinstance(error, ProtocolError) else str(error)
+        raise ProtocolError(f"its answer to {entry.name!r} is wrong: {problem}") from error
     return values[0]

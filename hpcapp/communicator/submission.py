@@ -77,9 +77,11 @@ def make_entry(future: Future[Any], name: str, arguments: tuple[Any, ...], trait
             raise UsageError(
                 f"task {name!r} declares a cost of {work}", "let it return a number above 0"
             )
-    kept = arguments if traits.split is not None else ()
+    split_arguments = arguments if traits.split is not None else ()
     declared, limit = traits.result_of(arguments), traits.limit_of(arguments)
-    return Entry(future, name, header, buffers, blobs, work, kept, traits, declared, limit)
+    return Entry(
+        future, name, header, buffers, blobs, work, split_arguments, traits, declared, limit
+    )
 
 
 def each_traits(traits: Traits) -> Traits:
@@ -153,17 +155,17 @@ def split_entry(entry: Entry) -> list[Entry]:
 
 def _join_into(entry: Entry, futures: Sequence[Future[Any]]) -> None:
     """Have a future done by the last of others, or by the first that fails."""
-    left = len(futures)
+    remaining = len(futures)
 
     def take(future: Future[Any]) -> None:
-        nonlocal left
-        left -= 1
+        nonlocal remaining
+        remaining -= 1
         if entry.future.done():
             return
         error = future.exception()
         if error is not None:
             entry.future.set_exception(error)
-        elif left == 0:
+        elif remaining == 0:
             try:
                 join = entry.traits.join
                 assert join is not None  # noqa: S101 - for mypy

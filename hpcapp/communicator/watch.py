@@ -55,7 +55,7 @@ class Connection:
     since: float
     round: int
     key: str = ""
-    taken: int = 0  # by the engine's thread; what follows belongs to that of the watch
+    taken: int = 0  # by the event loop's thread; what follows belongs to that of the watch
     probes: int = 0
     on_the_way: int = 0
     is_ended: bool = False

@@ -61,7 +61,7 @@ def _job_metrics(job: WatchedJob) -> Iterator[Metric]:
     workers = GaugeMetricFamily(
         "hpcapp_workers", "Workers that the backend knows, by state.", labels=["state"]
     )
-    for name, count in _sum((worker.state, 1.0) for worker in job.timeline.roster()).items():
+    for name, count in _sum((worker.state, 1.0) for worker in job.timeline.list_workers()).items():
         workers.add_metric([name], count)
     yield workers
     stage = job.stage

@@ -44,7 +44,7 @@ class Reader:
             "now": job.timeline.now(),
             "state": job.state,
             "stage": None if stage is None else astuple(stage),
-            "workers": [astuple(worker) for worker in job.timeline.roster()],
+            "workers": [astuple(worker) for worker in job.timeline.list_workers()],
             "parts": shown,
             "uncounted": job.parts - shown,
             "spans": [astuple(span) for span in spans],

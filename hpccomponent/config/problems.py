@@ -48,16 +48,16 @@ def problems_error(name: str, problems: list[Problem]) -> ConfigError:
     lines: dict[tuple[int, int, str], list[str]] = {}
     for node, location, message in problems:
         mark = node.start_mark
-        said = lines.setdefault((mark.line + 1, mark.column + 1, _dotted(location)), [])
-        if message not in said:
-            said.append(message)
-    told = [
-        f"{name}:{line}:{column}: " + (f"{path}: " if path else "") + ", or ".join(said)
-        for (line, column, path), said in sorted(lines.items())
+        messages = lines.setdefault((mark.line + 1, mark.column + 1, _dotted(location)), [])
+        if message not in messages:
+            messages.append(message)
+    reported = [
+        f"{name}:{line}:{column}: " + (f"{path}: " if path else "") + ", or ".join(messages)
+        for (line, column, path), messages in sorted(lines.items())
     ]
-    if len(told) > _MOST_LINES:
-        told[_MOST_LINES:] = [f"{name}: and more; these are the first {_MOST_LINES}"]
-    return ConfigError("\n".join(told))
+    if len(reported) > _MOST_LINES:
+        reported[_MOST_LINES:] = [f"{name}: and more; these are the first {_MOST_LINES}"]
+    return ConfigError("\n".join(reported))
 
 
 def _dotted(location: Location) -> str:

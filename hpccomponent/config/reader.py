@@ -151,15 +151,15 @@ def parse_config(
     hpccomponent.errors.ConfigError: loader.yaml:1:1: first_s: missing key
     loader.yaml:1:1: frist_s: unknown key (got 2), did you mean "first_s"?
     """
-    found: list[Problem] = []
+    problems: list[Problem] = []
     root = compose(text, name)
-    expand_variables(root, environment, found, name)
-    value = _plain_value(root, (), found)
-    valid = _validate(value, root, model, found)
+    expand_variables(root, environment, problems, name)
+    value = _plain_value(root, (), problems)
+    valid = _validate(value, root, model, problems)
     if check is not None:
-        _check_together(value, root, model, check, found)
-    if valid is None or found:
-        raise problems_error(name, found)
+        _check_together(value, root, model, check, problems)
+    if valid is None or problems:
+        raise problems_error(name, problems)
     return valid
 
 

@@ -151,8 +151,8 @@ def _bottom_up(root: yaml.Node, name: str) -> Iterator[yaml.Node]:
     above = {id(root)}
     waiting = [(root, iter(_children(root)))]
     while waiting:
-        node, left = waiting[-1]
-        child = next((child for child in left if id(child) not in done), None)
+        node, children = waiting[-1]
+        child = next((child for child in children if id(child) not in done), None)
         if child is None:
             waiting.pop()
             above.discard(id(node))
@@ -181,8 +181,8 @@ def _sources(node: yaml.MappingNode) -> list[yaml.MappingNode]:
     """Return the mappings that the first merge key of one names, first those that count most."""
     value = next((value for key, value in node.value if key.tag == MERGE), None)
     named = value.value if isinstance(value, yaml.SequenceNode) else [value]
-    found = [source for source in named if isinstance(source, yaml.MappingNode)]
-    return found if len(found) == len(named) else []
+    sources = [source for source in named if isinstance(source, yaml.MappingNode)]
+    return sources if len(sources) == len(named) else []
 
 
 def _merge(node: yaml.MappingNode) -> None:

@@ -39,17 +39,17 @@ def expand_variables(
         All values together are longer than `MOST_TEXT`.
     """
     seen: set[int] = set()
-    left = MOST_TEXT
+    remaining = MOST_TEXT
     for node, location, is_key in _scalars(root, ()):
         is_new = id(node) not in seen  # an alias is the node that it names
         if environment is not None and is_new and not is_key and "$" in node.value:
             seen.add(id(node))
             try:
-                _expand(node, location, environment, found, left)
+                _expand(node, location, environment, found, remaining)
             except _TooLongError:
                 refuse_text(name, node)
-        left -= len(node.value)
-        if left < 0:
+        remaining -= len(node.value)
+        if remaining < 0:
             refuse_text(name, node)
 
 

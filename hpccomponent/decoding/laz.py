@@ -65,9 +65,9 @@ def _open_lazrs(file: BinaryIO, start: int, count: int, record: bytes) -> _Fill:
     lengths = [length for _, length in chunks]
     if sum(lengths) > table_at - start:
         raise ValueError("its chunks are longer than the file")
-    held = sum(points for points, _ in chunks)
-    if held < count:
-        raise ValueError(f"its chunks hold {held} of {count} points")
+    chunk_points = sum(points for points, _ in chunks)
+    if chunk_points < count:
+        raise ValueError(f"its chunks hold {chunk_points} of {count} points")
     largest = max((points for points, _ in chunks), default=0)
     if largest > max(count, _LARGEST_CHUNK):
         raise ValueError(f"a chunk of it holds {largest} points, the file {count}")

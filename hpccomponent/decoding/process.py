@@ -102,12 +102,12 @@ class Decoder:
         """
         with contextlib.suppress(BrokenPipeError):  # why it ended is found out below
             os.write(self._requests, (" ".join(map(str, words)) + "\n").encode())
-        verdict, _, said = self._hear().partition(" ")
-        if verdict == "ok" and said.isdecimal() and len(said) < _DIGITS:
-            return int(said)
+        verdict, _, answer = self._hear().partition(" ")
+        if verdict == "ok" and answer.isdecimal() and len(answer) < _DIGITS:
+            return int(answer)
         if verdict == "missing":
-            raise UsageError(f"{self._path}: {said}", "install the package again")
-        raise self._refuse(said or "its decoder gave no answer")
+            raise UsageError(f"{self._path}: {answer}", "install the package again")
+        raise self._refuse(answer or "its decoder gave no answer")
 
     def _hear(self) -> str:
         """Return the next line that it says."""

@@ -45,15 +45,15 @@ def serve(open_file: Callable[[str, memoryview, list[str]], Answer]) -> None:
     while request := sys.stdin.buffer.readline().decode():
         try:
             answer = answer or open_file(path, memory, arguments)
-            said = f"ok {answer(request.split())}"
+            reply = f"ok {answer(request.split())}"
         except ImportError as error:
-            said = f"missing {error}"
+            reply = f"missing {error}"
         except MemoryError:
-            said = f"failed its decoder asks for more than {int(most_bytes) >> 20} MiB"
+            reply = f"failed its decoder asks for more than {int(most_bytes) >> 20} MiB"
         except BaseException as error:  # a panic of Rust is no Exception
-            said = f"failed {str(error).partition(chr(10))[0] or type(error).__name__}"
-        os.write(answers, said[:_LONGEST].encode(errors="replace") + b"\n")
-        if not said.startswith("ok"):
+            reply = f"failed {str(error).partition(chr(10))[0] or type(error).__name__}"
+        os.write(answers, reply[:_LONGEST].encode(errors="replace") + b"\n")
+        if not reply.startswith("ok"):
             break
     os._exit(0)  # without the destructors of libraries
 

@@ -221,17 +221,17 @@ def remove_abandoned(parent: Path, prefix: str) -> list[Owner]:
             names = sorted(entry.name for entry in entries if entry.name.startswith(prefix))
     except OSError:
         return living
-    here = socket.gethostname() if names else ""
+    host = socket.gethostname() if names else ""
     for name in names:
         path = parent / name
         owner = read_owner(path)
         if owner is None:  # it is being made, or nobody's, or another user's
             continue
-        held = hold(path) if owner.host == here else None
-        if held is None:
+        folder = hold(path) if owner.host == host else None
+        if folder is None:
             living.append(owner)
         else:
-            held.remove()
+            folder.remove()
     return living
 
 
@@ -253,11 +253,11 @@ def temporary_folder() -> Iterator[Path]:
             f"no temporary folder can be had: {error.strerror}", "set TMPDIR to one with room"
         ) from error
     remove_abandoned(parent, _PREFIX)
-    held = create_held(parent / f"{_PREFIX}{secrets.token_hex(6)}")
+    folder = create_held(parent / f"{_PREFIX}{secrets.token_hex(6)}")
     try:
-        yield held.path
+        yield folder.path
     finally:
-        held.remove()
+        folder.remove()
 
 
 def remove_killed() -> None:
@@ -285,10 +285,10 @@ def _create_lock(folder: Path) -> int | None:
 
 def _write_owner(lock: int) -> None:
     """Write down who holds a lock."""
-    told = json.dumps(asdict(Owner.this_process())).encode()
+    encoded = json.dumps(asdict(Owner.this_process())).encode()
     os.lseek(lock, 0, os.SEEK_SET)
-    os.write(lock, told)
-    os.ftruncate(lock, len(told))
+    os.write(lock, encoded)
+    os.ftruncate(lock, len(encoded))
 
 
 @contextmanager
@@ -330,14 +330,14 @@ def _empty(folder: int) -> None:
 
 def _is_own(file: int, is_kind: Callable[[int], bool]) -> bool:
     """Tell whether something open is this user's, and of a kind."""
-    found = os.fstat(file)
-    return is_kind(found.st_mode) and found.st_uid == os.geteuid()
+    status = os.fstat(file)
+    return is_kind(status.st_mode) and status.st_uid == os.geteuid()
 
 
 def _is_at(lock: int, folder: int) -> bool:
     """Tell whether an open file is still the one by which a folder is held."""
     try:
-        found = os.stat(_OWNER, dir_fd=folder, follow_symlinks=False)
+        status = os.stat(_OWNER, dir_fd=folder, follow_symlinks=False)
     except OSError:
         return False
-    return os.path.samestat(found, os.fstat(lock))
+    return os.path.samestat(status, os.fstat(lock))

@@ -285,8 +285,8 @@ def _pack_dict(value: dict[Any, Any], parts: _Parts, depth: int) -> dict[str, An
 
 
 def _pack_record(entry: RecordType, value: Any, parts: _Parts, depth: int) -> list[Any]:
-    held = {name: _pack(getattr(value, name), parts, depth + 1) for name in entry.fields}
-    return [RECORD, entry.name, held]
+    fields = {name: _pack(getattr(value, name), parts, depth + 1) for name in entry.fields}
+    return [RECORD, entry.name, fields]
 
 
 def _pack_blob(value: Blob, parts: _Parts, depth: int) -> list[Any]:
@@ -349,8 +349,8 @@ def _unpack_array(packed: list[Any], supply: _Supply) -> np.ndarray[Any, Any]:
         raise ProtocolError("an array is not described by dtype, shape and bytes")
     _, code, shape, blob = packed
     if type(code) is not str or code not in DTYPES:
-        said = code[:20] if type(code) is str else type(code).__name__
-        raise ProtocolError(f"an array has the dtype {said!r}, which may not travel")
+        shown = code[:20] if type(code) is str else type(code).__name__
+        raise ProtocolError(f"an array has the dtype {shown!r}, which may not travel")
     if type(shape) is not list or len(shape) > MAX_AXES:
         raise ProtocolError(f"an array has no shape, or one of more than {MAX_AXES} axes")
     if not all(type(n) is int and n >= 0 for n in shape):

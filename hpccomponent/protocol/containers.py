@@ -56,23 +56,23 @@ def check_containers(text: Buffer) -> None:
 
 def _count(text: Buffer) -> int:
     """Count the arrays and maps, up to one more than are allowed."""
-    found = place = 0
+    containers = place = 0
     end = len(text)
-    while place < end and found <= MAX_CONTAINERS:
+    while place < end and containers <= MAX_CONTAINERS:
         kind = text[place]
         place += 1
         if kind in _FIXED:
             place += _FIXED[kind]
         elif 0x80 <= kind <= 0x9F:
-            found += 1
+            containers += 1
         elif 0xA0 <= kind <= 0xBF:
             place += kind & 0x1F
         elif kind in _MANY:
-            found, place = found + 1, place + _MANY[kind]
+            containers, place = containers + 1, place + _MANY[kind]
         elif kind in _COUNTED:
             form = _COUNTED[kind]
             size = struct.calcsize(form)
             if place + size > end:
                 break
             place += size + int(struct.unpack_from(form, text, place)[0])
-    return found
+    return containers

@@ -83,20 +83,20 @@ class Parcels:
         sequence of buffer or None
             None where there is nothing like that.
         """
-        kept = self._parcels.get(parcel)
-        if kept is None:
+        content = self._parcels.get(parcel)
+        if content is None:
             return None
-        size = len(kept.head)
-        if not start < end <= size + len(kept.payload):
+        size = len(content.head)
+        if not start < end <= size + len(content.payload):
             return None
-        parts = kept.head[start:end], kept.payload[max(0, start - size) : max(0, end - size)]
+        parts = content.head[start:end], content.payload[max(0, start - size) : max(0, end - size)]
         return [part for part in parts if len(part)]
 
     def release(self, number: int) -> None:
         """Let go of everything up to a number."""
         self.released = max(self.released, min(number, self.last))
-        for kept in [kept for kept in self._parcels if kept <= number]:
-            del self._parcels[kept]
+        for parcel in [parcel for parcel in self._parcels if parcel <= number]:
+            del self._parcels[parcel]
         for sent in [sent for sent in self._unasked if sent <= number]:
             self._unasked_bytes -= self._unasked.pop(sent)
 

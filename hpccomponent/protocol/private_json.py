@@ -71,9 +71,9 @@ def check_keys(where: str, entries: dict[str, Any], keys: Collection[str]) -> No
 def _read_private(path: Path) -> str:
     try:
         with open(path, encoding="utf-8", opener=open_at_once) as stream:
-            found = os.fstat(stream.fileno()).st_mode
-            refuse_special(found, path)
-            mode, text = stat.S_IMODE(found), stream.read()
+            file_mode = os.fstat(stream.fileno()).st_mode
+            refuse_special(file_mode, path)
+            mode, text = stat.S_IMODE(file_mode), stream.read()
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "it is not text"
         raise ConfigError(

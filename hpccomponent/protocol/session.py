@@ -20,7 +20,8 @@ from enum import Enum, IntEnum
 
 import msgspec
 
-from hpccomponent.protocol.frames import SMALLEST_FRAME, Buffer
+from hpccomponent.protocol.blob_cache import BlobCache
+from hpccomponent.protocol.frames import SMALLEST_FRAME, Buffer, cut_payload
 from hpccomponent.protocol.messages import (
     Announce,
     Batch,
@@ -45,8 +46,6 @@ from hpccomponent.protocol.messages import (
     Share,
 )
 from hpccomponent.protocol.parcels import LARGE_BYTES, Parcels
-from hpccomponent.protocol.payload import cut_payload
-from hpccomponent.protocol.shelf import Shelf
 
 __all__ = [
     "Action",
@@ -145,7 +144,7 @@ class _Outgoing:
 
 
 @dataclass(slots=True)
-class _Held:
+class _HeldBatch:
     batch: Batch
     frames: Sequence[Buffer]
     is_running: bool = False
@@ -180,12 +179,12 @@ class WorkerSession:
         self._heartbeat_s = REGISTER_S
         self._heard = now
         self._said = now
-        self._held: dict[int, _Held] = {}
+        self._batches: dict[int, _HeldBatch] = {}
         self._last_batch = 0
         self._last_fetch = 0
         self._crashes = 0
         self._worker_is_up = False
-        self._shelf = Shelf(register.blob_bytes)
+        self._cache = BlobCache(register.blob_bytes)
         self._parcels = Parcels()
         self._outgoing: deque[_Outgoing] = deque()
 
@@ -219,9 +218,9 @@ class WorkerSession:
         if isinstance(message, Batch):
             return self._take(message, frames)
         if isinstance(message, Share):
-            return [Keep(message, frames)] if self._shelf.put(message) else []
+            return [Keep(message, frames)] if self._cache.put(message) else []
         if isinstance(message, Forget):
-            self._shelf.forget(message.keys)
+            self._cache.forget(message.keys)
             return self._tidy() if not self._running() else []  # a busy worker does not listen
         if isinstance(message, Fetch):
             return self._answer(message)
@@ -252,17 +251,17 @@ class WorkerSession:
         self._outgoing.append(_Outgoing(results, head, payload))
         actions = self._say_of_batches()
         if results.is_finished:
-            self._held.pop(results.batch, None)
+            self._batches.pop(results.batch, None)
             self._crashes = 0
         return [*actions, *self._tidy(), *self._feed(), *self._leave_if_drained()]
 
     def _say_of_batches(self) -> list[Action]:
         actions: list[Action] = []
         while self._outgoing:
-            said = self._say(self._outgoing[0])
-            if said is None:
+            action = self._say(self._outgoing[0])
+            if action is None:
                 break
-            actions.append(said)
+            actions.append(action)
             self._outgoing.popleft()
         return actions
 
@@ -300,21 +299,21 @@ class WorkerSession:
             For the master; its first 1000 characters are sent.
         """
         self._worker_is_up = False
-        self._shelf.worker_has.clear()
+        self._cache.worker_has.clear()
         if self.state is State.STOPPED:
             return []
         self._crashes += 1
         actions: list[Action] = []
         running = self._running()
         for number in running:
-            session = self._held.pop(number).batch.session
+            session = self._batches.pop(number).batch.session
             lost = Lost(session, number, reason[:1000], number == running[0])
             self._outgoing.append(_Outgoing(lost))
         actions += self._say_of_batches()
         if self._crashes >= MAX_CRASHES:
             why = f"the worker process died {self._crashes} times in a row, last: {reason}"
             return [*actions, *self._depart(ExitCode.WORKER_CRASHES, why)]
-        if self.state is State.DRAINING and not self._held:
+        if self.state is State.DRAINING and not self._batches:
             return actions + self._leave_if_drained()
         delay_s = 0.0 if self._crashes == 1 else 0.25 * 2.0 ** (self._crashes - 1)
         return [*actions, StartWorker(min(delay_s, LONGEST_BACKOFF_S))]
@@ -336,7 +335,7 @@ class WorkerSession:
             self.session,
             self.progress,
             self._last_batch,
-            list(dict.fromkeys([*self._held, *waiting])),
+            list(dict.fromkeys([*self._batches, *waiting])),
             self._last_fetch,
             self._parcels.last,
             self._parcels.released,
@@ -368,7 +367,7 @@ class WorkerSession:
             self._last_batch = self._last_fetch = 0
             self._parcels.clear()
             self._outgoing.clear()
-            self._held = {n: held for n, held in self._held.items() if held.is_running}
+            self._batches = {n: batch for n, batch in self._batches.items() if batch.is_running}
         self.session = message.session
         self.largest_frame = min(message.largest_frame, self._register.largest_frame)
         self._heartbeat_s = message.heartbeat_s
@@ -378,42 +377,42 @@ class WorkerSession:
             self.state = State.WORKING
 
     def _take(self, batch: Batch, frames: Sequence[Buffer]) -> list[Action]:
-        if batch.batch in self._held:
+        if batch.batch in self._batches:
             self.dropped += 1
             return []
-        held = _Held(batch, frames)
-        missing = self._shelf.use(held.blobs)
+        held_batch = _HeldBatch(batch, frames)
+        missing = self._cache.use(held_batch.blobs)
         if missing:
             # Put back rather than held: should this answer get lost, the batch counts as lost too.
             return [Send(Need(batch.session, batch.batch, missing))]
-        self._held[batch.batch] = held
+        self._batches[batch.batch] = held_batch
         return [*self._tidy(), *self._feed()]
 
     def _needed(self) -> set[bytes]:
-        return {key for held in self._held.values() for key in held.blobs}
+        return {key for batch in self._batches.values() for key in batch.blobs}
 
     def _tidy(self) -> list[Action]:
         """Let go of what has not been used for longest, where more is kept than announced."""
-        keys = self._shelf.evict(self._needed()) if self._shelf.is_full() else []
+        keys = self._cache.evict(self._needed()) if self._cache.is_full() else []
         return [Discard(keys)] if keys else []
 
     def _running(self) -> list[int]:
-        return [number for number, held in self._held.items() if held.is_running]
+        return [number for number, batch in self._batches.items() if batch.is_running]
 
     def _feed(self) -> list[Action]:
         if not self._worker_is_up or self.state is State.STOPPED:
             return []
         running = len(self._running())
-        waiting = [held for held in self._held.values() if not held.is_running]
+        waiting = [batch for batch in self._batches.values() if not batch.is_running]
         actions: list[Action] = []
-        for held in waiting[: WINDOW - running]:
-            held.is_running = True
-            actions.append(Run(held.batch, held.frames, self._shelf.hand_over(held.blobs)))
-            held.frames = ()
+        for batch in waiting[: WINDOW - running]:
+            batch.is_running = True
+            actions.append(Run(batch.batch, batch.frames, self._cache.hand_over(batch.blobs)))
+            batch.frames = ()
         return actions
 
     def _leave_if_drained(self) -> list[Action]:
-        is_busy = self._held or self._parcels or self._outgoing
+        is_busy = self._batches or self._parcels or self._outgoing
         if self.state is State.DRAINING and not is_busy:
             return self._depart(ExitCode.DONE, "drained")
         return []

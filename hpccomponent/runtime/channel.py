@@ -25,8 +25,7 @@ from collections.abc import Sequence
 from contextlib import closing
 
 from hpccomponent.errors import ProtocolError
-from hpccomponent.protocol.frames import Buffer
-from hpccomponent.protocol.payload import ALIGNMENT, aligned
+from hpccomponent.protocol.frames import ALIGNMENT, Buffer, aligned
 
 __all__ = ["Channel", "ChannelClosedError", "MemoryFile"]
 

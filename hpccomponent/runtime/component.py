@@ -27,7 +27,7 @@ import zmq
 from hpccomponent.errors import ProtocolError
 from hpccomponent.limits import available_cores, total_memory
 from hpccomponent.protocol.connection import Connection
-from hpccomponent.protocol.frames import LARGEST_FRAME, group_frames, split_buffers
+from hpccomponent.protocol.frames import LARGEST_FRAME, check_payload, group_frames, split_buffers
 from hpccomponent.protocol.messages import (
     PROTOCOL_VERSION,
     Batch,
@@ -39,7 +39,6 @@ from hpccomponent.protocol.messages import (
     decode_master_message,
     encode_message,
 )
-from hpccomponent.protocol.payload import check_payload
 from hpccomponent.protocol.session import (
     Action,
     Discard,

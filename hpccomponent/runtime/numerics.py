@@ -35,8 +35,8 @@ def numerics_id(build: str | None = None) -> str:
     Kernels announce themselves as entry points ``hpc.kernels``: functions from the name of a
     build (or None) to an id.
     """
-    found = sorted(metadata.entry_points(group=KERNEL_GROUP), key=lambda entry: entry.name)
-    kernels = "-".join(entry.load()(build) for entry in found)
+    entries = sorted(metadata.entry_points(group=KERNEL_GROUP), key=lambda entry: entry.name)
+    kernels = "-".join(entry.load()(build) for entry in entries)
     return f"{kernels}-numpy{metadata.version('numpy')}-{os.uname().machine}"
 
 

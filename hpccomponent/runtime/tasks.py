@@ -228,20 +228,20 @@ class TaskRegistry:
             If it is not registered.
         """
         if isinstance(task, str):
-            sought, known = task, task in self._extra or task in self.references()
+            reference, known = task, task in self._extra or task in self.references()
         else:
             module = getattr(task, "__module__", None)
-            sought = f"{module}:{getattr(task, '__qualname__', task)}"
-            if sought not in self._names:
+            reference = f"{module}:{getattr(task, '__qualname__', task)}"
+            if reference not in self._names:
                 self._names = {value: name for name, value in self.references().items()}
-            known = sought in self._names
+            known = reference in self._names
         if not known:
             raise UsageError(
-                f"{sought!r} is not a registered task",
+                f"{reference!r} is not a registered task",
                 f"register it as an entry point of the group {TASK_GROUP!r}, or pass "
                 "NAME=module:function as an extra task",
             )
-        return sought if isinstance(task, str) else self._names[sought]
+        return reference if isinstance(task, str) else self._names[reference]
 
 
 def each_result(single: Traits) -> Callable[..., Declared]:
@@ -271,12 +271,12 @@ def _each(function: Callable[..., Any]) -> Callable[..., list[Any]]:
 def _import(name: str, reference: str) -> Callable[..., Any]:
     module, _, function = reference.partition(":")
     try:
-        found = getattr(import_module(module), function)
+        function_object = getattr(import_module(module), function)
     except (ImportError, AttributeError) as error:
         raise UsageError(
             f"task {name!r}: {reference} cannot be imported ({error})",
             "install the package that holds it on every worker, or correct the name",
         ) from error
-    if not callable(found):
+    if not callable(function_object):
         raise UsageError(f"task {name!r}: {reference} is not a function")
-    return found  # type: ignore[no-any-return]
+    return function_object  # type: ignore[no-any-return]

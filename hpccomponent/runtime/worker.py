@@ -22,7 +22,7 @@ from hpccomponent.files.checksum import take_written
 from hpccomponent.limits import is_shortage
 from hpccomponent.protocol.codec import NO_BLOBS, decode_values, encode_values
 from hpccomponent.protocol.declared import check_result
-from hpccomponent.protocol.frames import Buffer
+from hpccomponent.protocol.frames import Buffer, cut_payload
 from hpccomponent.protocol.messages import (
     MAX_TRACEBACK,
     Batch,
@@ -36,7 +36,6 @@ from hpccomponent.protocol.messages import (
     decode_master_message,
     encode_message,
 )
-from hpccomponent.protocol.payload import cut_payload
 from hpccomponent.runtime.background import worker_background
 from hpccomponent.runtime.channel import Channel, ChannelClosedError
 from hpccomponent.runtime.collecting import rare_collections
@@ -291,8 +290,8 @@ def main(arguments: list[str] | None = None) -> int:
         return 0
     except ShortageError as error:
         with suppress(ChannelClosedError):
-            said = Lost(batch.session, batch.batch, str(error)[:LINE_LENGTH], is_blamed=True)
-            channel.send(encode_message(said), [])
+            lost = Lost(batch.session, batch.batch, str(error)[:LINE_LENGTH], is_blamed=True)
+            channel.send(encode_message(lost), [])
         return EXIT_SHORTAGE
 
 

@@ -164,14 +164,14 @@ class FolderStore:
         path = self._folder / name
         try:
             with open(path, "rb", opener=open_at_once) as file:
-                found = os.fstat(file.fileno())
+                status = os.fstat(file.fileno())
                 mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         except FileNotFoundError:
             raise JobError(f"{path} is not there", "run the job again") from None
         except (OSError, ValueError) as error:  # an empty file cannot be mapped
             why = getattr(error, "strerror", None) or error
             raise JobError(f"{path} cannot be read: {why}", "run the job again") from error
-        file_id = (found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns)
+        file_id = (status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)
         try:
             value = from_bytes(memoryview(mapped), name, is_checked=file_id in self._checked)
         except DamagedError as error:

@@ -18,8 +18,7 @@ from hpcapp.applications.simulate.shapes import SHAPES
 from hpcapp.applications.surface.job.run import run_job
 from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.backends.selection import open_executor
-from hpcapp.communicator.attempts import attempt, repeat_until_trusted
-from hpcapp.communicator.verification import Verification
+from hpcapp.communicator.scheduling.verification import Verification, attempt, repeat_until_trusted
 from hpcapp.io import write_points
 from hpcapp.progress import SilentProgress
 from hpccomponent.errors import InputError

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hpcapp.applications.reproduce.finding import Finding
 from hpcapp.applications.reproduce.subject import Subject
-from hpcapp.backends.cluster_jobs import load_cluster_function
+from hpcapp.backends.cluster import load_cluster_function
 from hpcapp.io import read_mesh
 from hpcapp.io.staging import replacing
 from hpcapp.pages.render import render_mesh

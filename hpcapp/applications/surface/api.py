@@ -27,8 +27,7 @@ from hpcapp.applications.surface.method import MAX_GRID, MIN_GRID, MethodSetting
 from hpcapp.applications.surface.methods import DEFAULT_METHOD, find_method
 from hpcapp.applications.surface.options import option_names
 from hpcapp.applications.surface.settings import Settings
-from hpcapp.communicator.attempts import attempt, repeat_until_trusted
-from hpcapp.communicator.verification import Verification
+from hpcapp.communicator.scheduling.verification import Verification, attempt, repeat_until_trusted
 from hpcapp.io import drop_unusable
 from hpcapp.io.frame import to_local
 from hpcapp.io.points.usable import Dropped, refuse_too_few

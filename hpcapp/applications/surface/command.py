@@ -28,7 +28,7 @@ from hpcapp.applications.surface.options import (
     typed_command,
 )
 from hpcapp.applications.view.command import check_page, check_picture
-from hpcapp.communicator.policy import DEFAULT_POLICY, POLICIES
+from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY, POLICIES
 from hpcapp.dashboard import DEFAULT_ADDRESS
 from hpcapp.progress import Progress
 from hpcapp.timeline import Timeline

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from hpcapp.applications.surface.options import typed_command, typed_options
-from hpcapp.backends.cluster_jobs import load_cluster_function
+from hpcapp.backends.cluster import load_cluster_function
 from hpcapp.io import FOLDER_SUFFIXES, MESH_SUFFIXES, drop_unusable, read_points
 from hpcapp.io.output import open_output
 from hpcapp.io.points.inputs import find_paths, gather_points

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from hpcapp.applications.surface.attributes.choice import AttributeChoice
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
 from hpcapp.applications.surface.method import MethodSettings
-from hpcapp.communicator.policy import DEFAULT_POLICY
+from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY
 from hpcapp.simplification.mesh import Target
 from hpcapp.workforce import Workforce
 from hpccomponent.limits import available_cores

@@ -19,9 +19,8 @@ from typing import Any
 import pytest
 from contract_tasks import wait_for_file
 
-from hpcapp.backends import local_machines
-from hpcapp.backends.local_cluster import LocalCluster
-from hpcapp.backends.local_machines import LocalMachines
+from hpcapp.backends import local_cluster
+from hpcapp.backends.local_cluster import LocalCluster, LocalMachines
 from hpcapp.communicator.executor import CommunicatorExecutor
 from hpccomponent.errors import NoWorkersError, UsageError
 
@@ -247,7 +246,7 @@ def test_an_interrupt_while_it_waits_for_work_to_end_leaves_nothing(tmp_path: Pa
 def test_a_frozen_process_does_not_hold_up_the_end(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, layer: str
 ) -> None:
-    monkeypatch.setattr(local_machines, "_LEAVE_S", 2.0)
+    monkeypatch.setattr(local_cluster, "_LEAVE_S", 2.0)
     with LocalCluster(1, extra_tasks=NAMES) as cluster:
         pids = all_pids(cluster, tmp_path / "meeting")
         os.kill(pids[["loader", "worker", "component"].index(layer)], signal.SIGSTOP)

@@ -397,7 +397,7 @@ def test_a_revoked_worker_leaves(
 def test_a_component_of_another_numerics_id_is_refused(
     start_component: StartComponent, executor: CommunicatorExecutor
 ) -> None:
-    executor._engine.scheduler._admission.numerics = "another machine's"
+    executor._loop.scheduler._admission.numerics = "another machine's"
     component = start_component()
     assert component.wait(WAIT) == 2
     assert component.stderr is not None
@@ -457,7 +457,7 @@ def test_without_workers_the_launcher_ends_the_wait(executor: CommunicatorExecut
 def test_a_defect_of_the_communicator_fails_every_future(
     executor: CommunicatorExecutor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(executor._engine.scheduler, "tick", lambda: 1 / 0)
+    monkeypatch.setattr(executor._loop.scheduler, "tick", lambda: 1 / 0)
     for _ in range(2):  # before the thread ends, and after
         with pytest.raises(JobError, match="the communicator broke: ZeroDivisionError"):
             executor.submit("contract.echo", 1).result(WAIT)

@@ -11,8 +11,8 @@ from hpcapp.communicator.fetching import (
     MOST_ASKED_BYTES,
     PIECE_BYTES,
     WINDOW_BYTES,
-    Asked,
     Fetcher,
+    Request,
 )
 from hpccomponent.errors import ProtocolError
 from hpccomponent.protocol.frames import Buffer
@@ -236,7 +236,7 @@ def test_what_is_on_its_way_is_bounded_for_each_and_for_all() -> None:
     assert asked_bytes(list(again)) == WINDOW_BYTES - PIECE_BYTES
 
 
-def fetch_first(fetcher: Fetcher) -> Asked:
+def fetch_first(fetcher: Fetcher) -> Request:
     fetcher.announce(WORKER, announce(1, 1000), [1000])
     (request,) = fetcher.requests(WORKER)
     assert isinstance(request, Fetch)

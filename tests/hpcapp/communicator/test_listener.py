@@ -1,4 +1,4 @@
-"""The door: who may come in, and that those who are early wait for somebody to answer."""
+"""Which keys may connect, and that those who are early wait for somebody to answer."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from pathlib import Path
 import pytest
 
 from hpcapp.communicator.executor import CommunicatorExecutor
-from hpcapp.communicator.listener import Door
+from hpcapp.communicator.listener import Listener
 from hpccomponent.errors import UsageError
 from hpccomponent.protocol.keys import make_key_pair
 
 WAIT = 20.0
 
 
-def _listens(door: Door) -> bool:
-    host, port = door.endpoint.removeprefix("tcp://").split(":")
+def _listens(listener: Listener) -> bool:
+    host, port = listener.endpoint.removeprefix("tcp://").split(":")
     try:
         with socket.create_connection((host, int(port)), timeout=WAIT):
             return True
@@ -28,38 +28,38 @@ def _listens(door: Door) -> bool:
 
 def test_an_address_of_another_machine_is_a_usage_error() -> None:
     with pytest.raises(UsageError, match="cannot listen on"):
-        Door("tcp://192.0.2.1:1")
+        Listener("tcp://192.0.2.1:1")
 
 
 def test_what_is_no_key_is_refused_before_anything_listens() -> None:
     with pytest.raises(UsageError, match="not a Z85 CURVE key"):
-        Door(allowed_keys=["short"])
+        Listener(allowed_keys=["short"])
 
 
 def test_an_invitation_says_all_that_a_component_must_know() -> None:
     keys = make_key_pair()
-    with Door(keys=keys) as door:
-        one, two = door.invite("one"), door.invite("two")
-        assert (one.endpoint, one.server_key, one.worker) == (door.endpoint, keys.public, "one")
+    with Listener(keys=keys) as listener:
+        one, two = listener.invite("one"), listener.invite("two")
+        assert (one.endpoint, one.server_key, one.worker) == (listener.endpoint, keys.public, "one")
         assert one.public_key != two.public_key
 
 
 def test_a_door_that_nobody_answers_closes_with_its_block() -> None:
-    with Door() as door:
-        assert _listens(door)
-    assert not _listens(door)
+    with Listener() as listener:
+        assert _listens(listener)
+    assert not _listens(listener)
 
 
 def test_who_answers_closes_it() -> None:
-    with Door() as door:
-        with CommunicatorExecutor(door) as executor:
-            assert executor.endpoint == door.endpoint
-            assert _listens(door)
-        assert not _listens(door)
+    with Listener() as listener:
+        with CommunicatorExecutor(listener) as executor:
+            assert executor.endpoint == listener.endpoint
+            assert _listens(listener)
+        assert not _listens(listener)
 
 
 def test_nothing_heavy_is_imported_for_it() -> None:
-    code = "import sys, hpcapp.backends.local_machines; print('numpy' in sys.modules)"
+    code = "import sys, hpcapp.backends.local_cluster; print('numpy' in sys.modules)"
     found = subprocess.run(
         [sys.executable, "-P", "-c", code], capture_output=True, text=True, check=True
     )
@@ -70,13 +70,13 @@ STRANGERS = 2600  # by default libzmq keeps 2,000 events, and then waits
 
 
 def test_a_crowd_at_a_door_that_nobody_answers_does_not_hold_up_its_end() -> None:
-    with Door() as door:
-        host, port = door.endpoint.removeprefix("tcp://").split(":")
+    with Listener() as listener:
+        host, port = listener.endpoint.removeprefix("tcp://").split(":")
         for _ in range(STRANGERS):
             with socket.create_connection((host, int(port)), timeout=WAIT) as stranger:
                 stranger.recv(10)  # the greeting: libzmq's thread is alive
                 stranger.send(b"GET / HTTP/1.0\r\n\r\n".ljust(64))
-    assert not _listens(door)
+    assert not _listens(listener)
 
 
 FLOOD = """
@@ -96,12 +96,12 @@ os.kill(os.getpid(), signal.SIGKILL)
 """
 MASTER = """
 import subprocess, sys
-from hpcapp.communicator.listener import Door
+from hpcapp.communicator.listener import Listener
 from hpccomponent.protocol.connection import write_connection
 
-door = Door()
-write_connection(sys.argv[1], door.invite("flood"))
-transport = door.answer()
+listener = Listener()
+write_connection(sys.argv[1], listener.invite("flood"))
+transport = listener.answer()
 flood = subprocess.Popen([sys.executable, "-P", "-c", sys.argv[2], sys.argv[1]])
 while transport.receive() is None:
     transport.wait(1.0)

@@ -1,4 +1,4 @@
-"""The engine on a wire of the test's own."""
+"""The loop on a wire of the test's own."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import queue
 from collections.abc import Sequence
 from concurrent.futures import Future
 
-from hpcapp.communicator.loop import Engine, Timing
-from hpcapp.communicator.policy import PullPolicy
-from hpcapp.communicator.scheduler import Scheduler
-from hpcapp.communicator.state import Action
+from hpcapp.communicator.loop import EventLoop, Timing
+from hpcapp.communicator.scheduling.policy import PullPolicy
+from hpcapp.communicator.scheduling.scheduler import Scheduler
+from hpcapp.communicator.scheduling.state import Action
 from hpcapp.communicator.submission import Entry
 from hpccomponent.clock import ManualClock
 from hpccomponent.protocol.frames import LARGEST_FRAME, Buffer
@@ -53,8 +53,8 @@ class Wire:
 
 def test_a_way_that_breaks_between_two_batches_costs_no_task() -> None:
     wire, clock = Wire(b"first"), ManualClock()
-    engine = Engine(
-        lambda ledger: Scheduler(PullPolicy(), clock, "1", ledger.claim, None, 15.0, 60.0),
+    loop = EventLoop(
+        lambda pending: Scheduler(PullPolicy(), clock, "1", pending.claim, None, 15.0, 60.0),
         wire,  # type: ignore[arg-type]
         clock,
         Timing(),
@@ -64,20 +64,20 @@ def test_a_way_that_breaks_between_two_batches_costs_no_task() -> None:
     def begin() -> list[Action]:
         actions: list[Action] = []
         for number, future in enumerate(futures, start=1):
-            engine.ledger.add(number, Entry(future, "task", b"", []))
-            actions += engine.scheduler.submit(number, "task", 0)
-        return actions + engine.scheduler.register(b"first", introduce("first"), "key 1")
+            loop.pending.add(number, Entry(future, "task", b"", []))
+            actions += loop.scheduler.submit(number, "task", 0)
+        return actions + loop.scheduler.register(b"first", introduce("first"), "key 1")
 
     try:
-        engine.post(begin)  # two batches are decided on; the first finds the way broken
+        loop.post(begin)  # two batches are decided on; the first finds the way broken
         assert wire.batches.get(timeout=30)[0] == b"first"
-        engine.post(lambda: engine.scheduler.register(b"second", introduce("second"), "key 2"))
+        loop.post(lambda: loop.scheduler.register(b"second", introduce("second"), "key 2"))
         sent = [wire.batches.get(timeout=30) for _ in range(2)]
         assert {identity for identity, _ in sent} == {b"second"}
         assert sum(len(batch.calls) for _, batch in sent) == 2
     finally:
-        engine.close(abandon=True)
-        engine.join()
+        loop.close(abandon=True)
+        loop.join()
 
 
 def introduce(name: str) -> Register:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from fixture_types import StartComponent
 
-from hpcapp.communicator import speculation as endgame
 from hpcapp.communicator.executor import CommunicatorExecutor
+from hpcapp.communicator.scheduling import speculation as endgame
 from hpccomponent.errors import TaskError, UsageError
 
 WAIT = 30.0

@@ -12,7 +12,7 @@ import pytest
 
 MASTER = """
 import subprocess, sys, threading
-from hpcapp.communicator.listener import Door
+from hpcapp.communicator.listener import Listener
 from hpcapp.communicator.loop import Timing
 from hpcapp.communicator.executor import CommunicatorExecutor
 from hpccomponent.protocol.connection import write_connection
@@ -29,7 +29,8 @@ ip("addr", "add", "192.0.2.1/24", "dev", "here")
 ip("link", "set", "here", "up")
 subprocess.run([*inside, "ip", "addr", "add", "192.0.2.2/24", "dev", "there"], check=True)
 subprocess.run([*inside, "ip", "link", "set", "there", "up"], check=True)
-with CommunicatorExecutor(Door("tcp://192.0.2.1:0"), timing=Timing(liveness_s=600.0)) as executor:
+listener = Listener("tcp://192.0.2.1:0")
+with CommunicatorExecutor(listener, timing=Timing(liveness_s=600.0)) as executor:
     write_connection(sys.argv[1], executor.invite("far"))
     component = [sys.executable, "-P", "-m", "hpccomponent", "--connection", sys.argv[1]]
     process = subprocess.Popen([*inside, *component], stderr=subprocess.DEVNULL)

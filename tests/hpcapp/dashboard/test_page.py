@@ -12,7 +12,7 @@ import pytest
 from hpcapp.dashboard.server import open_dashboard
 from hpcapp.dashboard.watched_job import WatchedJob, WatchedProgress
 from hpcapp.progress import SilentProgress
-from hpcapp.timeline import MASTER, Timeline, WorkerNow
+from hpcapp.timeline import MASTER, Timeline, WorkerState
 from hpccomponent.surface.types.mesh import Mesh
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def half_ball(side: float) -> Mesh:
 
 def test_a_page_follows_its_job_to_the_end(page: Page, errors: list[str]) -> None:
     timeline = Timeline()
-    timeline.roster = lambda: [WorkerNow("machine-0", "busy", "mesh_tile")]
+    timeline.list_workers = lambda: [WorkerState("machine-0", "busy", "mesh_tile")]
     job = WatchedJob(timeline, "ball.ply → ball.glb")
     progress = WatchedProgress(job, SilentProgress())
     with open_dashboard("127.0.0.1:0", job) as address, job.running():

@@ -20,7 +20,7 @@ from hpcapp.dashboard.unauthenticated import MOST_UNAUTHENTICATED
 from hpcapp.dashboard.viewers import Viewers
 from hpcapp.dashboard.watched_job import WatchedJob, WatchedProgress
 from hpcapp.progress import SilentProgress
-from hpcapp.timeline import MASTER, Timeline, WorkerNow
+from hpcapp.timeline import MASTER, Timeline, WorkerState
 from hpccomponent.errors import UsageError
 from hpccomponent.surface.types.mesh import Mesh
 
@@ -38,7 +38,7 @@ def job() -> WatchedJob:
     timeline.record("mesh_tile", 'w-1"', 0.0, bytes_in=7, bytes_out=9)
     timeline.record("mesh_tile", "w-2", 0.0, "lost")
     timeline.record("read", MASTER, 0.0)
-    timeline.roster = lambda: [WorkerNow("w-2", "busy", "mesh_tile")]
+    timeline.list_workers = lambda: [WorkerState("w-2", "busy", "mesh_tile")]
     return watched(timeline, "scan.ply → <mesh>.ply")
 
 

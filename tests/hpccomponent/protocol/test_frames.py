@@ -5,7 +5,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpccomponent.errors import ProtocolError
-from hpccomponent.protocol.frames import join_frames, split_buffers
+from hpccomponent.protocol.frames import (
+    ALIGNMENT,
+    check_payload,
+    cut_payload,
+    join_frames,
+    split_buffers,
+)
 
 
 @given(st.lists(st.binary(max_size=100)), st.integers(1, 40))
@@ -32,3 +38,22 @@ def test_too_many_and_too_few_are_told_apart_from_right(
 ) -> None:
     with pytest.raises(ProtocolError):
         join_frames(frames, sizes)
+
+
+def test_a_payload_that_is_too_short_is_a_protocol_error() -> None:
+    with pytest.raises(ProtocolError, match="shorter"):
+        cut_payload(memoryview(b"abc"), [4])
+
+
+@pytest.mark.parametrize("sizes", [[], [0], [5], [5, 0], [0, 5], [64, 1], [1, 64, 0, 0, 70]])
+def test_a_payload_is_as_long_as_its_buffers_say(sizes: list[int]) -> None:
+    payload = bytearray()
+    for size in sizes:
+        payload += bytes(-len(payload) % ALIGNMENT)
+        payload += bytes([size % 251]) * size
+    check_payload(memoryview(payload), sizes)
+    assert [bytes(b) for b in cut_payload(memoryview(payload), sizes)] == [
+        bytes([size % 251]) * size for size in sizes
+    ]
+    with pytest.raises(ProtocolError, match="announced"):
+        check_payload(memoryview(payload + b"x"), sizes)

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hpccomponent.protocol.payload import ALIGNMENT, cut_payload
+from hpccomponent.protocol.frames import ALIGNMENT, cut_payload
 from hpccomponent.runtime.channel import (
     INLINE_BYTES,
     PREFIX,

@@ -9,8 +9,8 @@ import pytest
 
 from hpccomponent.protocol.blobs import make_blob
 from hpccomponent.protocol.codec import decode_values, encode_arguments, encode_values
+from hpccomponent.protocol.frames import cut_payload
 from hpccomponent.protocol.messages import Batch, Call, Results, decode_component_message
-from hpccomponent.protocol.payload import cut_payload
 from hpccomponent.runtime.channel import Channel
 from hpccomponent.runtime.tasks import TaskRegistry
 from hpccomponent.runtime.worker import ShortageError, run_batch, run_call

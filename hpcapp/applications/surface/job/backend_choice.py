@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 from hpcapp.applications.surface.settings import Settings, choose_local, name_backend
 from hpcapp.backends.capacity import count_carried
 from hpcapp.backends.selection import Backend, open_backend, open_executor, wrap_communicator
-from hpcapp.communicator.verification import Verification
+from hpcapp.communicator.scheduling.verification import Verification
 from hpccomponent.errors import NoWorkersError
 from hpccomponent.limits import available_cores
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
     from hpcapp.backends.cluster import Listening
-    from hpcapp.backends.local_machines import LocalMachines
+    from hpcapp.backends.local_cluster import LocalMachines
 
 __all__ = ["Choice", "Job", "Opener", "approach_workers", "least_work"]
 

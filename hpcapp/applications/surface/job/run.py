@@ -24,8 +24,7 @@ from hpcapp.applications.surface.memory import count_most_points
 from hpcapp.applications.surface.method import TILE_POINTS
 from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.backends.selection import Backend
-from hpcapp.communicator.attempts import attempt, repeat_until_trusted
-from hpcapp.communicator.verification import Verification
+from hpcapp.communicator.scheduling.verification import Verification, attempt, repeat_until_trusted
 from hpcapp.io import describe_losses
 from hpcapp.io.output import open_output
 from hpcapp.progress import Progress, StageClock
@@ -37,7 +36,7 @@ if TYPE_CHECKING:
     from hpcapp.applications.surface.attributes.carrying import Carrying
     from hpcapp.applications.surface.job.steps import Outcome
     from hpcapp.applications.surface.stitching.topology import Topology
-    from hpcapp.backends.local_machines import LocalMachines
+    from hpcapp.backends.local_cluster import LocalMachines
 
 __all__ = ["JobSettings", "run_job"]
 

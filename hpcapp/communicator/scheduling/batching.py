@@ -6,8 +6,8 @@ from collections import OrderedDict
 from collections.abc import Callable, Container, Sequence
 from itertools import islice
 
-from hpcapp.communicator.forecast import Forecast
-from hpcapp.communicator.state import Task, Worker
+from hpcapp.communicator.scheduling.forecast import Forecast
+from hpcapp.communicator.scheduling.state import Task, Worker
 
 __all__ = [
     "MAX_BATCH_BYTES",

@@ -16,8 +16,8 @@ __all__ = [
     "Deliver",
     "Dismiss",
     "Fail",
-    "Flight",
     "Forgotten",
+    "OpenBatch",
     "Refuse",
     "Retire",
     "Task",
@@ -33,9 +33,9 @@ class Task:
     `work` is its declared cost, in units of its own, and `can_split` whether it declares how.
     `limit_bytes` is how large its result may be. `losses` counts, by machine, the workers that were
     lost while it was (or may have been) running, or on which it failed, which one may before it is
-    believed (`has_failed`); a task is claimed once, right before it first
-    leaves. `places` are the workers that hold it, with the batch: two where it is run again because
-    the first lags; the first answer counts, and then it is done. `answers` are the digests of those
+    believed (`has_failed`); a task is claimed once, right before it first leaves. `holders` are the
+    workers that hold it, with the batch: two where it is run again because the first is a
+    straggler; the first answer counts, and then it is done. `answers` are the digests of those
     that wait for another machine to give the same, by machine (see `verification`); `has_written`
     tells whether one of these machines has written something that others may read.
     """
@@ -52,7 +52,7 @@ class Task:
     has_failed: bool = False
     is_claimed: bool = False
     is_done: bool = False
-    places: dict[bytes, int] = field(default_factory=dict)
+    holders: dict[bytes, int] = field(default_factory=dict)
     answers: dict[str, bytes] = field(default_factory=dict)
     has_written: bool = False
 
@@ -62,7 +62,7 @@ class Task:
 
 
 @dataclass(slots=True, eq=False)
-class Flight:
+class OpenBatch:
     """A batch on its way or at work: the tasks that its worker has not answered, in order.
 
     `work` is how much that is, by the names of these tasks, `counts` how many; `limits` how large
@@ -128,7 +128,7 @@ class Worker:
     remaining_s: float = 0.0
     next_s: float = 0.0
     slowness: float = 1.0
-    batches: dict[int, Flight] = field(default_factory=dict)
+    batches: dict[int, OpenBatch] = field(default_factory=dict)
     backlog: OrderedDict[int, Task] = field(default_factory=OrderedDict)
     blobs: set[bytes] = field(default_factory=set)
 

@@ -4,9 +4,9 @@ from collections.abc import Callable
 
 import pytest
 
-from hpcapp.communicator.policy import AdaptivePolicy, EqualPolicy, PullPolicy
-from hpcapp.communicator.scheduler import Scheduler
-from hpcapp.communicator.state import (
+from hpcapp.communicator.scheduling.policy import AdaptivePolicy, EqualPolicy, PullPolicy
+from hpcapp.communicator.scheduling.scheduler import Scheduler
+from hpcapp.communicator.scheduling.state import (
     Action,
     AskRegister,
     Assign,

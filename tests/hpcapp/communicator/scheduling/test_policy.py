@@ -3,7 +3,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from hpcapp.communicator.policy import AdaptivePolicy, EqualPolicy, Placement, PullPolicy
+from hpcapp.communicator.scheduling.policy import AdaptivePolicy, EqualPolicy, Placement, PullPolicy
 
 
 @dataclass

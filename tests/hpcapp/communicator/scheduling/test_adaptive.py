@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hpcapp.communicator.policy import AdaptivePolicy, EqualPolicy, Policy
-from hpcapp.communicator.scheduler import Scheduler
-from hpcapp.communicator.state import Action, Assign, Deliver, Task
+from hpcapp.communicator.scheduling.policy import AdaptivePolicy, EqualPolicy, Policy
+from hpcapp.communicator.scheduling.scheduler import Scheduler
+from hpcapp.communicator.scheduling.state import Action, Assign, Deliver, Task
 from hpccomponent.clock import ManualClock
 from hpccomponent.protocol.messages import PROTOCOL_VERSION, Register, Result
 

@@ -10,18 +10,21 @@
 
 Tasks are deterministic within one numerics id, so that honest machines give the same bytes. What is
 drawn is chosen after the answer has come: no machine can know which of its answers matter. Until
-two machines agree the task is not done, so that what it reads is still there.
+two machines agree the task is not done, so that what it reads is still there. A job that has used
+answers of a machine that is then found to lie is begun anew.
 """
 
 from __future__ import annotations
 
 import hashlib
+import logging
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import Enum
 from random import SystemRandom
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from hpccomponent.errors import (
     CloudError,
@@ -33,7 +36,7 @@ from hpccomponent.errors import (
 )
 
 if TYPE_CHECKING:  # a job in one process does not wait for what speaks to others
-    from hpcapp.communicator.state import Task
+    from hpcapp.communicator.scheduling.state import Task
     from hpccomponent.protocol.frames import Buffer
     from hpccomponent.protocol.messages import Result
 
@@ -42,9 +45,15 @@ __all__ = [
     "LEAST_MACHINES",
     "Verdict",
     "Verification",
+    "attempt",
     "digest_answer",
     "explain_dispute",
+    "repeat_until_trusted",
 ]
+
+_log = logging.getLogger(__name__)
+
+Outcome = TypeVar("Outcome")
 
 CLUSTER_SHARE = 0.02
 """Of the answers of a cluster's workers, where nothing else is asked for."""
@@ -117,7 +126,7 @@ class Verification:
         self.answers.clear()
         self.distrust = ""
 
-    def hear(
+    def judge(
         self, task: Task, machine: str, others: Collection[str], digest: Callable[[], bytes]
     ) -> tuple[Verdict, list[str]]:
         """Judge an answer.
@@ -139,12 +148,12 @@ class Verification:
         if is_first and not (task.is_verified and self._is_drawn(len(others))):
             self.answers[machine] += 1
             return Verdict.BELIEVED, []
-        own, known = digest(), task.answers.get(machine)
-        if known is not None and known != own:
+        answer, earlier = digest(), task.answers.get(machine)
+        if earlier is not None and earlier != answer:
             return Verdict.ASK_ANOTHER, [machine]
-        task.answers[machine] = own
-        agreeing = [name for name, told in task.answers.items() if told == own]
-        lying = [name for name, told in task.answers.items() if told != own]
+        task.answers[machine] = answer
+        agreeing = [name for name, given in task.answers.items() if given == answer]
+        lying = [name for name, given in task.answers.items() if given != answer]
         if len(agreeing) > 1:
             self.verified += 1
             return Verdict.BELIEVED, lying
@@ -197,9 +206,9 @@ class Verification:
 
     def describe(self) -> str:
         """Say in one line what was found."""
-        found = f"{self.verified} answers were verified on other machines, {self.seconds:.1f} s"
+        summary = f"{self.verified} answers were verified on other machines, {self.seconds:.1f} s"
         liars = sorted(set(self.liars.values()))
-        return "; ".join([found, *liars] if liars else [found, "all agreed"])
+        return "; ".join([summary, *liars] if liars else [summary, "all agreed"])
 
     def to_json(self) -> dict[str, Any]:
         """Return what the report says of it."""
@@ -229,8 +238,50 @@ def digest_answer(result: Result, buffers: Sequence[Buffer]) -> bytes:
     bytes
         BLAKE2b of all that was sent, and of the checksum of what the task has written.
     """
-    found = hashlib.blake2b(result.header, digest_size=16)
+    digest = hashlib.blake2b(result.header, digest_size=16)
     for buffer in buffers:
-        found.update(buffer)
-    found.update(result.written.to_bytes(8, "little"))
-    return found.digest()
+        digest.update(buffer)
+    digest.update(result.written.to_bytes(8, "little"))
+    return digest.digest()
+
+
+@contextmanager
+def attempt(
+    verification: Verification, is_callers: Callable[[Exception], bool] = lambda _: False
+) -> Iterator[None]:
+    """Raise a `DistrustError` in place of what may come of a lie, and of a result that does.
+
+    Parameters
+    ----------
+    is_callers : callable, optional
+        Tells of an error whether the caller has raised it, so that it is no lie.
+    """
+    try:
+        yield
+    except Exception as error:
+        reason = "" if is_callers(error) else verification.suspect(error)
+        if not reason:
+            raise
+        raise DistrustError(reason) from error
+    if verification.distrust:
+        raise DistrustError(verification.distrust)
+
+
+def repeat_until_trusted(verification: Verification, run: Callable[[bool], Outcome]) -> Outcome:
+    """Run work from its start until no machine has lied in it.
+
+    Each repetition has a liar less, or is the one in which every answer is verified.
+
+    Parameters
+    ----------
+    run : callable
+        Told whether it is the first time; does its work within `attempt`.
+    """
+    verification.begin_job()
+    while True:
+        try:
+            return run(not verification.repeats)
+        except DistrustError as error:
+            _log.warning("the work begins anew: %s", error.problem)
+            verification.repeats.append(error.problem)
+            verification.begin()

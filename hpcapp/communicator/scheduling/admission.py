@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
-from hpcapp.communicator.state import Worker
+from hpcapp.communicator.scheduling.state import Worker
 from hpccomponent.protocol.frames import SMALLEST_FRAME
 from hpccomponent.protocol.messages import PROTOCOL_VERSION, Register
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from hpcapp.communicator.policy import PullPolicy
-from hpcapp.communicator.scheduler import Scheduler
-from hpcapp.communicator.state import Action, Assign
+from hpcapp.communicator.scheduling.policy import PullPolicy
+from hpcapp.communicator.scheduling.scheduler import Scheduler
+from hpcapp.communicator.scheduling.state import Action, Assign
 from hpcapp.timeline import Timeline
 from hpccomponent.clock import ManualClock
 from hpccomponent.protocol.blobs import make_blob

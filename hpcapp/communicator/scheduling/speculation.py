@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 
-from hpcapp.communicator.forecast import Forecast
-from hpcapp.communicator.state import Task, Worker
+from hpcapp.communicator.scheduling.forecast import Forecast
+from hpcapp.communicator.scheduling.state import Task, Worker
 
 __all__ = ["choose_to_run_again", "choose_to_split"]
 
@@ -47,7 +47,7 @@ def choose_to_run_again(
         return []
 
     def lags(task: Task, left_s: float, unit_s: float) -> bool:
-        return left_s > LAG * (unit_s * task.work + forecast.way_s(task.name)) + LAG_S
+        return left_s > LAG * (unit_s * task.work + forecast.transit_s(task.name)) + LAG_S
 
     least_s: dict[str, float] = {}  # a unit of work on whoever of the idle is fastest
     lagging = []
@@ -58,7 +58,7 @@ def choose_to_run_again(
                 least_s[name] = min(forecast.unit_s(w.identity, name) for w in idle)
             # A task that was lost with a worker may be what kills them: one at a time. One that is
             # verified must not go to who has answered it.
-            is_apart = task.is_done or task.losses or task.answers or len(task.places) > 1
+            is_apart = task.is_done or task.losses or task.answers or len(task.holders) > 1
             if not is_apart and lags(task, left_s, least_s[name]):
                 lagging.append((left_s, task))
     lagging.sort(key=lambda pair: -pair[0])

@@ -16,13 +16,13 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Sequence
 
-from hpcapp.communicator.assignments import Assignments
-from hpcapp.communicator.batching import MAX_TASKS, BatchCutter, find_holder
-from hpcapp.communicator.forecast import Forecast
-from hpcapp.communicator.losses import Losses
-from hpcapp.communicator.policy import Policy
-from hpcapp.communicator.speculation import choose_to_run_again, choose_to_split
-from hpcapp.communicator.state import Assign, Flight, Task, Worker
+from hpcapp.communicator.scheduling.assignments import Assignments
+from hpcapp.communicator.scheduling.batching import MAX_TASKS, BatchCutter, find_holder
+from hpcapp.communicator.scheduling.forecast import Forecast
+from hpcapp.communicator.scheduling.losses import Losses
+from hpcapp.communicator.scheduling.policy import Policy
+from hpcapp.communicator.scheduling.speculation import choose_to_run_again, choose_to_split
+from hpcapp.communicator.scheduling.state import Assign, OpenBatch, Task, Worker
 from hpccomponent.clock import Clock
 
 __all__ = ["CREDIT", "Dispatcher"]
@@ -75,7 +75,7 @@ class Dispatcher:
             In order; no worker has them any more.
         """
         for task in reversed(list(tasks)):
-            task.places.clear()
+            task.holders.clear()
             if task.losses or task.answers:
                 self.queue.pop(task.number, None)
                 self.lost[task.number] = task
@@ -109,7 +109,7 @@ class Dispatcher:
                 worker = find_holder(self.queue, workers, worker)
             if placement.is_fixed:
                 number, task = self.queue.popitem(last=False)
-                task.places[worker.identity] = -1
+                task.holders[worker.identity] = -1
                 worker.backlog[number] = task
                 worker.placed += 1
             else:
@@ -129,8 +129,8 @@ class Dispatcher:
     def _place_lost(self, task: Task, workers: Sequence[Worker]) -> list[Assign]:
         """Send a lost task, alone, so that no other is blamed with it, to who is free first."""
         now = self._clock.now()
-        places = self._losses.find_places(task, workers)
-        worker = min(places, key=lambda w: (self.forecast.remaining_s(w, now), len(w.batches)))
+        candidates = self._losses.find_candidates(task, workers)
+        worker = min(candidates, key=lambda w: (self.forecast.remaining_s(w, now), len(w.batches)))
         if len(worker.batches) >= CREDIT:
             return []
         del self.lost[task.number]
@@ -166,13 +166,13 @@ class Dispatcher:
         number = self.assignments.add(worker)
         if not worker.batches:
             worker.since = self._clock.now()
-        flight = worker.batches[number] = Flight({task.number: task for task in batch})
+        open_batch = worker.batches[number] = OpenBatch({task.number: task for task in batch})
         for task in batch:
-            task.places[worker.identity] = number
+            task.holders[worker.identity] = number
         lacking = {
             blob.key: blob for task in batch for blob in task.blobs if blob.key not in worker.blobs
         }
         worker.blobs.update(lacking)
-        flight.shared_bytes = sum([blob.size_bytes for blob in lacking.values()])
+        open_batch.shared_bytes = sum([blob.size_bytes for blob in lacking.values()])
         numbers = tuple([task.number for task in batch])
         return [Assign(worker.identity, number, numbers, tuple(lacking.values()))]

@@ -7,12 +7,12 @@ from collections.abc import Collection, Iterable
 
 from hpccomponent.protocol.messages import Share
 
-__all__ = ["Shelf"]
+__all__ = ["BlobCache"]
 
 MAX_BLOBS = 500  # each keeps a file open
 
 
-class Shelf:
+class BlobCache:
     """The blobs of one component, by least recent use.
 
     Parameters
@@ -93,15 +93,15 @@ class Shelf:
         list of bytes
             The keys of those that are gone.
         """
-        gone = [key for key in self._forgotten if key not in needed]
-        for key in gone:
+        evicted = [key for key in self._forgotten if key not in needed]
+        for key in evicted:
             self._remove(key)
         for key in [key for key in self._sizes if key not in needed]:
             if not self._is_over():
                 break
             self._remove(key)
-            gone.append(key)
-        return gone
+            evicted.append(key)
+        return evicted
 
     def forget(self, keys: Iterable[bytes]) -> None:
         """Note that nobody will name these blobs again: they are the next to go.

@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
-from hpcapp.communicator.state import Task, Worker
+from hpcapp.communicator.scheduling.state import Task, Worker
 from hpccomponent.errors import NoWorkersError, WorkerLostError
 
 __all__ = ["LOSS_BUDGET", "Losses"]
@@ -91,7 +91,7 @@ class Losses:
             task.losses.pop(machine, None)
         return self.retired[machine]
 
-    def find_places(self, task: Task, workers: Sequence[Worker]) -> list[Worker]:
+    def find_candidates(self, task: Task, workers: Sequence[Worker]) -> list[Worker]:
         """Return the workers that may have a task that was lost: of the best kind that is there.
 
         First those on machines that have neither lost nor answered it, nor lost another one just
@@ -102,10 +102,10 @@ class Losses:
         list of Worker
             Empty only where there are none.
         """
-        whole = [worker for worker in workers if worker.machine not in task.losses]
-        others = [worker for worker in whole if worker.machine not in task.answers]
-        steady = [worker for worker in others if not self._record(worker).is_shaken]
-        return steady or others or whole or list(workers)
+        without_loss = [worker for worker in workers if worker.machine not in task.losses]
+        without_answer = [worker for worker in without_loss if worker.machine not in task.answers]
+        steady = [worker for worker in without_answer if not self._record(worker).is_shaken]
+        return steady or without_answer or without_loss or list(workers)
 
     def is_spent(self, task: Task, workers: Iterable[Worker]) -> bool:
         """Tell whether a task is to be given up, with these workers left."""
@@ -118,8 +118,10 @@ class Losses:
         """Tell whether another machine can say if it is the task that fails, or this machine."""
         if task.has_failed:
             return False
-        known = {worker.machine, *task.losses}
-        return len(known) < LOSS_BUDGET and any(other.machine not in known for other in workers)
+        machines = {worker.machine, *task.losses}
+        return len(machines) < LOSS_BUDGET and any(
+            other.machine not in machines for other in workers
+        )
 
     def describe(self, machines: Iterable[str] | None = None) -> str:
         """Say what some machines have lost, and why; by default all that have lost anything.
@@ -129,14 +131,14 @@ class Losses:
         str
             One line; empty where they have lost nothing.
         """
-        said = []
+        clauses = []
         for machine in self._records if machines is None else machines:
             record = self._records[machine]
             if record.lost:
                 times = "once" if record.lost == 1 else f"{record.lost} times, the last"
                 size = _say_size(record.memory_bytes)
-                said.append(f"{machine} failed {times} because {record.reason}; it has {size}")
-        return "; ".join(said)
+                clauses.append(f"{machine} failed {times} because {record.reason}; it has {size}")
+        return "; ".join(clauses)
 
     def explain(self, task: Task) -> WorkerLostError:
         """Return the error of a task that is given up."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from hpcapp.communicator.state import Flight, Task, Worker
-from hpcapp.timeline import Timeline, WorkerNow
+from hpcapp.communicator.scheduling.state import OpenBatch, Task, Worker
+from hpcapp.timeline import Timeline, WorkerState
 from hpccomponent.protocol.messages import Register, Result
 
 __all__ = ["Recording"]
@@ -18,13 +18,18 @@ class Recording:
         self.timeline: Timeline | None = None
 
     def answered(
-        self, worker: Worker, flight: Flight | None, task: Task, result: Result, later_s: float
+        self,
+        worker: Worker,
+        open_batch: OpenBatch | None,
+        task: Task,
+        result: Result,
+        later_s: float,
     ) -> None:
         """Record an answer.
 
         Parameters
         ----------
-        flight : Flight or None
+        open_batch : OpenBatch or None
             The batch that the task is of, if the worker still has it.
         task : Task
             Which it answers; one that is done was answered before.
@@ -41,10 +46,10 @@ class Recording:
             outcome,
             ago=later_s,
             bytes_in=len(result.header) + sum(result.sizes),
-            bytes_out=task.size_bytes + (flight.take_shared() if flight is not None else 0),
+            bytes_out=task.size_bytes + (open_batch.take_shared() if open_batch is not None else 0),
         )
 
-    def taken_back(self, worker: Worker, flight: Flight, at_work_s: float) -> None:
+    def taken_back(self, worker: Worker, open_batch: OpenBatch, at_work_s: float) -> None:
         """Record the tasks of a batch that its worker has not answered.
 
         Parameters
@@ -54,13 +59,13 @@ class Recording:
         """
         if self.timeline is None:
             return
-        for task in flight.tasks.values():
+        for task in open_batch.tasks.values():
             self.timeline.record(
                 _function(task),
                 worker.machine,
                 at_work_s,
                 "refused" if worker.is_refused else "lost",
-                bytes_out=task.size_bytes + flight.take_shared(),
+                bytes_out=task.size_bytes + open_batch.take_shared(),
             )
             at_work_s = 0.0
 
@@ -70,7 +75,7 @@ class Recording:
             self.timeline.record("register", register.worker, 0.0, "refused")
 
 
-def list_workers(workers: Mapping[bytes, Worker]) -> list[WorkerNow]:
+def list_workers(workers: Mapping[bytes, Worker]) -> list[WorkerState]:
     """Return what each worker does at the moment, for any thread to ask.
 
     Parameters
@@ -78,15 +83,15 @@ def list_workers(workers: Mapping[bytes, Worker]) -> list[WorkerNow]:
     workers : mapping of bytes to Worker
         The scheduler's own; copied in one step each, since it changes meanwhile.
     """
-    found = []
+    states = []
     for worker in list(workers.values()):
-        flights = list(worker.batches.values())
-        tasks = list(flights[0].tasks.values()) if flights else []
+        open_batches = list(worker.batches.values())
+        tasks = list(open_batches[0].tasks.values()) if open_batches else []
         state = "retired" if worker.is_retired else "leaving" if worker.is_draining else "busy"
         if state == "busy" and not tasks:
             state = "idle"
-        found.append(WorkerNow(worker.machine, state, _function(tasks[0]) if tasks else ""))
-    return found
+        states.append(WorkerState(worker.machine, state, _function(tasks[0]) if tasks else ""))
+    return states
 
 
 def _function(task: Task) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterable
 
-from hpcapp.communicator.state import Flight, Worker
+from hpcapp.communicator.scheduling.state import OpenBatch, Worker
 from hpccomponent.errors import ProtocolError
 
 __all__ = ["Assignments"]
@@ -17,7 +17,7 @@ class Assignments:
 
     def __init__(self) -> None:
         self._owners: list[bytes] = []
-        self._taken_back: dict[int, Flight] = {}
+        self._taken_back: dict[int, OpenBatch] = {}
 
     @property
     def last(self) -> int:
@@ -29,15 +29,15 @@ class Assignments:
         self._owners.append(worker.identity)
         return self.last
 
-    def take_back(self, batch: int, flight: Flight) -> None:
+    def take_back(self, batch: int, open_batch: OpenBatch) -> None:
         """Note that a batch was given up; whoever had it may still answer."""
-        if flight.limits:
-            self._taken_back[batch] = flight
+        if open_batch.limits:
+            self._taken_back[batch] = open_batch
         if len(self._taken_back) > MOST_TAKEN_BACK:
             self._taken_back = {
-                number: flight
-                for number, flight in self._taken_back.items()
-                if any(not task.is_done for task in flight.tasks.values())
+                number: open_batch
+                for number, open_batch in self._taken_back.items()
+                if any(not task.is_done for task in open_batch.tasks.values())
             }
 
     def most_bytes(
@@ -62,11 +62,11 @@ class Assignments:
         """
         if not 0 < batch <= self.last or self._owners[batch - 1] != worker.identity:
             raise ProtocolError(f"it answers batch {batch}, which it was not given")
-        flight = worker.batches.get(batch) or self._taken_back.get(batch)
+        open_batch = worker.batches.get(batch) or self._taken_back.get(batch)
         limits = []
         for number in numbers:
-            limit = flight.limits.get(number) if flight is not None else None
-            if limit is None and (flight is not None or number in waiting):
+            limit = open_batch.limits.get(number) if open_batch is not None else None
+            if limit is None and (open_batch is not None or number in waiting):
                 raise ProtocolError(f"it answers task {number}, which batch {batch} does not hold")
             limits.append(limit if limit is not None else 0)
         return limits

@@ -5,8 +5,8 @@ import math
 
 import pytest
 
-from hpcapp.communicator.forecast import Forecast
-from hpcapp.communicator.state import Flight, Task, Worker
+from hpcapp.communicator.scheduling.forecast import Forecast
+from hpcapp.communicator.scheduling.state import OpenBatch, Task, Worker
 from hpccomponent.protocol.messages import PROTOCOL_VERSION, Register
 
 REGISTER = Register(PROTOCOL_VERSION, "1", "w", "i", "b", "n", 1, 1, 1 << 20)
@@ -18,7 +18,7 @@ def task(number: int = 0, work: float = 1.0, name: str = "t") -> Task:
 
 def worker_with(*tasks: Task, since: float = 0.0) -> Worker:
     worker = Worker(b"w", REGISTER, "", 0.0, since=since)
-    worker.batches[1] = Flight({task.number: task for task in tasks})
+    worker.batches[1] = OpenBatch({task.number: task for task in tasks})
     return worker
 
 
@@ -92,19 +92,19 @@ def test_new_figures_weigh_more_than_old_ones() -> None:
 
 def test_the_way_counts_but_for_the_first() -> None:
     forecast = Forecast()
-    forecast.learn(b"a", task(), 1.0, way_s=7.0)
+    forecast.learn(b"a", task(), 1.0, transit_s=7.0)
     assert forecast.expect(b"a", task()) == 1.0
-    forecast.learn(b"a", task(), 1.0, way_s=2.0)
+    forecast.learn(b"a", task(), 1.0, transit_s=2.0)
     assert forecast.expect(b"a", task()) == 2.0
 
 
 def test_the_way_of_a_name_is_that_of_its_last_tasks() -> None:
     forecast = Forecast()
-    assert forecast.way_s("t") == 0.0
-    forecast.learn(b"a", task(), 1.0, way_s=4.0)
-    assert forecast.way_s("t") == 4.0
-    forecast.learn(b"b", task(), 1.0, way_s=2.0)
-    assert forecast.way_s("t") == 3.0
+    assert forecast.transit_s("t") == 0.0
+    forecast.learn(b"a", task(), 1.0, transit_s=4.0)
+    assert forecast.transit_s("t") == 4.0
+    forecast.learn(b"b", task(), 1.0, transit_s=2.0)
+    assert forecast.transit_s("t") == 3.0
 
 
 def test_a_lost_worker_counts_no_more_unless_nobody_else_knows() -> None:

@@ -1,8 +1,8 @@
 from __future__ import annotations
 
-from hpcapp.communicator.forecast import Forecast
-from hpcapp.communicator.speculation import choose_to_run_again, choose_to_split
-from hpcapp.communicator.state import Flight, Task, Worker
+from hpcapp.communicator.scheduling.forecast import Forecast
+from hpcapp.communicator.scheduling.speculation import choose_to_run_again, choose_to_split
+from hpcapp.communicator.scheduling.state import OpenBatch, Task, Worker
 from hpccomponent.protocol.messages import PROTOCOL_VERSION, Register
 
 
@@ -10,9 +10,9 @@ def worker(name: str, *tasks: Task) -> Worker:
     register = Register(PROTOCOL_VERSION, "1", name, "i", "b", "n", 1, 1, 1 << 20)
     made = Worker(name.encode(), register, "", 0.0)
     if tasks:
-        made.batches[1] = Flight({task.number: task for task in tasks})
+        made.batches[1] = OpenBatch({task.number: task for task in tasks})
         for task in tasks:
-            task.places[made.identity] = 1
+            task.holders[made.identity] = 1
     return made
 
 
@@ -51,15 +51,15 @@ def test_an_idle_worker_gets_what_would_be_done_last() -> None:
 def test_what_is_nearly_done_twice_at_work_or_dangerous_is_left_alone() -> None:
     idle, other = worker("idle"), worker("other")
     forecast = taught(slow=1.0, idle=1.0, other=1.0)
-    for spoil in ("is_done", "losses", "places", "time"):
+    for spoil in ("is_done", "losses", "holders", "time"):
         lagging = task(1)
         slow = worker("slow", lagging)
         if spoil == "is_done":
             lagging.is_done = True
         elif spoil == "losses":
             lagging.losses["m"] = 1
-        elif spoil == "places":
-            lagging.places[b"other"] = 2
+        elif spoil == "holders":
+            lagging.holders[b"other"] = 2
         now = 0.5 if spoil == "time" else 5.0
         assert choose_to_run_again([slow, idle, other], [idle], forecast, now) == []
     assert choose_to_run_again([worker("slow", task(1))], [idle], forecast, 5.0)
@@ -67,7 +67,7 @@ def test_what_is_nearly_done_twice_at_work_or_dangerous_is_left_alone() -> None:
 
 def test_what_may_be_on_its_way_as_long_as_others_were_is_left_alone() -> None:
     forecast = Forecast()
-    forecast.learn(b"idle", task(0), 1.0, way_s=2.0)
+    forecast.learn(b"idle", task(0), 1.0, transit_s=2.0)
     slow, idle = worker("slow", task(1)), worker("idle")
     assert choose_to_run_again([slow, idle], [idle], forecast, 4.5) == []
     assert choose_to_run_again([slow, idle], [idle], forecast, 5.0)

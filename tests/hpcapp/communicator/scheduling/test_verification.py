@@ -7,24 +7,29 @@ from itertools import cycle
 
 import pytest
 
-from hpcapp.communicator.attempts import attempt, repeat_until_trusted
-from hpcapp.communicator.state import Task
-from hpcapp.communicator.verification import Verdict, Verification, digest_answer
+from hpcapp.communicator.scheduling.state import Task
+from hpcapp.communicator.scheduling.verification import (
+    Verdict,
+    Verification,
+    attempt,
+    digest_answer,
+    repeat_until_trusted,
+)
 from hpccomponent.errors import ConfigError, DistrustError, NoWorkersError, TaskError
 from hpccomponent.protocol.messages import Result
 
 
-def hear(
+def judge(
     verification: Verification, task: Task, machine: str, told: bytes, names: str = "abc"
 ) -> tuple[Verdict, list[str]]:
     others = set(names) - {machine, *task.answers}
-    return verification.hear(task, machine, others, lambda: told)
+    return verification.judge(task, machine, others, lambda: told)
 
 
 def test_two_equal_answers_are_believed() -> None:
     verification, task = Verification(1.0), Task(1, "t", 1)
-    assert hear(verification, task, "a", b"x") == (Verdict.ASK_ANOTHER, [])
-    assert hear(verification, task, "b", b"x") == (Verdict.BELIEVED, [])
+    assert judge(verification, task, "a", b"x") == (Verdict.ASK_ANOTHER, [])
+    assert judge(verification, task, "b", b"x") == (Verdict.BELIEVED, [])
     assert verification.verified == 1
     assert not verification.answers
 
@@ -33,29 +38,29 @@ def test_two_equal_answers_are_believed() -> None:
 def test_a_third_machine_decides_between_two_answers(liar: str) -> None:
     verification, task = Verification(1.0), Task(1, "t", 1)
     told = {"a": b"x", "b": b"x", "c": b"x", liar: b"y"}
-    assert hear(verification, task, "a", told["a"]) == (Verdict.ASK_ANOTHER, [])
-    assert hear(verification, task, "b", told["b"]) == (Verdict.ASK_ANOTHER, [])
-    assert hear(verification, task, "c", told["c"]) == (Verdict.BELIEVED, [liar])
+    assert judge(verification, task, "a", told["a"]) == (Verdict.ASK_ANOTHER, [])
+    assert judge(verification, task, "b", told["b"]) == (Verdict.ASK_ANOTHER, [])
+    assert judge(verification, task, "c", told["c"]) == (Verdict.BELIEVED, [liar])
     assert verification.disagreements == 1
 
 
 def test_three_different_answers_decide_nothing() -> None:
     verification, task = Verification(1.0), Task(1, "t", 1)
     for machine, told in zip("ab", (b"x", b"y"), strict=True):
-        assert hear(verification, task, machine, told)[0] is Verdict.ASK_ANOTHER
-    assert hear(verification, task, "c", b"z") == (Verdict.UNDECIDED, [])
+        assert judge(verification, task, machine, told)[0] is Verdict.ASK_ANOTHER
+    assert judge(verification, task, "c", b"z") == (Verdict.UNDECIDED, [])
 
 
 def test_a_machine_that_contradicts_itself_is_a_liar() -> None:
     verification, task = Verification(1.0), Task(1, "t", 1)
-    hear(verification, task, "a", b"x")
-    assert hear(verification, task, "a", b"y", "a") == (Verdict.ASK_ANOTHER, ["a"])
+    judge(verification, task, "a", b"x")
+    assert judge(verification, task, "a", b"y", "a") == (Verdict.ASK_ANOTHER, ["a"])
 
 
 def test_where_nobody_else_is_left_the_same_answer_again_is_taken_and_counted() -> None:
     verification, task = Verification(1.0), Task(1, "t", 1)
-    hear(verification, task, "a", b"x")
-    assert hear(verification, task, "a", b"x", "a") == (Verdict.BELIEVED, [])
+    judge(verification, task, "a", b"x")
+    assert judge(verification, task, "a", b"x", "a") == (Verdict.BELIEVED, [])
     assert (verification.verified, verification.unverified) == (0, 1)
     assert verification.answers["a"] == 1
 
@@ -65,13 +70,13 @@ def test_no_answer_is_asked_for_again_without_a_share_or_a_third_machine(
     share: float | None, names: str
 ) -> None:
     verification = Verification(share)
-    assert hear(verification, Task(1, "t", 1), "a", b"x", names) == (Verdict.BELIEVED, [])
+    assert judge(verification, Task(1, "t", 1), "a", b"x", names) == (Verdict.BELIEVED, [])
 
 
 def test_the_share_is_that_of_the_answers() -> None:
     numbers: Iterator[float] = cycle([0.05, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.95])
     verification = Verification(0.2, lambda: next(numbers))
-    asked = [hear(verification, Task(n, "t", 1), "a", b"x")[0] for n in range(100)]
+    asked = [judge(verification, Task(n, "t", 1), "a", b"x")[0] for n in range(100)]
     assert asked.count(Verdict.ASK_ANOTHER) == 20
 
 
@@ -108,7 +113,7 @@ def test_what_a_task_finds_impossible_is_made_again_once_with_every_answer_verif
         del is_first
         verification.begin()
         shares.append(verification.everything)
-        hear(verification, Task(1, "t", 1), "a", b"x")
+        judge(verification, Task(1, "t", 1), "a", b"x")
         verification.answers["a"] += 1
         with attempt(verification):
             raise TaskError("no such block")
@@ -123,7 +128,7 @@ def test_what_a_task_finds_impossible_is_made_again_once_with_every_answer_verif
 @pytest.mark.parametrize("error", [NoWorkersError("none"), OSError("full"), KeyboardInterrupt()])
 def test_what_no_lie_can_cause_is_not_made_again(error: BaseException) -> None:
     verification = Verification(0.02)
-    hear(verification, Task(1, "t", 1), "a", b"x")
+    judge(verification, Task(1, "t", 1), "a", b"x")
     verification.answers["a"] += 1
     with pytest.raises(type(error)) as raised, attempt(verification):
         raise error
@@ -140,24 +145,24 @@ def test_an_error_after_a_lie_came_out_is_laid_to_the_lie() -> None:
 
 def test_an_answer_that_is_about_the_machine_is_not_asked_for_again() -> None:
     task = Task(1, "t", 1, is_verified=False)
-    assert hear(Verification(1.0), task, "a", b"x") == (Verdict.BELIEVED, [])
+    assert judge(Verification(1.0), task, "a", b"x") == (Verdict.BELIEVED, [])
 
 
 def test_what_a_liar_has_written_for_a_pending_answer_is_distrusted() -> None:
     verification = Verification(1.0)
     plain, written = Task(1, "t", 1), Task(2, "t", 1, has_written=True)
-    hear(verification, plain, "a", b"x")
+    judge(verification, plain, "a", b"x")
     verification.accuse({"a"}, "", "it lied", [plain])
     assert not verification.distrust
     assert not plain.answers
-    hear(verification, written, "a", b"x")
+    judge(verification, written, "a", b"x")
     verification.accuse({"a"}, "", "it lied", [written])
     assert verification.distrust
 
 
 def test_what_the_caller_raises_is_no_lie() -> None:
     verification = Verification(0.5)
-    hear(verification, Task(1, "t", 1), "a", b"x")
+    judge(verification, Task(1, "t", 1), "a", b"x")
     verification.answers["a"] += 1
     own = RuntimeError("enough")
     with pytest.raises(RuntimeError, match="enough"), attempt(verification, lambda e: e is own):

@@ -18,13 +18,13 @@ from hypothesis.stateful import (
     rule,
 )
 
-from hpcapp.communicator.dispatching import CREDIT
 from hpcapp.communicator.fetching import Fetcher, TakeBuffers
-from hpcapp.communicator.losses import LOSS_BUDGET
-from hpcapp.communicator.policy import AdaptivePolicy, EqualPolicy, Policy, PullPolicy
-from hpcapp.communicator.scheduler import Scheduler
-from hpcapp.communicator.state import Action as SchedulerAction
-from hpcapp.communicator.state import (
+from hpcapp.communicator.scheduling.dispatching import CREDIT
+from hpcapp.communicator.scheduling.losses import LOSS_BUDGET
+from hpcapp.communicator.scheduling.policy import AdaptivePolicy, EqualPolicy, Policy, PullPolicy
+from hpcapp.communicator.scheduling.scheduler import Scheduler
+from hpcapp.communicator.scheduling.state import Action as SchedulerAction
+from hpcapp.communicator.scheduling.state import (
     AskRegister,
     Assign,
     Deliver,
@@ -34,7 +34,7 @@ from hpcapp.communicator.state import (
     Refuse,
     Welcome,
 )
-from hpcapp.communicator.verification import Verification, digest_answer
+from hpcapp.communicator.scheduling.verification import Verification, digest_answer
 from hpccomponent.clock import ManualClock
 from hpccomponent.errors import DistrustError, NoWorkersError, ProtocolError, WorkerLostError
 from hpccomponent.protocol.blobs import Blob
@@ -218,14 +218,14 @@ class Cluster:
     def pump(self, component: Component, count: int) -> None:
         """Let `count` messages through in each direction."""
         for _ in range(min(count, len(component.up))):
-            self.hear(component.identity, *component.up.popleft())
+            self.judge(component.identity, *component.up.popleft())
         for _ in range(0 if component.is_frozen else min(count, len(component.down))):
             message = component.down.popleft()
             component.carry_out(component.session.receive(message, (), self.clock.now()))
         if component.session.state is State.STOPPED:
             component.work.clear()
 
-    def hear(self, identity: bytes, message: ComponentMessage, buffers: Sequence[Buffer]) -> None:
+    def judge(self, identity: bytes, message: ComponentMessage, buffers: Sequence[Buffer]) -> None:
         scheduler = self.scheduler
         if isinstance(message, Register):
             self.carry_out(scheduler.register(identity, message, f"key of {message.worker}"))
@@ -250,7 +250,7 @@ class Cluster:
         message: Results | Announce | Piece | Lost,
         buffers: Sequence[Buffer],
     ) -> None:
-        """Take what has to do with results in order, as the engine does."""
+        """Take what has to do with results in order, as the event loop does."""
         worker, fetcher = self.scheduler.workers.get(identity), self.fetcher
         if isinstance(message, Results | Lost) and not fetcher.is_fetching(identity):
             self.hear_results(identity, message, lambda _: buffers)
@@ -283,7 +283,7 @@ class Cluster:
     def hear_results(
         self, identity: bytes, message: Results | Lost, take_buffers: TakeBuffers
     ) -> None:
-        """Check and take results, as the engine does."""
+        """Check and take results, as the event loop does."""
         scheduler, worker = self.scheduler, self.scheduler.workers.get(identity)
         if isinstance(message, Lost):
             self.carry_out(
@@ -494,14 +494,14 @@ class FaultyCluster(RuleBasedStateMachine):
         cluster, scheduler = self.cluster, self.cluster.scheduler
         open_tasks = cluster.calls.keys() - cluster.ended.keys() - cluster.cancelled
         assert open_tasks == scheduler.tasks.keys()
-        places = Counter([*scheduler.dispatcher.queue, *scheduler.dispatcher.lost])
+        holders = Counter([*scheduler.dispatcher.queue, *scheduler.dispatcher.lost])
         for worker in scheduler.workers.values():
-            places.update(worker.backlog.keys())
-            for flight in worker.batches.values():
-                places.update(n for n, task in flight.tasks.items() if not task.is_done)
-        assert places.keys() == open_tasks
-        for number, count in places.items():
-            assert count == max(1, len(scheduler.tasks[number].places)) <= 2
+            holders.update(worker.backlog.keys())
+            for open_batch in worker.batches.values():
+                holders.update(n for n, task in open_batch.tasks.items() if not task.is_done)
+        assert holders.keys() == open_tasks
+        for number, count in holders.items():
+            assert count == max(1, len(scheduler.tasks[number].holders)) <= 2
             assert count == 1 or self.policy.runs_again
 
     @invariant()

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from hpcapp.communicator.state import Task, Worker
+from hpcapp.communicator.scheduling.state import Task, Worker
 
 __all__ = ["Forecast"]
 
@@ -27,38 +27,38 @@ class Forecast:
         self._unit_s: dict[str, dict[bytes, float]] = {}
         self._common_s: dict[str, float] = {}  # see `_common`; until more is learned of a name
         self._spent_s: dict[bytes, tuple[float, float]] = {}  # and at slowness 1
-        self._way_s: dict[str, float] = {}
+        self._transit_s: dict[str, float] = {}
 
-    def learn(self, worker: bytes, task: Task, seconds: float, way_s: float = 0.0) -> None:
+    def learn(self, worker: bytes, task: Task, seconds: float, transit_s: float = 0.0) -> None:
         """Take note of how long a task took, and its way; recent ones weigh more.
 
         The first way to a worker does not count: it may contain the import of the task's module.
 
         Parameters
         ----------
-        way_s : float, optional
+        transit_s : float, optional
             What it took besides, in seconds.
         """
-        known = self._unit_s.setdefault(task.name, {})
-        before = known.get(worker)
-        taken_s = seconds + (0.0 if before is None else way_s)
+        unit_times = self._unit_s.setdefault(task.name, {})
+        before = unit_times.get(worker)
+        taken_s = seconds + (0.0 if before is None else transit_s)
         if taken_s > TELLING_S:
-            if known.keys() - {worker}:
+            if unit_times.keys() - {worker}:
                 common_s = self._common(task.name) * task.work
             else:  # nobody to compare it with
                 common_s = taken_s / self.slowness(worker)
             spent_s, before_s = self._spent_s.get(worker, (0.0, 0.0))
             self._spent_s[worker] = spent_s + taken_s, before_s + common_s
         unit_s = max(SHORTEST_S, taken_s / task.work)
-        known[worker] = unit_s if before is None else (before + unit_s) / 2.0
+        unit_times[worker] = unit_s if before is None else (before + unit_s) / 2.0
         self._common_s.pop(task.name, None)
-        self._way_s[task.name] = (self._way_s.get(task.name, way_s) + way_s) / 2.0
+        self._transit_s[task.name] = (self._transit_s.get(task.name, transit_s) + transit_s) / 2.0
 
     def forget(self, worker: bytes) -> None:
         """Let a lost worker count no more; the last one to know a task leaves what it knew."""
-        for name, known in self._unit_s.items():
-            if len(known) > 1:
-                known.pop(worker, None)
+        for name, unit_times in self._unit_s.items():
+            if len(unit_times) > 1:
+                unit_times.pop(worker, None)
                 self._common_s.pop(name, None)
         self._spent_s.pop(worker, None)
 
@@ -70,21 +70,21 @@ class Forecast:
         float
             In seconds; infinite where no worker has run such a task.
         """
-        known = self._unit_s.get(name)
-        if not known:
+        unit_times = self._unit_s.get(name)
+        if not unit_times:
             return math.inf
-        if worker in known:
-            return known[worker]
+        if worker in unit_times:
+            return unit_times[worker]
         if worker in self._spent_s:
             return self._common(name) * self.slowness(worker)
-        return sum(known.values()) / len(known)
+        return sum(unit_times.values()) / len(unit_times)
 
     def _common(self, name: str) -> float:
         """Return how long a unit of work takes on a worker of slowness 1."""
         if name not in self._common_s:
-            known = self._unit_s[name]
-            slowness = sum([self.slowness(worker) for worker in known])
-            self._common_s[name] = sum(known.values()) / slowness
+            unit_times = self._unit_s[name]
+            slowness = sum([self.slowness(worker) for worker in unit_times])
+            self._common_s[name] = sum(unit_times.values()) / slowness
         return self._common_s[name]
 
     def slowness(self, worker: bytes) -> float:
@@ -92,7 +92,7 @@ class Forecast:
         spent_s, common_s = self._spent_s.get(worker, (1.0, 1.0))
         return spent_s / common_s
 
-    def way_s(self, name: str) -> float:
+    def transit_s(self, name: str) -> float:
         """Return how long tasks of a name have lately been on their way, whatever the worker.
 
         To it, in its queue, and back until this process has taken the result: of many at once
@@ -103,7 +103,7 @@ class Forecast:
         float
             In seconds; 0 where there were none.
         """
-        return self._way_s.get(name, 0.0)
+        return self._transit_s.get(name, 0.0)
 
     def expect(self, worker: bytes, task: Task) -> float:
         """Return how long a task is expected to take on a worker.
@@ -127,9 +127,9 @@ class Forecast:
         """
         total = 0.0
         first: Task | None = None
-        for flight in worker.batches.values():
-            first = first or next(iter(flight.tasks.values()), None)
-            for name, work in flight.work.items():
+        for open_batch in worker.batches.values():
+            first = first or next(iter(open_batch.tasks.values()), None)
+            for name, work in open_batch.work.items():
                 total += self.unit_s(worker.identity, name) * work
         if first is None or math.isinf(total):
             return total
@@ -156,13 +156,13 @@ class Forecast:
         left_s : float
             In seconds.
         """
-        left = 0.0
+        remaining_s = 0.0
         elapsed: float | None = now - worker.since
-        for flight in worker.batches.values():
-            for task in flight.tasks.values():
+        for open_batch in worker.batches.values():
+            for task in open_batch.tasks.values():
                 expected = self.expect(worker.identity, task)
                 if elapsed is not None:
                     expected = expected - elapsed if elapsed < expected else elapsed
                     elapsed = None
-                left += expected
-                yield task, left
+                remaining_s += expected
+                yield task, remaining_s

@@ -20,26 +20,26 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 
-from hpcapp.communicator.admission import Admission
-from hpcapp.communicator.dispatching import Dispatcher
-from hpcapp.communicator.losses import Losses
-from hpcapp.communicator.policy import Policy
-from hpcapp.communicator.recording import Recording
-from hpcapp.communicator.state import (
+from hpcapp.communicator.scheduling.admission import Admission
+from hpcapp.communicator.scheduling.dispatching import Dispatcher
+from hpcapp.communicator.scheduling.losses import Losses
+from hpcapp.communicator.scheduling.policy import Policy
+from hpcapp.communicator.scheduling.recording import Recording
+from hpcapp.communicator.scheduling.state import (
     Action,
     AskRegister,
     Deliver,
     Dismiss,
     Fail,
-    Flight,
     Forgotten,
+    OpenBatch,
     Refuse,
     Retire,
     Task,
     Welcome,
     Worker,
 )
-from hpcapp.communicator.verification import Verdict, Verification, explain_dispute
+from hpcapp.communicator.scheduling.verification import Verdict, Verification, explain_dispute
 from hpccomponent.clock import Clock
 from hpccomponent.errors import DistrustError, HpcError
 from hpccomponent.protocol.blobs import Blob
@@ -208,29 +208,29 @@ class Scheduler:
         worker.seen = self._clock.now()
         actions: list[Action] = []
         liars: dict[str, str] = {}
-        flight = worker.batches.get(batch)
+        open_batch = worker.batches.get(batch)
         later_s = sum([result.seconds for result in results])
-        way_s = max(0.0, worker.seen - worker.since - later_s) / max(1, len(results))
+        transit_s = max(0.0, worker.seen - worker.since - later_s) / max(1, len(results))
         for index, result in enumerate(results):
-            own = flight.pop(result.task) if flight is not None else None
+            batch_task = open_batch.pop(result.task) if open_batch is not None else None
             task = self.tasks.get(result.task)
             later_s -= result.seconds
-            answered = task or own
+            answered = task or batch_task
             if answered is not None:
-                self.recording.answered(worker, flight, answered, result, later_s)
-            if own is not None and result.failure is None:
-                self.dispatcher.forecast.learn(identity, own, result.seconds, way_s)
+                self.recording.answered(worker, open_batch, answered, result, later_s)
+            if batch_task is not None and result.failure is None:
+                self.dispatcher.forecast.learn(identity, batch_task, result.seconds, transit_s)
             if task is None:
-                self.counts["dropped" if own is None else "duplicates"] += 1
+                self.counts["dropped" if batch_task is None else "duplicates"] += 1
                 continue
             failure = result.failure
             if failure and self._losses.can_ask_another(task, worker, self._open_workers()):
                 actions += self._ask_another(task, worker, failure)
                 continue
             if failure is None:
-                told = self._hear(task, worker, result, partial(digest, index), liars)
-                if told is not None:
-                    actions += told
+                judged = self._judge(task, worker, result, partial(digest, index), liars)
+                if judged is not None:
+                    actions += judged
                     continue
             del self.tasks[task.number]
             self._withdraw(task)
@@ -358,7 +358,7 @@ class Scheduler:
 
     # -- lying and losing ---------------------------------------------------------------------
 
-    def _hear(
+    def _judge(
         self,
         task: Task,
         worker: Worker,
@@ -371,17 +371,17 @@ class Scheduler:
         others = {w.machine for w in self._open_workers()} - {machine, *task.answers, *task.losses}
         task.has_written |= bool(result.written)
         self.verification.seconds += result.seconds if task.answers else 0.0
-        verdict, lying = self.verification.hear(task, machine, others, digest)
+        verdict, lying = self.verification.judge(task, machine, others, digest)
         if lying and result.written:  # what a liar has written may be what others read
             self.verification.answers.update(lying)
         liars |= dict.fromkeys(lying, f"its answer to {task.name!r} is not that of the others")
         if verdict is Verdict.BELIEVED:
             return None
-        task.places.pop(worker.identity, None)
+        task.holders.pop(worker.identity, None)
         if verdict is Verdict.UNDECIDED:
             self._withdraw(self.tasks.pop(task.number))
             return [Fail(task.number, explain_dispute(task))]
-        if not task.places:
+        if not task.holders:
             self.dispatcher.requeue([task])
         return []
 
@@ -389,7 +389,10 @@ class Scheduler:
         """Ban a machine and all that came under its key, and with it what its answers led to."""
         self.counts["lies"] += 1
         why = f"{machine} works for this job no more: {reason}"
-        names = {machine, *(name for name, own in self._keys.items() if key and own == key)}
+        names = {
+            machine,
+            *(name for name, worker_key in self._keys.items() if key and worker_key == key),
+        }
         self.verification.accuse(names, key, why, self.tasks.values())
         same = [w for w in self.workers.values() if w.machine == machine or (key and w.key == key)]
         return self._turn_away(same, why) + (self._distrust() if self.verification.distrust else [])
@@ -449,14 +452,14 @@ class Scheduler:
         at_work_s = 0.0
         if next(iter(worker.batches), None) == batch:
             at_work_s, worker.since = self._clock.now() - worker.since, self._clock.now()
-        flight = worker.batches.pop(batch, Flight({}))
-        self.recording.taken_back(worker, flight, at_work_s)
-        self.dispatcher.assignments.take_back(batch, flight)
-        for task in flight.tasks.values():
-            task.places.pop(worker.identity, None)
+        open_batch = worker.batches.pop(batch, OpenBatch({}))
+        self.recording.taken_back(worker, open_batch, at_work_s)
+        self.dispatcher.assignments.take_back(batch, open_batch)
+        for task in open_batch.tasks.values():
+            task.holders.pop(worker.identity, None)
             if is_blamed:
                 self._losses.blame(task, worker, reason)
-            if task.is_done or task.places:
+            if task.is_done or task.holders:
                 continue
             if not task.losses or not self._losses.is_spent(task, self._open_workers()):
                 again.append(task)
@@ -472,9 +475,9 @@ class Scheduler:
         """Hold a failure against the machine, until another one has failed as well."""
         self.counts["doubted"] += 1
         task.has_failed = True
-        task.places.pop(worker.identity, None)
+        task.holders.pop(worker.identity, None)
         self._losses.blame(task, worker, f"{task.name!r} failed there ({failure.problem})")
-        if not task.places:
+        if not task.holders:
             self.dispatcher.requeue([task])
         return self._retire(worker.machine) if self._losses.is_bad(worker) else []
 
@@ -482,7 +485,7 @@ class Scheduler:
         """Take a task that is over from wherever it waits; where it runs, its answer is late."""
         task.is_done = True
         self.dispatcher.withdraw(task.number)
-        for identity in task.places:
+        for identity in task.holders:
             worker = self.workers.get(identity)
             if worker is not None:
                 worker.backlog.pop(task.number, None)
