@@ -20,7 +20,7 @@ from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
 from hpcapp.applications.surface.input.load import load
 from hpcapp.applications.surface.job.run import JobSettings
 from hpcapp.backends.serial import SerialExecutor
-from hpcapp.progress import SilentProgress, StageClock
+from hpcapp.progress import Progress, StageClock
 from hpcapp.workforce import Workforce
 from hpccomponent.protocol.codec import encode_values
 
@@ -96,7 +96,7 @@ class Traffic:
 
 def measure(cloud: Path, tiles: int, grid: int) -> Traffic:
     """Run a job that is cut into some tiles, and count."""
-    clock = StageClock(SilentProgress())
+    clock = StageClock(Progress())
     points = load(JobSettings(cloud, "-"), clock).cloud
     executor = CountingExecutor()
     method = HierarchicalMethod(grid)

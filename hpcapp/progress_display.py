@@ -11,12 +11,12 @@ import contextlib
 import json
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, TextIO
 
-from hpcapp.progress import Progress
+from hpcapp.progress import ProgressObserver
 from hpccomponent.errors import OutputError
 
 if TYPE_CHECKING:
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 
 __all__ = [
     "LINE_PERIOD_S",
-    "BarProgress",
-    "EventProgress",
-    "LineProgress",
+    "ProgressBars",
+    "ProgressEvents",
+    "ProgressLines",
     "open_events",
     "open_progress",
 ]
@@ -35,54 +35,37 @@ __all__ = [
 LINE_PERIOD_S = 10.0
 
 
-class LineProgress:
-    """Writes a line when a long stage goes on, and one when it ends.
-
-    Parameters
-    ----------
-    stream : file
-    """
+class ProgressLines(ProgressObserver):
+    """Writes a line now and then while a long stage goes on, and one when a stage ends."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
-        self._stage = ""
         self._start = 0.0
         self._next_line = 0.0
 
-    def begin(self, stage: str) -> None:
-        """Remember the stage; a short one is announced at its end only."""
-        self._stage, self._start = stage, time.monotonic()
+    def on_begin(self, stage: str) -> None:
+        """Note the time; a short stage is announced at its end only."""
+        del stage
+        self._start = time.monotonic()
         self._next_line = self._start + LINE_PERIOD_S
 
-    def advance(self, done: int, total: int) -> None:
-        """Write a line where `LINE_PERIOD_S` have passed since the last.
-
-        Parameters
-        ----------
-        done, total : int
-            Parts of the current stage.
-        """
+    def on_advance(self, stage: str, done: int, total: int) -> None:
+        """Write a line where `LINE_PERIOD_S` have passed since the last."""
         now = time.monotonic()
         if now >= self._next_line:
             self._next_line = now + LINE_PERIOD_S
-            self._write(
-                f"{self._stage}: {done} of {total}{_foresee(done, total, now - self._start)}"
-            )
+            forecast = _foresee(done, total, now - self._start)
+            _write_line(self._stream, f"{stage}: {done} of {total}{forecast}")
 
-    def end(self, stage: str, seconds: float) -> None:
+    def on_end(self, stage: str, seconds: float) -> None:
         """Write how long the stage took."""
-        self._write(f"{stage}: done in {seconds:.2f} s")
+        _write_line(self._stream, f"{stage}: done in {seconds:.2f} s")
 
-    def show_part(self, load: Callable[[], Any]) -> None:
-        """Show nothing: a part is nothing for a line of text."""
 
-    def wait_for_viewers(self) -> None:
-        """Wait for nobody."""
-
-    def _write(self, line: str) -> None:
-        with contextlib.suppress(OSError):  # a full or closed stderr must not end the job
-            self._stream.write(line + "\n")
-            self._stream.flush()
+def _write_line(stream: TextIO, line: str) -> None:
+    with contextlib.suppress(OSError):  # a full disk or a closed stderr must not end the job
+        stream.write(line + "\n")
+        stream.flush()
 
 
 def _foresee(done: int, total: int, elapsed_s: float) -> str:
@@ -95,115 +78,61 @@ def _foresee(done: int, total: int, elapsed_s: float) -> str:
     return f", {say_rate(done / elapsed_s)}, {say_seconds(left_s)} left"
 
 
-class BarProgress:
-    """One bar per stage, drawn by rich."""
+class ProgressBars(ProgressObserver):
+    """Draws one bar per stage, which counts the time itself."""
 
     def __init__(self, bars: Bars) -> None:
         self._bars = bars
         self._task: TaskID | None = None
         self._total = 1
 
-    def begin(self, stage: str) -> None:
-        """Draw a new bar.
-
-        Parameters
-        ----------
-        stage : str
-            The bar's label.
-        """
+    def on_begin(self, stage: str) -> None:
+        """Draw a new bar."""
         self._task, self._total = self._bars.add_task(stage, total=None), 1
 
-    def advance(self, done: int, total: int) -> None:
-        """Move the bar.
-
-        Parameters
-        ----------
-        done, total : int
-            Parts of the current stage.
-        """
+    def on_advance(self, stage: str, done: int, total: int) -> None:
+        """Move the bar."""
+        del stage
         if self._task is not None:
             self._total = total
             self._bars.update(self._task, completed=done, total=total)
 
-    def end(self, stage: str, seconds: float) -> None:
-        """Fill the bar.
-
-        Parameters
-        ----------
-        stage, seconds
-            Not shown: the bar counts the time itself.
-        """
+    def on_end(self, stage: str, seconds: float) -> None:
+        """Fill the bar."""
         del stage, seconds
         if self._task is not None:
             self._bars.update(self._task, completed=self._total, total=self._total)
             self._bars.stop_task(self._task)
 
-    def show_part(self, load: Callable[[], Any]) -> None:
-        """Show nothing: a part is nothing for a bar."""
 
-    def wait_for_viewers(self) -> None:
-        """Wait for nobody."""
-
-
-class EventProgress:
-    """Writes each step as a line of JSON, and shows it on another display too.
+class ProgressEvents(ProgressObserver):
+    """Writes each step as a line of JSON.
 
     Parameters
     ----------
-    stream : file
-    display : Progress
-        The other one.
     dashboard : str, optional
         Address of the job's page: the first event.
     """
 
-    def __init__(self, stream: TextIO, display: Progress, dashboard: str | None = None) -> None:
+    def __init__(self, stream: TextIO, dashboard: str | None = None) -> None:
         self._stream = stream
-        self._display = display
-        self._stage = ""
         if dashboard is not None:
-            self._write({"dashboard": dashboard})
+            self._write(dashboard=dashboard)
 
-    def begin(self, stage: str) -> None:
+    def on_begin(self, stage: str) -> None:
         """Write that nothing is done yet."""
-        self._stage = stage
-        self._write({"stage": stage, "done": 0, "total": 0})
-        self._display.begin(stage)
+        self._write(stage=stage, done=0, total=0)
 
-    def advance(self, done: int, total: int) -> None:
-        """Write how far the stage has come.
+    def on_advance(self, stage: str, done: int, total: int) -> None:
+        """Write how far the stage has come."""
+        self._write(stage=stage, done=done, total=total)
 
-        Parameters
-        ----------
-        done, total : int
-            Parts of the current stage.
-        """
-        self._write({"stage": self._stage, "done": done, "total": total})
-        self._display.advance(done, total)
+    def on_end(self, stage: str, seconds: float) -> None:
+        """Write how long the stage took, to the microsecond."""
+        self._write(stage=stage, seconds=round(seconds, 6))
 
-    def end(self, stage: str, seconds: float) -> None:
-        """Write how long the stage took.
-
-        Parameters
-        ----------
-        seconds : float
-            Written to the microsecond.
-        """
-        self._write({"stage": stage, "seconds": round(seconds, 6)})
-        self._display.end(stage, seconds)
-
-    def show_part(self, load: Callable[[], Any]) -> None:
-        """Pass a part on: it is nothing for a line of JSON."""
-        self._display.show_part(load)
-
-    def wait_for_viewers(self) -> None:
-        """Let the other display wait."""
-        self._display.wait_for_viewers()
-
-    def _write(self, event: dict[str, Any]) -> None:
-        with contextlib.suppress(OSError):  # a full disk must not end the job here
-            self._stream.write(json.dumps(event) + "\n")
-            self._stream.flush()
+    def _write(self, **event: str | float) -> None:
+        _write_line(self._stream, json.dumps(event))
 
 
 def _open_if_read(name: str, flags: int) -> int:
@@ -214,17 +143,13 @@ def _open_if_read(name: str, flags: int) -> int:
 
 
 @contextmanager
-def open_events(
-    path: Path | None, display: Progress, dashboard: str | None = None
-) -> Iterator[Progress]:
-    """Yield a display that writes events to the file `path` as well, if there is one.
+def open_events(path: Path | None, dashboard: str | None = None) -> Iterator[ProgressObserver]:
+    """Yield an observer that writes events to a file, if there is one.
 
     Parameters
     ----------
     path : Path or None
         A file that is written anew, or a pipe that somebody reads.
-    display : Progress
-        The one that is yielded where there is no file, else shown to as well.
     dashboard : str, optional
         Address of the job's page: the first event.
 
@@ -234,7 +159,7 @@ def open_events(
         The file cannot be written.
     """
     if path is None:
-        yield display
+        yield ProgressObserver()
         return
     try:
         stream = open(path, "w", encoding="utf-8", opener=_open_if_read)  # noqa: SIM115
@@ -243,25 +168,19 @@ def open_events(
             f"{path}: cannot be written ({error.strerror})", "give another --events"
         ) from error
     try:
-        yield EventProgress(stream, display, dashboard)
+        yield ProgressEvents(stream, dashboard)
     finally:
         with contextlib.suppress(OSError):  # what is left to write, likewise
             stream.close()
 
 
 @contextmanager
-def open_progress(stream: TextIO) -> Iterator[Progress]:
-    """Yield the display that fits `stream`: bars where it is a terminal, lines elsewhere.
-
-    Parameters
-    ----------
-    stream : file
-        For text, such as stderr; stays open.
-    """
+def open_progress(stream: TextIO) -> Iterator[ProgressObserver]:
+    """Yield the display that fits a stream: bars where it is a terminal, lines elsewhere."""
     if not stream.isatty():
-        yield LineProgress(stream)
+        yield ProgressLines(stream)
         return
     from hpccomponent.bars import make_bars
 
     with make_bars(stream) as bars:
-        yield BarProgress(bars)
+        yield ProgressBars(bars)

@@ -3,40 +3,25 @@
 from __future__ import annotations
 
 import struct
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpcapp.pages.arrays import quantise
 from hpcapp.pages.thin import thin_mesh
+from hpcapp.progress import MeshPart
 from hpccomponent.surface.types.mesh import Mesh
 
-__all__ = ["Part", "pack_part"]
+__all__ = ["pack_part"]
 
 LARGEST = 65535  # what a coordinate of 16 bits can be
 
 
-class Part(Protocol):
-    """What is drawn of a part, or of a whole mesh; v vertices, f faces."""
-
-    @property
-    def vertices(self) -> NDArray[np.float64]:
-        """Places, shape (v, 3), in length units of the input, in the local frame."""
-        ...
-
-    @property
-    def faces(self) -> NDArray[np.integer]:
-        """Rows of `vertices`, shape (f, 3); negative ones are vertices of other parts."""
-        ...
-
-
-def pack_part(part: Part, most: int) -> bytes:
+def pack_part(part: MeshPart, most: int) -> bytes:
     """Return a part as bytes.
 
     Parameters
     ----------
-    part : Part
+    part : MeshPart
         Faces with a vertex of another part are left out.
     most : int
         Triangles that are kept, about; of more, a thinned copy.

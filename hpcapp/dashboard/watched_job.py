@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 from hpcapp.dashboard.viewers import Viewers
-from hpcapp.progress import Progress
+from hpcapp.progress import LoadPart, ProgressObserver
 from hpcapp.timeline import Timeline
 
-if TYPE_CHECKING:
-    from hpcapp.dashboard.parts import Part
-
-__all__ = ["Stage", "WatchedJob", "WatchedProgress"]
+__all__ = ["Stage", "WatchedJob"]
 
 MOST_LINES = 500  # of the log; older ones are forgotten
 MOST_PARTS = 4096  # that are shown; later ones are counted only
@@ -40,7 +36,7 @@ class Stage:
     begin: float
 
 
-class WatchedJob:
+class WatchedJob(ProgressObserver):
     """A job that is watched.
 
     Parameters
@@ -72,7 +68,7 @@ class WatchedJob:
         self.state = "running"
         self.stage: Stage | None = None
         self.lines: deque[tuple[int, str]] = deque(maxlen=MOST_LINES)
-        self.loads: list[Callable[[], Part]] = []
+        self.loads: list[LoadPart] = []
         self.parts = 0
         self.viewers = Viewers()
         self._count = 0
@@ -81,6 +77,30 @@ class WatchedJob:
         """Take a line of the log."""
         self._count += 1
         self.lines.append((self._count, line))
+
+    def on_begin(self, stage: str) -> None:
+        """Show a new stage."""
+        self.stage = Stage(stage, 0, 0, self.timeline.now())
+
+    def on_advance(self, stage: str, done: int, total: int) -> None:
+        """Show how far the stage has come."""
+        if self.stage is not None:
+            self.stage = Stage(stage, done, total, self.stage.begin)
+
+    def on_end(self, stage: str, seconds: float) -> None:
+        """Show that a stage is over."""
+        del stage, seconds
+        self.stage = None
+
+    def on_part(self, load: LoadPart) -> None:
+        """Show a part of the mesh, which is loaded when a page asks for it, if ever."""
+        if len(self.loads) < MOST_PARTS:
+            self.loads.append(load)
+        self.parts += 1
+
+    def on_last_part(self) -> None:
+        """Wait, for a bounded time, until open pages have all parts."""
+        self.viewers.wait(len(self.loads))
 
     @contextmanager
     def running(self) -> Iterator[None]:
@@ -109,46 +129,3 @@ class _Lines(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Hand one record on."""
         self._job.say(record.getMessage())
-
-
-class WatchedProgress:
-    """Tells a watched job of stages and parts, and another display too."""
-
-    def __init__(self, job: WatchedJob, display: Progress) -> None:
-        self._job = job
-        self._display = display
-
-    def begin(self, stage: str) -> None:
-        """Show a new stage."""
-        self._job.stage = Stage(stage, 0, 0, self._job.timeline.now())
-        self._display.begin(stage)
-
-    def advance(self, done: int, total: int) -> None:
-        """Show how many parts of the current stage are done."""
-        stage = self._job.stage
-        if stage is not None:
-            self._job.stage = replace(stage, done=done, total=total)
-        self._display.advance(done, total)
-
-    def end(self, stage: str, seconds: float) -> None:
-        """Show that a stage is over."""
-        self._job.stage = None
-        self._display.end(stage, seconds)
-
-    def show_part(self, load: Callable[[], Part]) -> None:
-        """Show a part of the mesh.
-
-        Parameters
-        ----------
-        load : callable
-            Called when a page asks for the part, if ever.
-        """
-        if len(self._job.loads) < MOST_PARTS:
-            self._job.loads.append(load)
-        self._job.parts += 1
-        self._display.show_part(load)
-
-    def wait_for_viewers(self) -> None:
-        """Wait, for a bounded time, until open pages have all parts."""
-        self._job.viewers.wait(len(self._job.loads))
-        self._display.wait_for_viewers()

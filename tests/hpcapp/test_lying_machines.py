@@ -20,7 +20,7 @@ from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.backends.selection import open_executor
 from hpcapp.communicator.scheduling.verification import Verification, attempt, repeat_until_trusted
 from hpcapp.io import write_points
-from hpcapp.progress import SilentProgress
+from hpcapp.progress import Progress
 from hpccomponent.errors import InputError
 
 HELPERS = Path(__file__).parents[1] / "helpers"
@@ -37,7 +37,7 @@ def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def truth(scan: Path) -> bytes:
     mesh = scan.with_name("truth.ply")
-    run_job(JobSettings(points=scan, output=str(mesh), backend="serial"), SilentProgress())
+    run_job(JobSettings(points=scan, output=str(mesh), backend="serial"), Progress())
     return mesh.read_bytes()
 
 
@@ -68,7 +68,7 @@ def reconstruct(
         report=folder / "page.html",
         **more,
     )
-    report = run_job(settings, SilentProgress())
+    report = run_job(settings, Progress())
     assert not more or not list((folder / "temp").iterdir())
     found = report["verification"]
     page = (folder / "page.html").read_text()

@@ -7,7 +7,7 @@ import os
 import pytest
 
 from hpcapp.progress import Progress
-from hpcapp.progress_display import LineProgress, open_progress
+from hpcapp.progress_display import ProgressLines, open_progress
 
 
 def run_stages(progress: Progress) -> None:
@@ -19,8 +19,8 @@ def run_stages(progress: Progress) -> None:
 
 def test_elsewhere_a_short_stage_is_one_line() -> None:
     stream = io.StringIO()
-    with open_progress(stream) as progress:
-        run_stages(progress)
+    with open_progress(stream) as display:
+        run_stages(Progress(display))
     assert stream.getvalue() == "fit: done in 1.25 s\n"
 
 
@@ -28,7 +28,7 @@ def test_elsewhere_a_long_stage_speaks_now_and_then(monkeypatch: pytest.MonkeyPa
     now = [0.0]
     monkeypatch.setattr("hpcapp.progress_display.time.monotonic", lambda: now[0])
     stream = io.StringIO()
-    progress = LineProgress(stream)
+    progress = Progress(ProgressLines(stream))
     progress.begin("fit")
     for done in range(1, 26):
         now[0] += 1.0
@@ -43,7 +43,7 @@ def test_a_full_stream_does_not_end_the_job() -> None:
         def write(self, text: str) -> int:
             raise OSError(errno.ENOSPC, "full")
 
-    run_stages(LineProgress(FullStream()))
+    run_stages(Progress(ProgressLines(FullStream())))
 
 
 @pytest.fixture
@@ -59,8 +59,8 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> io.StringIO:
 
 
 def test_a_terminal_gets_bars(terminal: io.StringIO) -> None:
-    with open_progress(terminal) as progress:
-        run_stages(progress)
+    with open_progress(terminal) as display:
+        run_stages(Progress(display))
     drawn = terminal.getvalue()
     assert "fit" in drawn
     assert "━" in drawn
@@ -70,15 +70,15 @@ def test_a_terminal_gets_bars(terminal: io.StringIO) -> None:
 
 def test_no_color_is_heeded(terminal: io.StringIO, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NO_COLOR", "1")
-    with open_progress(terminal) as progress:
-        run_stages(progress)
+    with open_progress(terminal) as display:
+        run_stages(Progress(display))
     assert "\x1b[3" not in terminal.getvalue()
 
 
 def test_the_cursor_comes_back_when_the_job_fails(terminal: io.StringIO) -> None:
     def interrupted() -> None:
-        with open_progress(terminal) as progress:
-            progress.begin("fit")
+        with open_progress(terminal) as display:
+            Progress(display).begin("fit")
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

@@ -13,7 +13,7 @@ from hpcapp.applications.surface.paper.settings import Paper
 from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.backends.selection import open_executor
 from hpcapp.io import write_points
-from hpcapp.progress import SilentProgress, StageClock
+from hpcapp.progress import Progress, StageClock
 from hpcapp.timeline import ANY_WORKER, MASTER, Timeline
 from hpcapp.workforce import map_batches
 from hpccomponent.runtime.visible_files import sees_files
@@ -28,7 +28,7 @@ def test_a_span_never_begins_before_the_job() -> None:
 
 
 def test_a_stage_that_fails_is_in_the_timeline() -> None:
-    clock = StageClock(SilentProgress())
+    clock = StageClock(Progress())
     with pytest.raises(ValueError, match="no"), clock.stage("fit"):
         raise ValueError("no")
     [span] = clock.timeline.to_json()["spans"]
@@ -74,7 +74,7 @@ def test_a_job_fills_its_timeline(tmp_path: Path) -> None:
         backend="serial",
     )
     timeline = Timeline()
-    report = run_job(settings, SilentProgress(), timeline=timeline)
+    report = run_job(settings, Progress(), timeline=timeline)
     stages = [span for span in timeline.spans if span.worker == MASTER]
     tasks = [span for span in timeline.spans if span.worker == ANY_WORKER]
     assert {span.name for span in stages} == set(report["stages"])

@@ -27,7 +27,7 @@ from hpcapp.applications.surface.paper.settings import Paper
 from hpcapp.applications.surface.pipeline import reconstruct
 from hpcapp.backends.selection import Backend, open_executor
 from hpcapp.io import drop_unusable, read_points
-from hpcapp.progress import SilentProgress, StageClock
+from hpcapp.progress import Progress, StageClock
 from hpccomponent.errors import UsageError
 
 __all__ = ["WAYS", "Run", "Spread", "Summary", "limit_of_fits", "measure", "summarise"]
@@ -170,7 +170,7 @@ def _run(
 ) -> tuple[float, float, int]:
     """Run a job from file to file; return the seconds of the fit, of the whole, and the bytes."""
     sent = opened.traffic().bytes_sent
-    clock = StageClock(SilentProgress())
+    clock = StageClock(Progress())
     start = perf_counter()
     points, _ = drop_unusable(read_points(cloud), str(cloud))
     method = settings.open(grid, Resources())

@@ -15,7 +15,7 @@ from hpcapp.applications.surface.paper.settings import Paper
 from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.io import write_points
 from hpcapp.io.points.inputs import gather_points
-from hpcapp.progress import SilentProgress, StageClock
+from hpcapp.progress import Progress, StageClock
 from hpccomponent.files.held_folders import temporary_folder
 from hpccomponent.surface.cloud.arranged import MemoryCloud, arrange_cloud
 from hpccomponent.surface.types.points import PointCloud
@@ -82,7 +82,7 @@ def _read(points: Path) -> PointCloud:
     """Return usable points with normals: the file's, or estimated ones."""
     with gather_points([str(points)]) as path:
         settings = JobSettings(method=Paper(), points=path, output="-", inputs=(points,))
-        loaded = load(settings, StageClock(SilentProgress()))
+        loaded = load(settings, StageClock(Progress()))
     cloud = loaded.cloud.points
     assert cloud is not None  # noqa: S101 - it was loaded into memory
     return PointCloud(cloud.positions, cloud.normals, origin=cloud.origin)

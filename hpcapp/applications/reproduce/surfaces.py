@@ -15,7 +15,7 @@ from hpcapp.applications.surface.paper.settings import Paper
 from hpcapp.applications.surface.pipeline import reconstruct
 from hpcapp.backends.selection import open_executor
 from hpcapp.pages.render import render_mesh
-from hpcapp.progress import SilentProgress, StageClock
+from hpcapp.progress import Progress, StageClock
 from hpccomponent.surface.types.mesh import Mesh
 
 __all__ = ["make_figure_6", "mesh_by_default"]
@@ -34,7 +34,7 @@ def mesh_by_default(subject: Subject, grid: int) -> Mesh:
 
 def _mesh(subject: Subject, method: MethodSettings, grid: int) -> Mesh:
     with open_executor("serial") as opened:
-        clock = StageClock(SilentProgress())
+        clock = StageClock(Progress())
         cloud = arrange_for(method, subject.points)
         strategy = method.open(grid, Resources())
         return reconstruct(cloud, strategy, opened.workforce, clock).surface.mesh()

@@ -32,7 +32,7 @@ from hpcapp.io import drop_unusable
 from hpcapp.io.frame import to_local
 from hpcapp.io.points.usable import Dropped, refuse_too_few
 from hpcapp.pages.shown_mesh import Mesh
-from hpcapp.progress import Progress, StageClock
+from hpcapp.progress import Progress, ProgressObserver, StageClock
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.surface.attributes.labels import find_labels
 from hpccomponent.surface.types.mesh import Mesh as TriangleMesh
@@ -152,8 +152,8 @@ def reconstruct(
     _check_settings(settings)
     checked = settings.attributes.select(_check_cloud(points, normals), "the cloud")
     labels = find_labels(checked.attributes)
-    calls = _Calls(progress)
-    clock = StageClock(calls)
+    reporter = _Reporter(progress or (lambda *_: None))
+    clock = StageClock(Progress(reporter))
     given = None if isinstance(executor, str) else executor
     verification = _choose_verification(given, verify)
     with approach_workers(settings, verification=verification) as opener:
@@ -167,7 +167,7 @@ def reconstruct(
 
         def run(_is_first: bool) -> TriangleMesh:
             with (
-                attempt(verification, lambda error: error is calls.raised),
+                attempt(verification, lambda error: error is reporter.raised),
                 run_steps(settings, loaded, opener, clock, executor=given) as outcome,
             ):
                 carrying = carry_columns(settings, loaded, outcome, clock)
@@ -192,43 +192,35 @@ def _choose_verification(given: object, verify: float | None) -> Verification:
     return own
 
 
-class _Calls(Progress):
+class _Reporter(ProgressObserver):
     """Calls a function with the stage and how far it has come, from none to all of its parts."""
 
-    def __init__(self, report: Report | None) -> None:
+    def __init__(self, report: Report) -> None:
         self.raised: Exception | None = None
         self._call = report
-        self._stage, self._done, self._total = "", 0, 1
+        self._done, self._total = 0, 1
 
     def _report(self, stage: str, done: int, total: int) -> None:
+        self._done, self._total = done, total
         try:
-            if self._call is not None:
-                self._call(stage, done, total)
+            self._call(stage, done, total)
         except Exception as error:
             self.raised = error
             raise
 
-    def begin(self, stage: str) -> None:
-        """Report that nothing of `stage` is done."""
-        self._stage, self._done, self._total = stage, 0, 1
+    def on_begin(self, stage: str) -> None:
+        """Report that nothing of the stage is done."""
         self._report(stage, 0, 1)
 
-    def advance(self, done: int, total: int) -> None:
+    def on_advance(self, stage: str, done: int, total: int) -> None:
         """Report how far the stage has come."""
-        self._done, self._total = done, total
-        self._report(self._stage, done, total)
+        self._report(stage, done, total)
 
-    def end(self, stage: str, seconds: float) -> None:
-        """Report that all of `stage` is done."""
+    def on_end(self, stage: str, seconds: float) -> None:
+        """Report that all of the stage is done, unless that was said."""
         del seconds
         if self._done < self._total:
             self._report(stage, self._total, self._total)
-
-    def show_part(self, load: Callable[[], Any]) -> None:
-        """Report nothing: a part is none of the numbers."""
-
-    def wait_for_viewers(self) -> None:
-        """Wait for nobody."""
 
 
 def _choose_method(method: str | MethodSettings, options: dict[str, Any]) -> MethodSettings:

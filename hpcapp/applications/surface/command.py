@@ -419,25 +419,22 @@ class Watching:
 
         with open_trace(self.trace, timeline):
             if not self.dashboard:
-                with (
-                    open_progress(sys.stderr) as display,
-                    open_events(self.events, display, None) as progress,
-                ):
-                    yield progress, lambda _: None
+                with open_progress(sys.stderr) as display, open_events(self.events, None) as events:
+                    yield Progress(events, display), lambda _: None
                 return
             from hpcapp.dashboard.server import open_dashboard
-            from hpcapp.dashboard.watched_job import WatchedJob, WatchedProgress
+            from hpcapp.dashboard.watched_job import WatchedJob
 
             job = WatchedJob(timeline, title)
             with (
                 open_dashboard(self.dashboard, job) as address,
                 open_progress(sys.stderr) as display,
-                open_events(self.events, display, address) as progress,
+                open_events(self.events, address) as events,
             ):
                 if self.events is None:  # else whoever reads them shows it
                     log.info("dashboard: %s", address)
                 with job.running():
-                    yield WatchedProgress(job, progress), job.say
+                    yield Progress(job, events, display), job.say
 
 
 def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:

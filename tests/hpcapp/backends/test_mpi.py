@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from hpcapp.applications.surface.job.run import JobSettings, run_job
-from hpcapp.progress import SilentProgress
+from hpcapp.progress import Progress
 
 RunMpi = Callable[..., "subprocess.CompletedProcess[str]"]
 
@@ -42,7 +42,7 @@ def test_the_command_gives_the_same_bytes_under_mpi(
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout)
     assert (report["backend"], report["workers"]) == ("mpi", 2)
-    run_job(JobSettings(sphere_file, str(tmp_path / "here.ply"), grid=32), SilentProgress())
+    run_job(JobSettings(sphere_file, str(tmp_path / "here.ply"), grid=32), Progress())
     assert (tmp_path / "mpi.ply").read_bytes() == (tmp_path / "here.ply").read_bytes()
 
 

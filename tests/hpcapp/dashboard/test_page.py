@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from hpcapp.dashboard.server import open_dashboard
-from hpcapp.dashboard.watched_job import WatchedJob, WatchedProgress
-from hpcapp.progress import SilentProgress
+from hpcapp.dashboard.watched_job import WatchedJob
+from hpcapp.progress import Progress
 from hpcapp.timeline import MASTER, Timeline, WorkerState
 from hpccomponent.surface.types.mesh import Mesh
 
@@ -63,7 +63,7 @@ def test_a_page_follows_its_job_to_the_end(page: Page, errors: list[str]) -> Non
     timeline = Timeline()
     timeline.list_workers = lambda: [WorkerState("machine-0", "busy", "mesh_tile")]
     job = WatchedJob(timeline, "ball.ply → ball.glb")
-    progress = WatchedProgress(job, SilentProgress())
+    progress = Progress(job)
     with open_dashboard("127.0.0.1:0", job) as address, job.running():
         page.goto(address)
         page.wait_for_selector("#state.running")
@@ -94,7 +94,7 @@ def test_a_page_follows_its_job_to_the_end(page: Page, errors: list[str]) -> Non
 
 def test_a_job_of_a_moment_is_shown_whole(page: Page, errors: list[str]) -> None:
     job = WatchedJob(Timeline(), "ball.ply → ball.glb")
-    progress = WatchedProgress(job, SilentProgress())
+    progress = Progress(job)
     kept = {part: half_ball(1.0 - part / 4) for part in range(8)}
     with open_dashboard("127.0.0.1:0", job) as address, job.running():
         page.goto(address, wait_until="commit")  # it has asked for nothing but itself yet

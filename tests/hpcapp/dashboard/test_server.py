@@ -18,8 +18,8 @@ from hpcapp.dashboard.app import MOST_REQUESTS
 from hpcapp.dashboard.server import open_dashboard, parse_address
 from hpcapp.dashboard.unauthenticated import MOST_UNAUTHENTICATED
 from hpcapp.dashboard.viewers import Viewers
-from hpcapp.dashboard.watched_job import WatchedJob, WatchedProgress
-from hpcapp.progress import SilentProgress
+from hpcapp.dashboard.watched_job import WatchedJob
+from hpcapp.progress import Progress
 from hpcapp.timeline import MASTER, Timeline, WorkerState
 from hpccomponent.errors import UsageError
 from hpccomponent.surface.types.mesh import Mesh
@@ -131,7 +131,7 @@ def test_the_page_and_all_that_it_loads_come_with_the_token(address: str) -> Non
 
 
 def test_news_are_all_that_there_is_and_then_what_is_new(job: WatchedJob, address: str) -> None:
-    progress = WatchedProgress(job, SilentProgress())
+    progress = Progress(job)
     progress.begin("extract")
     progress.advance(3, 8)
     with job.running():
@@ -154,7 +154,7 @@ def test_events_end_with_the_job(job: WatchedJob, address: str) -> None:
 
 
 def test_a_part_comes_small(job: WatchedJob, address: str) -> None:
-    WatchedProgress(job, SilentProgress()).show_part(lambda: TETRAHEDRON)
+    Progress(job).show_part(lambda: TETRAHEDRON)
     status, body, _ = get(path_of(address, "parts/0"))
     assert status == 200
     step, *low = np.frombuffer(body, "<f8", 4)
@@ -171,7 +171,7 @@ def test_a_part_that_is_gone_is_told(job: WatchedJob, address: str) -> None:
     def load() -> Mesh:
         raise FileNotFoundError("swept")
 
-    WatchedProgress(job, SilentProgress()).show_part(load)
+    Progress(job).show_part(load)
     assert get(path_of(address, "parts/0"))[0] == 410
 
 
@@ -265,7 +265,7 @@ ODD = ["0" * 5000, "9" * 5000, "-1", "+0", "0x0", "%00", "%ff", "%D9%A0", "1e3",
     "path", [f"{folder}/{name}" for folder in ("parts", "static") for name in ODD]
 )
 def test_an_odd_path_is_not_found(job: WatchedJob, address: str, path: str) -> None:
-    WatchedProgress(job, SilentProgress()).show_part(lambda: TETRAHEDRON)
+    Progress(job).show_part(lambda: TETRAHEDRON)
     assert get(path_of(address, path.replace(" ", "%20")))[0] == 404
 
 

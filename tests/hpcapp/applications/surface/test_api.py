@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import hpcapp
 from hpcapp.applications.surface.job.run import JobSettings, run_job
 from hpcapp.io import read_points, write_mesh
-from hpcapp.progress import SilentProgress
+from hpcapp.progress import Progress
 from hpccomponent.errors import HpcError, InputError, UsageError
 from hpccomponent.surface.types.points import PointCloud
 
@@ -39,7 +39,7 @@ def test_the_mesh_has_the_bytes_of_the_commands(
     typed = {name: value for name, value in options.items() if name != "executor"} | named
     own = {name: typed.pop(name) for name in ("smoothness", "detail", "clean") if name in typed}
     typed.setdefault("method", hpcapp.Hierarchical(**own))
-    run_job(JobSettings(sphere_file, str(tmp_path / "job.ply"), **typed), SilentProgress())
+    run_job(JobSettings(sphere_file, str(tmp_path / "job.ply"), **typed), Progress())
     assert (tmp_path / "api.ply").read_bytes() == (tmp_path / "job.ply").read_bytes()
 
 
@@ -54,7 +54,7 @@ def test_a_georeferenced_cloud_comes_back_in_its_own_coordinates(
     assert np.abs(radii - 1.0).max() < 0.03
     assert not mesh.origin.any()
     write_mesh(tmp_path / "api.ply", mesh)
-    run_job(JobSettings(tmp_path / "far.xyz", str(tmp_path / "job.ply"), grid=32), SilentProgress())
+    run_job(JobSettings(tmp_path / "far.xyz", str(tmp_path / "job.ply"), grid=32), Progress())
     assert (tmp_path / "api.ply").read_bytes() == (tmp_path / "job.ply").read_bytes()
 
 
@@ -71,7 +71,7 @@ def test_points_alone_get_normals(method: str, sphere: PointCloud, tmp_path: Pat
         grid=32,
         method=hpcapp.Paper() if method == "paper" else hpcapp.Hierarchical(),
     )
-    report = run_job(settings, SilentProgress())
+    report = run_job(settings, Progress())
     assert report["normals"] == {"source": "estimated", "sure": 1.0, "turned": 0}
     assert (tmp_path / "api.ply").read_bytes() == (tmp_path / "job.ply").read_bytes()
 

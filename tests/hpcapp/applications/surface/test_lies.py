@@ -20,7 +20,7 @@ from hpcapp.applications.surface.job.run import run_job
 from hpcapp.applications.surface.paper.settings import Paper
 from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.io import write_points
-from hpcapp.progress import SilentProgress
+from hpcapp.progress import Progress
 from hpccomponent.errors import JobError, ProtocolError
 from hpccomponent.protocol.codec import encode_values
 from hpccomponent.protocol.declared import check_result
@@ -161,7 +161,7 @@ def run_small(
             for module in (run, steps):
                 patch.setattr(module, "choose_tile", lambda *_: 3_000)
         backend = "recorded_tasks:make"
-        run_job(JobSettings(folder / "scan.ply", backend=backend, **settings), SilentProgress())
+        run_job(JobSettings(folder / "scan.ply", backend=backend, **settings), Progress())
 
 
 @pytest.fixture(scope="module")

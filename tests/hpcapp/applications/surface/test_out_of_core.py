@@ -24,7 +24,7 @@ from hpcapp.applications.surface.job.run import run_job
 from hpcapp.applications.surface.memory import fitting_tile, parse_limit
 from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.io import read_mesh, read_points, write_mesh, write_points
-from hpcapp.progress import SilentProgress
+from hpcapp.progress import Progress, ProgressObserver
 from hpccomponent.errors import JobError, OutputError, UsageError
 from hpccomponent.surface.extraction.parts import MeshPart
 from hpccomponent.surface.tasks import shared_ply, tile_ply
@@ -37,16 +37,16 @@ if TYPE_CHECKING:
 pytest_plugins = ["lab_bucket"]
 pytestmark = pytest.mark.usefixtures("endpoint")
 
-SILENT = SilentProgress()
+SILENT = Progress()
 
 
-class Stages(SilentProgress):
+class Stages(ProgressObserver):
     """Remembers which stages began."""
 
     def __init__(self) -> None:
         self.begun: list[str] = []
 
-    def begin(self, stage: str) -> None:
+    def on_begin(self, stage: str) -> None:
         """Take note."""
         self.begun.append(stage)
 
@@ -319,15 +319,15 @@ def test_workers_write_the_mesh_themselves(
     assert output.read_bytes() == whole
 
 
-class Memory(SilentProgress):
+class Memory(ProgressObserver):
     """Measures what this process has more at most, from the extraction's end on, than before it."""
 
-    def begin(self, stage: str) -> None:
+    def on_begin(self, stage: str) -> None:
         """Take note of the memory before the extraction."""
         if stage == "extract":
             self._before = tracemalloc.get_traced_memory()[0]
 
-    def end(self, stage: str, seconds: float) -> None:
+    def on_end(self, stage: str, seconds: float) -> None:
         """Look only at what comes after the extraction."""
         if stage == "extract":
             tracemalloc.reset_peak()
@@ -343,7 +343,9 @@ def test_the_memory_does_not_grow_with_the_mesh(scan: Path, tmp_path: Path) -> N
     for grid in (64, 192):
         memory = Memory()
         tracemalloc.start()
-        run_job(JobSettings(scan, str(output), grid=grid, backend="zmq", workers=2), memory)
+        run_job(
+            JobSettings(scan, str(output), grid=grid, backend="zmq", workers=2), Progress(memory)
+        )
         tracemalloc.stop()
         sizes.append(output.stat().st_size)
         growths.append(memory.growth)
@@ -458,10 +460,10 @@ def test_a_place_that_cannot_be_had_is_found_out_before_the_work(
 ) -> None:
     place = place.format(file=scan)
     settings = JobSettings(scan, str(tmp_path / "mesh.ply"), grid=64, temp_dir=place)
-    told = Stages()
+    stages = Stages()
     with pytest.raises((UsageError, OutputError)):
-        run_job(settings, told)
-    assert told.begun == []
+        run_job(settings, Progress(stages))
+    assert stages.begun == []
 
 
 @pytest.mark.parametrize("text", ["", "2X", "-1G", "1e9", "G", "100M"])

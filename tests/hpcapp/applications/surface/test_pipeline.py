@@ -9,7 +9,7 @@ import pytest
 from hpcapp.applications.surface.paper.method import PaperMethod
 from hpcapp.applications.surface.pipeline import reconstruct
 from hpcapp.backends.serial import SerialExecutor
-from hpcapp.progress import SilentProgress, StageClock
+from hpcapp.progress import Progress, StageClock
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import InputError
 from hpccomponent.runtime.background import Deferred
@@ -20,7 +20,7 @@ SERIAL = Workforce(SerialExecutor())
 
 
 def test_the_stages_run_in_the_papers_order(sphere: PointCloud) -> None:
-    clock = StageClock(SilentProgress())
+    clock = StageClock(Progress())
     halve = ("halve", lambda cloud: cloud.take(np.arange(0, len(cloud), 2)))
     result = reconstruct(
         MemoryCloud.as_they_are(sphere), PaperMethod(grid=24), SERIAL, clock, (halve,)
@@ -37,7 +37,7 @@ def test_the_stages_run_in_the_papers_order(sphere: PointCloud) -> None:
 
 
 def test_what_is_left_for_meanwhile_is_left_once_the_cloud_is_cut(sphere: PointCloud) -> None:
-    clock, left = StageClock(SilentProgress()), []
+    clock, left = StageClock(Progress()), []
 
     class Recording(Workforce):
         def defer(self, find: Callable[[], Any]) -> Deferred[Any]:
@@ -58,7 +58,7 @@ def test_what_a_step_refuses_ends_the_job(sphere: PointCloud) -> None:
     def refuse(cloud: PointCloud) -> PointCloud:
         raise InputError("nothing to see", "scan again")
 
-    clock = StageClock(SilentProgress())
+    clock = StageClock(Progress())
     with pytest.raises(InputError, match="scan again"):
         reconstruct(
             MemoryCloud.as_they_are(sphere), PaperMethod(), SERIAL, clock, (("refuse", refuse),)

@@ -15,7 +15,7 @@ from hpcapp.applications.surface.job import run, steps
 from hpcapp.applications.surface.job.run import run_job
 from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.io import read_mesh, write_points
-from hpcapp.progress import SilentProgress
+from hpcapp.progress import Progress
 from hpcapp.simplification.command import simplify
 from hpccomponent.errors import UsageError
 from hpccomponent.surface.types.points import PointCloud
@@ -39,7 +39,7 @@ def test_points_on_disk_and_tiles_give_the_same_light_mesh(
     scan: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     outputs = [scan.with_name(name) for name in ("memory.ply", "disk.ply")]
-    report = run_job(JobSettings(scan, str(outputs[0]), grid=48, faces=1500), SilentProgress())
+    report = run_job(JobSettings(scan, str(outputs[0]), grid=48, faces=1500), Progress())
     assert (report["tiles"], report["watertight"]) == (1, True)
     assert 1000 < report["faces"] <= 1500
     assert "simplify" in report["stages"]
@@ -47,7 +47,7 @@ def test_points_on_disk_and_tiles_give_the_same_light_mesh(
     for module in (run, steps):
         monkeypatch.setattr(module, "choose_tile", lambda *_: 2000)
     settings = JobSettings(scan, str(outputs[1]), grid=48, faces=1500, backend="threads", workers=2)
-    assert run_job(settings, SilentProgress())["tiles"] > 1
+    assert run_job(settings, Progress())["tiles"] > 1
     assert outputs[0].read_bytes() == outputs[1].read_bytes()
     light = read_mesh(outputs[0])
     assert light.colours is not None
@@ -68,7 +68,7 @@ def test_from_python_too() -> None:
 
 def test_what_cannot_be_reached_is_said(scan: Path) -> None:
     settings = JobSettings(scan, str(scan.with_name("few.ply")), grid=32, faces=4)
-    report = run_job(settings, SilentProgress())
+    report = run_job(settings, Progress())
     assert report["watertight"]
     if report["faces"] > 4:
         assert any("faces are left" in warning for warning in report["warnings"])
@@ -76,7 +76,7 @@ def test_what_cannot_be_reached_is_said(scan: Path) -> None:
 
 def test_a_mesh_that_is_there(scan: Path) -> None:
     mesh, light = scan.with_name("mesh.ply"), scan.with_name("light.3dtiles")
-    run_job(JobSettings(scan, str(mesh), grid=48), SilentProgress())
+    run_job(JobSettings(scan, str(mesh), grid=48), Progress())
     run = CliRunner().invoke(simplify, [str(mesh), "-o", str(light), "--faces", "1000"])
     assert run.exception is None
     tileset = json.loads((light / "tileset.json").read_text())

@@ -11,7 +11,7 @@ from hpcapp.applications.surface.hierarchical.opening import OpeningSettings
 from hpcapp.applications.surface.pipeline import Reconstruction, reconstruct
 from hpcapp.applications.surface.stitching.topology import Topology, check_mesh
 from hpcapp.backends.serial import SerialExecutor
-from hpcapp.progress import SilentProgress, StageClock
+from hpcapp.progress import Progress, StageClock
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import InputError
 from hpccomponent.surface.cloud.arranged import arrange_cloud
@@ -49,7 +49,7 @@ def run(
 ) -> Reconstruction:
     with SerialExecutor() as executor:
         method = HierarchicalMethod(GRID, tile_points=tile_points, opening=opening)
-        clock = StageClock(SilentProgress())
+        clock = StageClock(Progress())
         workforce = Workforce(executor, in_process=True)
         return reconstruct(arrange_cloud(cloud), method, workforce, clock)
 

@@ -18,7 +18,7 @@ from hpcapp.applications.surface.point_workers import PointWorkers
 from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.backends.selection import Backend
 from hpcapp.io import write_points
-from hpcapp.progress import SilentProgress, StageClock
+from hpcapp.progress import Progress, StageClock
 from hpcapp.workforce import Workforce
 from hpccomponent.surface.types.points import PointCloud
 
@@ -109,7 +109,7 @@ def test_a_task_that_runs_again_late_changes_nothing(
         with kind(2) as executor:
             workers = PointWorkers(Workforce(executor, 2, 4), True, 100)
             there = PointFolder(tmp_path / name, workers)
-            loaded = load(settings, StageClock(SilentProgress()), there)
+            loaded = load(settings, StageClock(Progress()), there)
             clouds.append(loaded.cloud.take_blocks(loaded.cloud.keys))
     for once, twice in zip(*clouds, strict=True):
         np.testing.assert_array_equal(once, twice)

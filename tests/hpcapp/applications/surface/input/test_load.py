@@ -13,7 +13,7 @@ from hpcapp.applications.surface.input.load import Loaded, PointFolder, load
 from hpcapp.applications.surface.job.run import JobSettings, run_job
 from hpcapp.applications.surface.paper.settings import Paper
 from hpcapp.io import write_points
-from hpcapp.progress import SilentProgress, StageClock
+from hpcapp.progress import Progress, StageClock
 from hpccomponent.errors import InputError
 from hpccomponent.surface.types.points import PointCloud
 
@@ -38,7 +38,7 @@ def write_repeated(path: Path, cloud: PointCloud, points: int) -> Path:
 
 def load_clean(path: Path, *, clean: bool = True) -> Loaded:
     settings = JobSettings(path, "m.ply", method=Hierarchical(clean=clean))
-    return load(settings, StageClock(SilentProgress()))
+    return load(settings, StageClock(Progress()))
 
 
 def points_of(loaded: Loaded) -> tuple[bytes, bytes]:
@@ -58,13 +58,13 @@ def test_the_first_at_each_place_stays(
     assert memory.cleaned.repeated == repeated * (TIMES - 1)
     settings = JobSettings(path, "m.ply", method=Hierarchical(clean=clean))
     there = PointFolder(tmp_path / "there", alone(rows))
-    folder = load(settings, StageClock(SilentProgress()), there)
+    folder = load(settings, StageClock(Progress()), there)
     assert points_of(folder) == points_of(memory)
     assert folder.cleaned == memory.cleaned
     assert folder.cloud.measure().spacing == memory.cloud.measure().spacing
     assert len(folder.cloud) == len(sphere)
     kept = JobSettings(path, "m.ply", method=Hierarchical(clean=clean), resume=True)
-    again = load(kept, StageClock(SilentProgress()), there)
+    again = load(kept, StageClock(Progress()), there)
     assert points_of(again) == points_of(memory)
     assert again.cleaned == memory.cleaned
 
@@ -78,7 +78,7 @@ def test_the_mesh_is_that_of_the_cloud_itself(
     for source in (sphere_file, path):
         target = tmp_path / "m.ply"
         settings = JobSettings(source, str(target), method=method, grid=32, backend="serial")
-        report = run_job(settings, SilentProgress())
+        report = run_job(settings, Progress())
         meshes.append(target.read_bytes())
     assert report["dropped"]["duplicates"] == len(sphere) * (TIMES - 1)
     assert meshes[0] == meshes[1]
@@ -91,7 +91,7 @@ def test_too_few_places_are_refused(tmp_path: Path, sphere: PointCloud) -> None:
     with pytest.raises(InputError, match=r"a\.ply has 8 usable points"):
         load_clean(path)
     with pytest.raises(InputError, match=r"a\.ply has 8 usable points"):
-        load(settings, StageClock(SilentProgress()), PointFolder(tmp_path / "there", alone(1000)))
+        load(settings, StageClock(Progress()), PointFolder(tmp_path / "there", alone(1000)))
 
 
 def test_what_was_recognised_is_in_the_report(tmp_path: Path, sphere: PointCloud) -> None:
@@ -101,7 +101,7 @@ def test_what_was_recognised_is_in_the_report(tmp_path: Path, sphere: PointCloud
     path = tmp_path / "a.ply"
     write_points(path, PointCloud(positions, (normals + 1) / 2))
     settings = JobSettings(path, str(tmp_path / "m.ply"), grid=32, backend="serial")
-    report = run_job(settings, SilentProgress())
+    report = run_job(settings, Progress())
     assert report["dropped"]["repeated"] == 40
     warned = "\n".join(report["warnings"])
     assert "origin" in warned

@@ -16,7 +16,7 @@ from hpcapp.applications.surface.cloud_pass import MemoryPass
 from hpcapp.applications.surface.input.measure import measure_spacing
 from hpcapp.applications.surface.input.normals import turn_normals
 from hpcapp.applications.surface.input.sides import Oriented, is_contradicting, orient_cloud
-from hpcapp.progress import SilentProgress, StageClock
+from hpcapp.progress import Progress, StageClock
 from hpccomponent.surface.cloud.arranged import arrange_cloud
 from hpccomponent.surface.normals.orientation import SURE
 from hpccomponent.surface.types.points import FloatArray, PointCloud
@@ -31,7 +31,7 @@ def orient(
     points: PointCloud, scanners: FloatArray | None = None, attribute: str | None = None
 ) -> tuple[PointCloud, Oriented]:
     """Orient points in memory, as if they contradicted each other where they have normals."""
-    clock, cloud_pass = StageClock(SilentProgress()), in_memory(points)
+    clock, cloud_pass = StageClock(Progress()), in_memory(points)
     turned, oriented = orient_cloud(
         cloud_pass,
         measure_spacing(cloud_pass),
@@ -166,7 +166,7 @@ def test_normals_of_a_file_are_warned_of_where_they_are_taken_as_they_are() -> N
     assert scan.normals is not None
     signs = np.where(np.random.default_rng(4).random(len(scan)) < 0.5, -1.0, 1.0)
     mixed = in_memory(PointCloud(scan.positions, scan.normals * signs[:, None]))
-    clock = StageClock(SilentProgress())
+    clock = StageClock(Progress())
     for given, is_wrong in ((in_memory(scan), False), (mixed, True)):
         spacing = measure_spacing(given)
         same, oriented = orient_cloud(given, spacing, "file", None, clock, has_normals=True)

@@ -23,7 +23,7 @@ from hpcapp.applications.surface.job import run, steps
 from hpcapp.applications.surface.job.run import run_job
 from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.io import write_points
-from hpcapp.progress import SilentProgress
+from hpcapp.progress import Progress
 from hpccomponent.errors import InputError, JobError, NoWorkersError
 from hpccomponent.files.held_folders import read_owner
 from hpccomponent.surface.tasks import tiles as region
@@ -32,7 +32,7 @@ from hpccomponent.surface.types.points import PointCloud
 pytest_plugins = ["lab_bucket"]
 pytestmark = pytest.mark.usefixtures("endpoint")
 
-SILENT = SilentProgress()
+SILENT = Progress()
 OPTIONS = ("--grid", "64", "--backend", "zmq", "--workers", "2")
 
 PAUSED = """

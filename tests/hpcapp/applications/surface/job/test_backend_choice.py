@@ -19,7 +19,7 @@ from hpcapp.applications.surface.paper.settings import Paper
 from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.backends.selection import open_executor
 from hpcapp.io import read_points
-from hpcapp.progress import SilentProgress
+from hpcapp.progress import Progress
 
 
 @pytest.fixture
@@ -50,7 +50,7 @@ def test_only_what_is_known_before_the_points_are_read_is_told(
     caplog.set_level(logging.INFO, "hpcapp")
     report = run_job(
         JobSettings(sphere_file, str(tmp_path / "mesh.ply"), grid=grid, max_memory=1e8),
-        SilentProgress(),
+        Progress(),
     )
     [told] = [line for line in caplog.messages if line.startswith("backend")]
     assert told == f"backend {report['backend']}: {report['choice']['reason']}"
@@ -73,7 +73,7 @@ def test_work_grows_with_points_and_with_the_grid() -> None:
 def run(points: Path, **options: Any) -> tuple[dict[str, Any], bytes]:
     output = points.parent / "mesh.ply"
     settings = JobSettings(points, str(output), grid=32, **options)
-    return run_job(settings, SilentProgress()), output.read_bytes()
+    return run_job(settings, Progress()), output.read_bytes()
 
 
 @pytest.mark.usefixtures("two_cores")

@@ -17,12 +17,12 @@ from hpcapp.applications.surface.job import run, steps
 from hpcapp.applications.surface.job.run import run_job
 from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.io import write_points
-from hpcapp.progress import SilentProgress
+from hpcapp.progress import Progress
 from hpccomponent.errors import InputError, JobError, UsageError
 from hpccomponent.surface.normals.orientation import SURE
 from hpccomponent.surface.types.points import FloatArray, PointCloud
 
-SILENT = SilentProgress()
+SILENT = Progress()
 FAR = np.array([4.0e5, 5.4e6, 0.0])
 CENTRE = np.array([3.0, -1.0, 2.0])
 

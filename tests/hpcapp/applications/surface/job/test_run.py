@@ -13,12 +13,12 @@ from hpcapp.applications.surface.job.run import JobSettings, run_job
 from hpcapp.applications.surface.method import MethodSettings
 from hpcapp.applications.surface.paper.settings import Paper
 from hpcapp.io import read_mesh, write_mesh
-from hpcapp.progress import SilentProgress
+from hpcapp.progress import Progress
 from hpccomponent.errors import HpcError, OutputError
 from hpccomponent.surface.types.mesh import Mesh
 from hpccomponent.surface.types.points import PointCloud
 
-SILENT = SilentProgress()
+SILENT = Progress()
 
 WriteCloud = Callable[..., Path]
 

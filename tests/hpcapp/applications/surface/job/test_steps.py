@@ -16,7 +16,7 @@ from hpcapp.applications.surface.job.backend_choice import approach_workers
 from hpcapp.applications.surface.job.steps import run_steps
 from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.io import write_points
-from hpcapp.progress import SilentProgress, StageClock
+from hpcapp.progress import Progress, StageClock
 from hpccomponent.surface.types.points import PointCloud
 
 P = ParamSpec("P")
@@ -63,7 +63,7 @@ def test_tiles_are_kept_by_who_sees_the_folder(tmp_path: Path, sees: bool) -> No
     here.mkdir()
     there.mkdir()
     settings = JobSettings(tmp_path / "ball.ply", "-", grid=48, workers=2, temp_dir=str(here))
-    clock = StageClock(SilentProgress())
+    clock = StageClock(Progress())
     loaded = load(settings, clock)
     keeping, machine = Keeping(str(here), "job"), OtherMachine(here, here if sees else there)
     keeping.make_folders()
