@@ -132,7 +132,7 @@ class Timeline:
         begin = max(0.0, end - max(0.0, seconds))
         self.spans.append(Span(name, worker, begin, end, outcome, bytes_in, bytes_out))
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, list[dict[str, Any]]]:
         """Return the spans as JSON values.
 
         Returns

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from hpcapp.timeline import ANY_WORKER, MASTER, Span, Timeline
 from hpccomponent.errors import OutputError
@@ -58,7 +57,7 @@ def _translated(path: Path) -> Iterator[None]:
         ) from error
 
 
-def to_trace(timeline: Timeline) -> dict[str, Any]:
+def to_trace(timeline: Timeline) -> dict[str, object]:
     """Return a timeline in the Trace Event Format.
 
     Returns
@@ -72,7 +71,7 @@ def to_trace(timeline: Timeline) -> dict[str, Any]:
     ----------
     Trace Event Format, https://docs.google.com/document/d/1CvAClvFfyA5R-PhYUmn5OOQtYMH4h6I0nSsKchNAySU
     """
-    events: list[dict[str, Any]] = [
+    events: list[dict[str, object]] = [
         {"ph": "M", "pid": _PROCESS, "name": "process_name", "args": {"name": "hpcapp"}}
     ]
     for row, (name, spans) in enumerate(_rows(list(timeline.spans))):
@@ -122,7 +121,7 @@ def _lanes(tasks: list[Span]) -> list[list[Span]]:
     return lanes
 
 
-def _event(span: Span, row: int) -> dict[str, Any]:
+def _event(span: Span, row: int) -> dict[str, object]:
     return {
         "ph": "X",
         "pid": _PROCESS,

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from hpcapp.timeline import find_worker
 from hpccomponent.cutting import cut_equal
@@ -56,7 +56,7 @@ class Workforce:
         """Cut `rows` rows into batches for this workforce, in order and equal to within one row."""
         return cut_equal(rows, self.workers * self.batches_per_worker)
 
-    def share(self, value: Any) -> Any:
+    def share(self, value: object) -> object:
         """Offer a large value to all workers, where the Executor can send it once for many tasks.
 
         Parameters
@@ -122,7 +122,7 @@ class Workforce:
 def map_batches(
     workforce: Workforce,
     task: Callable[..., Result],
-    batches: Sequence[tuple[Any, ...]],
+    batches: Sequence[tuple[object, ...]],
     advance: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> list[Result]:
     """Run `task` once per batch and return the results in the order of the batches.
@@ -151,7 +151,7 @@ def map_batches(
 def stream_batches(
     workforce: Workforce,
     task: Callable[..., Result],
-    batches: Iterable[tuple[Any, ...]],
+    batches: Iterable[tuple[object, ...]],
     at_once: int,
     makers: dict[int, str | None] | None = None,
 ) -> Iterator[tuple[int, Result]]:
@@ -193,7 +193,7 @@ def stream_batches(
 
 @contextmanager
 def begin_batch(
-    workforce: Workforce, task: Callable[..., Result], batch: tuple[Any, ...]
+    workforce: Workforce, task: Callable[..., Result], batch: tuple[object, ...]
 ) -> Iterator[Callable[[], Result]]:
     """Run `task` once, while this process does something else.
 
@@ -216,7 +216,7 @@ def begin_batch(
 
 
 @contextmanager
-def _explain(task: Callable[..., Any]) -> Iterator[None]:
+def _explain(task: Callable[..., object]) -> Iterator[None]:
     """Say which task it was that failed."""
     try:
         yield

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import re
-from typing import Any, NoReturn, TypeVar
+from typing import NoReturn, TypeVar
 
 import msgspec
 
@@ -52,7 +52,7 @@ def decode(text: str | bytes, kind: type[T]) -> T:
     return convert(parsed, kind)
 
 
-def convert(told: Any, kind: type[T]) -> T:
+def convert(told: object, kind: type[T]) -> T:
     """Return a JSON value as one of a type.
 
     Parameters

@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Any
 
 from hpccomponent.errors import ConfigError
 from hpccomponent.protocol.keys import is_key
@@ -99,7 +98,7 @@ def read_inventory(path: Path | str) -> Inventory:
     return Inventory(**entries | {"workers": workers})
 
 
-def _read_worker(where: str, entry: Any) -> InventoryWorker:
+def _read_worker(where: str, entry: object) -> InventoryWorker:
     if not isinstance(entry, dict):
         raise ConfigError(f"{where}: not an object")
     check_keys(where, entry, {item.name for item in fields(InventoryWorker)})

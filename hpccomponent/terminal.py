@@ -13,7 +13,6 @@ import logging
 import os
 import re
 import sys
-from typing import Any
 
 __all__ = [
     "VisibleFormatter",
@@ -103,7 +102,7 @@ def echo(text: str, *, err: bool = False) -> None:
     click.echo(visible_text(text), err=err)
 
 
-def echo_json(value: Any) -> None:
+def echo_json(value: object) -> None:
     """Print a JSON value on the standard output, in one line of printable ASCII."""
     import click
 

@@ -9,20 +9,20 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from hpccomponent.errors import JobError
 from hpccomponent.runtime.numerics import numerics_id
 
-__all__ = ["Ran", "align", "count_bytes", "run_task"]
+__all__ = ["TaskOutcome", "align", "count_bytes", "run_task"]
 
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ran:
+class TaskOutcome(Generic[T]):
     """What a worker of a foreign engine answers.
 
     Parameters
@@ -31,12 +31,12 @@ class Ran:
         The machine and the process, and the thread where it is not the process's first.
     """
 
-    value: Any
+    value: T
     worker: str
     seconds: float
 
 
-def run_task(numerics: str, task: Callable[..., Any], *arguments: Any) -> Ran:
+def run_task(numerics: str, task: Callable[..., T], *arguments: object) -> TaskOutcome[T]:
     """Run a task, on a worker, if it computes the same bits as the master.
 
     Raises
@@ -53,7 +53,7 @@ def run_task(numerics: str, task: Callable[..., Any], *arguments: Any) -> Ran:
         )
     start = time.perf_counter()
     value = task(*(align(value) for value in arguments))
-    return Ran(value, _name_worker(), time.perf_counter() - start)
+    return TaskOutcome(value, _name_worker(), time.perf_counter() - start)
 
 
 def _name_worker() -> str:
@@ -101,7 +101,7 @@ def align(value: Any) -> Any:
     return value
 
 
-def count_bytes(value: Any) -> int:
+def count_bytes(value: object) -> int:
     """Return how many bytes the arrays in a value have: what travels, but for little.
 
     Parameters

@@ -13,7 +13,7 @@ import logging
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
 from contextlib import contextmanager, nullcontext
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from hpcapp.backends.retrying import RetryingExecutor
 from hpccomponent.errors import NoWorkersError, UsageError
@@ -51,7 +51,7 @@ class DaskExecutor(Executor):
         self._client = client
         self._executor = client.get_executor(pure=False)  # else equal calls run once
 
-    def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
+    def submit(self, fn: Callable[..., T], /, *args: object, **kwargs: object) -> Future[T]:
         """Have a task run on some worker.
 
         Parameters
@@ -62,7 +62,7 @@ class DaskExecutor(Executor):
         future: Future[T] = self._executor.submit(fn, *args, **kwargs)
         return future
 
-    def share(self, value: Any) -> Any:
+    def share(self, value: object) -> object:
         """Return a Dask future of `value`, by whose content it is known to all workers.
 
         It is the result of a task, not scattered: Dask makes it again when its worker dies.

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from importlib import import_module
-from typing import Any
 
 from hpcapp.backends.retrying import RetryingExecutor
 from hpccomponent.errors import UsageError
@@ -29,7 +28,7 @@ def is_factory(name: str) -> bool:
     return _NAME.fullmatch(name) is not None
 
 
-def find_factory(name: str) -> Callable[..., Any]:
+def find_factory(name: str) -> Callable[..., object]:
     """Import a factory.
 
     Parameters
@@ -99,7 +98,7 @@ def open_factory(name: str, workers: int | None) -> Iterator[RetryingExecutor]:
         executor.shutdown(wait=True, cancel_futures=True)
 
 
-def _check_arguments(name: str, factory: Callable[..., Any], arguments: dict[str, int]) -> None:
+def _check_arguments(name: str, factory: Callable[..., object], arguments: dict[str, int]) -> None:
     """Refuse a factory that cannot be called so, before it runs."""
     try:
         signature = inspect.signature(factory)
@@ -116,7 +115,7 @@ def _check_arguments(name: str, factory: Callable[..., Any], arguments: dict[str
         ) from None
 
 
-def _make(name: str, factory: Callable[..., Any], arguments: dict[str, int]) -> Executor:
+def _make(name: str, factory: Callable[..., object], arguments: dict[str, int]) -> Executor:
     try:
         made = factory(**arguments)
     except Exception as error:

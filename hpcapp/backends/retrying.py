@@ -28,7 +28,7 @@ from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecu
 from contextlib import AbstractContextManager, ExitStack
 from typing import Any, TypeVar
 
-from hpcapp.backends.calls import Ran, align, count_bytes, run_task
+from hpcapp.backends.calls import TaskOutcome, align, count_bytes, run_task
 from hpcapp.timeline import ANY_WORKER, Timeline, note_worker
 from hpccomponent.errors import WorkerLostError
 from hpccomponent.limits import available_cores, is_shortage
@@ -70,14 +70,14 @@ def count_workers(executor: Executor) -> int:
     return known if isinstance(known, int) and known > 0 else available_cores()
 
 
-class _Task(Future[Any]):
+class _Task(Future[T]):
     """What the caller holds: done when some worker has done it."""
 
-    def __init__(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+    def __init__(self, function: Callable[..., T], arguments: tuple[object, ...]) -> None:
         super().__init__()
         self.function = function
         self.arguments = arguments
-        self.inner: Future[Any] | None = None
+        self.inner: Future[TaskOutcome[T]] | None = None
         self.since = 0.0
         self.losses = 0
         self.is_unwanted = False
@@ -95,15 +95,24 @@ class _Task(Future[Any]):
         """The name of the task's function."""
         return getattr(self.function, "__name__", repr(self.function))
 
-    def end(self, error: BaseException | None, result: Any = None) -> None:
-        """Be done, and let go of the arguments."""
-        self.arguments, self.inner = (), None
-        if not self.set_running_or_notify_cancel():
-            return
-        if error is None:
+    def succeed(self, result: T) -> None:
+        """Be done with a result, and let go of the arguments."""
+        if self._is_wanted():
             self.set_result(result)
-        else:
+
+    def fail(self, error: BaseException) -> None:
+        """Be done with an error, and let go of the arguments."""
+        if self._is_wanted():
             self.set_exception(error)
+
+    def give_up(self) -> None:
+        """Be cancelled, as the caller wanted when the engine had it already."""
+        Future.cancel(self)
+        self._is_wanted()
+
+    def _is_wanted(self) -> bool:
+        self.arguments, self.inner = (), None
+        return self.set_running_or_notify_cancel()
 
 
 class RetryingExecutor(Executor):
@@ -138,7 +147,7 @@ class RetryingExecutor(Executor):
         self._advice = advice
         self._numerics = numerics_id()
         self._lock = threading.Lock()  # held while something is submitted or the engine changes
-        self._tasks: set[_Task] = set()
+        self._tasks: set[_Task[Any]] = set()
         self._timeline: Timeline | None = None
         self._is_shut_down = False
         self._gives_up = False
@@ -147,7 +156,7 @@ class RetryingExecutor(Executor):
         self._engine = self._opened.enter_context(open_engine())
         self.workers = workers or count_workers(self._engine)
 
-    def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
+    def submit(self, fn: Callable[..., T], /, *args: object, **kwargs: object) -> Future[T]:
         """Have a task run on some worker.
 
         Parameters
@@ -179,7 +188,7 @@ class RetryingExecutor(Executor):
         self._start(task)
         return task
 
-    def share(self, value: Any) -> Any:
+    def share(self, value: object) -> object:
         """Return what stands for `value` among arguments; see `Workforce.share`.
 
         Returns
@@ -234,7 +243,7 @@ class RetryingExecutor(Executor):
         with self._lock:
             end(self._engine)
 
-    def _start(self, task: _Task) -> None:
+    def _start(self, task: _Task[T]) -> None:
         """Submit a task to the engine."""
         with self._lock:
             engine, task.since = self._engine, time.monotonic()
@@ -249,28 +258,27 @@ class RetryingExecutor(Executor):
             task.inner = inner
         inner.add_done_callback(lambda done: self._finish(task, engine, done))
 
-    def _finish(self, task: _Task, engine: Executor, inner: Future[Any]) -> None:
+    def _finish(self, task: _Task[T], engine: Executor, inner: Future[TaskOutcome[T]]) -> None:
         """Pass on what became of a task; runs in whichever thread the engine has."""
         if inner.cancelled():
             if task.is_unwanted:
-                Future.cancel(task)
-                task.end(None)
+                task.give_up()
             else:
-                task.end(self._lost(task, "its engine gave it up"))
+                task.fail(self._lost(task, "its engine gave it up"))
             return
         error = inner.exception()
         if error is None:
-            ran: Ran = inner.result()
+            ran = inner.result()
             self._note(task, "done", ran)
             note_worker(task, ran.worker)
-            task.end(None, align(ran.value))
+            task.succeed(align(ran.value))
         elif self._count_losses(error) or is_shortage(error):
             self._mender.submit(self._mend, task, engine, error)
         else:
             self._note(task, "failed")
-            task.end(error)
+            task.fail(error)
 
-    def _note(self, task: _Task, outcome: str, ran: Ran | None = None) -> None:
+    def _note(self, task: _Task[Any], outcome: str, ran: TaskOutcome[Any] | None = None) -> None:
         """Record what became of a task; without an answer, since it was handed to the engine."""
         timeline = self._timeline
         if timeline is None:
@@ -290,7 +298,7 @@ class RetryingExecutor(Executor):
             bytes_out=sent_bytes,
         )
 
-    def _mend(self, task: _Task, engine: Executor, error: BaseException) -> None:
+    def _mend(self, task: _Task[T], engine: Executor, error: BaseException) -> None:
         """Run a task again whose worker was lost, or give it up."""
         is_short = is_shortage(error)  # which breaks no engine, so that it can always be asked anew
         task.losses += self._count_losses(error) or is_short
@@ -303,7 +311,7 @@ class RetryingExecutor(Executor):
             self._start(task)
         except BaseException as final:
             final.__cause__ = final.__cause__ or error
-            task.end(final)
+            task.fail(final)
 
     def _reopen(self, broken: Executor) -> None:
         """Open the engine anew, unless that has been done for another task."""
@@ -312,7 +320,7 @@ class RetryingExecutor(Executor):
                 self._opened.close()
                 self._engine = self._opened.enter_context(self._open_engine())
 
-    def _lost(self, task: _Task, reason: str) -> WorkerLostError:
+    def _lost(self, task: _Task[Any], reason: str) -> WorkerLostError:
         return WorkerLostError(f"{task.name} was not finished: {reason}", self._advice)
 
 

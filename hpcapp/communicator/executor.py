@@ -248,12 +248,12 @@ class CommunicatorExecutor(Executor):
 
     # -- tasks ---------------------------------------------------------------------------------
 
-    def share(self, value: Any) -> Blob:
+    def share(self, value: object) -> Blob:
         """Name a large value, so that it travels to each machine once and not with every task.
 
         Parameters
         ----------
-        value : Any
+        value : object
             What could be an argument of a task: most often an ndarray, or a tuple or dict of
             them. Its arrays are not copied, and must not change while tasks use them.
 
@@ -280,7 +280,7 @@ class CommunicatorExecutor(Executor):
         return blob
 
     def submit(
-        self, fn: Callable[..., ResultT] | str, /, *args: Any, **kwargs: Any
+        self, fn: Callable[..., ResultT] | str, /, *args: object, **kwargs: object
     ) -> Future[ResultT]:
         """Have a registered task run on some worker.
 
@@ -307,7 +307,7 @@ class CommunicatorExecutor(Executor):
         name = self._tasks.name_of(fn)
         return self._submit(name, args, traits_of(fn))
 
-    def _submit(self, name: str, args: tuple[Any, ...], traits: Traits) -> Future[Any]:
+    def _submit(self, name: str, args: tuple[object, ...], traits: Traits) -> Future[Any]:
         number = self._loop.pending.number()
         future = _TaskFuture(number, self._loop)
         entry = make_entry(future, name, args, traits)
@@ -322,7 +322,7 @@ class CommunicatorExecutor(Executor):
         self,
         fn: Callable[..., ResultT] | str,
         /,
-        *iterables: Iterable[Any],
+        *iterables: Iterable[object],
         timeout: float | None = None,
         chunksize: int | None = None,
     ) -> Iterator[ResultT]:

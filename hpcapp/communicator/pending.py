@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import logging
 from collections.abc import Iterable
-from typing import Any
 
 from hpcapp.communicator.scheduling.state import Task
 from hpcapp.communicator.submission import Entry, split_entry
@@ -128,7 +127,9 @@ class PendingTasks:
         """Return an entry that is still here."""
         return self._entries.get(number)
 
-    def deliver(self, number: int, result: Result, value: Any, worker: str | None = None) -> None:
+    def deliver(
+        self, number: int, result: Result, value: object, worker: str | None = None
+    ) -> None:
         """Set a future's result, which has been checked, or what its task raised.
 
         Parameters

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from hpcapp.communicator.fetching import TakeBuffers
 from hpcapp.communicator.scheduling.verification import digest_answer
@@ -31,7 +30,7 @@ class Answer:
     """A result that has been checked, with its value, and the buffers that it came in."""
 
     result: Result
-    value: Any = None
+    value: object = None
     buffers: Sequence[Buffer] = ()
 
     def digest(self) -> bytes:
@@ -82,7 +81,7 @@ def open_results(
     ]
 
 
-def _open(result: Result, buffers: list[Buffer], entry: Entry | None) -> Any:
+def _open(result: Result, buffers: list[Buffer], entry: Entry | None) -> object:
     if entry is None or result.failure is not None:
         return None
     try:

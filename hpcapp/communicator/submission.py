@@ -31,7 +31,7 @@ class Entry:
     buffers: list[Buffer]
     blobs: tuple[Blob, ...] = ()
     work: float = 1.0
-    arguments: tuple[Any, ...] = ()
+    arguments: tuple[object, ...] = ()
     traits: Traits = PLAIN
     declared: Declared = ANYTHING
     limit_bytes: int = DEFAULT_RESULT_BYTES
@@ -50,7 +50,9 @@ class Entry:
         return True
 
 
-def make_entry(future: Future[Any], name: str, arguments: tuple[Any, ...], traits: Traits) -> Entry:
+def make_entry(
+    future: Future[Any], name: str, arguments: tuple[object, ...], traits: Traits
+) -> Entry:
     """Encode a task.
 
     Returns
@@ -94,21 +96,21 @@ def each_traits(traits: Traits) -> Traits:
     """
     single = traits.cost
 
-    def cost(*columns: list[Any]) -> float:
+    def cost(*columns: list[object]) -> float:
         if single is None:
             return float(len(columns[0]))
         return sum(single(*item) for item in zip(*columns, strict=True))
 
-    def split(*columns: list[Any]) -> list[tuple[list[Any], ...]] | None:
+    def split(*columns: list[object]) -> list[tuple[list[object], ...]] | None:
         half = len(columns[0]) // 2
         if not half:
             return None
         return [tuple(c[:half] for c in columns), tuple(c[half:] for c in columns)]
 
-    def join(results: list[list[Any]]) -> list[Any]:
+    def join(results: list[list[object]]) -> list[object]:
         return [value for part in results for value in part]
 
-    def limit(*columns: list[Any]) -> int:
+    def limit(*columns: list[object]) -> int:
         total = sum(traits.limit_of(item) for item in zip(*columns, strict=True))
         return min(DEFAULT_RESULT_BYTES, total + ITEM_BYTES * len(columns[0]))
 

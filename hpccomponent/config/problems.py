@@ -6,7 +6,7 @@ import re
 import types
 from collections.abc import Collection, Iterator
 from difflib import get_close_matches
-from typing import Any, Union, get_args, get_origin
+from typing import TypeGuard, Union, get_args, get_origin
 
 import yaml
 from pydantic import BaseModel
@@ -203,7 +203,7 @@ def _locate(root: yaml.Node, loc: Location) -> tuple[yaml.Node, yaml.Node, Locat
 
 def _valid_keys(model: type[BaseModel], loc: Location) -> set[str]:
     """Return the keys that the model allows beside the last part of `loc`."""
-    candidates = list(_members(model))
+    candidates: list[object] = list(_members(model))
     for part in loc[:-1]:
         inner = [member for kind in candidates for member in _step(kind, part)]
         named = [kind for kind in candidates if _is_tagged(kind, part)]
@@ -212,10 +212,10 @@ def _valid_keys(model: type[BaseModel], loc: Location) -> set[str]:
     return {field.alias or name for kind in models for name, field in kind.model_fields.items()}
 
 
-def _members(annotation: Any) -> Iterator[Any]:
+def _members(annotation: object) -> Iterator[object]:
     """Yield the types that an annotation allows: itself, or each member of a union."""
     if hasattr(annotation, "__metadata__"):  # Annotated[X, ...]
-        yield from _members(annotation.__origin__)
+        yield from _members(get_args(annotation)[0])
     elif get_origin(annotation) in (Union, types.UnionType):
         for member in get_args(annotation):
             yield from _members(member)
@@ -223,7 +223,7 @@ def _members(annotation: Any) -> Iterator[Any]:
         yield annotation
 
 
-def _step(kind: Any, part: int | str) -> Iterator[Any]:
+def _step(kind: object, part: int | str) -> Iterator[object]:
     """Yield what lies one part of a path below a type."""
     if _is_model(kind) and part in kind.model_fields:
         yield from _members(kind.model_fields[str(part)].annotation)
@@ -233,11 +233,11 @@ def _step(kind: Any, part: int | str) -> Iterator[Any]:
         yield from _members(get_args(kind)[1])
 
 
-def _is_model(kind: Any) -> bool:
+def _is_model(kind: object) -> TypeGuard[type[BaseModel]]:
     return isinstance(kind, type) and issubclass(kind, BaseModel)
 
 
-def _is_tagged(kind: Any, part: int | str) -> bool:
+def _is_tagged(kind: object, part: int | str) -> bool:
     """Tell whether pydantic names this member of a union `part`: by class, or by a literal."""
     if not _is_model(kind):
         return False

@@ -22,7 +22,7 @@ import json
 from collections.abc import Callable, Collection, Iterable, Mapping
 from itertools import islice
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -154,7 +154,7 @@ def parse_config(
     problems: list[Problem] = []
     root = compose(text, name)
     expand_variables(root, environment, problems, name)
-    value = _plain_value(root, (), problems)
+    value = _plain_mapping(root, (), problems)
     valid = _validate(value, root, model, problems)
     if check is not None:
         _check_together(value, root, model, check, problems)
@@ -164,7 +164,7 @@ def parse_config(
 
 
 def _validate(
-    value: Any, root: yaml.MappingNode, model: type[ModelT], found: list[Problem]
+    value: object, root: yaml.MappingNode, model: type[ModelT], found: list[Problem]
 ) -> ModelT | None:
     """Return the model; or None, with what pydantic finds wrong added to what was found."""
     try:
@@ -181,7 +181,7 @@ def _validate(
 
 
 def _check_together(
-    value: dict[str, Any],
+    value: dict[str, object],
     root: yaml.MappingNode,
     model: type[ModelT],
     check: Callable[[ModelT], Iterable[Misfit]],
@@ -199,7 +199,7 @@ def _check_together(
             found.append(place_misfit(location, message, choices, root))
 
 
-def _plain_value(node: yaml.Node, location: Location, found: list[Problem]) -> Any:
+def _plain_value(node: yaml.Node, location: Location, found: list[Problem]) -> object:
     """Turn a node into JSON values, and note what YAML allows and we do not."""
     if isinstance(node, yaml.MappingNode) and node.tag in COLLECTION:
         return _plain_mapping(node, location, found)
@@ -217,9 +217,9 @@ def _plain_value(node: yaml.Node, location: Location, found: list[Problem]) -> A
 
 def _plain_mapping(
     node: yaml.MappingNode, location: Location, found: list[Problem]
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Turn a mapping into a dict; keys must be text, and each may come once."""
-    values: dict[str, Any] = {}
+    values: dict[str, object] = {}
     lines: dict[str, int] = {}
     for key, child in node.value:
         if key.tag == MERGE:

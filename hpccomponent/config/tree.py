@@ -42,7 +42,7 @@ class _Loader(yaml.SafeLoader):
         self._source = name
         self._depth = self._values = 0
 
-    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         """Compose one node, unless it is one too many."""
         event = self.peek_event()  # type: ignore[no-untyped-call]
         self._values += 1

@@ -11,7 +11,7 @@ import shutil
 import stat
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 __all__ = ["create_private", "make_private_folder", "open_at_once", "remove_path"]
 
@@ -94,7 +94,7 @@ def remove_path(path: Path) -> None:
         There may be nothing.
     """
 
-    def try_again(remove: Callable[..., Any], name: str, _error: object) -> None:
+    def try_again(remove: Callable[..., object], name: str, _error: object) -> None:
         for folder in (os.path.dirname(name), name):
             if os.path.isdir(folder) and not os.path.islink(folder):
                 os.chmod(folder, _FOLDER)
@@ -103,7 +103,7 @@ def remove_path(path: Path) -> None:
         else:
             remove(name)
 
-    def quietly(remove: Callable[..., Any], name: str, error: object) -> None:
+    def quietly(remove: Callable[..., object], name: str, error: object) -> None:
         try:
             try_again(remove, name, error)
         except OSError:

@@ -12,10 +12,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeAlias
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from hpccomponent.errors import ProtocolError, UsageError
 from hpccomponent.protocol.blobs import Blob
@@ -52,7 +53,10 @@ DTYPES = frozenset(
 PLAIN = (type(None), bool, float)
 NUMBERS, NOTHING = frozenset([bool, float, int]), frozenset([type(None)])
 SIMPLE = frozenset([type(None), bool, float, int, bytes, str])  # as MessagePack has them
-NO_BLOBS: Mapping[bytes, Any] = MappingProxyType({})
+NO_BLOBS: Mapping[bytes, object] = MappingProxyType({})
+
+Packed: TypeAlias = "bool | int | float | str | bytes | list[Packed] | dict[str, Packed] | None"
+"""A value in the header."""
 
 _encode = msgspec.msgpack.Encoder().encode
 _decode = msgspec.msgpack.Decoder(strict=True).decode
@@ -73,7 +77,7 @@ class _Supply:
 
     __slots__ = ("_blobs", "_buffers")
 
-    def __init__(self, buffers: Sequence[Buffer], blobs: Mapping[bytes, Any]) -> None:
+    def __init__(self, buffers: Sequence[Buffer], blobs: Mapping[bytes, object]) -> None:
         self._buffers = iter(buffers)
         self._blobs = blobs
 
@@ -83,7 +87,7 @@ class _Supply:
             raise ProtocolError("a message carries fewer buffers than its header names")
         return buffer
 
-    def look_up(self, key: bytes) -> Any:
+    def look_up(self, key: bytes) -> object:
         try:
             return self._blobs[key]
         except KeyError:
@@ -93,7 +97,7 @@ class _Supply:
         return next(self._buffers, None) is None
 
 
-def encode_values(values: tuple[Any, ...]) -> tuple[bytes, list[Buffer]]:
+def encode_values(values: tuple[object, ...]) -> tuple[bytes, list[Buffer]]:
     """Encode a tuple of values.
 
     Parameters
@@ -125,7 +129,7 @@ def encode_values(values: tuple[Any, ...]) -> tuple[bytes, list[Buffer]]:
     return header, parts.buffers
 
 
-def encode_arguments(values: tuple[Any, ...]) -> tuple[bytes, list[Buffer], tuple[Blob, ...]]:
+def encode_arguments(values: tuple[object, ...]) -> tuple[bytes, list[Buffer], tuple[Blob, ...]]:
     """Encode the arguments of a task, among which blobs may stand.
 
     Parameters and errors are those of `encode_values`.
@@ -142,7 +146,7 @@ def encode_arguments(values: tuple[Any, ...]) -> tuple[bytes, list[Buffer], tupl
     return header, parts.buffers, tuple(parts.blobs.values())
 
 
-def _encode_header(values: tuple[Any, ...], parts: _Parts) -> bytes:
+def _encode_header(values: tuple[object, ...], parts: _Parts) -> bytes:
     try:
         header = _encode([_pack(value, parts, 0) for value in values])
     except UnicodeEncodeError as error:
@@ -156,7 +160,7 @@ def _encode_header(values: tuple[Any, ...], parts: _Parts) -> bytes:
 
 
 def decode_values(
-    header: Buffer, buffers: Sequence[Buffer], blobs: Mapping[bytes, Any] = NO_BLOBS
+    header: Buffer, buffers: Sequence[Buffer], blobs: Mapping[bytes, object] = NO_BLOBS
 ) -> tuple[Any, ...]:
     """Decode what `encode_values` made; trusts neither the header nor the buffers.
 
@@ -194,13 +198,11 @@ def decode_values(
     return values
 
 
-def _pack(value: Any, parts: _Parts, depth: int) -> Any:
+def _pack(value: Any, parts: _Parts, depth: int) -> Packed:
     kind = type(value)
-    if kind in PLAIN:
-        return value
+    if kind in PLAIN or (kind is int and -(2**63) <= value < 2**63):
+        return value  # type: ignore[no-any-return]
     if kind is int:
-        if -(2**63) <= value < 2**63:
-            return value
         return _pack_big(value)
     packer = _PACKERS.get(kind)
     if packer is None and isinstance(value, np.generic):
@@ -219,7 +221,7 @@ def _pack(value: Any, parts: _Parts, depth: int) -> Any:
     return packer(value, parts, depth)
 
 
-def _pack_big(value: int) -> list[Any]:
+def _pack_big(value: int) -> list[Packed]:
     length = value.bit_length() // 8 + 1
     if length > MAX_INTEGER_BYTES:
         raise UsageError(
@@ -229,7 +231,7 @@ def _pack_big(value: int) -> list[Any]:
     return [BIG, value.to_bytes(length, "little", signed=True)]
 
 
-def _pack_array(value: np.ndarray[Any, Any], parts: _Parts, depth: int) -> list[Any]:
+def _pack_array(value: NDArray[np.generic], parts: _Parts, depth: int) -> list[Packed]:
     del depth
     code = value.dtype.newbyteorder("<").str
     if code not in DTYPES:
@@ -244,11 +246,11 @@ def _pack_array(value: np.ndarray[Any, Any], parts: _Parts, depth: int) -> list[
     return [ARRAY, code, list(value.shape), None]
 
 
-def _pack_scalar(value: np.generic, parts: _Parts, depth: int) -> list[Any]:
+def _pack_scalar(value: np.generic, parts: _Parts, depth: int) -> list[Packed]:
     return [SCALAR, *_pack_array(np.asarray(value), parts, depth)[1:]]
 
 
-def _pack_text(value: str, parts: _Parts, depth: int) -> Any:
+def _pack_text(value: str, parts: _Parts, depth: int) -> Packed:
     del depth
     if len(value) <= EMBEDDED_BYTES // 4:
         return value
@@ -256,7 +258,7 @@ def _pack_text(value: str, parts: _Parts, depth: int) -> Any:
     return [TEXT]
 
 
-def _pack_bytes(value: bytes, parts: _Parts, depth: int) -> Any:
+def _pack_bytes(value: bytes, parts: _Parts, depth: int) -> Packed:
     del depth
     if len(value) <= EMBEDDED_BYTES:
         return value
@@ -264,11 +266,11 @@ def _pack_bytes(value: bytes, parts: _Parts, depth: int) -> Any:
     return [BYTES]
 
 
-def _pack_tuple(value: tuple[Any, ...], parts: _Parts, depth: int) -> list[Any]:
+def _pack_tuple(value: tuple[object, ...], parts: _Parts, depth: int) -> list[Packed]:
     return [TUPLE, *[_pack(entry, parts, depth + 1) for entry in value]]
 
 
-def _pack_list(value: list[Any], parts: _Parts, depth: int) -> list[Any]:
+def _pack_list(value: list[Any], parts: _Parts, depth: int) -> list[Packed]:
     kinds = set(map(type, value))  # long lists of numbers are common
     if kinds <= NUMBERS and (int not in kinds or (min(value) >= -(2**63) and max(value) < 2**63)):
         return [LIST, *value]
@@ -277,25 +279,25 @@ def _pack_list(value: list[Any], parts: _Parts, depth: int) -> list[Any]:
     return [LIST, *[_pack(entry, parts, depth + 1) for entry in value]]
 
 
-def _pack_dict(value: dict[Any, Any], parts: _Parts, depth: int) -> dict[str, Any]:
+def _pack_dict(value: dict[Any, Any], parts: _Parts, depth: int) -> dict[str, Packed]:
     for key in value:
         if type(key) is not str:
             raise UsageError(f"a dict has the key {key!r}", "only strings may be keys")
     return {key: _pack(entry, parts, depth + 1) for key, entry in value.items()}
 
 
-def _pack_record(entry: RecordType, value: Any, parts: _Parts, depth: int) -> list[Any]:
+def _pack_record(entry: RecordType, value: object, parts: _Parts, depth: int) -> list[Packed]:
     fields = {name: _pack(getattr(value, name), parts, depth + 1) for name in entry.fields}
     return [RECORD, entry.name, fields]
 
 
-def _pack_blob(value: Blob, parts: _Parts, depth: int) -> list[Any]:
+def _pack_blob(value: Blob, parts: _Parts, depth: int) -> list[Packed]:
     del depth
     parts.blobs[value.key] = value
     return [BLOB, value.key]
 
 
-_PACKERS: dict[type, Callable[[Any, _Parts, int], Any]] = {
+_PACKERS: dict[type, Callable[[Any, _Parts, int], Packed]] = {
     np.ndarray: _pack_array,
     np.memmap: _pack_array,
     str: _pack_text,
@@ -307,17 +309,17 @@ _PACKERS: dict[type, Callable[[Any, _Parts, int], Any]] = {
 }
 
 
-def _unpack(packed: Any, supply: _Supply, depth: int) -> Any:
+def _unpack(packed: object, supply: _Supply, depth: int) -> Any:
     kind = type(packed)
     if kind in PLAIN or kind is int or kind is str or kind is bytes:
         return packed
     if depth > MAX_DEPTH:
         raise ProtocolError(f"received values are nested more than {MAX_DEPTH} deep")
-    if kind is dict:
+    if type(packed) is dict:
         if any(type(key) is not str for key in packed):
             raise ProtocolError("a received dict has a key that is not a string")
         return {key: _unpack(entry, supply, depth + 1) for key, entry in packed.items()}
-    if kind is not list or not packed or type(packed[0]) is not int:
+    if type(packed) is not list or not packed or type(packed[0]) is not int:
         raise ProtocolError(f"a header holds a {kind.__name__} without a tag")
     tag = packed[0]
     if tag == TUPLE:
@@ -344,7 +346,7 @@ def _unpack(packed: Any, supply: _Supply, depth: int) -> Any:
     raise ProtocolError(f"a header holds an entry with the unknown tag {tag}")
 
 
-def _unpack_array(packed: list[Any], supply: _Supply) -> np.ndarray[Any, Any]:
+def _unpack_array(packed: list[Any], supply: _Supply) -> NDArray[np.generic]:
     if len(packed) != 4:
         raise ProtocolError("an array is not described by dtype, shape and bytes")
     _, code, shape, blob = packed

@@ -44,7 +44,7 @@ __all__ = [
 class Declared(Protocol):
     """A pattern of values."""
 
-    def check(self, value: Any, place: str, extents: Extents) -> None:
+    def check(self, value: object, place: str, extents: Extents) -> None:
         """Make sure that a value fits.
 
         Parameters
@@ -64,7 +64,7 @@ class Declared(Protocol):
         ...
 
 
-def check_result(declared: Declared, value: Any) -> None:
+def check_result(declared: Declared, value: object) -> None:
     """Make sure that a result is what its task declares.
 
     Parameters
@@ -89,15 +89,15 @@ def check_result(declared: Declared, value: Any) -> None:
     declared.check(value, "the result", {})
 
 
-def _refuse(place: str, value: Any, wanted: str) -> ProtocolError:
+def _refuse(place: str, value: object, wanted: str) -> ProtocolError:
     return ProtocolError(f"{place} is of type {type(value).__name__}, not {wanted}")
 
 
 @dataclass(frozen=True, slots=True)
 class Anything:
-    """Any value that may travel: what a task returns that declares nothing."""
+    """object value that may travel: what a task returns that declares nothing."""
 
-    def check(self, value: Any, place: str, extents: Extents) -> None:
+    def check(self, value: object, place: str, extents: Extents) -> None:
         """Let everything pass."""
 
 
@@ -108,7 +108,7 @@ ANYTHING = Anything()
 class Nothing:
     """None."""
 
-    def check(self, value: Any, place: str, extents: Extents) -> None:
+    def check(self, value: object, place: str, extents: Extents) -> None:
         """See `Declared`."""
         del extents
         if value is not None:
@@ -119,7 +119,7 @@ class Nothing:
 class Flag:
     """A bool."""
 
-    def check(self, value: Any, place: str, extents: Extents) -> None:
+    def check(self, value: object, place: str, extents: Extents) -> None:
         """See `Declared`."""
         del extents
         if type(value) is not bool:
@@ -139,7 +139,7 @@ class Whole:
     low: int = 0
     high: int = 2**62
 
-    def check(self, value: Any, place: str, extents: Extents) -> None:
+    def check(self, value: object, place: str, extents: Extents) -> None:
         """See `Declared`."""
         del extents
         if type(value) is not int:
@@ -161,7 +161,7 @@ class Number:
     low: float = -sys.float_info.max
     high: float = sys.float_info.max
 
-    def check(self, value: Any, place: str, extents: Extents) -> None:
+    def check(self, value: object, place: str, extents: Extents) -> None:
         """See `Declared`."""
         del extents
         if type(value) is not float:
@@ -182,7 +182,7 @@ class Text:
 
     most: int = 1000
 
-    def check(self, value: Any, place: str, extents: Extents) -> None:
+    def check(self, value: object, place: str, extents: Extents) -> None:
         """See `Declared`."""
         del extents
         if type(value) is not str:
@@ -195,9 +195,9 @@ class Text:
 class Exactly:
     """A value that the master knows: a str, a number, or a tuple of such."""
 
-    value: Any
+    value: object
 
-    def check(self, value: Any, place: str, extents: Extents) -> None:
+    def check(self, value: object, place: str, extents: Extents) -> None:
         """See `Declared`."""
         del extents
         if type(value) is not type(self.value):
@@ -215,7 +215,7 @@ class Fixed:
     def __init__(self, *items: Declared) -> None:
         object.__setattr__(self, "items", items)
 
-    def check(self, value: Any, place: str, extents: Extents) -> None:
+    def check(self, value: object, place: str, extents: Extents) -> None:
         """See `Declared`."""
         if type(value) is not tuple or len(value) != len(self.items):
             raise _refuse(place, value, f"a tuple of {len(self.items)}")
@@ -232,7 +232,7 @@ class Fields:
     def __init__(self, **items: Declared) -> None:
         object.__setattr__(self, "items", tuple(items.items()))
 
-    def check(self, value: Any, place: str, extents: Extents) -> None:
+    def check(self, value: object, place: str, extents: Extents) -> None:
         """See `Declared`."""
         keys = [key for key, _ in self.items]
         if type(value) is not dict or value.keys() != set(keys):
@@ -252,7 +252,7 @@ class Record:
         object.__setattr__(self, "kind", kind)
         object.__setattr__(self, "items", tuple(items.items()))
 
-    def check(self, value: Any, place: str, extents: Extents) -> None:
+    def check(self, value: object, place: str, extents: Extents) -> None:
         """See `Declared`."""
         if type(value) is not self.kind:
             raise _refuse(place, value, self.kind.__name__)
@@ -273,7 +273,7 @@ class Each:
     item: Declared
     count: int | None = None
 
-    def check(self, value: Any, place: str, extents: Extents) -> None:
+    def check(self, value: object, place: str, extents: Extents) -> None:
         """See `Declared`."""
         del extents
         if type(value) is not list:
@@ -292,7 +292,7 @@ class EachOf:
 
     items: Sequence[Declared]
 
-    def check(self, value: Any, place: str, extents: Extents) -> None:
+    def check(self, value: object, place: str, extents: Extents) -> None:
         """See `Declared`."""
         del extents
         if type(value) is not list or len(value) != len(self.items):
@@ -316,7 +316,7 @@ class Either:
     def __init__(self, *choices: Declared) -> None:
         object.__setattr__(self, "choices", choices)
 
-    def check(self, value: Any, place: str, extents: Extents) -> None:
+    def check(self, value: object, place: str, extents: Extents) -> None:
         """See `Declared`."""
         complaints = []
         for choice in self.choices:
@@ -347,7 +347,7 @@ class Where:
     agrees: Callable[[Any], bool]
     rule: str
 
-    def check(self, value: Any, place: str, extents: Extents) -> None:
+    def check(self, value: object, place: str, extents: Extents) -> None:
         """See `Declared`."""
         self.pattern.check(value, place, extents)
         if not self.agrees(value):

@@ -11,6 +11,8 @@ if TYPE_CHECKING:  # who only declares, or starts a worker, does not wait for nu
     import numpy as np
     from numpy.typing import ArrayLike
 
+    AnyArray = np.ndarray[Any, Any]
+
 __all__ = ["Array", "Extents"]
 
 _AT_ONCE = 1 << 16  # entries: what is made of them stays in the cache
@@ -62,7 +64,7 @@ class Array:
         ):
             object.__setattr__(self, name, value)
 
-    def check(self, value: Any, place: str, extents: Extents) -> None:
+    def check(self, value: object, place: str, extents: Extents) -> None:
         """See `Declared`."""
         import numpy as np
 
@@ -81,7 +83,7 @@ class Array:
         if self.total is not None:
             self._check_total(value, place, *self.total)
 
-    def _check_entries(self, value: np.ndarray[Any, Any], place: str) -> None:
+    def _check_entries(self, value: AnyArray, place: str) -> None:
         may_be_nan = value.dtype.kind in "fc"
         if self.finite and may_be_nan and not _is_finite(value):
             raise ProtocolError(f"{place} has entries that are NaN or infinite")
@@ -93,7 +95,7 @@ class Array:
         if self.rises and not (value[1:] > value[:-1]).all():
             raise ProtocolError(f"{place} has entries that are not above the one before")
 
-    def _check_total(self, value: np.ndarray[Any, Any], place: str, least: int, most: int) -> None:
+    def _check_total(self, value: AnyArray, place: str, least: int, most: int) -> None:
         # No entry may be so large that the sum comes round.
         largest, total = int(value.max(initial=0)), int(value.sum(dtype="i8"))
         if largest > most or not least <= total <= most:
@@ -117,7 +119,7 @@ def _fits(extent: int, wanted: int | str, extents: Extents) -> bool:
     return base >= 0 and extents.setdefault(name, base) == base
 
 
-def _is_finite(value: np.ndarray[Any, Any]) -> bool:
+def _is_finite(value: AnyArray) -> bool:
     import numpy as np
 
     flat = value.reshape(-1)
@@ -127,7 +129,7 @@ def _is_finite(value: np.ndarray[Any, Any]) -> bool:
     )
 
 
-def _holds(value: np.ndarray[Any, Any], bound: Any, sign: int) -> bool:
+def _holds(value: AnyArray, bound: Any, sign: int) -> bool:
     """Tell whether all entries are `bound` or more; with the sign -1, or less."""
     import numpy as np
 
@@ -142,5 +144,5 @@ def _holds(value: np.ndarray[Any, Any], bound: Any, sign: int) -> bool:
     )
 
 
-def _name(bound: Any) -> str:
+def _name(bound: object) -> str:
     return str(bound) if isinstance(bound, int | float) else "what is possible there"

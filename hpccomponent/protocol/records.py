@@ -95,7 +95,7 @@ def find_record(kind: type) -> RecordType | None:
     return _BY_KIND.get(kind)
 
 
-def make_record(name: str, values: Mapping[str, Any]) -> Any:
+def make_record(name: str, values: Mapping[str, object]) -> Any:
     """Return the record of a name and its fields.
 
     Parameters

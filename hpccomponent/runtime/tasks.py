@@ -33,7 +33,9 @@ TASK_GROUP = "hpc.tasks"
 EACH = "each:"  # before a name: the task is run for each item, its arguments come as columns
 _REFERENCE = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<function>[A-Za-z_]\w*)")
 
-FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
+Split = Callable[..., Sequence[tuple[Any, ...]] | None]
+Join = Callable[[list[Any]], object]
+FunctionT = TypeVar("FunctionT", bound=Callable[..., object])
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,17 +67,17 @@ class Traits:
     """
 
     cost: Callable[..., float] | None = None
-    split: Callable[..., Sequence[tuple[Any, ...]] | None] | None = None
-    join: Callable[[list[Any]], Any] | None = None
+    split: Split | None = None
+    join: Join | None = None
     result: Declared | Callable[..., Declared] = ANYTHING
     limit: int | Callable[..., int] = DEFAULT_RESULT_BYTES
     is_verified: bool = True
 
-    def result_of(self, arguments: tuple[Any, ...]) -> Declared:
+    def result_of(self, arguments: tuple[object, ...]) -> Declared:
         """Return what the result of one call must be."""
         return self.result(*arguments) if callable(self.result) else self.result
 
-    def limit_of(self, arguments: tuple[Any, ...]) -> int:
+    def limit_of(self, arguments: tuple[object, ...]) -> int:
         """Return how large the encoded result of one call may be.
 
         Returns
@@ -97,8 +99,8 @@ PLAIN = Traits()
 
 def declare(
     cost: Callable[..., float] | None = None,
-    split: Callable[..., Sequence[tuple[Any, ...]] | None] | None = None,
-    join: Callable[[list[Any]], Any] | None = None,
+    split: Split | None = None,
+    join: Join | None = None,
     result: Declared | Callable[..., Declared] = ANYTHING,
     limit: int | Callable[..., int] = DEFAULT_RESULT_BYTES,
     is_verified: bool = True,
@@ -127,7 +129,7 @@ def declare(
     return mark
 
 
-def traits_of(task: Callable[..., Any] | str) -> Traits:
+def traits_of(task: Callable[..., object] | str) -> Traits:
     """Return what a task declares; nothing if only its name is given."""
     traits: Traits = getattr(task, "task_traits", PLAIN)
     return traits
@@ -168,7 +170,7 @@ class TaskRegistry:
                     "keep one of them",
                 )
         self._installed: dict[str, str] | None = None
-        self._functions: dict[str, Callable[..., Any]] = {}
+        self._functions: dict[str, Callable[..., object]] = {}
         self._names: dict[str, str] = {}
 
     def references(self) -> dict[str, str]:
@@ -179,7 +181,7 @@ class TaskRegistry:
             self._installed = {entry.name: entry.value for entry in entry_points(group=TASK_GROUP)}
         return self._installed | self._extra
 
-    def resolve(self, name: str) -> Callable[..., Any]:
+    def resolve(self, name: str) -> Callable[..., object]:
         """Import and return the task's function.
 
         Parameters
@@ -219,7 +221,7 @@ class TaskRegistry:
                 self.resolve(name)
             yield name
 
-    def name_of(self, task: Callable[..., Any] | str) -> str:
+    def name_of(self, task: Callable[..., object] | str) -> str:
         """Return the name under which a function, or a name itself, is registered.
 
         Raises
@@ -253,7 +255,7 @@ def each_result(single: Traits) -> Callable[..., Declared]:
         From the columns of arguments to what their results must be.
     """
 
-    def result(*columns: list[Any]) -> Declared:
+    def result(*columns: list[object]) -> Declared:
         if not callable(single.result):
             return Each(single.result, len(columns[0]))
         return EachOf([single.result(*item) for item in zip(*columns, strict=True)])
@@ -261,14 +263,14 @@ def each_result(single: Traits) -> Callable[..., Declared]:
     return result
 
 
-def _each(function: Callable[..., Any]) -> Callable[..., list[Any]]:
-    def run(*columns: Any) -> list[Any]:
+def _each(function: Callable[..., object]) -> Callable[..., list[object]]:
+    def run(*columns: object) -> list[object]:
         return [function(*item) for item in zip(*columns, strict=True)]
 
     return declare(result=each_result(traits_of(function)))(run)
 
 
-def _import(name: str, reference: str) -> Callable[..., Any]:
+def _import(name: str, reference: str) -> Callable[..., object]:
     module, _, function = reference.partition(":")
     try:
         function_object = getattr(import_module(module), function)

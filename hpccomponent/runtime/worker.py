@@ -15,7 +15,6 @@ import traceback
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from time import perf_counter
-from typing import Any
 
 from hpccomponent import errors
 from hpccomponent.files.checksum import take_written
@@ -65,7 +64,7 @@ def run_call(
     call: Call,
     buffers: list[memoryview],
     tasks: TaskRegistry,
-    blobs: Mapping[bytes, Any] = NO_BLOBS,
+    blobs: Mapping[bytes, object] = NO_BLOBS,
 ) -> tuple[Result, list[Buffer]]:
     """Run one task.
 
@@ -107,7 +106,7 @@ def run_call(
 
 
 def _check(
-    call: Call, value: Any, size_bytes: int, traits: Traits, arguments: tuple[Any, ...]
+    call: Call, value: object, size_bytes: int, traits: Traits, arguments: tuple[object, ...]
 ) -> None:
     """Refuse a result that the master would refuse: here it is the task's mistake.
 
@@ -136,7 +135,7 @@ def run_batch(
     payload: memoryview,
     tasks: TaskRegistry,
     channel: Channel,
-    blobs: Mapping[bytes, Any] = NO_BLOBS,
+    blobs: Mapping[bytes, object] = NO_BLOBS,
 ) -> None:
     """Run the tasks of a batch and send results as they become ready, cheap ones together.
 
@@ -203,7 +202,7 @@ class _Ready:
         self._clear()
 
 
-class _Blobs(Mapping[bytes, Any]):
+class _Blobs(Mapping[bytes, object]):
     """The values of blobs, by their keys.
 
     Each is decoded for the first task that asks for it: then what its records mean is known, by
@@ -212,7 +211,7 @@ class _Blobs(Mapping[bytes, Any]):
 
     def __init__(self) -> None:
         self._given: dict[bytes, tuple[Share, memoryview]] = {}
-        self._values: dict[bytes, Any] = {}
+        self._values: dict[bytes, object] = {}
 
     def add(self, blob: Share, payload: memoryview) -> None:
         self._given[blob.key] = blob, payload
@@ -221,7 +220,7 @@ class _Blobs(Mapping[bytes, Any]):
         self._given.pop(key, None)
         self._values.pop(key, None)
 
-    def __getitem__(self, key: bytes) -> Any:
+    def __getitem__(self, key: bytes) -> object:
         if key not in self._values:
             blob, payload = self._given[key]
             (self._values[key],) = decode_values(blob.header, cut_payload(payload, blob.sizes))

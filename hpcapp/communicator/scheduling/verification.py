@@ -24,7 +24,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import Enum
 from random import SystemRandom
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from hpccomponent.errors import (
     CloudError,
@@ -210,7 +210,7 @@ class Verification:
         liars = sorted(set(self.liars.values()))
         return "; ".join([summary, *liars] if liars else [summary, "all agreed"])
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return what the report says of it."""
         return {
             "share": self.share,

@@ -92,9 +92,10 @@ def test_a_shared_value_is_sent_once_and_comes_to_every_task(
 ) -> None:
     value = np.random.default_rng(1).standard_normal((700_000, 3))  # Dask warns from 10 MB on
     with open_backend(client) as backend:
-        shared = backend.workforce.share(value)
+        shared: Any = backend.workforce.share(value)
+        again: Any = backend.workforce.share(value.copy())
         assert shared is not value
-        assert backend.workforce.share(value.copy()).key == shared.key
+        assert again.key == shared.key
         batches = [(number, ("nested", shared)) for number in range(4)]
         for number, (word, found) in map_batches(backend.workforce, tasks.echo, batches):
             assert word == "nested"

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hpcapp.backends.calls import Ran, align, run_task
+from hpcapp.backends.calls import TaskOutcome, align, run_task
 from hpcapp.backends.retrying import MOST_LOSSES, RetryingExecutor
 from hpcapp.workforce import Workforce, map_batches
 from hpccomponent.errors import JobError, WorkerLostError
@@ -290,7 +290,7 @@ def test_tasks_get_and_give_aligned_arrays(executor: RetryingExecutor, engines: 
     future = executor.submit(np.positive, odd)
     inner, function, arguments = engines.opened[0].waiting[0]
     ran = function(*arguments)
-    assert isinstance(ran, Ran)
+    assert isinstance(ran, TaskOutcome)
     assert ran.value.flags.aligned
-    inner.set_result(Ran(odd, "worker", 0.0))
+    inner.set_result(TaskOutcome(odd, "worker", 0.0))
     assert future.result(60).flags.aligned
