@@ -33,6 +33,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 from typing import Any, TypeVar
 
 from hpcapp.backends.ray_watcher import watched
@@ -149,7 +150,7 @@ class RayExecutor(Executor):
 
     workers: int
 
-    def __init__(self, ray: Any, cores: int, head: Head) -> None:
+    def __init__(self, ray: ModuleType, cores: int, head: Head) -> None:
         self.workers = cores
         self._ray = ray
         self._head = head
@@ -158,7 +159,7 @@ class RayExecutor(Executor):
         self._remote = ray.remote(num_cpus=1, max_retries=0)(_call)
         self._threads = ThreadPoolExecutor(cores * TASKS_PER_CORE, thread_name_prefix="ray")
 
-    def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
+    def submit(self, fn: Callable[..., T], /, *args: object, **kwargs: object) -> Future[T]:
         """Have a task run on some worker.
 
         Parameters
@@ -168,7 +169,7 @@ class RayExecutor(Executor):
         """
         return self._threads.submit(self._run, fn, args, kwargs)
 
-    def share(self, value: Any) -> Any:
+    def share(self, value: object) -> object:
         """Return a reference to `value` in Ray's object store, which nodes fetch once each."""
         return self._ray.put(value)
 
@@ -176,9 +177,11 @@ class RayExecutor(Executor):
         """Wait for what was submitted, or cancel what has not started; Ray stays connected."""
         self._threads.shutdown(wait, cancel_futures=cancel_futures)
 
-    def _run(self, function: Callable[..., T], arguments: Any, keywords: Any) -> T:
+    def _run(
+        self, function: Callable[..., T], arguments: tuple[object, ...], keywords: dict[str, object]
+    ) -> T:
         """Run a task, and raise nothing of Ray's."""
-        shared: list[Any] = []
+        shared: list[object] = []
         lifted = self._lift(arguments, shared)
         try:
             with _translated(self._ray):
@@ -191,7 +194,7 @@ class RayExecutor(Executor):
         owned: T = copy.deepcopy(result)
         return owned
 
-    def _wait(self, reference: Any) -> Any:
+    def _wait(self, reference: object) -> Any:
         """Wait for a result as long as there is a head: Ray itself would wait on without one."""
         while True:
             try:
@@ -201,7 +204,7 @@ class RayExecutor(Executor):
                     raise ConnectionError("it no longer answers") from None
                 self._head.check()
 
-    def _lift(self, value: Any, shared: list[Any]) -> Any:
+    def _lift(self, value: object, shared: list[object]) -> object:
         """Replace references within tuples: Ray fetches those only that are arguments."""
         if isinstance(value, self._refs):
             shared.append(value)
@@ -211,19 +214,24 @@ class RayExecutor(Executor):
         return value
 
 
-def _call(function: Callable[..., T], arguments: Any, keywords: Any, *shared: Any) -> T:
+def _call(
+    function: Callable[..., T],
+    arguments: tuple[object, ...],
+    keywords: dict[str, object],
+    *shared: object,
+) -> T:
     """Run a task, on a worker."""
 
-    def place(value: Any) -> Any:
+    def place(value: object) -> object:
         if isinstance(value, _Shared):
             return shared[value.index]
         return tuple(map(place, value)) if type(value) is tuple else value
 
-    return function(*place(arguments), **keywords)
+    return function(*map(place, arguments), **keywords)
 
 
 @contextmanager
-def _translated(ray: Any) -> Iterator[None]:
+def _translated(ray: ModuleType) -> Iterator[None]:
     """Turn Ray's errors into the task's own, a lost worker, or a lost Ray."""
     errors = ray.exceptions
     lost = (
@@ -326,7 +334,7 @@ def open_ray(address: str | None, workers: int | None) -> Iterator[RetryingExecu
 
 
 @contextmanager
-def _start(cores: int) -> Iterator[tuple[Any, Head]]:
+def _start(cores: int) -> Iterator[tuple[ModuleType, Head]]:
     """Start a Ray of this machine that listens on loopback only, to who knows its token."""
     variables = QUIET | ONE_THREAD | {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": _token()}
     variables |= LOOPBACK_ONLY
@@ -349,7 +357,7 @@ def _start(cores: int) -> Iterator[tuple[Any, Head]]:
 
 
 @contextmanager
-def _connect(address: str) -> Iterator[tuple[Any, Head]]:
+def _connect(address: str) -> Iterator[tuple[ModuleType, Head]]:
     """Connect to a Ray that runs."""
     scheme, _, place = address.rpartition("://")
     head, variables = None, QUIET
@@ -375,13 +383,13 @@ def _start_advice(scheme: str) -> str:
     return f"start one with 'ray start --head {port}', or correct the address"
 
 
-def _find_head(ray: Any) -> Head:
+def _find_head(ray: ModuleType) -> Head:
     host, _, port = ray.get_runtime_context().gcs_address.rpartition(":")
     return Head(host.strip("[]"), int(port))
 
 
 @contextmanager
-def _joined(ray: Any, **options: Any) -> Iterator[None]:
+def _joined(ray: ModuleType, address: str, **options: object) -> Iterator[None]:
     """Connect this process to a Ray; its signals and its output stay ours."""
     if ray.is_initialized():
         raise UsageError(
@@ -391,14 +399,14 @@ def _joined(ray: Any, **options: Any) -> Iterator[None]:
     before = signal.getsignal(signal.SIGTERM)
     try:
         with _errors_of_init(), temporary_folder() as folder:
-            runtime: dict[str, Any] = {"env_vars": ONE_THREAD}
-            if not options["address"].startswith("ray://"):
+            runtime: dict[str, object] = {"env_vars": ONE_THREAD}
+            if not address.startswith("ray://"):
                 # Else workers import from this process's folder, where a source tree may lie whose
                 # kernels are other ones.
                 nothing = folder / "nothing"
                 nothing.mkdir()
                 runtime["working_dir"] = str(nothing)
-            _init(ray, runtime_env=runtime, **options)
+            _init(ray, address=address, runtime_env=runtime, **options)
         if in_main:
             signal.signal(signal.SIGTERM, before)
         yield
@@ -406,7 +414,7 @@ def _joined(ray: Any, **options: Any) -> Iterator[None]:
         ray.shutdown()
 
 
-def _init(ray: Any, **options: Any) -> None:
+def _init(ray: ModuleType, **options: object) -> None:
     """Connect, more than once where needed: a client's server now and then dies as it is forked."""
     for tries_left in reversed(range(CONNECT_TRIES)):
         try:
@@ -432,7 +440,7 @@ def _errors_of_init() -> Iterator[None]:
         ) from error
 
 
-def _import_ray() -> Any:
+def _import_ray() -> ModuleType:
     try:
         import ray
         import ray.util.client.common
