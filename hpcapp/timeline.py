@@ -147,13 +147,7 @@ class Timeline:
 
 
 def note_worker(future: Future[Any], worker: str | None) -> None:
-    """Note at a future who has done its task, before it is done.
-
-    Parameters
-    ----------
-    worker : str or None
-        As in the spans; None where it is not known.
-    """
+    """Note at a future who has done its task, before it is done."""
     vars(future)["worker"] = worker
 
 
@@ -164,11 +158,6 @@ def find_worker(future: Future[Any]) -> str | None:
     ----------
     future : concurrent.futures.Future
         That is done.
-
-    Returns
-    -------
-    str or None
-        None where the backend does not tell.
     """
     worker: str | None = vars(future).get("worker")
     return worker

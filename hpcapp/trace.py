@@ -21,13 +21,6 @@ _MICROSECONDS = 1e6
 def open_trace(path: Path | None, timeline: Timeline) -> Iterator[None]:
     """Write the trace of a job to a file when the block ends, even if by an error.
 
-    Parameters
-    ----------
-    path : Path or None
-        A file that is written anew; None where none is wanted.
-    timeline : Timeline
-        Filled within the block.
-
     Raises
     ------
     OutputError

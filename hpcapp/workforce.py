@@ -131,8 +131,6 @@ def map_batches(
     ----------
     task : callable
         A registered task (see ``docs/explanation/design.md``).
-    advance : callable, optional
-        Told (batches done, batches in all) after each result.
 
     Raises
     ------

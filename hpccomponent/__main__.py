@@ -20,17 +20,12 @@ __all__ = ["main"]
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run a component.
+    """Run a component, and return its `ExitCode`.
 
     Parameters
     ----------
     arguments : list of str, optional
         Of the command line; by default those of this process.
-
-    Returns
-    -------
-    int
-        The exit code; see `ExitCode`.
     """
     options = _parse(arguments)
     lines = logging.StreamHandler(sys.stderr)

@@ -144,13 +144,7 @@ def _count_open() -> int:
 
 
 def available_tasks(root: Path = _ROOT) -> tuple[int, str] | None:
-    """Return how many more processes and threads there may be, and the limit that says so.
-
-    Returns
-    -------
-    (int, str) or None
-        None where the system does not say.
-    """
+    """Return how many more processes and threads there may be, and the limit that says so."""
     free: list[tuple[int, str]] = []
     user_limit, _ = resource.getrlimit(resource.RLIMIT_NPROC)
     if user_limit != resource.RLIM_INFINITY and os.geteuid() != 0:  # it does not bind root
@@ -198,17 +192,12 @@ def total_memory(root: Path = _ROOT) -> int:
 
 
 def memory_limit(group: Path) -> int | None:
-    """Return the bytes that the processes of a control group may use.
+    """Return the bytes that the processes of a control group may use; None for no limit.
 
     Parameters
     ----------
     group : Path
         Its folder in the file system of control groups.
-
-    Returns
-    -------
-    int or None
-        None for no limit.
     """
     for name in ("memory.max", "memory.limit_in_bytes"):  # version 2, then version 1
         limit = read_text(group / name).strip()

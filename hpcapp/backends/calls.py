@@ -104,11 +104,6 @@ def align(value: Any) -> Any:
 def count_bytes(value: object) -> int:
     """Return how many bytes the arrays in a value have: what travels, but for little.
 
-    Parameters
-    ----------
-    value : object
-        An array, bytes, or tuples, lists, dicts and dataclasses that may hold some.
-
     Examples
     --------
     >>> count_bytes((np.zeros(3), {"mesh": b"12345"}, "name"))

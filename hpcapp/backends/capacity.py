@@ -132,10 +132,6 @@ def check_workers(backend: str, count: int | None, default: int, root: Path = _R
 
     Parameters
     ----------
-    backend : str
-        Its name; one that has no workers of its own is not bounded.
-    count : int, optional
-        How many were asked for.
     default : int
         How many there are otherwise, where the machine carries so many.
 

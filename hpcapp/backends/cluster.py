@@ -90,7 +90,9 @@ def open_inventory(
     extra_tasks: Sequence[str] = (),
     lead: Callable[[str], AbstractContextManager[None]] | None = None,
 ) -> Iterator[tuple[CommunicatorExecutor, int]]:
-    """Be the master of a cluster, once its other masters have ended.
+    """Be the master of a cluster, once its other masters have ended, and yield its Executor.
+
+    With it comes how many workers there are; those that come later join in.
 
     Parameters
     ----------
@@ -105,11 +107,6 @@ def open_inventory(
     lead : callable, optional
         Where this is not the head: listen on loopback, and enter what this makes of the endpoint
         there; it leads the cluster's workers to it.
-
-    Yields
-    ------
-    workers : int
-        How many have come; those that come later join in.
 
     Raises
     ------

@@ -52,13 +52,7 @@ class DaskExecutor(Executor):
         self._executor = client.get_executor(pure=False)  # else equal calls run once
 
     def submit(self, fn: Callable[..., T], /, *args: object, **kwargs: object) -> Future[T]:
-        """Have a task run on some worker.
-
-        Parameters
-        ----------
-        fn : callable
-            Importable on the workers.
-        """
+        """Have a task run on some worker."""
         future: Future[T] = self._executor.submit(fn, *args, **kwargs)
         return future
 

@@ -31,11 +31,6 @@ def is_factory(name: str) -> bool:
 def find_factory(name: str) -> Callable[..., object]:
     """Import a factory.
 
-    Parameters
-    ----------
-    name : str
-        ``module:function``.
-
     Raises
     ------
     UsageError
@@ -64,8 +59,6 @@ def open_factory(name: str, workers: int | None) -> Iterator[RetryingExecutor]:
 
     Parameters
     ----------
-    name : str
-        ``module:function``.
     workers : int, optional
         Passed on as ``workers=``; without it the factory is called with nothing.
 

@@ -160,13 +160,7 @@ class RayExecutor(Executor):
         self._threads = ThreadPoolExecutor(cores * TASKS_PER_CORE, thread_name_prefix="ray")
 
     def submit(self, fn: Callable[..., T], /, *args: object, **kwargs: object) -> Future[T]:
-        """Have a task run on some worker.
-
-        Parameters
-        ----------
-        fn : callable
-            Importable on the workers.
-        """
+        """Have a task run on some worker."""
         return self._threads.submit(self._run, fn, args, kwargs)
 
     def share(self, value: object) -> object:

@@ -161,8 +161,6 @@ class RetryingExecutor(Executor):
 
         Parameters
         ----------
-        fn : callable
-            Importable on the workers.
         *args
             Values, by position: engines differ in what they do with keywords.
 
@@ -232,13 +230,7 @@ class RetryingExecutor(Executor):
                 pass
 
     def abandon(self, end: Callable[[Executor], None]) -> None:
-        """Give up what runs, and retry nothing: to be called before `shutdown`.
-
-        Parameters
-        ----------
-        end : callable
-            Ends the engine's workers.
-        """
+        """Give up what runs, and retry nothing: to be called before `shutdown`."""
         self._is_shut_down = self._gives_up = True
         with self._lock:
             end(self._engine)

@@ -106,13 +106,7 @@ class Backend:
         return self.workforce.executor
 
     def record(self, timeline: Timeline) -> Backend:
-        """Record from now on what becomes of tasks.
-
-        Returns
-        -------
-        Backend
-            To be used in place of this one.
-        """
+        """Return a backend, to be used in place of this one, that records what becomes of tasks."""
         record = getattr(self.executor, "record", None)
         if record is not None:
             record(timeline)
@@ -337,13 +331,7 @@ def _open_cluster(
 def wrap_communicator(
     name: str, executor: CommunicatorExecutor, workers: int, policy: str
 ) -> Backend:
-    """Return a communicator with so many workers as a backend.
-
-    Parameters
-    ----------
-    policy : str
-        One of `POLICIES`.
-    """
+    """Return a communicator with so many workers as a backend."""
     if executor.verification.share and workers < LEAST_MACHINES:
         log.info(
             "answers are verified from %d workers on, and there are %d", LEAST_MACHINES, workers

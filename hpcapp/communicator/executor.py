@@ -191,13 +191,7 @@ class CommunicatorExecutor(Executor):
         self._loop.post(lambda: self._loop.scheduler.expel(public_key))
 
     def invite(self, worker: str) -> Connection:
-        """Make keys for one worker, allow them, and return what its component must know.
-
-        Parameters
-        ----------
-        worker : str
-            Its name, unique within the job.
-        """
+        """Make keys for one worker, allow them, and return what its component must know."""
         return self._listener.invite(worker)
 
     def wait_for_workers(self, count: int, timeout_s: float) -> None:
@@ -286,8 +280,6 @@ class CommunicatorExecutor(Executor):
 
         Parameters
         ----------
-        fn : callable or str
-            The task's function, or its name.
         *args
             Values (see ``docs/explanation/design.md``), and what `share` returned; arrays must not
             change before the future is done.
@@ -330,10 +322,6 @@ class CommunicatorExecutor(Executor):
 
         Parameters
         ----------
-        fn : callable or str
-            The task's function, or its name.
-        *iterables
-            Its arguments, as in the built-in `map`.
         timeout : float, optional
             How long to wait for all results, in seconds.
         chunksize : int, optional

@@ -208,11 +208,6 @@ class Fetcher:
     def take(self, worker: bytes, number: int) -> Request | None:
         """Return what was asked for under this number, once.
 
-        Returns
-        -------
-        Request or None
-            None where nobody waits for it any more.
-
         Raises
         ------
         ProtocolError
@@ -261,12 +256,7 @@ class Fetcher:
                 yield Fetch(self._session, self.last, item.announce.number, *span)
 
     def complete(self, worker: bytes) -> Iterator[tuple[Results | Lost, TakeBuffers]]:
-        """Return what is complete and has nothing before it that is not; it leaves the queue.
-
-        Yields
-        ------
-        take_buffers : callable
-            Returns the buffers of the results.
+        """Yield what is complete, with what takes its buffers, up to the first that is not.
 
         Raises
         ------

@@ -96,13 +96,7 @@ class Listener:
         self._allowed.discard(public_key)
 
     def invite(self, worker: str) -> Connection:
-        """Make keys for one worker, allow them, and return what its component must know.
-
-        Parameters
-        ----------
-        worker : str
-            Its name, unique within the job.
-        """
+        """Make keys for one worker, allow them, and return what its component must know."""
         keys = make_key_pair()
         self.allow(keys.public)
         return Connection(self.endpoint, self.server_key, keys.public, keys.secret, worker)

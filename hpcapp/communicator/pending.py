@@ -130,15 +130,7 @@ class PendingTasks:
     def deliver(
         self, number: int, result: Result, value: object, worker: str | None = None
     ) -> None:
-        """Set a future's result, which has been checked, or what its task raised.
-
-        Parameters
-        ----------
-        value : object
-            The value in it; not used where the task raised.
-        worker : str, optional
-            Who has sent it: see `timeline.note_worker`.
-        """
+        """Set a future's result, which has been checked, or what its task raised."""
         entry = self._entries[number]
         if result.failure is not None:
             self.fail(number, _rebuild(result.failure, entry.name))
@@ -148,15 +140,7 @@ class PendingTasks:
         entry.future.set_result(value)
 
     def fail(self, number: int, error: HpcError) -> None:
-        """Set a future's exception, unless it was cancelled in time.
-
-        Parameters
-        ----------
-        number : int
-            Nothing is done where its entry is gone.
-        error : HpcError
-            A copy of it is set.
-        """
+        """Set a future's exception, unless it was cancelled in time."""
         entry = self._entries.pop(number, None)  # at the end, two threads may come here
         if entry is not None and entry.claim():
             # One exception raised in two places would mix their tracebacks.

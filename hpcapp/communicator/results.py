@@ -50,8 +50,6 @@ def open_results(
     ----------
     limits : sequence of int
         How large each may be, in bytes; 0 where nobody waits for it: it is not looked at.
-    take_buffers : callable
-        Receives the buffers of these results, of these sizes.
     find : callable
         From a task's number to its entry, if it still waits.
 

@@ -73,10 +73,7 @@ class Connection:
 def choose_to_end(connections: Iterable[Connection]) -> tuple[list[Connection], list[str]]:
     """Return which connections send without end, and the keys that this is certain of.
 
-    Returns
-    -------
-    connections : list of Connection
-        All of a key that has too much on the way; of those without a known key the worst.
+    Of a key that has too much on the way all are, of those without a known key the worst.
     """
     by_key: dict[str, list[Connection]] = defaultdict(list)
     for connection in connections:

@@ -127,8 +127,6 @@ def parse_config(
     ----------
     text : str
         One YAML document, a mapping at the top.
-    name : str
-        What messages call the text, normally the file's path.
     model : type
         A pydantic model, best a `ConfigModel`.
     check : callable, optional

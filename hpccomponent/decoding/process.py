@@ -79,17 +79,12 @@ class Decoder:
         self._refuse = refuse
 
     def ask(self, *words: str | int) -> int:
-        """Have it decode something.
+        """Have it decode something, and return a number from 0 on, whose meaning its module says.
 
         Parameters
         ----------
         *words : str or int
             As its module takes them.
-
-        Returns
-        -------
-        int
-            As its module says; not negative.
 
         Raises
         ------

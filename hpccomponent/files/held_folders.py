@@ -179,13 +179,7 @@ def hold(path: Path, *, waits: bool = False) -> HeldFolder | None:
 
 
 def read_owner(path: Path) -> Owner | None:
-    """Return who has said of itself that it holds a folder of this user.
-
-    Returns
-    -------
-    Owner or None
-        None where nobody has.
-    """
+    """Return who has said of itself that it holds a folder of this user."""
     from hpccomponent.foreign_json import decode  # most commands ask nobody
 
     with _opened(path) as folder:

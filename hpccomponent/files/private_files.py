@@ -21,11 +21,6 @@ _FILE, _FOLDER = 0o600, 0o700
 def make_private_folder(path: Path) -> None:
     """Make a folder, and those above it that are missing, for their owner alone.
 
-    Parameters
-    ----------
-    path : Path
-        One that is there stays as it is.
-
     Raises
     ------
     OSError

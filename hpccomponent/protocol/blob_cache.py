@@ -29,18 +29,7 @@ class BlobCache:
         self._forgotten: set[bytes] = set()
 
     def put(self, blob: Share) -> bool:
-        """Take a blob in.
-
-        Parameters
-        ----------
-        blob : Share
-            Its message.
-
-        Returns
-        -------
-        bool
-            False if it is here already.
-        """
+        """Take a blob in; return false if it is here already."""
         self._forgotten.discard(blob.key)
         if blob.key in self._sizes:
             return False
@@ -49,13 +38,7 @@ class BlobCache:
         return True
 
     def use(self, keys: Iterable[bytes]) -> list[bytes]:
-        """Note that a batch names these blobs.
-
-        Returns
-        -------
-        list of bytes
-            The keys of those that are not here.
-        """
+        """Note that a batch names these blobs; return the keys of those that are not here."""
         missing = []
         for key in keys:
             if key in self._sizes:
@@ -65,13 +48,7 @@ class BlobCache:
         return missing
 
     def hand_over(self, keys: Iterable[bytes]) -> list[bytes]:
-        """Return those that the worker process lacks; from now on it has them.
-
-        Returns
-        -------
-        list of bytes
-            In the order of `keys`.
-        """
+        """Return those that the worker process lacks; from now on it has them."""
         lacking = [key for key in keys if key not in self.worker_has]
         self.worker_has.update(lacking)
         return lacking
@@ -82,11 +59,6 @@ class BlobCache:
 
     def evict(self, needed: Collection[bytes]) -> list[bytes]:
         """Let go of what is forgotten, and of the least recently used beyond the limit.
-
-        Parameters
-        ----------
-        needed : collection of bytes
-            Keys of what batches need: it stays.
 
         Returns
         -------

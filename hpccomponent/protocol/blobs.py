@@ -31,8 +31,6 @@ class Blob:
         The header of the encoded value.
     buffers : tuple of bytes-like
         Its large parts; they must not change as long as the blob is used.
-    size_bytes : int
-        The length of all of it.
     """
 
     key: bytes

@@ -51,8 +51,6 @@ class Declared(Protocol):
         ----------
         value : object
             What the codec has decoded, or could encode.
-        place : str
-            What to call it.
         extents : dict of str to int
             The extents that have been met, by their names; more are added.
 

@@ -224,7 +224,7 @@ class Announce(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=True
     """Results of a batch that stay with the component until they are fetched: a parcel.
 
     Its content is the first frame of a `Results` message for these tasks, of `head_bytes`, and
-    then its buffers, laid out as in `payload`. `number` counts as in `Results`.
+    then its buffers, laid out for `cut_payload`. `number` counts as in `Results`.
     """
 
     session: Name
@@ -331,11 +331,6 @@ def encode_message(message: MasterMessage | ComponentMessage) -> bytes:
 def decode_master_message(frame: bytes | memoryview) -> MasterMessage:
     """Decode what a master sent.
 
-    Parameters
-    ----------
-    frame : bytes or memoryview
-        The first of a wire message.
-
     Raises
     ------
     ProtocolError
@@ -349,11 +344,6 @@ def decode_master_message(frame: bytes | memoryview) -> MasterMessage:
 
 def decode_component_message(frame: bytes | memoryview) -> ComponentMessage:
     """Decode what a component sent.
-
-    Parameters
-    ----------
-    frame : bytes or memoryview
-        The first of a wire message.
 
     Raises
     ------

@@ -66,23 +66,15 @@ class Parcels:
 
         Parameters
         ----------
-        head : buffer
-            The encoded `Results`.
         payload : buffer
-            Its buffers, laid out as in `payload`.
+            Its buffers, laid out for `cut_payload`.
         """
         self.last += 1
         self._parcels[self.last] = _Parcel(memoryview(head), memoryview(payload))
         return self.last
 
     def cut(self, parcel: int, start: int, end: int) -> Sequence[Buffer] | None:
-        """Return the bytes from `start` to `end` of a parcel, without copying.
-
-        Returns
-        -------
-        sequence of buffer or None
-            None where there is nothing like that.
-        """
+        """Return the bytes from `start` to `end` of a parcel, without copying."""
         content = self._parcels.get(parcel)
         if content is None:
             return None

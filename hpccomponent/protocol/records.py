@@ -19,15 +19,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class RecordType:
-    """A registered class.
-
-    Parameters
-    ----------
-    name : str
-        By which it travels.
-    fields : tuple of str
-        In the order of its parameters.
-    """
+    """A registered class."""
 
     kind: type
     name: str
@@ -85,13 +77,7 @@ def record(name: str) -> Callable[[type[T]], type[T]]:
 
 
 def find_record(kind: type) -> RecordType | None:
-    """Return how values of a class travel.
-
-    Returns
-    -------
-    RecordType or None
-        None where the class is not registered.
-    """
+    """Return how values of a class travel."""
     return _BY_KIND.get(kind)
 
 

@@ -244,7 +244,7 @@ class WorkerSession:
         Parameters
         ----------
         payload : memoryview
-            Their buffers, laid out as in `payload`.
+            Their buffers, laid out for `cut_payload`.
         """
         self.progress += len(results.results)
         self._said = now

@@ -97,11 +97,6 @@ def open_monitor(socket: zmq.Socket[bytes]) -> Iterator[zmq.Socket[bytes]]:
     ----------
     socket : zmq.Socket
         Not yet bound or connected; closed after this.
-
-    Yields
-    ------
-    zmq.Socket
-        For messages of the monitor.
     """
     endpoint = f"inproc://monitor-{id(socket)}"
     with socket.context.socket(zmq.PAIR) as reader:

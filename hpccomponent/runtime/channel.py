@@ -130,12 +130,7 @@ class Channel:
         return bool(poll.poll(1000.0 * wait_s))
 
     def receive(self) -> tuple[memoryview, memoryview]:
-        """Wait for a message.
-
-        Returns
-        -------
-        payload : memoryview
-            Its buffers, to be cut by `cut_payload`.
+        """Wait for a message; return it, and its buffers, to be cut by `cut_payload`.
 
         Raises
         ------

@@ -78,13 +78,7 @@ class Traits:
         return self.result(*arguments) if callable(self.result) else self.result
 
     def limit_of(self, arguments: tuple[object, ...]) -> int:
-        """Return how large the encoded result of one call may be.
-
-        Returns
-        -------
-        int
-            In bytes.
-        """
+        """Return how large the encoded result of one call may be, in bytes."""
         return int(self.limit(*arguments)) if callable(self.limit) else self.limit
 
     def __post_init__(self) -> None:

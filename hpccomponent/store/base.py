@@ -73,17 +73,12 @@ class Store(Protocol):
         """
 
     def list(self, prefix: str = "") -> list[str]:
-        """Return the names that begin so.
+        """Return the names that begin so, sorted.
 
         Parameters
         ----------
         prefix : str
             By default all do.
-
-        Returns
-        -------
-        list of str
-            Sorted.
 
         Raises
         ------

@@ -37,18 +37,13 @@ class DamagedError(ValueError):
 
 
 def to_buffers(value: Any, name: str = "") -> list[Buffer]:
-    """Encode a value.
+    """Encode a value as buffers, to be written in order; large arrays are not copied.
 
     Parameters
     ----------
     value : ndarray, int, float, bool, str, bytes, None, or tuple, list, dict of these
     name : str
         Under which it will lie.
-
-    Returns
-    -------
-    list of bytes-like
-        To be written one after the other; large arrays are not copied.
 
     Raises
     ------

@@ -49,8 +49,6 @@ class BatchCutter:
         ----------
         source : OrderedDict of int to Task
             The queue; what is returned is no longer in it.
-        limit : int
-            How many tasks the batch may hold.
         worker : Worker
             Who gets them; a blob counts as long as it is not there.
 

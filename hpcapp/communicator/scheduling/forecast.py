@@ -149,13 +149,7 @@ class Forecast:
         worker.slowness = self.slowness(worker.identity)
 
     def ends(self, worker: Worker, now: float) -> Iterator[tuple[Task, float]]:
-        """Yield each task that a worker holds, with how long it will be until it is done.
-
-        Yields
-        ------
-        left_s : float
-            In seconds.
-        """
+        """Yield the tasks that a worker holds, in order, each with the seconds until it is done."""
         remaining_s = 0.0
         elapsed: float | None = now - worker.since
         for open_batch in worker.batches.values():

@@ -65,13 +65,7 @@ class Losses:
         record.reason, record.is_shaken = reason, True
 
     def credit(self, task: Task, worker: Worker) -> list[str]:
-        """Note that a task is done, and return the machines that are bad by that.
-
-        Parameters
-        ----------
-        task : Task
-            Whoever has lost it is to blame for that now.
-        """
+        """Note that a task is done, and return the machines that are bad by that."""
         record = self._record(worker)
         record.done[task.name] += 1
         record.is_shaken = False

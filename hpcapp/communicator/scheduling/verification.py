@@ -129,7 +129,9 @@ class Verification:
     def judge(
         self, task: Task, machine: str, others: Collection[str], digest: Callable[[], bytes]
     ) -> tuple[Verdict, list[str]]:
-        """Judge an answer.
+        """Judge an answer, and name the machines that have lied.
+
+        These have given another answer than two others, or than themselves before.
 
         Parameters
         ----------
@@ -137,11 +139,6 @@ class Verification:
             Machines that have not answered the task and could.
         digest : callable
             Returns what tells this answer from another one: see `digest_answer`.
-
-        Returns
-        -------
-        liars : list of str
-            Machines that have given another answer than two others, or than themselves before.
         """
         is_first = not task.answers
         self.machines = max(self.machines, len(others) + is_first)
