@@ -33,10 +33,9 @@ if TYPE_CHECKING:
     from hpcapp.communicator.listener import Listener
 
 __all__ = [
-    "Listening",
+    "ClusterMaster",
     "listen_inventory",
     "load_cluster_function",
-    "open_inventory",
 ]
 
 log = logging.getLogger("hpcapp")
@@ -47,7 +46,7 @@ WATCH_S = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Listening:
+class ClusterMaster:
     """A master that the workers of a cluster may come to."""
 
     executor: CommunicatorExecutor
@@ -82,46 +81,6 @@ class Listening:
 
 
 @contextmanager
-def open_inventory(
-    path: Path,
-    *,
-    policy: str = DEFAULT_POLICY,
-    verification: Verification | None = None,
-    extra_tasks: Sequence[str] = (),
-    lead: Callable[[str], AbstractContextManager[None]] | None = None,
-) -> Iterator[tuple[CommunicatorExecutor, int]]:
-    """Be the master of a cluster, once its other masters have ended, and yield its Executor.
-
-    With it comes how many workers there are; those that come later join in.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The inventory.
-    policy : str
-        How batches are handed out: a name in `POLICIES` of ``communicator/scheduling/policy.py``.
-    verification : Verification, optional
-        Which answers are asked for again on another machine; by default `CLUSTER_SHARE` of them.
-    extra_tasks : sequence of str
-        ``NAME=module:function`` of tasks that are not installed here.
-    lead : callable, optional
-        Where this is not the head: listen on loopback, and enter what this makes of the endpoint
-        there; it leads the cluster's workers to it.
-
-    Raises
-    ------
-    ConfigError
-        The inventory is not as it should be.
-    NoWorkersError
-        No worker came.
-    """
-    with listen_inventory(
-        path, policy=policy, verification=verification, extra_tasks=extra_tasks, lead=lead
-    ) as cluster:
-        yield cluster.executor, cluster.gather()
-
-
-@contextmanager
 def listen_inventory(
     path: Path,
     *,
@@ -129,8 +88,16 @@ def listen_inventory(
     verification: Verification | None = None,
     extra_tasks: Sequence[str] = (),
     lead: Callable[[str], AbstractContextManager[None]] | None = None,
-) -> Iterator[Listening]:
-    """Be the master of a cluster, and do not wait for its workers; see `open_inventory`.
+) -> Iterator[ClusterMaster]:
+    """Be the master of a cluster, once its other masters have ended; its workers come meanwhile.
+
+    Parameters
+    ----------
+    verification : Verification, optional
+        Which answers are asked for again on another machine; by default `CLUSTER_SHARE` of them.
+    lead : callable, optional
+        Where this is not the head: listen on loopback, and enter what this makes of the endpoint
+        there; it leads the cluster's workers to it.
 
     Raises
     ------
@@ -161,7 +128,7 @@ def listen_inventory(
             lead(executor.endpoint) if lead else nullcontext(),
             _follow_inventory(path, inventory, executor),
         ):
-            yield Listening(executor, inventory)
+            yield ClusterMaster(executor, inventory)
 
 
 def _open_listener(inventory: Inventory, *, is_led: bool) -> Listener:

@@ -25,7 +25,7 @@ import logging
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from contextlib import contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -311,21 +311,19 @@ def _open_cluster(
     name: str, policy: str, verification: Verification, extra_tasks: Sequence[str]
 ) -> Iterator[tuple[CommunicatorExecutor, int]]:
     """Open a cluster by its inventory, or by the cluster file through the package that knows it."""
-    from hpcapp.backends.cluster import load_cluster_function, open_inventory
+    from hpcapp.backends.cluster import listen_inventory, load_cluster_function
 
     path = Path(name)
-    open_listed = partial(
-        open_inventory, policy=policy, verification=verification, extra_tasks=extra_tasks
+    listen = partial(
+        listen_inventory, policy=policy, verification=verification, extra_tasks=extra_tasks
     )
-    if path.suffix == ".json":
-        with open_listed(path) as opened:
-            yield opened
-        return
-    with (
-        load_cluster_function("open")(path) as (inventory, lead),
-        open_listed(inventory, lead=lead) as opened,
-    ):
-        yield opened
+    with ExitStack() as stack:
+        if path.suffix == ".json":
+            cluster = stack.enter_context(listen(path))
+        else:
+            inventory, lead = stack.enter_context(load_cluster_function("open")(path))
+            cluster = stack.enter_context(listen(inventory, lead=lead))
+        yield cluster.executor, cluster.gather()
 
 
 def wrap_communicator(

@@ -28,7 +28,7 @@ from hpccomponent.limits import available_cores
 if TYPE_CHECKING:
     from distributed import Client
 
-    from hpcapp.backends.cluster import Listening
+    from hpcapp.backends.cluster import ClusterMaster
     from hpcapp.backends.local_cluster import LocalMachines
 
 __all__ = ["Choice", "Job", "Opener", "approach_workers", "least_work"]
@@ -191,7 +191,7 @@ class Opener:
         self._settings = settings
         self._machines = machines
         self._verification = verification or Verification(settings.verify)
-        self._cluster: Listening | None = None
+        self._cluster: ClusterMaster | None = None
 
     @contextmanager
     def open(
@@ -297,7 +297,7 @@ class Opener:
         name, workers = choose_local(self._settings, job.points)
         return Choice(name, workers, reason, workers_asked=self._settings.workers)
 
-    def _listen(self) -> Listening:
+    def _listen(self) -> ClusterMaster:
         from hpcapp.backends.cluster import listen_inventory
 
         path, policy = self._settings.cluster, self._settings.policy

@@ -25,7 +25,7 @@ import pytest
 import zmq
 from machines.servers import USER, Machines, Server
 
-from hpcapp.backends.cluster import open_inventory
+from hpcapp.backends.cluster import listen_inventory
 from hpcapp.dashboard.server import open_dashboard
 from hpcapp.dashboard.watched_job import WatchedJob
 from hpcapp.timeline import Timeline
@@ -104,7 +104,8 @@ def test_workers_reach_a_master_elsewhere(
     lead = partial(lead_workers, shell, FOLDER)
     results = []
     for _ in range(2):  # one master after the other, over one connection
-        with open_inventory(copy, lead=lead) as (executor, workers):
+        with listen_inventory(copy, lead=lead) as master:
+            executor, workers = master.executor, master.gather()
             assert workers == 2
             assert executor.endpoint != cluster.endpoint
             futures = [submit(executor, right) for right in range(20)]
