@@ -17,7 +17,7 @@ import click
 
 from hpcapp.interrupts import EXIT_INTERRUPTED, obey_signals
 from hpccomponent.errors import ConfigError, HpcError
-from hpccomponent.runtime.collecting import rare_collections
+from hpccomponent.runtime.garbage_collection import rare_collections
 from hpccomponent.terminal import VisibleFormatter, echo, visible_line, visible_text, write_block
 
 __all__ = ["hpcapp", "main"]

@@ -10,8 +10,8 @@ import sys
 
 from hpccomponent.errors import HpcError
 from hpccomponent.protocol.connection import read_connection
-from hpccomponent.runtime.collecting import rare_collections
 from hpccomponent.runtime.component import ComponentOptions, run_component
+from hpccomponent.runtime.garbage_collection import rare_collections
 from hpccomponent.runtime.lifetime import die_with_parent
 from hpccomponent.runtime.tasks import TaskRegistry
 from hpccomponent.terminal import VisibleFormatter, visible_text

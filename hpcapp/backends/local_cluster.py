@@ -39,7 +39,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-from hpcapp.backends.capacity import check_workers
+from hpcapp.capacity import check_workers
 from hpcapp.communicator.listener import Listener
 from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY, POLICIES
 from hpccomponent.errors import NoWorkersError, UsageError

@@ -32,9 +32,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hpcapp.backends import BACKENDS, IN_PROCESS
-from hpcapp.backends.capacity import check_address_space, check_workers
 from hpcapp.backends.recorded import RecordedExecutor
 from hpcapp.backends.serial import SerialExecutor
+from hpcapp.capacity import check_address_space, check_workers
 from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY, POLICIES
 from hpcapp.communicator.scheduling.verification import LEAST_MACHINES, Verification
 from hpcapp.timeline import Timeline
@@ -129,7 +129,7 @@ def check_backend(name: str) -> None:
         No backend has such a name, or what it needs is not installed or not running.
     """
     if name not in BACKENDS and not name.endswith(CLUSTER_FILES):
-        from hpcapp.backends.names import check_engine
+        from hpcapp.backends.engines import check_engine
 
         check_engine(name)
 
@@ -192,7 +192,7 @@ def open_executor(
             yield wrap_communicator("cluster", executor, count, policy)
         return
     if name not in BACKENDS:
-        from hpcapp.backends.names import open_engine
+        from hpcapp.backends.engines import open_engine
 
         with open_engine(name, workers) as engine:
             kind = name.partition("=")[0]

@@ -29,7 +29,7 @@ from hpcapp.communicator.scheduling.policy import AdaptivePolicy, Policy
 from hpcapp.communicator.scheduling.recording import list_workers
 from hpcapp.communicator.scheduling.scheduler import Scheduler
 from hpcapp.communicator.scheduling.verification import Verification
-from hpcapp.communicator.submission import each_traits, make_entry
+from hpcapp.communicator.submission import each_traits, make_submission
 from hpcapp.timeline import Timeline
 from hpccomponent.clock import Clock, MonotonicClock
 from hpccomponent.errors import NoWorkersError, UsageError
@@ -164,7 +164,7 @@ class CommunicatorExecutor(Executor):
             "duplicates": scheduled["duplicates"],
             "splits": scheduled["splits"],
             "dropped": sent["dropped"] + scheduled["dropped"],
-            "refused": scheduled["refused"] + self._transport.troubles.total(),
+            "refused": scheduled["refused"] + self._transport.problems.total(),
         }
 
     def record(self, timeline: Timeline) -> None:
@@ -211,7 +211,7 @@ class CommunicatorExecutor(Executor):
         if have_come and self._gone is None:
             return
         reason = self._gone or f"waited for {timeout_s:g} s"
-        hints = "".join(f"; {trouble}" for trouble in self._transport.troubles)
+        hints = "".join(f"; {problem}" for problem in self._transport.problems)
         raise NoWorkersError(
             f"{self.workers} of {count} workers registered at {self.endpoint} ({reason}{hints})",
             "look at the log of the loaders and components",
@@ -302,12 +302,12 @@ class CommunicatorExecutor(Executor):
     def _submit(self, name: str, args: tuple[object, ...], traits: Traits) -> Future[Any]:
         number = self._loop.pending.number()
         future = _TaskFuture(number, self._loop)
-        entry = make_entry(future, name, args, traits)
+        submission = make_submission(future, name, args, traits)
         with self._lock:
             if self._is_shut_down:
                 raise RuntimeError("cannot schedule new futures after shutdown")
             self._loop.counts["tasks"] += 1
-            self._loop.submit(number, entry)
+            self._loop.submit(number, submission)
         return future
 
     def map(

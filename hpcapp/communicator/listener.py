@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from types import TracebackType
 
-from hpcapp.backends.capacity import make_room
+from hpcapp.capacity import reserve_connections
 from hpcapp.communicator.transport import RouterTransport
 from hpccomponent.errors import UsageError
 from hpccomponent.protocol.connection import Connection
@@ -47,7 +47,7 @@ class Listener:
         self._allowed: set[str] = set()
         for key in allowed_keys:
             self.allow(key)
-        make_room(len(self._allowed))
+        reserve_connections(len(self._allowed))
         self._keys = keys or make_key_pair()
         self._transport = RouterTransport(bind, self._keys, self._allowed.__contains__)
         self._is_answered = False

@@ -33,7 +33,7 @@ from hpcapp.communicator.scheduling.state import (
     Welcome,
     Worker,
 )
-from hpcapp.communicator.submission import Entry
+from hpcapp.communicator.submission import Submission
 from hpcapp.communicator.transport import Received, RouterTransport
 from hpccomponent.clock import Clock
 from hpccomponent.errors import JobError, ProtocolError, UsageError
@@ -152,20 +152,20 @@ class EventLoop:
             self._is_asleep = False  # one waker is enough
             self._transport.wake()
 
-    def submit(self, number: int, entry: Entry) -> None:
+    def submit(self, number: int, submission: Submission) -> None:
         """Take a task."""
-        self.pending.add(number, entry)
-        can_split = entry.traits.split is not None
+        self.pending.add(number, submission)
+        can_split = submission.traits.split is not None
         self.post(
             lambda: self.scheduler.submit(
                 number,
-                entry.name,
-                entry.size_bytes,
-                entry.blobs,
-                entry.work,
+                submission.name,
+                submission.size_bytes,
+                submission.blobs,
+                submission.work,
                 can_split,
-                entry.limit_bytes,
-                entry.traits.is_verified,
+                submission.limit_bytes,
+                submission.traits.is_verified,
             )
         )
         if self._end is not None:  # nobody would ever answer

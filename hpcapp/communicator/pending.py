@@ -7,7 +7,7 @@ import logging
 from collections.abc import Iterable
 
 from hpcapp.communicator.scheduling.state import Task
-from hpcapp.communicator.submission import Entry, split_entry
+from hpcapp.communicator.submission import Submission, split_submission
 from hpcapp.timeline import note_worker
 from hpccomponent import errors
 from hpccomponent.errors import HpcError, TaskError
@@ -26,35 +26,39 @@ class PendingTasks:
     """
 
     def __init__(self) -> None:
-        self._entries: dict[int, Entry] = {}
+        self._submissions: dict[int, Submission] = {}
         self._numbers = itertools.count(1)
 
     def __len__(self) -> int:
-        return len(self._entries)
+        return len(self._submissions)
 
     def number(self) -> int:
         """Return a number that no task has."""
         return next(self._numbers)
 
-    def add(self, number: int, entry: Entry) -> None:
-        """Take a new entry."""
-        self._entries[number] = entry
+    def add(self, number: int, submission: Submission) -> None:
+        """Take a new submission."""
+        self._submissions[number] = submission
 
     def cancel_all(self) -> None:
         """Cancel every future whose task has not left for a worker."""
-        for entry in list(self._entries.values()):
-            entry.future.cancel()
+        for submission in list(self._submissions.values()):
+            submission.future.cancel()
 
     def calls(self, numbers: Iterable[int]) -> tuple[list[Call], list[Buffer]]:
         """Return what has to be sent for these tasks, and all their buffers in order."""
         calls: list[Call] = []
         buffers: list[Buffer] = []
         for number in numbers:
-            entry = self._entries[number]
-            sizes = [len(buffer) for buffer in entry.buffers]
-            keys = [blob.key for blob in entry.blobs]
-            calls.append(Call(number, entry.name, entry.header, sizes, keys, entry.limit_bytes))
-            buffers += entry.buffers
+            submission = self._submissions[number]
+            sizes = [len(buffer) for buffer in submission.buffers]
+            keys = [blob.key for blob in submission.blobs]
+            calls.append(
+                Call(
+                    number, submission.name, submission.header, sizes, keys, submission.limit_bytes
+                )
+            )
+            buffers += submission.buffers
         return calls, buffers
 
     def find_changed(self, keys: Iterable[bytes]) -> list[int]:
@@ -62,8 +66,8 @@ class PendingTasks:
         sought_keys = set(keys)
         changed: dict[bytes, bool] = {}
         numbers = []
-        for number, entry in self._entries.items():
-            for blob in entry.blobs:
+        for number, submission in self._submissions.items():
+            for blob in submission.blobs:
                 if blob.key in sought_keys and blob.key not in changed:
                     changed[blob.key] = not blob.is_unchanged()
                 if changed.get(blob.key):
@@ -77,28 +81,28 @@ class PendingTasks:
         Returns
         -------
         bool
-            False where its future was cancelled: the entry is gone.
+            False where its future was cancelled: the submission is gone.
         """
-        if self._entries[number].claim():
+        if self._submissions[number].claim():
             return True
-        del self._entries[number]
+        del self._submissions[number]
         return False
 
     def split(self, number: int) -> list[Task]:
         """Replace a task by others that together do the same; none if it cannot be split."""
-        entry = self._entries[number]
+        submission = self._submissions[number]
         try:
-            parts = split_entry(entry)
+            parts = split_submission(submission)
         except HpcError as error:
             _log.warning("%s", error)
             return []
-        if not parts or not entry.claim():
+        if not parts or not submission.claim():
             return []
-        del self._entries[number]
+        del self._submissions[number]
         tasks = []
         for part in parts:
             part_number = self.number()
-            self._entries[part_number] = part
+            self._submissions[part_number] = part
             tasks.append(
                 Task(
                     part_number,
@@ -121,37 +125,37 @@ class PendingTasks:
         bool
             True where it has been forgotten now.
         """
-        return number in self._entries and not self.claim(number)
+        return number in self._submissions and not self.claim(number)
 
-    def find(self, number: int) -> Entry | None:
-        """Return an entry that is still here."""
-        return self._entries.get(number)
+    def find(self, number: int) -> Submission | None:
+        """Return a submission that is still here."""
+        return self._submissions.get(number)
 
     def deliver(
         self, number: int, result: Result, value: object, worker: str | None = None
     ) -> None:
         """Set a future's result, which has been checked, or what its task raised."""
-        entry = self._entries[number]
+        submission = self._submissions[number]
         if result.failure is not None:
-            self.fail(number, _rebuild(result.failure, entry.name))
+            self.fail(number, _rebuild(result.failure, submission.name))
             return
-        del self._entries[number]
-        note_worker(entry.future, worker)
-        entry.future.set_result(value)
+        del self._submissions[number]
+        note_worker(submission.future, worker)
+        submission.future.set_result(value)
 
     def fail(self, number: int, error: HpcError) -> None:
         """Set a future's exception, unless it was cancelled in time."""
-        entry = self._entries.pop(number, None)  # at the end, two threads may come here
-        if entry is not None and entry.claim():
+        submission = self._submissions.pop(number, None)  # at the end, two threads may come here
+        if submission is not None and submission.claim():
             # One exception raised in two places would mix their tracebacks.
             copy = type(error)(error.problem, error.advice)
             for note in getattr(error, "__notes__", []):
                 copy.add_note(note)
-            entry.future.set_exception(copy)
+            submission.future.set_exception(copy)
 
     def fail_all(self, error: HpcError) -> None:
         """Set the exception of every future that is left."""
-        for number in list(self._entries):
+        for number in list(self._submissions):
             self.fail(number, error)
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 from hpcapp.communicator.fetching import TakeBuffers
 from hpcapp.communicator.scheduling.verification import digest_answer
-from hpcapp.communicator.submission import Entry
+from hpcapp.communicator.submission import Submission
 from hpccomponent.errors import ProtocolError
 from hpccomponent.protocol.codec import decode_values
 from hpccomponent.protocol.declared import check_result
@@ -42,7 +42,7 @@ def open_results(
     results: Sequence[Result],
     limits: Sequence[int],
     take_buffers: TakeBuffers,
-    find: Callable[[int], Entry | None],
+    find: Callable[[int], Submission | None],
 ) -> list[Answer]:
     """Return the values of results that came together.
 
@@ -51,7 +51,7 @@ def open_results(
     limits : sequence of int
         How large each may be, in bytes; 0 where nobody waits for it: it is not looked at.
     find : callable
-        From a task's number to its entry, if it still waits.
+        From a task's number to its submission, if it still waits.
 
     Returns
     -------
@@ -79,15 +79,15 @@ def open_results(
     ]
 
 
-def _open(result: Result, buffers: list[Buffer], entry: Entry | None) -> object:
-    if entry is None or result.failure is not None:
+def _open(result: Result, buffers: list[Buffer], submission: Submission | None) -> object:
+    if submission is None or result.failure is not None:
         return None
     try:
         values = decode_values(result.header, buffers)
         if len(values) != 1:
             raise ProtocolError(f"the result is {len(values)} values")
-        check_result(entry.declared, values[0])
+        check_result(submission.declared, values[0])
     except (ProtocolError, ValueError) as error:
         problem = error.problem if isinstance(error, ProtocolError) else str(error)
-        raise ProtocolError(f"its answer to {entry.name!r} is wrong: {problem}") from error
+        raise ProtocolError(f"its answer to {submission.name!r} is wrong: {problem}") from error
     return values[0]

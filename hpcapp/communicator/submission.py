@@ -15,14 +15,14 @@ from hpccomponent.protocol.declared import ANYTHING, Declared
 from hpccomponent.protocol.frames import DEFAULT_RESULT_BYTES, Buffer
 from hpccomponent.runtime.tasks import PLAIN, Traits, each_result
 
-__all__ = ["Entry", "each_traits", "make_entry", "split_entry"]
+__all__ = ["Submission", "each_traits", "make_submission", "split_submission"]
 
 MAX_TASK_BLOBS = 256  # of one task: a component keeps a file open for each
 ITEM_BYTES = 64  # of what stands around each value in a list, at most
 
 
 @dataclass(slots=True, eq=False)
-class Entry:
+class Submission:
     """A submitted task: its future, its encoded arguments, and what it declares."""
 
     future: Future[Any]
@@ -50,14 +50,14 @@ class Entry:
         return True
 
 
-def make_entry(
+def make_submission(
     future: Future[Any], name: str, arguments: tuple[object, ...], traits: Traits
-) -> Entry:
+) -> Submission:
     """Encode a task.
 
     Returns
     -------
-    Entry
+    Submission
         Keeps the arguments themselves only where the task declares how it is split.
 
     Raises
@@ -81,7 +81,7 @@ def make_entry(
             )
     split_arguments = arguments if traits.split is not None else ()
     declared, limit = traits.result_of(arguments), traits.limit_of(arguments)
-    return Entry(
+    return Submission(
         future, name, header, buffers, blobs, work, split_arguments, traits, declared, limit
     )
 
@@ -117,17 +117,17 @@ def each_traits(traits: Traits) -> Traits:
     return Traits(cost, split, join, each_result(traits), limit, traits.is_verified)
 
 
-def split_entry(entry: Entry) -> list[Entry]:
+def split_submission(submission: Submission) -> list[Submission]:
     """Cut a task into others whose results are joined to its own.
 
     Parameters
     ----------
-    entry : Entry
+    submission : Submission
         Its future is done with the last of the others, or by the first that fails.
 
     Returns
     -------
-    list of Entry
+    list of Submission
         Empty if it cannot be split.
 
     Raises
@@ -135,46 +135,48 @@ def split_entry(entry: Entry) -> list[Entry]:
     HpcError
         If what the task declares for it fails.
     """
-    split, join = entry.traits.split, entry.traits.join
+    split, join = submission.traits.split, submission.traits.join
     if split is None or join is None:
         return []
     try:
-        pieces = split(*entry.arguments)
+        pieces = split(*submission.arguments)
         if pieces is None or len(pieces) < 2:
             return []
         futures: list[Future[Any]] = [Future() for _ in pieces]
-        entries = [
-            make_entry(future, entry.name, tuple(piece), entry.traits)
+        submissions = [
+            make_submission(future, submission.name, tuple(piece), submission.traits)
             for future, piece in zip(futures, pieces, strict=True)
         ]
     except HpcError:
         raise
     except Exception as error:
-        raise TaskError(f"task {entry.name!r} could not be split: {error!r}") from error
-    _join_into(entry, futures)
-    return entries
+        raise TaskError(f"task {submission.name!r} could not be split: {error!r}") from error
+    _join_into(submission, futures)
+    return submissions
 
 
-def _join_into(entry: Entry, futures: Sequence[Future[Any]]) -> None:
+def _join_into(submission: Submission, futures: Sequence[Future[Any]]) -> None:
     """Have a future done by the last of others, or by the first that fails."""
     remaining = len(futures)
 
     def take(future: Future[Any]) -> None:
         nonlocal remaining
         remaining -= 1
-        if entry.future.done():
+        if submission.future.done():
             return
         error = future.exception()
         if error is not None:
-            entry.future.set_exception(error)
+            submission.future.set_exception(error)
         elif remaining == 0:
             try:
-                join = entry.traits.join
+                join = submission.traits.join
                 assert join is not None  # noqa: S101 - for mypy
-                entry.future.set_result(join([future.result() for future in futures]))
+                submission.future.set_result(join([future.result() for future in futures]))
             except Exception as error:
-                entry.future.set_exception(
-                    TaskError(f"the parts of task {entry.name!r} could not be joined: {error!r}")
+                submission.future.set_exception(
+                    TaskError(
+                        f"the parts of task {submission.name!r} could not be joined: {error!r}"
+                    )
                 )
 
     for future in futures:

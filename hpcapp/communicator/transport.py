@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import zmq
 from zmq.utils import z85
 
-from hpcapp.communicator.watch import ConnectionWatch, wire_bytes
+from hpcapp.communicator.connection_watch import ConnectionWatch, wire_bytes
 from hpccomponent.errors import ProtocolError, UsageError
 from hpccomponent.protocol.frames import LARGEST_FRAME, Buffer
 from hpccomponent.protocol.keys import KeyPair
@@ -77,7 +77,7 @@ class RouterTransport:
     ) -> None:
         self.bytes_sent = 0
         self.bytes_received = 0
-        self.troubles: Counter[str] = Counter()
+        self.problems: Counter[str] = Counter()
         self._is_allowed = is_allowed
         self._was_disconnected = False
         self._has_more = False  # of the message that is being received
@@ -258,20 +258,20 @@ class RouterTransport:
             if not self._monitor.poll(0):
                 return False
             event, descriptor = read_event(self._monitor.recv_multipart())
-            trouble = describe_event(event)
+            problem = describe_event(event)
             if event == zmq.Event.ACCEPTED:
                 self._watch.accepted(descriptor)
-            elif trouble is not None:
-                self._note(trouble)
+            elif problem is not None:
+                self._note(problem)
             else:
                 self._watch.closed(descriptor)
                 self._was_disconnected = True
         return True
 
-    def _note(self, trouble: str) -> None:
-        self.troubles[trouble] += 1
-        if self.troubles[trouble] == 1:  # a peer that keeps trying must not fill the log
-            _log.warning("%s", trouble)
+    def _note(self, problem: str) -> None:
+        self.problems[problem] += 1
+        if self.problems[problem] == 1:  # a peer that keeps trying must not fill the log
+            _log.warning("%s", problem)
 
 
 def _guard(router: zmq.Socket[bytes], keys: KeyPair, is_watched: bool) -> None:

@@ -37,7 +37,7 @@ from hpccomponent.protocol.messages import (
 )
 from hpccomponent.runtime.background import worker_background
 from hpccomponent.runtime.channel import Channel, ChannelClosedError
-from hpccomponent.runtime.collecting import rare_collections
+from hpccomponent.runtime.garbage_collection import rare_collections
 from hpccomponent.runtime.lifetime import die_with_parent, exit_at_end_of_pipe
 from hpccomponent.runtime.tasks import TaskRegistry, Traits, traits_of
 

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hpccomponent.errors import ConfigError, HpcError
-from hpccomponent.runtime.collecting import rare_collections
+from hpccomponent.runtime.garbage_collection import rare_collections
 from hpccomponent.terminal import VisibleFormatter, visible_text
 from hpcloader.builds import BUILD_VARIABLE, BUILDS, Choice, choose_build
 from hpcloader.daemon import Daemon

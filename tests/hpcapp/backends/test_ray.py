@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from process_tree import are_gone, descendants
 
-from hpcapp.backends.names import RAY
+from hpcapp.backends.engines import RAY
 from hpcapp.backends.selection import Backend, open_executor
 from hpcapp.workforce import map_batches
 from hpccomponent.errors import NoWorkersError, TaskError, UsageError, WorkerLostError

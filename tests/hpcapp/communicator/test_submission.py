@@ -5,7 +5,12 @@ from concurrent.futures import Future
 import numpy as np
 import pytest
 
-from hpcapp.communicator.submission import Entry, each_traits, make_entry, split_entry
+from hpcapp.communicator.submission import (
+    Submission,
+    each_traits,
+    make_submission,
+    split_submission,
+)
 from hpccomponent.errors import TaskError, UsageError
 from hpccomponent.protocol.frames import DEFAULT_RESULT_BYTES
 from hpccomponent.runtime.tasks import Traits
@@ -19,10 +24,10 @@ def halves(values: list[int]) -> list[tuple[list[int]]] | None:
 TRAITS = Traits(cost=len, split=halves, join=sum)
 
 
-def entry_of(values: list[int], traits: Traits = TRAITS) -> Entry:
+def entry_of(values: list[int], traits: Traits = TRAITS) -> Submission:
     future: Future[object] = Future()
     future.set_running_or_notify_cancel()
-    return make_entry(future, "total", (values,), traits)
+    return make_submission(future, "total", (values,), traits)
 
 
 def test_a_task_costs_what_it_declares_or_one() -> None:
@@ -37,37 +42,37 @@ def test_a_cost_that_is_no_positive_number_is_refused(cost: float) -> None:
 
 
 def test_a_split_task_is_done_when_its_parts_are() -> None:
-    entry = entry_of([1, 2, 3])
-    parts = split_entry(entry)
+    submission = entry_of([1, 2, 3])
+    parts = split_submission(submission)
     assert [part.work for part in parts] == [1.0, 2.0]
     parts[1].future.set_result(5)
-    assert not entry.future.done()
+    assert not submission.future.done()
     parts[0].future.set_result(1)
-    assert entry.future.result(0) == 6
+    assert submission.future.result(0) == 6
 
 
 def test_a_task_fails_with_its_first_part_that_does() -> None:
-    entry = entry_of([1, 2, 3])
-    one, other = split_entry(entry)
+    submission = entry_of([1, 2, 3])
+    one, other = split_submission(submission)
     one.future.set_exception(TaskError("no luck"))
     other.future.set_result(5)
     with pytest.raises(TaskError, match="no luck"):
-        entry.future.result(0)
+        submission.future.result(0)
 
 
 def test_what_cannot_be_split_is_not() -> None:
-    assert split_entry(entry_of([1])) == []
-    assert split_entry(entry_of([1, 2], Traits())) == []
+    assert split_submission(entry_of([1])) == []
+    assert split_submission(entry_of([1, 2], Traits())) == []
 
 
 def test_what_fails_in_the_master_is_told_in_words() -> None:
     with pytest.raises(TaskError, match=r"'total' could not be split: ZeroDivisionError"):
-        split_entry(entry_of([1], Traits(split=lambda _: 1 / 0, join=sum)))  # type: ignore
-    entry = entry_of([1, 2], Traits(split=halves, join=lambda _: 1 / 0))
-    for part in split_entry(entry):
+        split_submission(entry_of([1], Traits(split=lambda _: 1 / 0, join=sum)))  # type: ignore
+    submission = entry_of([1, 2], Traits(split=halves, join=lambda _: 1 / 0))
+    for part in split_submission(submission):
         part.future.set_result(1)
     with pytest.raises(TaskError, match="could not be joined"):
-        entry.future.result(0)
+        submission.future.result(0)
 
 
 def test_a_part_of_a_map_costs_as_its_items_and_is_halved() -> None:

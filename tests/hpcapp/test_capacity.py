@@ -16,7 +16,7 @@ import pytest
 import zmq
 from made_up_machine import lay_out
 
-from hpcapp.backends.capacity import NEEDS, check_workers, count_carried
+from hpcapp.capacity import NEEDS, check_workers, count_carried
 from hpccomponent.errors import UsageError
 from hpccomponent.inventory import Inventory, InventoryWorker, dump_inventory
 from hpccomponent.protocol.frames import LARGEST_FRAME

@@ -4,7 +4,7 @@ import sys
 
 PROGRAM = """
 import gc, json
-from hpccomponent.runtime.collecting import rare_collections
+from hpccomponent.runtime.garbage_collection import rare_collections
 with rare_collections():
     held = [[] for _ in range(20_000)]
     print(json.dumps([gc.get_count()[0] > 20_000, gc.get_freeze_count()]))

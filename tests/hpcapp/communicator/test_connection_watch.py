@@ -2,10 +2,10 @@ from __future__ import annotations
 
 import pytest
 
-from hpcapp.communicator.watch import (
+from hpcapp.communicator.connection_watch import (
     MOST_ON_THE_WAY,
     PROBE_BYTES_PER_S,
-    Connection,
+    WatchedConnection,
     choose_to_end,
     wire_bytes,
 )
@@ -13,13 +13,13 @@ from hpcapp.communicator.watch import (
 HALF = MOST_ON_THE_WAY // 2
 
 
-def connection(descriptor: int, on_the_way: int, key: str = "") -> Connection:
-    made = Connection(descriptor, 0.0, 0, key)
+def connection(descriptor: int, on_the_way: int, key: str = "") -> WatchedConnection:
+    made = WatchedConnection(descriptor, 0.0, 0, key)
     made.look(on_the_way, 0.0)
     return made
 
 
-def choose(*connections: Connection) -> tuple[list[int], list[str]]:
+def choose(*connections: WatchedConnection) -> tuple[list[int], list[str]]:
     chosen, keys = choose_to_end(connections)
     return [one.descriptor for one in chosen], keys
 
@@ -38,14 +38,14 @@ def test_of_unknown_ones_only_the_worst_are_ended() -> None:
 
 
 def test_what_was_taken_is_not_on_the_way_and_neither_are_probes() -> None:
-    made = Connection(1, 0.0, 0)
+    made = WatchedConnection(1, 0.0, 0)
     made.taken = 1000
     made.look(1000 + 10 * PROBE_BYTES_PER_S + 5, 10.0)
     assert made.on_the_way == 5
 
 
 def test_silence_is_not_saved_up_for_a_flood() -> None:
-    made = Connection(1, 0.0, 0)
+    made = WatchedConnection(1, 0.0, 0)
     made.look(0, 1e6)
     made.look(HALF, 1e6)
     assert made.on_the_way == HALF

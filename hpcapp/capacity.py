@@ -18,7 +18,14 @@ from hpccomponent.limits import (
     raise_descriptor_limit,
 )
 
-__all__ = ["NEEDS", "Needs", "check_address_space", "check_workers", "count_carried", "make_room"]
+__all__ = [
+    "NEEDS",
+    "Needs",
+    "check_address_space",
+    "check_workers",
+    "count_carried",
+    "reserve_connections",
+]
 
 OWN_DESCRIPTORS = 40
 """What a master opens beside its workers' ends: sockets, the log, the points, files of tiles."""
@@ -157,7 +164,7 @@ def check_workers(backend: str, count: int | None, default: int, root: Path = _R
     return workers
 
 
-def make_room(peers: int) -> None:
+def reserve_connections(peers: int) -> None:
     """See that a master can hold a connection to each of so many workers elsewhere.
 
     Raises

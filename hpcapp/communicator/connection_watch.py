@@ -26,7 +26,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = ["MOST_ON_THE_WAY", "Connection", "ConnectionWatch", "choose_to_end", "wire_bytes"]
+__all__ = ["MOST_ON_THE_WAY", "ConnectionWatch", "WatchedConnection", "choose_to_end", "wire_bytes"]
 
 MOST_ON_THE_WAY = 16 << 20
 """In bytes, of the connections of one key: 8 MiB that were asked for, 2 MiB that were not, and as
@@ -45,7 +45,7 @@ def wire_bytes(frame_bytes: int) -> int:
 
 
 @dataclass(slots=True, eq=False)
-class Connection:
+class WatchedConnection:
     """One connection of the listening socket, by what libzmq says of it.
 
     `key` is empty until a message has come of which it is certain that it came this way.
@@ -70,15 +70,17 @@ class Connection:
         self.on_the_way = on_the_way - probes
 
 
-def choose_to_end(connections: Iterable[Connection]) -> tuple[list[Connection], list[str]]:
+def choose_to_end(
+    connections: Iterable[WatchedConnection],
+) -> tuple[list[WatchedConnection], list[str]]:
     """Return which connections send without end, and the keys that this is certain of.
 
     Of a key that has too much on the way all are, of those without a known key the worst.
     """
-    by_key: dict[str, list[Connection]] = defaultdict(list)
+    by_key: dict[str, list[WatchedConnection]] = defaultdict(list)
     for connection in connections:
         by_key[connection.key].append(connection)
-    chosen: list[Connection] = []
+    chosen: list[WatchedConnection] = []
     keys = []
     for key, group in by_key.items():
         excess = sum(connection.on_the_way for connection in group) - MOST_ON_THE_WAY
@@ -110,7 +112,7 @@ class ConnectionWatch:
     def __init__(self, port: int, report: Callable[[str], None]) -> None:
         self._port = port
         self._report = report
-        self._connections: dict[int, Connection] = {}
+        self._connections: dict[int, WatchedConnection] = {}
         self._round = 0
         self._is_over = threading.Event()
         self._thread = threading.Thread(target=self._run, name="connections", daemon=True)
@@ -119,7 +121,7 @@ class ConnectionWatch:
 
     def accepted(self, descriptor: int) -> None:
         """Note a new connection, before anything is taken from it."""
-        self._connections[descriptor] = Connection(descriptor, time.monotonic(), self._round)
+        self._connections[descriptor] = WatchedConnection(descriptor, time.monotonic(), self._round)
 
     def closed(self, descriptor: int) -> None:
         """Note the end of a connection."""
