@@ -155,19 +155,7 @@ class EventLoop:
     def submit(self, number: int, submission: Submission) -> None:
         """Take a task."""
         self.pending.add(number, submission)
-        can_split = submission.traits.split is not None
-        self.post(
-            lambda: self.scheduler.submit(
-                number,
-                submission.name,
-                submission.size_bytes,
-                submission.blobs,
-                submission.work,
-                can_split,
-                submission.limit_bytes,
-                submission.traits.is_verified,
-            )
-        )
+        self.post(lambda: self.scheduler.submit(submission.task(number)))
         if self._end is not None:  # nobody would ever answer
             self.pending.fail_all(self._end)
 

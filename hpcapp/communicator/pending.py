@@ -103,18 +103,7 @@ class PendingTasks:
         for part in parts:
             part_number = self.number()
             self._submissions[part_number] = part
-            tasks.append(
-                Task(
-                    part_number,
-                    part.name,
-                    part.size_bytes,
-                    part.blobs,
-                    part.work,
-                    can_split=True,
-                    limit_bytes=part.limit_bytes,
-                    is_verified=part.traits.is_verified,
-                )
-            )
+            tasks.append(part.task(part_number))
         return tasks
 
     def is_cancelled(self, number: int) -> bool:

@@ -8,6 +8,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any
 
+from hpcapp.communicator.scheduling.state import Task
 from hpccomponent.errors import HpcError, TaskError, UsageError
 from hpccomponent.protocol.blobs import Blob
 from hpccomponent.protocol.codec import encode_arguments
@@ -41,6 +42,19 @@ class Submission:
     def size_bytes(self) -> int:
         """Return the length of the encoded arguments."""
         return len(self.header) + (sum(map(len, self.buffers)) if self.buffers else 0)
+
+    def task(self, number: int) -> Task:
+        """Return what the scheduler knows of it, under a number."""
+        return Task(
+            number,
+            self.name,
+            self.size_bytes,
+            self.blobs,
+            self.work,
+            self.traits.split is not None,
+            self.limit_bytes,
+            self.traits.is_verified,
+        )
 
     def claim(self) -> bool:
         """Mark the future as running; False if it was cancelled before."""

@@ -42,7 +42,6 @@ from hpcapp.communicator.scheduling.state import (
 from hpcapp.communicator.scheduling.verification import Verdict, Verification, explain_dispute
 from hpccomponent.clock import Clock
 from hpccomponent.errors import DistrustError, HpcError
-from hpccomponent.protocol.blobs import Blob
 from hpccomponent.protocol.frames import LARGEST_FRAME
 from hpccomponent.protocol.messages import Failure, Register, Result
 
@@ -104,25 +103,14 @@ class Scheduler:
 
     # -- events of the App ---------------------------------------------------------------------
 
-    def submit(
-        self,
-        number: int,
-        name: str,
-        size_bytes: int,
-        blobs: tuple[Blob, ...] = (),
-        work: float = 1.0,
-        can_split: bool = False,
-        limit_bytes: int = 0,
-        is_verified: bool = True,
-    ) -> list[Action]:
+    def submit(self, task: Task) -> list[Action]:
         """Take a new task; call `dispatch` after the last of several."""
-        task = Task(number, name, size_bytes, blobs, work, can_split, limit_bytes, is_verified)
-        self.tasks[number] = task
+        self.tasks[task.number] = task
         if self.verification.distrust:
             return self._distrust()
         if self._gone is not None and self._is_alone():
             return self._give_up(self._gone)
-        self.dispatcher.queue[number] = task
+        self.dispatcher.queue[task.number] = task
         if self._is_alone() and self._alone_since is None:
             self._alone_since = self._clock.now()
         return []

@@ -9,7 +9,7 @@ from concurrent.futures import Future
 from hpcapp.communicator.loop import EventLoop, Timing
 from hpcapp.communicator.scheduling.policy import PullPolicy
 from hpcapp.communicator.scheduling.scheduler import Scheduler
-from hpcapp.communicator.scheduling.state import Action
+from hpcapp.communicator.scheduling.state import Action, Task
 from hpcapp.communicator.submission import Submission
 from hpccomponent.clock import ManualClock
 from hpccomponent.protocol.frames import LARGEST_FRAME, Buffer
@@ -65,7 +65,7 @@ def test_a_way_that_breaks_between_two_batches_costs_no_task() -> None:
         actions: list[Action] = []
         for number, future in enumerate(futures, start=1):
             loop.pending.add(number, Submission(future, "task", b"", []))
-            actions += loop.scheduler.submit(number, "task", 0)
+            actions += loop.scheduler.submit(Task(number, "task", 0))
         return actions + loop.scheduler.register(b"first", introduce("first"), "key 1")
 
     try:

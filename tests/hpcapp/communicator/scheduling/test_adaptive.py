@@ -44,7 +44,7 @@ class Race:
         for cost in costs:
             number = len(self.costs)
             self.costs[number] = cost
-            self.carry_out(self.scheduler.submit(number, name, 10, (), cost, self.can_split))
+            self.carry_out(self.scheduler.submit(Task(number, name, 10, (), cost, self.can_split)))
         self.carry_out(self.scheduler.dispatch())
         tick = begin + TICK_S
         while self.scheduler.tasks:

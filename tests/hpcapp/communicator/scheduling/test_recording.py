@@ -6,7 +6,7 @@ import pytest
 
 from hpcapp.communicator.scheduling.policy import PullPolicy
 from hpcapp.communicator.scheduling.scheduler import Scheduler
-from hpcapp.communicator.scheduling.state import Action, Assign
+from hpcapp.communicator.scheduling.state import Action, Assign, Task
 from hpcapp.timeline import Timeline
 from hpccomponent.clock import ManualClock
 from hpccomponent.protocol.blobs import make_blob
@@ -42,9 +42,9 @@ def assign_of(actions: list[Action]) -> Assign:
 def test_answers_that_come_together_ran_one_after_the_other(party: Party) -> None:
     party.come("w")
     blob = make_blob(b"head", [bytes(1000)])
-    party.scheduler.submit(1, "fit", 10, (blob,))
+    party.scheduler.submit(Task(1, "fit", 10, (blob,)))
     assign = assign_of(party.scheduler.dispatch())
-    party.scheduler.submit(2, "fit", 20, (blob,))
+    party.scheduler.submit(Task(2, "fit", 20, (blob,)))
     other = assign_of(party.scheduler.dispatch())
     party.clock.advance(4.0)
     results = [Result(1, 1.5, b"ab", [5])]
@@ -60,7 +60,7 @@ def test_answers_that_come_together_ran_one_after_the_other(party: Party) -> Non
 def test_a_lost_worker_loses_its_tasks_and_another_does_them(party: Party) -> None:
     party.come("w")
     for number in (1, 2):
-        party.scheduler.submit(number, "fit", 10)
+        party.scheduler.submit(Task(number, "fit", 10))
         party.scheduler.dispatch()
     party.clock.advance(3.0)
     party.scheduler.disconnected([b"w"], "gone")
@@ -77,7 +77,7 @@ def test_a_lost_worker_loses_its_tasks_and_another_does_them(party: Party) -> No
 
 def test_a_second_answer_is_a_repeat(party: Party) -> None:
     party.come("w")
-    party.scheduler.submit(1, "fit", 10)
+    party.scheduler.submit(Task(1, "fit", 10))
     assign = assign_of(party.scheduler.dispatch())
     task = party.scheduler.tasks.pop(1)
     task.is_done = True  # another worker has answered it
@@ -87,7 +87,7 @@ def test_a_second_answer_is_a_repeat(party: Party) -> None:
 
 def test_a_task_that_raises_has_failed(party: Party) -> None:
     party.come("w")
-    party.scheduler.submit(1, "fit", 10)
+    party.scheduler.submit(Task(1, "fit", 10))
     assign = assign_of(party.scheduler.dispatch())
     failure = Failure("ValueError", "no", "", "")
     party.scheduler.results(
@@ -98,7 +98,7 @@ def test_a_task_that_raises_has_failed(party: Party) -> None:
 
 def test_liars_and_strangers_are_refused(party: Party) -> None:
     party.come("w")
-    party.scheduler.submit(1, "fit", 10)
+    party.scheduler.submit(Task(1, "fit", 10))
     party.scheduler.dispatch()
     party.scheduler.expose(b"w", "it lies")
     party.come("old", package="0")

@@ -14,6 +14,7 @@ from hpcapp.communicator.scheduling.state import (
     Fail,
     Forgotten,
     Refuse,
+    Task,
     Welcome,
 )
 from hpccomponent.clock import ManualClock
@@ -52,7 +53,7 @@ def scheduler(clock: ManualClock) -> Scheduler:
 def submit(scheduler: Scheduler, count: int, size: int = 10) -> list[Action]:
     first = len(scheduler.tasks)
     for number in range(first, first + count):
-        assert not scheduler.submit(number, "t", size)
+        assert not scheduler.submit(Task(number, "t", size))
     return scheduler.dispatch()
 
 
@@ -319,7 +320,7 @@ def test_tasks_fail_at_once_when_all_workers_are_gone(scheduler: Scheduler) -> N
     assert scheduler.workers_gone("all loaders have ended") == []
     (first, _) = errors(scheduler.disconnected([b"a"], "its connection broke"))
     assert "all loaders have ended" in str(first)
-    (later,) = errors(scheduler.submit(7, "t", 1))
+    (later,) = errors(scheduler.submit(Task(7, "t", 1)))
     assert isinstance(later, NoWorkersError)
 
 
@@ -363,7 +364,7 @@ def test_a_blob_is_sent_to_a_worker_once(scheduler: Scheduler) -> None:
     shared = blob(1)
     scheduler.register(b"a", introduce())
     for number in range(20):
-        scheduler.submit(number, "t", 10, (shared,))
+        scheduler.submit(Task(number, "t", 10, (shared,)))
     actions = scheduler.dispatch()
     assert sent_blobs(actions) == [(b"a", [shared]), (b"a", [])]
     while assigns := [action for action in actions if isinstance(action, Assign)]:
@@ -376,7 +377,7 @@ def test_a_blob_is_sent_to_a_worker_once(scheduler: Scheduler) -> None:
 def test_a_blob_that_is_missing_is_sent_again_with_its_batch(scheduler: Scheduler) -> None:
     shared = blob(1)
     scheduler.register(b"a", introduce())
-    scheduler.submit(0, "t", 10, (shared,))
+    scheduler.submit(Task(0, "t", 10, (shared,)))
     (assign,) = scheduler.dispatch()
     assert isinstance(assign, Assign)
     actions = scheduler.need(b"a", assign.batch, [shared.key])
@@ -393,7 +394,7 @@ def test_workers_get_tasks_whose_blobs_they_have_and_never_wait_for_them(
     for name in (b"a", b"b"):
         scheduler.register(name, introduce(name.decode()))
     for number in range(40):
-        scheduler.submit(number, "t", 2_000_000, (blobs[number % 8],))
+        scheduler.submit(Task(number, "t", 2_000_000, (blobs[number % 8],)))
     pending = [action for action in scheduler.dispatch() if isinstance(action, Assign)]
     transfers = 0
     while pending:
@@ -412,14 +413,14 @@ def test_an_idle_worker_that_has_the_blobs_of_a_task_gets_it(scheduler: Schedule
     for name in names:
         scheduler.register(name, introduce(name.decode()))
     for number in range(3):
-        scheduler.submit(number, "t", 10, (blob(number),))
+        scheduler.submit(Task(number, "t", 10, (blob(number),)))
     first = scheduler.dispatch()
     had = {tasks[0]: worker for worker, tasks in assigned(first)}
     assert sorted(had.values()) == names
     for assign in first:
         finish(scheduler, assign)
     for number in (2, 0, 1):
-        scheduler.submit(3 + number, "t", 10, (blob(number),))
+        scheduler.submit(Task(3 + number, "t", 10, (blob(number),)))
         actions = scheduler.dispatch()
         assert assigned(actions) == [(had[number], (3 + number,))]
         assert sent_blobs(actions) == [(had[number], [])]
@@ -434,7 +435,7 @@ def test_of_two_workers_that_have_the_blobs_of_a_task_the_one_that_has_less_gets
     for name in names:
         scheduler.register(name, introduce(name.decode()))
     for number in range(3):
-        scheduler.submit(number, "t", 10, (blob(number),))
+        scheduler.submit(Task(number, "t", 10, (blob(number),)))
     first, last, other = (action for action in scheduler.dispatch() if isinstance(action, Assign))
     clock.advance(1.0)
     actions = finish(scheduler, first) + finish(scheduler, other)
@@ -443,9 +444,9 @@ def test_of_two_workers_that_have_the_blobs_of_a_task_the_one_that_has_less_gets
     assert again.tasks == last.tasks
     assert not any(isinstance(action, Assign) for action in finish(scheduler, again))
     finish(scheduler, last)
-    scheduler.submit(3, "t", 10, last.blobs)
+    scheduler.submit(Task(3, "t", 10, last.blobs))
     assert assigned(scheduler.dispatch()) == [(last.worker, (3,))]
-    scheduler.submit(4, "t", 10, first.blobs if again.worker == first.worker else other.blobs)
+    scheduler.submit(Task(4, "t", 10, first.blobs if again.worker == first.worker else other.blobs))
     assert assigned(scheduler.dispatch()) == [(again.worker, (4,))]
 
 
@@ -456,14 +457,14 @@ def test_the_first_task_of_a_name_goes_to_who_was_fastest_with_others(clock: Man
     for assign in submit(scheduler, 2):
         assert isinstance(assign, Assign)
         finish(scheduler, assign, 4.0 if assign.worker == b"slow" else 1.0)
-    scheduler.submit(7, "another", 10)
+    scheduler.submit(Task(7, "another", 10))
     assert assigned(scheduler.dispatch()) == [(b"fast", (7,))]
 
 
 def test_blobs_that_must_travel_count_as_bytes_of_the_batch(scheduler: Scheduler) -> None:
     scheduler.register(b"a", introduce())
     for number in range(200):
-        scheduler.submit(number, "t", 10, (blob(number, 400_000),))
+        scheduler.submit(Task(number, "t", 10, (blob(number, 400_000),)))
     first, _ = scheduler.dispatch()
     (batch,) = assigned(finish(scheduler, first))
     assert len(batch[1]) == 2

@@ -32,6 +32,7 @@ from hpcapp.communicator.scheduling.state import (
     Fail,
     Forgotten,
     Refuse,
+    Task,
     Welcome,
 )
 from hpcapp.communicator.scheduling.verification import Verification, digest_answer
@@ -160,7 +161,9 @@ class Cluster:
             keys = [blob.key for blob in blobs]
             self.calls[number] = Call(number, "simulated.task", b"", [], keys)
             self.carry_out(
-                self.scheduler.submit(number, "simulated.task", 1000, blobs, limit_bytes=LIMIT)
+                self.scheduler.submit(
+                    Task(number, "simulated.task", 1000, blobs, limit_bytes=LIMIT)
+                )
             )
         self.carry_out(self.scheduler.dispatch())
 
@@ -862,7 +865,7 @@ def test_tasks_of_two_kinds_that_wait_together_are_placed() -> None:
         cluster.pump(component, 10)
     for number, name in enumerate(["a"] * 5 + ["b"] * 14):
         cluster.calls[number] = Call(number, name, b"", [])
-        cluster.carry_out(cluster.scheduler.submit(number, name, 10, limit_bytes=LIMIT))
+        cluster.carry_out(cluster.scheduler.submit(Task(number, name, 10, limit_bytes=LIMIT)))
     cluster.carry_out(cluster.scheduler.dispatch())
     for _ in range(200):
         for component in components:
