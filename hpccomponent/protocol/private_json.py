@@ -57,11 +57,6 @@ def check_keys(where: str, entries: dict[str, Any], keys: Collection[str]) -> No
         What was read.
     keys : collection of str
         Those that it must have.
-
-    Raises
-    ------
-    ConfigError
-        There is one.
     """
     for key in sorted(set(keys) ^ entries.keys()):
         verdict = "is missing" if key in keys else "is not known"

@@ -99,13 +99,7 @@ class Store(Protocol):
 
 
 def check_name(name: str) -> None:
-    """Raise UsageError where a name is none; see `Store`.
-
-    Raises
-    ------
-    UsageError
-        It is none.
-    """
+    """Raise UsageError where a name is none; see `Store`."""
     if not _NAME.fullmatch(name):
         raise UsageError(
             f"{name!r} cannot be the name of a value",

@@ -31,7 +31,6 @@ class S3Store:
 
     Parameters
     ----------
-    client : S3 client of boto3
     prefix : str
         Of all names in it, without the ``/`` behind; may be empty.
     """
@@ -145,10 +144,6 @@ def open_s3_store(url: str) -> S3Store:
     ----------
     url : str
         ``s3://bucket/prefix``.
-
-    Returns
-    -------
-    S3Store
 
     Raises
     ------
