@@ -156,7 +156,7 @@ def open_executor(
         workers of a cluster, of Dask, of MPI and of a Ray that runs are those that there are.
     policy : str
         ``adaptive`` hands out batches by how fast each worker has shown to be, and runs those of
-        one that lags again elsewhere (with other Executors than the communicator it is
+        a straggler again elsewhere (with other Executors than the communicator it is
         ``pull``); ``pull`` hands the next batch to whoever is free; ``equal`` hands every
         worker the same number of batches.
     verification : Verification, optional

@@ -7,8 +7,8 @@
 
 A task that was lost with a worker goes alone, so that no other is blamed with it, and to who may
 have it (see `Losses`); it goes before what waits in the queue, as does one that another machine has
-answered and that is verified. When nothing waits, idle workers run
-again what lags elsewhere (see `speculation`), if the policy wants that.
+answered and that is verified. When nothing waits, idle workers run stragglers a second time (see
+`speculation`), if the policy wants that.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from hpcapp.communicator.scheduling.batching import MAX_TASKS, BatchCutter, find
 from hpcapp.communicator.scheduling.forecast import Forecast
 from hpcapp.communicator.scheduling.losses import Losses
 from hpcapp.communicator.scheduling.policy import Policy
-from hpcapp.communicator.scheduling.speculation import choose_to_run_again, choose_to_split
+from hpcapp.communicator.scheduling.speculation import choose_to_speculate, choose_to_split
 from hpcapp.communicator.scheduling.state import Assign, OpenBatch, Task, Worker
 from hpccomponent.clock import Clock
 
@@ -95,7 +95,7 @@ class Dispatcher:
         workers = [worker for worker in everyone if worker.is_open]
         for task in list(self.lost.values()) if workers else ():
             actions += self._place_lost(task, workers)
-        if self._policy.runs_again:
+        if self._policy.is_speculative:
             self._split_last(workers)
         if self.queue:
             self._estimate(workers)
@@ -122,8 +122,8 @@ class Dispatcher:
         for worker in workers:
             while worker.backlog and len(worker.batches) < CREDIT:
                 actions += self._send(worker, self._cutter.cut(worker.backlog, MAX_TASKS, worker))
-        if self._policy.runs_again and not self.queue and not self.lost:
-            actions += self._run_again(everyone, workers)
+        if self._policy.is_speculative and not self.queue and not self.lost:
+            actions += self._speculate(everyone, workers)
         return actions
 
     def _place_lost(self, task: Task, workers: Sequence[Worker]) -> list[Assign]:
@@ -151,11 +151,11 @@ class Dispatcher:
         for worker in workers:
             self.forecast.estimate(worker, name, self._clock.now())
 
-    def _run_again(self, everyone: Sequence[Worker], workers: Sequence[Worker]) -> list[Assign]:
+    def _speculate(self, everyone: Sequence[Worker], workers: Sequence[Worker]) -> list[Assign]:
         idle = [worker for worker in workers if not worker.batches]
         now = self._clock.now()
         actions: list[Assign] = []
-        for worker, task in choose_to_run_again(everyone, idle, self.forecast, now):
+        for worker, task in choose_to_speculate(everyone, idle, self.forecast, now):
             worker.placed += 1
             actions += self._send(worker, [task])
         return actions

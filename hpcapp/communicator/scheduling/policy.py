@@ -79,8 +79,8 @@ class Policy(Protocol):
     """Into so many batches for each worker an application cuts its work."""
 
     @property
-    def runs_again(self) -> bool:
-        """Tell whether idle workers run the tasks of one that lags a second time."""
+    def is_speculative(self) -> bool:
+        """Tell whether idle workers run stragglers a second time."""
         ...
 
     def place(self, waiting: int, loads: Sequence[Load]) -> Placement | None:
@@ -99,7 +99,7 @@ class EqualPolicy:
     workers first. Only what a lost worker leaves is spread anew.
     """
 
-    runs_again = False
+    is_speculative = False
     batches_per_worker: ClassVar[int] = 1
 
     def place(self, waiting: int, loads: Sequence[Load]) -> Placement | None:
@@ -121,7 +121,7 @@ class PullPolicy:
         Batches that a worker holds at most: one runs, the others hide the way.
     """
 
-    runs_again = False
+    is_speculative = False
     batches_per_worker: ClassVar[int] = 4
 
     def __init__(self, depth: int = 2) -> None:
@@ -145,7 +145,7 @@ class AdaptivePolicy:
     would be done with a task after the others have done all of them gets none.
     """
 
-    runs_again = True
+    is_speculative = True
     batches_per_worker: ClassVar[int] = 4
 
     def place(self, waiting: int, loads: Sequence[Load]) -> Placement | None:

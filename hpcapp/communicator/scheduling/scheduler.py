@@ -49,7 +49,7 @@ __all__ = ["Scheduler"]
 
 
 class Scheduler:
-    """The brain of the communicator.
+    """Decides who gets which task, and what becomes of tasks whose worker is lost.
 
     Parameters
     ----------

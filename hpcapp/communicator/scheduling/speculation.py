@@ -8,11 +8,13 @@ from collections.abc import Collection, Sequence
 from hpcapp.communicator.scheduling.forecast import Forecast
 from hpcapp.communicator.scheduling.state import Task, Worker
 
-__all__ = ["choose_to_run_again", "choose_to_split"]
+__all__ = ["choose_to_speculate", "choose_to_split"]
 
 SPLIT_S = 0.5  # longer tasks may be split, where more workers than tasks are (soon) idle
-LAG = 1.5  # what is to take so many times as long as an idle worker, with its way, runs there too,
-LAG_S = 0.25  # if that is more than so many seconds
+# A straggler takes so many times as long as an idle worker would, with the way to it, and so many
+# seconds more.
+STRAGGLER_RATIO = 1.5
+STRAGGLER_S = 0.25
 
 
 def choose_to_split(
@@ -33,7 +35,7 @@ def choose_to_split(
     return task if SPLIT_S <= expected_s(task) < math.inf else None
 
 
-def choose_to_run_again(
+def choose_to_speculate(
     workers: Collection[Worker], idle: Sequence[Worker], forecast: Forecast, now: float
 ) -> list[tuple[Worker, Task]]:
     """Choose for idle workers the tasks that will be done last, if they are there much sooner.
@@ -46,11 +48,12 @@ def choose_to_run_again(
     if not idle:
         return []
 
-    def lags(task: Task, left_s: float, unit_s: float) -> bool:
-        return left_s > LAG * (unit_s * task.work + forecast.transit_s(task.name)) + LAG_S
+    def is_straggler(task: Task, left_s: float, unit_s: float) -> bool:
+        there_s = unit_s * task.work + forecast.transit_s(task.name)
+        return left_s > STRAGGLER_RATIO * there_s + STRAGGLER_S
 
     least_s: dict[str, float] = {}  # a unit of work on whoever of the idle is fastest
-    lagging = []
+    stragglers = []
     for worker in workers:
         for task, left_s in forecast.ends(worker, now):
             name = task.name
@@ -59,14 +62,14 @@ def choose_to_run_again(
             # A task that was lost with a worker may be what kills them: one at a time. One that is
             # verified must not go to who has answered it.
             is_apart = task.is_done or task.losses or task.answers or len(task.holders) > 1
-            if not is_apart and lags(task, left_s, least_s[name]):
-                lagging.append((left_s, task))
-    lagging.sort(key=lambda pair: -pair[0])
+            if not is_apart and is_straggler(task, left_s, least_s[name]):
+                stragglers.append((left_s, task))
+    stragglers.sort(key=lambda pair: -pair[0])
     chosen = []
     for worker in idle:
-        for place, (left_s, task) in enumerate(lagging):
-            if lags(task, left_s, forecast.unit_s(worker.identity, task.name)):
+        for place, (left_s, task) in enumerate(stragglers):
+            if is_straggler(task, left_s, forecast.unit_s(worker.identity, task.name)):
                 chosen.append((worker, task))
-                del lagging[place]
+                del stragglers[place]
                 break
     return chosen

@@ -505,7 +505,7 @@ class FaultyCluster(RuleBasedStateMachine):
         assert holders.keys() == open_tasks
         for number, count in holders.items():
             assert count == max(1, len(scheduler.tasks[number].holders)) <= 2
-            assert count == 1 or self.policy.runs_again
+            assert count == 1 or self.policy.is_speculative
 
     @invariant()
     def windows_are_kept(self) -> None:

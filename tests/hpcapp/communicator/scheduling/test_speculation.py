@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from hpcapp.communicator.scheduling.forecast import Forecast
-from hpcapp.communicator.scheduling.speculation import choose_to_run_again, choose_to_split
+from hpcapp.communicator.scheduling.speculation import choose_to_speculate, choose_to_split
 from hpcapp.communicator.scheduling.state import OpenBatch, Task, Worker
 from hpccomponent.protocol.messages import PROTOCOL_VERSION, Register
 
@@ -44,8 +44,8 @@ def test_an_idle_worker_gets_what_would_be_done_last() -> None:
     first, last = task(1), task(2)
     slow, idle = worker("slow", first, last), worker("idle")
     forecast = taught(slow=4.0, idle=1.0)
-    assert choose_to_run_again([slow, idle], [idle], forecast, 0.0) == [(idle, last)]
-    assert choose_to_run_again([slow, idle], [], forecast, 0.0) == []
+    assert choose_to_speculate([slow, idle], [idle], forecast, 0.0) == [(idle, last)]
+    assert choose_to_speculate([slow, idle], [], forecast, 0.0) == []
 
 
 def test_what_is_nearly_done_twice_at_work_or_dangerous_is_left_alone() -> None:
@@ -61,13 +61,13 @@ def test_what_is_nearly_done_twice_at_work_or_dangerous_is_left_alone() -> None:
         elif spoil == "holders":
             lagging.holders[b"other"] = 2
         now = 0.5 if spoil == "time" else 5.0
-        assert choose_to_run_again([slow, idle, other], [idle], forecast, now) == []
-    assert choose_to_run_again([worker("slow", task(1))], [idle], forecast, 5.0)
+        assert choose_to_speculate([slow, idle, other], [idle], forecast, now) == []
+    assert choose_to_speculate([worker("slow", task(1))], [idle], forecast, 5.0)
 
 
 def test_what_may_be_on_its_way_as_long_as_others_were_is_left_alone() -> None:
     forecast = Forecast()
     forecast.learn(b"idle", task(0), 1.0, transit_s=2.0)
     slow, idle = worker("slow", task(1)), worker("idle")
-    assert choose_to_run_again([slow, idle], [idle], forecast, 4.5) == []
-    assert choose_to_run_again([slow, idle], [idle], forecast, 5.0)
+    assert choose_to_speculate([slow, idle], [idle], forecast, 4.5) == []
+    assert choose_to_speculate([slow, idle], [idle], forecast, 5.0)
