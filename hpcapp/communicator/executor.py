@@ -109,22 +109,20 @@ class CommunicatorExecutor(Executor):
         clock = clock or MonotonicClock()
         self._listener = listener or Listener()
         self.verification = verification or Verification()
-
-        def make_scheduler(pending: PendingTasks) -> Scheduler:
-            return Scheduler(
-                policy or AdaptivePolicy(),
-                clock,
-                package_version(),
-                pending.claim,
-                numerics,
-                timing.liveness_s,
-                timing.worker_wait_s,
-                pending.split,
-                self.verification,
-            )
-
+        pending = PendingTasks()
+        scheduler = Scheduler(
+            policy or AdaptivePolicy(),
+            clock,
+            package_version(),
+            pending.claim,
+            numerics,
+            timing.liveness_s,
+            timing.worker_wait_s,
+            pending.split,
+            self.verification,
+        )
         self._transport = self._listener.answer()
-        self._loop = EventLoop(make_scheduler, self._transport, clock, timing)
+        self._loop = EventLoop(scheduler, pending, self._transport, clock, timing)
         atexit.register(self._exit)
 
     @property

@@ -105,15 +105,14 @@ class EventLoop:
 
     Parameters
     ----------
-    make_scheduler : callable
-        Makes the scheduler around the loop's pending tasks.
     transport : RouterTransport
         Closed by the loop.
     """
 
     def __init__(
         self,
-        make_scheduler: Callable[[PendingTasks], Scheduler],
+        scheduler: Scheduler,
+        pending: PendingTasks,
         transport: RouterTransport,
         clock: Clock,
         timing: Timing,
@@ -121,8 +120,8 @@ class EventLoop:
         self.session = secrets.token_hex(8)
         self.counts: Counter[str] = Counter()
         self.workers_changed = threading.Condition()
-        self.pending = PendingTasks()
-        self.scheduler = make_scheduler(self.pending)
+        self.scheduler = scheduler
+        self.pending = pending
         self._fetcher = Fetcher(self.session)
         self._transport = transport
         self._clock = clock

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from concurrent.futures import Future
 
 from hpcapp.communicator.loop import EventLoop, Timing
+from hpcapp.communicator.pending import PendingTasks
 from hpcapp.communicator.scheduling.policy import PullPolicy
 from hpcapp.communicator.scheduling.scheduler import Scheduler
 from hpcapp.communicator.scheduling.state import Action, Task
@@ -52,9 +53,10 @@ class Wire:
 
 
 def test_a_way_that_breaks_between_two_batches_costs_no_task() -> None:
-    wire, clock = Wire(b"first"), ManualClock()
+    wire, clock, pending = Wire(b"first"), ManualClock(), PendingTasks()
     loop = EventLoop(
-        lambda pending: Scheduler(PullPolicy(), clock, "1", pending.claim, None, 15.0, 60.0),
+        Scheduler(PullPolicy(), clock, "1", pending.claim, None, 15.0, 60.0),
+        pending,
         wire,  # type: ignore[arg-type]
         clock,
         Timing(),
