@@ -88,11 +88,6 @@ def check_address_space() -> None:
 def count_carried(backend: str, root: Path = _ROOT) -> tuple[int, str]:
     """Return how many workers of a backend this machine carries, and what bounds their number.
 
-    Parameters
-    ----------
-    backend : str
-        A key of `NEEDS`.
-
     Returns
     -------
     most : int

@@ -161,13 +161,7 @@ def _fill_closed_descriptors() -> None:
 
 
 def main(arguments: list[str] | None = None) -> NoReturn:
-    """Run the command and leave with its exit code.
-
-    Parameters
-    ----------
-    arguments : list of str, optional
-        What was typed after ``hpcapp``; the process's own arguments by default.
-    """
+    """Run the command and leave with its exit code."""
     if arguments is None:  # the process is the command's own, and so are its signals
         arguments = sys.argv[1:]
         obey_signals()

@@ -152,12 +152,6 @@ def note_worker(future: Future[Any], worker: str | None) -> None:
 
 
 def find_worker(future: Future[Any]) -> str | None:
-    """Return who has done the task of a future.
-
-    Parameters
-    ----------
-    future : concurrent.futures.Future
-        That is done.
-    """
+    """Return who has done the task of a future."""
     worker: str | None = vars(future).get("worker")
     return worker

@@ -81,11 +81,6 @@ class Workforce:
         ----------
         find : callable
             See `Deferred`; results that come meanwhile wait for it.
-
-        Returns
-        -------
-        Deferred
-            Returns what was found, when it is called.
         """
         return self.background.defer(find)
 
@@ -159,8 +154,6 @@ def stream_batches(
     ----------
     batches : iterable of tuple
         See `map_batches`; the next one is asked for when there is room for it.
-    at_once : int
-        How many batches are on their way at most.
     makers : dict, optional
         Gets the worker of each batch, before its result is yielded, where the backend tells.
 

@@ -20,13 +20,7 @@ __all__ = ["main"]
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run a component, and return its `ExitCode`.
-
-    Parameters
-    ----------
-    arguments : list of str, optional
-        Of the command line; by default those of this process.
-    """
+    """Run a component, and return its `ExitCode`."""
     options = _parse(arguments)
     lines = logging.StreamHandler(sys.stderr)
     lines.setFormatter(VisibleFormatter(f"hpccomponent[{os.getpid()}] %(levelname)s %(message)s"))

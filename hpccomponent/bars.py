@@ -27,11 +27,6 @@ _MEMORY_S = 600.0  # of the speed: a tile may take minutes
 def make_bars(stream: TextIO, *, is_transient: bool = False) -> Progress:
     """Return bars for a terminal, a context manager.
 
-    Parameters
-    ----------
-    is_transient : bool
-        Whether they vanish in the end.
-
     Returns
     -------
     rich.progress.Progress

@@ -10,11 +10,6 @@ __all__ = ["cut_equal"]
 def cut_equal(rows: int, batches: int) -> list[slice]:
     """Cut `rows` rows into at most `batches` runs, equal to within one row, none empty.
 
-    Returns
-    -------
-    list of slice
-        In order; none where there are no rows.
-
     Examples
     --------
     >>> cut_equal(5, 2)

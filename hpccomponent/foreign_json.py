@@ -55,11 +55,6 @@ def decode(text: str | bytes, kind: type[T]) -> T:
 def convert(told: object, kind: type[T]) -> T:
     """Return a JSON value as one of a type.
 
-    Parameters
-    ----------
-    told : object
-        Dicts, lists, texts and numbers.
-
     Raises
     ------
     ValueError

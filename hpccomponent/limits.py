@@ -110,13 +110,7 @@ def available_descriptors() -> int:
 
 
 def raise_descriptor_limit(more: int) -> None:
-    """Raise the soft limit of open files so that so many more can be opened, as far as may be.
-
-    Parameters
-    ----------
-    more : int
-        Beside those that are open now.
-    """
+    """Raise the soft limit of open files so that so many more can be opened, as far as may be."""
     soft, hard = _descriptor_limits()
     wanted = min(hard, _count_open() + more)
     if wanted > soft:
@@ -192,13 +186,7 @@ def total_memory(root: Path = _ROOT) -> int:
 
 
 def memory_limit(group: Path) -> int | None:
-    """Return the bytes that the processes of a control group may use; None for no limit.
-
-    Parameters
-    ----------
-    group : Path
-        Its folder in the file system of control groups.
-    """
+    """Return the bytes that the processes of a control group may use; None for no limit."""
     for name in ("memory.max", "memory.limit_in_bytes"):  # version 2, then version 1
         limit = read_text(group / name).strip()
         if limit.isdigit():  # not "max"

@@ -73,11 +73,6 @@ class VisibleFormatter(logging.Formatter):
 def write_block(excerpt: str) -> str:
     r"""Write an excerpt of somebody else's words as a block: indented and visible.
 
-    Returns
-    -------
-    str
-        Its lines, without those that are blank.
-
     Examples
     --------
     >>> print(write_block("Kernel panic\n\n\x1b[2Jnot syncing"))

@@ -60,11 +60,6 @@ class DaskExecutor(Executor):
         """Return a Dask future of `value`, by whose content it is known to all workers.
 
         It is the result of a task, not scattered: Dask makes it again when its worker dies.
-
-        Returns
-        -------
-        distributed.Future
-            To be passed to tasks in its place.
         """
         return self._client.submit(_keep, value, pure=True)
 
@@ -154,11 +149,5 @@ def borrow_client(client: Client) -> Iterator[RetryingExecutor]:
 
 
 def count_deaths(error: BaseException) -> int:
-    """Return how many workers Dask has lost with a task before it gave up; 0 for other errors.
-
-    Parameters
-    ----------
-    error : BaseException
-        What a task ended by.
-    """
+    """Return how many workers Dask has lost with a task before it gave up; 0 for other errors."""
     return error.allowed_failures + 1 if isinstance(error, KilledWorker) else 0

@@ -142,8 +142,6 @@ class RayExecutor(Executor):
 
     Parameters
     ----------
-    cores : int
-        How many tasks Ray runs at once.
     head : Head
         Of that Ray: looked for while a task takes long.
     """

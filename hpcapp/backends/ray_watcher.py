@@ -29,13 +29,7 @@ TRIES, LOOK_S = 50, 0.1  # what is being killed may have started something
 
 @contextmanager
 def watched(place: Path) -> Iterator[None]:
-    """Have a folder removed, and who uses it killed, if this process is killed in the block.
-
-    Parameters
-    ----------
-    place : Path
-        Exists. Whoever leaves the block removes it.
-    """
+    """Have a folder removed, and who uses it killed, if this process is killed in the block."""
     reading, writing = os.pipe()
     command = [sys.executable, "-P", "-m", "hpcapp.backends.ray_watcher", str(reading), str(place)]
     try:

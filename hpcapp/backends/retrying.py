@@ -187,13 +187,7 @@ class RetryingExecutor(Executor):
         return task
 
     def share(self, value: object) -> object:
-        """Return what stands for `value` among arguments; see `Workforce.share`.
-
-        Returns
-        -------
-        object
-            The value itself where the engine has no ``share``.
-        """
+        """Return what stands for `value` among arguments; see `Workforce.share`."""
         share = getattr(self._engine, "share", None)
         return value if share is None else share(value)
 

@@ -118,11 +118,6 @@ class Backend:
 def check_backend(name: str) -> None:
     """Find out whether a backend's name can be right, before any work is done for it.
 
-    Parameters
-    ----------
-    name : str
-        What `open_executor` takes.
-
     Raises
     ------
     UsageError
@@ -221,11 +216,6 @@ def open_executor(
 @contextmanager
 def start_early(name: str, workers: int | None) -> Iterator[LocalMachines | None]:
     """Check that this machine carries a backend, and start at once what takes a while.
-
-    Parameters
-    ----------
-    name : str
-        What `open_executor` takes.
 
     Yields
     ------

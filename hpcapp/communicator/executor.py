@@ -222,13 +222,7 @@ class CommunicatorExecutor(Executor):
             self._loop.workers_changed.notify_all()
 
     def workers_gone(self, reason: str) -> None:
-        """Take the launcher's word that no worker will come (any more), and why.
-
-        Parameters
-        ----------
-        reason : str
-            For the errors of the tasks that nobody is left for.
-        """
+        """Take the launcher's word that no worker will come (any more), and why."""
         with self._loop.workers_changed:
             self._gone = reason
             self._loop.workers_changed.notify_all()

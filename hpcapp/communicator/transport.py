@@ -158,11 +158,6 @@ class RouterTransport:
     def take_frames(self, most_frames: int, most_bytes: int) -> list[memoryview]:
         """Return the frames after the first one of the message that `receive` has returned last.
 
-        Parameters
-        ----------
-        most_frames, most_bytes : int
-            What is kept of it, at most.
-
         Raises
         ------
         ProtocolError

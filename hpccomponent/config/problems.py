@@ -133,10 +133,6 @@ def place_misfit(
 
     Parameters
     ----------
-    location : tuple of str or int
-        The path of what does not fit.
-    message : str
-        What is wrong.
     choices : collection of str
         What would fit; the nearest is named, or all of them.
 

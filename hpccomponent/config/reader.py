@@ -125,8 +125,6 @@ def parse_config(
 
     Parameters
     ----------
-    text : str
-        One YAML document, a mapping at the top.
     model : type
         A pydantic model, best a `ConfigModel`.
     check : callable, optional

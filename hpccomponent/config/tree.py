@@ -59,11 +59,6 @@ class _Loader(yaml.SafeLoader):
 def compose(text: str, name: str) -> yaml.MappingNode:
     """Parse YAML text, and resolve its merge keys.
 
-    Parameters
-    ----------
-    text : str
-        One document, a mapping at the top.
-
     Raises
     ------
     ConfigError

@@ -81,11 +81,6 @@ class Decoder:
     def ask(self, *words: str | int) -> int:
         """Have it decode something, and return a number from 0 on, whose meaning its module says.
 
-        Parameters
-        ----------
-        *words : str or int
-            As its module takes them.
-
         Raises
         ------
         InputError
@@ -151,8 +146,6 @@ def open_decoder(
         Of this package: what runs there.
     size : int
         Bytes of the memory that is shared.
-    arguments : sequence of str
-        As the module takes them.
     patience_s : float
         How long one answer may take, beside the time that it may compute.
 

@@ -42,11 +42,6 @@ def checksum(pieces: Iterable[Buffer], check: int = 0) -> int:
     check : int
         Of the pieces before these.
 
-    Returns
-    -------
-    int
-        Of 32 bits.
-
     Notes
     -----
     Of a page what matters is the sum of its words, in whatever order.

@@ -199,11 +199,6 @@ def read_owner(path: Path) -> Owner | None:
 def remove_abandoned(parent: Path, prefix: str) -> list[Owner]:
     """Remove the folders that processes of this user on this machine have left behind.
 
-    Parameters
-    ----------
-    prefix : str
-        With which the folders' names begin.
-
     Returns
     -------
     list of Owner

@@ -82,16 +82,6 @@ def expand_home(path: str | Path) -> Path:
 def new_file_here(name: str, flag: str) -> Path:
     """Return the place in the present folder for a file whose name a machine has told.
 
-    Parameters
-    ----------
-    flag : str
-        The option by which the user says where it goes.
-
-    Returns
-    -------
-    Path
-        Nothing is there yet.
-
     Raises
     ------
     OutputError

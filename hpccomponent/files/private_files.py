@@ -50,7 +50,6 @@ def create_private(path: Path, buffering: int = -1) -> BinaryIO:
     Returns
     -------
     file
-        Binary.
 
     Raises
     ------

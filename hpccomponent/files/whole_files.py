@@ -24,8 +24,6 @@ def write_whole(path: Path, buffers: Iterable[bytes | bytearray | memoryview]) -
     ----------
     path : Path
         What has been there is replaced.
-    buffers : iterable of bytes-like
-        The contents, one after the other.
 
     Raises
     ------

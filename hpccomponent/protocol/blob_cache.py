@@ -58,13 +58,7 @@ class BlobCache:
         return self._is_over() or bool(self._forgotten)
 
     def evict(self, needed: Collection[bytes]) -> list[bytes]:
-        """Let go of what is forgotten, and of the least recently used beyond the limit.
-
-        Returns
-        -------
-        list of bytes
-            The keys of those that are gone.
-        """
+        """Let go of forgotten blobs, and beyond the limit of old ones, and return their keys."""
         evicted = [key for key in self._forgotten if key not in needed]
         for key in evicted:
             self._remove(key)

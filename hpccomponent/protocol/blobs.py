@@ -67,13 +67,6 @@ def check_blob(
 ) -> None:
     """Make sure that a received blob is what its key names.
 
-    Parameters
-    ----------
-    sizes : sequence of int
-        The length of each buffer, in bytes.
-    pieces : iterable of sequence of bytes-like
-        The frames of each buffer.
-
     Raises
     ------
     ProtocolError

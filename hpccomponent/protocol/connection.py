@@ -54,11 +54,6 @@ def write_connection(path: Path | str, connection: Connection) -> None:
 def read_connection(path: Path | str) -> Connection:
     """Read a connection file, and trust it only if nobody else can read it.
 
-    Parameters
-    ----------
-    path : pathlib.Path or str
-        What `write_connection` wrote.
-
     Raises
     ------
     ConfigError

@@ -65,11 +65,6 @@ class Declared(Protocol):
 def check_result(declared: Declared, value: object) -> None:
     """Make sure that a result is what its task declares.
 
-    Parameters
-    ----------
-    value : object
-        As the codec has decoded it.
-
     Raises
     ------
     ProtocolError

@@ -62,13 +62,6 @@ def split_buffers(buffers: Sequence[Buffer], largest: int) -> list[memoryview]:
 def group_frames(frames: Sequence[Buffer], sizes: Sequence[int]) -> list[Sequence[Buffer]]:
     """Find the frames of each buffer that `split_buffers` cut, without copying.
 
-    Parameters
-    ----------
-    frames : sequence of bytes-like
-        Received frames, in order.
-    sizes : sequence of int
-        The length of each buffer, in bytes.
-
     Returns
     -------
     list of sequence of bytes-like

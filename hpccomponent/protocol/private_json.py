@@ -53,10 +53,6 @@ def check_keys(where: str, entries: dict[str, Any], keys: Collection[str]) -> No
     ----------
     where : str
         What the message names first, such as the file.
-    entries : dict of str to object
-        What was read.
-    keys : collection of str
-        Those that it must have.
     """
     for key in sorted(set(keys) ^ entries.keys()):
         verdict = "is missing" if key in keys else "is not known"

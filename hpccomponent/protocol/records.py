@@ -84,11 +84,6 @@ def find_record(kind: type) -> RecordType | None:
 def make_record(name: str, values: Mapping[str, object]) -> Any:
     """Return the record of a name and its fields.
 
-    Parameters
-    ----------
-    values : mapping of str to object
-        The fields, in the order of the class.
-
     Raises
     ------
     ProtocolError

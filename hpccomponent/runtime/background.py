@@ -67,13 +67,7 @@ class Background:
             self._steps.append(step)
 
     def defer(self, find: Callable[[], Result]) -> Deferred[Result]:
-        """Leave a value to be found; see `Deferred`.
-
-        Parameters
-        ----------
-        find : callable
-            Finds it, without arguments.
-        """
+        """Leave a value to be found; see `Deferred`."""
         deferred = Deferred(find)
 
         def step() -> bool:
@@ -96,13 +90,7 @@ class Background:
             self._steps.popleft()
 
     def run_until(self, futures: Iterable[Future[Any]]) -> None:
-        """Do steps as long as none of some futures is done.
-
-        Parameters
-        ----------
-        futures : iterable of Future
-            Is gone through before each step.
-        """
+        """Do steps as long as none of some futures is done."""
         while self and not any(future.done() for future in futures):
             self.run_one()
 

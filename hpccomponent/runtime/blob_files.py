@@ -54,11 +54,6 @@ class BlobFiles:
     def discard(self, keys: Sequence[bytes], session: str, channel: Channel | None) -> None:
         """Let blobs go, here and in the worker process.
 
-        Parameters
-        ----------
-        channel : Channel or None
-            To the worker process; None where there is none.
-
         Raises
         ------
         ChannelClosedError

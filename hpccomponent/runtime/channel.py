@@ -77,11 +77,6 @@ class Channel:
     def send(self, control: Buffer, buffers: Sequence[Sequence[Buffer]]) -> None:
         """Send a message; each buffer may come in pieces, which are joined on the way.
 
-        Parameters
-        ----------
-        buffers : sequence of sequence of bytes-like
-            The pieces of each buffer.
-
         Raises
         ------
         ChannelClosedError
@@ -113,18 +108,7 @@ class Channel:
             raise ChannelClosedError("the other end of the channel is gone") from error
 
     def has_message(self, wait_s: float = 0.0) -> bool:
-        """Wait until `receive` would not wait, because something has come or the other end is gone.
-
-        Parameters
-        ----------
-        wait_s : float
-            How long at most, in seconds.
-
-        Returns
-        -------
-        bool
-            False where nothing has come.
-        """
+        """Wait until `receive` would not wait, because something has come or the other end is gone."""
         poll = select.poll()
         poll.register(self._end, select.POLLIN)
         return bool(poll.poll(1000.0 * wait_s))

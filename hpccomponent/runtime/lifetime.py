@@ -19,8 +19,6 @@ def die_with_parent(parent: int, with_signal: signal.Signals) -> bool:
     ----------
     parent : int
         Process id of the parent, as it was before the call.
-    with_signal : signal.Signals
-        What the kernel sends.
 
     Returns
     -------
@@ -50,11 +48,6 @@ def exit_at_end_of_pipe(descriptor: int, code: int) -> threading.Thread:
     ----------
     descriptor : int
         Reading end of the pipe; nothing is ever written to the other.
-
-    Returns
-    -------
-    threading.Thread
-        It runs, and keeps no process alive.
     """
 
     def watch() -> None:

@@ -241,13 +241,7 @@ class TaskRegistry:
 
 
 def each_result(single: Traits) -> Callable[..., Declared]:
-    """Return what is declared of the results of a task that is run for each item of columns.
-
-    Returns
-    -------
-    callable
-        From the columns of arguments to what their results must be.
-    """
+    """Return what is declared of the results of a task that is run for each item of columns."""
 
     def result(*columns: list[object]) -> Declared:
         if not callable(single.result):

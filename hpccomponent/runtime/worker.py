@@ -68,11 +68,6 @@ def run_call(
 ) -> tuple[Result, list[Buffer]]:
     """Run one task.
 
-    Parameters
-    ----------
-    blobs : mapping of bytes to value
-        The values of the blobs among its arguments, by their keys.
-
     Returns
     -------
     result : Result
@@ -143,8 +138,6 @@ def run_batch(
     ----------
     payload : memoryview
         That came with it; see `Channel.receive`.
-    blobs : mapping of bytes to object, optional
-        The values of blobs, by their keys.
 
     Raises
     ------
@@ -247,13 +240,7 @@ def _describe(error: BaseException) -> Failure:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Serve the channel until the component closes it.
-
-    Parameters
-    ----------
-    arguments : list of str, optional
-        Of the command line; by default those of this process.
-    """
+    """Serve the channel until the component closes it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal's Ctrl-C is for the master only
     parser = argparse.ArgumentParser(prog="hpccomponent.runtime.worker", allow_abbrev=False)
     parser.add_argument("--channel-fd", type=int, required=True)

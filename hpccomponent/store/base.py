@@ -75,11 +75,6 @@ class Store(Protocol):
     def list(self, prefix: str = "") -> list[str]:
         """Return the names that begin so, sorted.
 
-        Parameters
-        ----------
-        prefix : str
-            By default all do.
-
         Raises
         ------
         CloudError

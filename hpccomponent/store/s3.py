@@ -140,11 +140,6 @@ class S3Store:
 def open_s3_store(url: str) -> S3Store:
     """Open a bucket as a store.
 
-    Parameters
-    ----------
-    url : str
-        ``s3://bucket/prefix``.
-
     Raises
     ------
     UsageError

@@ -42,8 +42,6 @@ def to_buffers(value: Any, name: str = "") -> list[Buffer]:
     Parameters
     ----------
     value : ndarray, int, float, bool, str, bytes, None, or tuple, list, dict of these
-    name : str
-        Under which it will lie.
 
     Raises
     ------
@@ -69,8 +67,6 @@ def from_bytes(content: memoryview, name: str = "", *, is_checked: bool = False)
     ----------
     content : memoryview of bytes
         All that `to_buffers` gave. Large arrays are views of it, read-only.
-    name : str
-        Under which it lay.
     is_checked : bool
         Whether the very same bytes were found whole before.
 

@@ -113,11 +113,6 @@ def find_holder(
     """Return who is idle and has all that the next task needs, if anyone; else the chosen worker.
 
     Of several the one that has least besides: what the others have is asked for there.
-
-    Parameters
-    ----------
-    chosen : Worker
-        One of them.
     """
     task = find_closest(source, chosen)
     if not task.blobs:

@@ -33,11 +33,6 @@ class Forecast:
         """Take note of how long a task took, and its way; recent ones weigh more.
 
         The first way to a worker does not count: it may contain the import of the task's module.
-
-        Parameters
-        ----------
-        transit_s : float, optional
-            What it took besides, in seconds.
         """
         unit_times = self._unit_s.setdefault(task.name, {})
         before = unit_times.get(worker)

@@ -38,13 +38,7 @@ def choose_to_split(
 def choose_to_speculate(
     workers: Collection[Worker], idle: Sequence[Worker], forecast: Forecast, now: float
 ) -> list[tuple[Worker, Task]]:
-    """Choose for idle workers the tasks that will be done last, if they are there much sooner.
-
-    Parameters
-    ----------
-    idle : sequence of Worker
-        Who has nothing to do; each gets one task at most.
-    """
+    """Choose for idle workers the tasks that will be done last, if they are there much sooner."""
     if not idle:
         return []
 
