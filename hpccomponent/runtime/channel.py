@@ -108,7 +108,7 @@ class Channel:
             raise ChannelClosedError("the other end of the channel is gone") from error
 
     def has_message(self, wait_s: float = 0.0) -> bool:
-        """Wait until `receive` would not wait, because something has come or the other end is gone."""
+        """Wait until something has come, or the other end is gone: `receive` would not wait."""
         poll = select.poll()
         poll.register(self._end, select.POLLIN)
         return bool(poll.poll(1000.0 * wait_s))
