@@ -116,7 +116,12 @@ def test_what_the_next_task_finds_impossible_is_laid_to_who_made_it(
     def run(is_first: bool) -> list[float]:
         del is_first
         known = ["pair.make=lying_tasks:make_pair", *use]
-        opened = open_executor(str(cluster.inventory), verification=verification, extra_tasks=known)
+        opened = open_executor(
+            str(cluster.inventory),
+            policy="equal",  # so that the liar has its share, however slow it is
+            verification=verification,
+            extra_tasks=known,
+        )
         with opened as backend, attempt(verification):
             submit: Callable[..., Future[float]] = backend.executor.submit
             made = [submit("pair.make", float(number)) for number in range(60)]
