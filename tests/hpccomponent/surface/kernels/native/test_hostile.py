@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
