@@ -15,7 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpccomponent.surface import kernels
-from hpccomponent.surface.cloud.arrangement import Arrangement, choose_arrangement, snap_points
+from hpccomponent.surface.cloud.arrangement import (
+    Arrangement,
+    PackedPoints,
+    choose_arrangement,
+    pack_snapped,
+    snap_points,
+)
 from hpccomponent.surface.cloud.measured import Measured, Points, measure_points
 from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.types.lattice import find_keys
@@ -84,6 +90,9 @@ class ArrangedCloud(Protocol):
         positions, normals : ndarray of float64, shape (m, 3)
             See `Points`.
         """
+
+    def take_packed(self, keys: IntArray) -> PackedPoints:
+        """Return the same points as `take_blocks`, packed."""
 
     def count_cells(
         self, keys: IntArray, origin: FloatArray, size: float
@@ -205,6 +214,14 @@ class MemoryCloud:
         slices = [slice(self.offsets[run.start], self.offsets[run.stop]) for run in runs]
         positions = _join([self.points.positions[some] for some in slices])
         return positions, _join([self.points.normals[some] for some in slices])
+
+    def take_packed(self, keys: IntArray) -> PackedPoints:
+        """See `ArrangedCloud`."""
+        points = self.take_blocks(keys)
+        if not len(points[0]):
+            none = np.empty(0, np.int64)
+            return PackedPoints.from_records(none, none, np.empty((0, 6), np.float32))
+        return pack_snapped(self.arrangement, *points)
 
     def count_cells(
         self, keys: IntArray, origin: FloatArray, size: float

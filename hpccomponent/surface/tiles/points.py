@@ -13,29 +13,35 @@ from hpccomponent.surface.cloud.arranged import ArrangedCloud, Place
 from hpccomponent.surface.cloud.arrangement import (
     Arrangement,
     PackedPoints,
-    pack_points,
     unpack_points,
+    unpacking_arguments,
 )
-from hpccomponent.surface.cloud.disk import DiskCloud, open_place
-from hpccomponent.surface.fitting.cell_points import CloudRows, SortedPoints
+from hpccomponent.surface.cloud.disk import open_place
+from hpccomponent.surface.fitting.cell_points import SortedPoints
 from hpccomponent.surface.fitting.pyramid import Level
 from hpccomponent.surface.tiles.packed_cells import sort_tile
 from hpccomponent.surface.tiles.plan import Plan
 from hpccomponent.surface.types.grid import Grid
-from hpccomponent.surface.types.lattice import find_keys, pack_places, unique_keys, unpack_keys
-from hpccomponent.surface.types.points import ByteArray, FloatArray, IntArray, PointCloud
+from hpccomponent.surface.types.lattice import (
+    cells_of,
+    find_keys,
+    pack_places,
+    unique_keys,
+    unpack_keys,
+)
+from hpccomponent.surface.types.points import ByteArray, FloatArray, IntArray
 
 __all__ = [
     "CellPoints",
     "PointsThere",
     "TilePoints",
     "estimate_work",
-    "pack_cloud",
-    "read_cells",
+    "pack_cells",
     "take_points",
 ]
 
 _BYTES_PER_POINT = 24.0
+_NO_GROUP = np.uint8(255)
 
 
 @record("surface.points_there")
@@ -118,39 +124,34 @@ def take_points(points: CellPoints, plan: Plan) -> TilePoints:
     """Return the points that a task has been given; there may be none."""
     if isinstance(points, PointsThere):
         cloud, cells = open_place(points.cloud), list(points.groups)
-        if isinstance(cloud, DiskCloud):
-            return _read_packed(cloud, plan, cells)
-        return _sort_groups(*read_cells(cloud, plan.origin, plan.coarse_size, cells), plan)
-    taken = [unpack_points(plan.arrangement, group) for group in points]
-    positions, normals = (np.concatenate(some) for some in zip(*taken, strict=True))
-    numbers = np.repeat(np.arange(len(taken), dtype=np.uint8), [len(some) for some, _ in taken])
-    return _sort_groups(PointCloud(positions, normals), numbers, plan)
-
-
-def _read_packed(cloud: DiskCloud, plan: Plan, asked: list[IntArray]) -> TilePoints:
-    """Return the points in some groups of coarse cells, as they are packed in a folder."""
-    wanted, numbers = _number_cells(asked)
-    blocks = _find_blocks(cloud.arrangement, wanted, plan.origin, plan.coarse_size)
+        wanted, numbers = _number_cells(cells)
+        packed = _take_overlapping(cloud, wanted, plan.origin, plan.coarse_size)
+    else:
+        cells = [_find_cells(group, plan) for group in points]
+        wanted, numbers = _number_cells(cells)
+        packed = PackedPoints.from_records(
+            np.concatenate([group.keys for group in points]),
+            np.concatenate([group.counts for group in points]),
+            np.concatenate([group.to_records() for group in points]),
+        )
     lattice = plan.origin, plan.cell_size, plan.coarse
-    packed = cloud.take_packed(blocks)
-    cells, offsets, held, groups = sort_tile(cloud.arrangement, packed, *lattice, wanted, numbers)
-    points = SortedPoints(held, plan.origin, plan.cell_size, offsets)
-    return TilePoints(Level(cells, points, np.empty(0)), groups)
+    keys, offsets, held, groups = sort_tile(plan.arrangement, packed, *lattice, wanted, numbers)
+    sorted_points = SortedPoints(held, plan.origin, plan.cell_size, offsets)
+    return TilePoints(Level(keys, sorted_points, np.empty(0)), groups)
 
 
-def _sort_groups(cloud: PointCloud, numbers: ByteArray, plan: Plan) -> TilePoints:
-    """Return the points of a cloud, each with the number of its group."""
-    cells, offsets, rows = np.empty(0, np.int64), np.zeros(1, np.int64), np.empty(0, np.uint32)
-    if len(cloud):
-        cells, offsets, rows = kernels.sort_points(cloud.positions, plan.origin, plan.cell_size)
-    points = SortedPoints(CloudRows(cloud, rows), plan.origin, plan.cell_size, offsets)
-    return TilePoints(Level(cells, points, np.empty(0)), numbers[rows[offsets[:-1]]])
+def _find_cells(packed: PackedPoints, plan: Plan) -> IntArray:
+    """Return the coarse cells that some points lie in, which hold no others."""
+    if not len(packed):
+        return np.empty(0, np.int64)
+    given = unpacking_arguments(plan.arrangement, packed)
+    return kernels.count_packed(*given, plan.origin, plan.coarse_size)[0]
 
 
-def read_cells(
+def pack_cells(
     cloud: ArrangedCloud, origin: FloatArray, size: float, cells: list[IntArray]
-) -> tuple[PointCloud, ByteArray]:
-    """Return the points in some groups of coarse cells.
+) -> list[PackedPoints]:
+    """Return the points in some groups of coarse cells as they are sent.
 
     Parameters
     ----------
@@ -163,17 +164,31 @@ def read_cells(
 
     Returns
     -------
-    cloud : PointCloud
-        With normals, in the cloud's order.
-    groups : ndarray of uint8, shape (n,)
-        The group of each point.
+    list of PackedPoints
+        Of each group, in the cloud's order.
     """
     wanted, numbers = _number_cells(cells)
-    blocks = _find_blocks(cloud.arrangement, wanted, origin, size)
-    positions, normals, groups = kernels.take_cells(
-        *cloud.take_blocks(blocks), origin, size, wanted, numbers
-    )
-    return PointCloud(positions, normals), groups
+    packed = _take_overlapping(cloud, wanted, origin, size)
+    positions, _ = unpack_points(cloud.arrangement, packed)
+    places = np.floor(cells_of(positions, origin, size)).astype(np.int64)
+    # (n,): the group of each point, none of those in other cells; and the block that it lies in
+    group_of = np.append(numbers, _NO_GROUP)[find_keys(wanted, pack_places(places))]
+    block_of = np.repeat(np.arange(len(packed.keys)), packed.counts)
+    groups = []
+    for number in range(len(cells)):
+        rows = np.flatnonzero(group_of == number)
+        counts = np.bincount(block_of[rows], minlength=len(packed.keys))
+        held = counts > 0
+        records = packed.to_records().take(rows, axis=0)
+        groups.append(PackedPoints.from_records(packed.keys[held], counts[held], records))
+    return groups
+
+
+def _take_overlapping(
+    cloud: ArrangedCloud, cells: IntArray, origin: FloatArray, size: float
+) -> PackedPoints:
+    """Return the points in the blocks that overlap some cells."""
+    return cloud.take_packed(_find_blocks(cloud.arrangement, cells, origin, size))
 
 
 def _number_cells(cells: list[IntArray]) -> tuple[IntArray, ByteArray]:
@@ -183,15 +198,6 @@ def _number_cells(cells: list[IntArray]) -> tuple[IntArray, ByteArray]:
     for number, group in enumerate(cells):
         numbers[find_keys(wanted, group)] = number
     return wanted, numbers
-
-
-def pack_cloud(arrangement: Arrangement, cloud: PointCloud) -> PackedPoints:
-    """Return the points of an arranged cloud with normals as they travel."""
-    if not len(cloud):
-        none = np.empty(0, np.int64)
-        return PackedPoints(none, none, *np.empty((2, 0, 3), np.float32))
-    assert cloud.normals is not None  # noqa: S101 - an arranged cloud has normals
-    return pack_points(arrangement, cloud.positions, cloud.normals)
 
 
 def _find_blocks(

@@ -18,7 +18,7 @@ from hpccomponent.surface.cloud.cutting import cut_tiles
 from hpccomponent.surface.tasks.tiles import KEPT_TILES
 from hpccomponent.surface.tiles.halo import mark_near
 from hpccomponent.surface.tiles.plan import Plan
-from hpccomponent.surface.tiles.points import CellPoints, PointsThere, pack_cloud, read_cells
+from hpccomponent.surface.tiles.points import CellPoints, PointsThere, pack_cells
 from hpccomponent.surface.types.grid import BRICK
 from hpccomponent.surface.types.lattice import unpack_keys
 from hpccomponent.surface.types.points import FloatArray, IntArray
@@ -209,11 +209,7 @@ class Tiling:
         if self._are_read:
             return PointsThere(self._cloud.place, tuple(groups))
         plan = self._plan
-        cloud, group_of = read_cells(self._cloud, plan.origin, plan.coarse_size, groups)
-        packed = [
-            pack_cloud(plan.arrangement, cloud.take(np.flatnonzero(group_of == number)))
-            for number in range(len(groups))
-        ]
+        packed = pack_cells(self._cloud, plan.origin, plan.coarse_size, groups)
         if index is not None and self._cloud.points is not None:
             if index not in self._shared:
                 self._shared[index] = self._share(packed[0])

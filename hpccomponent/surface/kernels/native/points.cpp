@@ -202,40 +202,6 @@ nb::tuple sort_points(Doubles positions, Doubles origin_of, double size) {
                         give(std::move(rows), {static_cast<size_t>(count)}));
 }
 
-nb::tuple take_cells(Input positions, Input normals, Input origin_of, double size, Input cells_of, Input groups_of) {
-  const double* point = check<double>(positions, "positions", {ANY, 3});
-  const int64_t count = rows_of(positions);
-  const double* normal = check<double>(normals, "normals", {count, 3});
-  const double* origin = check<double>(origin_of, "origin", {3});
-  check_positive(size, "cell_size");
-  const int64_t* cells = check_keys(cells_of, "cells");
-  const int64_t known = rows_of(cells_of);
-  const uint8_t* groups = check<uint8_t>(groups_of, "groups", {known});
-  if (known >= UINT32_MAX) refuse("cells: expected fewer than 2^32 - 1");
-  auto rows = make_buffer<uint32_t>(count);
-  Buffer<double> taken[2];
-  Buffer<uint8_t> numbers;
-  int64_t held = 0;
-  {
-    nb::gil_scoped_release unlocked;
-    const KeyRows table(cells, known);
-    visit_places(point, count, origin, size, [&](int64_t i, const Place& place) { rows[i] = table.find(pack(place)); });
-    for (int64_t i = 0; i < count; ++i) held += rows[i] < known;
-    for (auto& some : taken) some = make_buffer<double>(3 * held);
-    numbers = make_buffer<uint8_t>(held);
-    int64_t at = 0;
-    for (int64_t i = 0; i < count; ++i) {
-      if (rows[i] >= known) continue;
-      std::copy_n(point + 3 * i, 3, taken[0].get() + 3 * at);
-      std::copy_n(normal + 3 * i, 3, taken[1].get() + 3 * at);
-      numbers[at++] = groups[rows[i]];
-    }
-  }
-  const size_t found = static_cast<size_t>(held);
-  return nb::make_tuple(give(std::move(taken[0]), {found, 3}), give(std::move(taken[1]), {found, 3}),
-                        give(std::move(numbers), {found}));
-}
-
 nb::tuple gather_points(Doubles positions, Doubles normals, Input rows_wanted, Doubles origin_of, double size) {
   const double* point = check<double>(positions, "positions", {ANY, 3});
   const int64_t known = rows_of(positions);
@@ -307,7 +273,6 @@ void bind_points(nb::module_& module) {
   module.def("count_boxes", &count_boxes, "positions"_a, "low"_a, "edge"_a, "one_in"_a);
   module.def("sample_boxes", &sample_boxes, "positions"_a, "low"_a, "edge"_a, "one_in"_a);
   module.def("sort_points", &sort_points, "positions"_a, "origin"_a, "cell_size"_a);
-  module.def("take_cells", &take_cells, "positions"_a, "normals"_a, "origin"_a, "cell_size"_a, "wanted"_a, "groups"_a);
   module.def("gather_points", &gather_points, "positions"_a, "normals"_a, "rows"_a, "origin"_a, "cell_size"_a);
   module.def("seed_bricks", &seed_bricks, "grid"_a, "positions"_a);
 }

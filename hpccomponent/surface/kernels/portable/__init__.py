@@ -11,7 +11,6 @@ from hpccomponent.surface.kernels.portable.cells import (
     merge_cells,
     parent_keys,
     sort_points,
-    take_cells,
 )
 from hpccomponent.surface.kernels.portable.coarse_grid import (
     integrate_normals,
@@ -85,6 +84,6 @@ __all__ = [
     "label_components", "look_near", "mark_ancestors", "mark_near", "merge_cells", "pack_records",
     "parent_keys", "place_packed", "poll_normals", "rate_points", "sample_boxes",
     "sample_corners", "sample_grid", "seed_bricks", "seed_packed", "signed_volume", "sort_packed",
-    "sort_points", "spread_keys", "sum_bricks", "sum_neighbours", "survey_mesh", "take_cells",
+    "sort_points", "spread_keys", "sum_bricks", "sum_neighbours", "survey_mesh",
     "unite_keys", "unpack_records", "unpack_within",
 ]  # fmt: skip

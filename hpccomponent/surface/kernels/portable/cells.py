@@ -27,7 +27,7 @@ from hpccomponent.surface.types.lattice import (
     unique_keys,
     unpack_keys,
 )
-from hpccomponent.surface.types.points import ByteArray, Float32Array, FloatArray, IntArray
+from hpccomponent.surface.types.points import Float32Array, FloatArray, IntArray
 
 __all__ = [
     "corner_moments",
@@ -37,7 +37,6 @@ __all__ = [
     "merge_cells",
     "parent_keys",
     "sort_points",
-    "take_cells",
 ]
 
 
@@ -77,39 +76,6 @@ def sort_points(
     cells = unique_keys(keys)
     offsets = np.append(np.searchsorted(keys[rows], cells), len(keys)).astype(np.int64)
     return cells, offsets, rows.astype(np.uint32)
-
-
-def take_cells(
-    positions: FloatArray,
-    normals: FloatArray,
-    origin: FloatArray,
-    cell_size: float,
-    wanted: IntArray,
-    groups: ByteArray,
-) -> tuple[FloatArray, FloatArray, ByteArray]:
-    """Return the points in some cells.
-
-    Parameters
-    ----------
-    positions, normals : ndarray of float64, shape (n, 3)
-    origin, cell_size
-        See `sort_points`; there may be no points.
-    wanted : ndarray of int64, shape (c,)
-        Sorted keys of cells.
-    groups : ndarray of uint8, shape (c,)
-        A number of each.
-
-    Returns
-    -------
-    positions, normals : ndarray of float64, shape (m, 3)
-        In their order.
-    groups : ndarray of uint8, shape (m,)
-        The number of each point's cell.
-    """
-    places = np.floor(cells_of(positions, origin, cell_size)).astype(np.int64)
-    cells = find_keys(wanted, pack_places(places))  # (n,): the row of each point's cell
-    rows = np.flatnonzero(cells < len(wanted))
-    return positions[rows], normals[rows], groups[cells[rows]]
 
 
 def gather_points(

@@ -20,11 +20,11 @@ from hpccomponent.surface.cloud.arrangement import (
 )
 from hpccomponent.surface.fitting.cell_points import CloudRows
 from hpccomponent.surface.kernels import portable
-from hpccomponent.surface.kernels.portable.cells import sort_points, take_cells
+from hpccomponent.surface.kernels.portable.cells import sort_points
 from hpccomponent.surface.tiles import packed_cells
 from hpccomponent.surface.tiles.packed_cells import sort_tile
 from hpccomponent.surface.types.grid import Grid
-from hpccomponent.surface.types.lattice import pack_places, unique_keys
+from hpccomponent.surface.types.lattice import cells_of, find_keys, pack_places, unique_keys
 from hpccomponent.surface.types.points import PointCloud
 
 BUILDS = [build for build in (portable, load_native()) if build is not None]
@@ -48,7 +48,10 @@ def sorted_tile(points: int, size: float, depth: int, seed: int) -> tuple[Any, .
     coarse = sort_points(positions, origin, size * 2.0**depth)[0]
     wanted = coarse[random.random(len(coarse)) < 0.7]
     numbers = random.integers(0, 2, len(wanted)).astype(np.uint8)
-    *taken, groups = take_cells(positions, normals, origin, size * 2.0**depth, wanted, numbers)
+    places = np.floor(cells_of(positions, origin, size * 2.0**depth)).astype(np.int64)
+    of_coarse = find_keys(wanted, pack_places(places))
+    rows = np.flatnonzero(of_coarse < len(wanted))
+    taken, groups = (positions[rows], normals[rows]), numbers[of_coarse[rows]]
     packed = pack_points(arranged.arrangement, positions, normals)
     lattice = origin, size, depth, wanted, numbers
     return (*taken, groups), sort_tile(arranged.arrangement, packed, *lattice), (origin, size)

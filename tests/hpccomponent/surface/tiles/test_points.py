@@ -9,15 +9,17 @@ from hpccomponent.protocol.blobs import make_blob
 from hpccomponent.protocol.codec import encode_values
 from hpccomponent.runtime.tasks import traits_of
 from hpccomponent.surface.cloud.arranged import arrange_cloud
+from hpccomponent.surface.cloud.arrangement import unpack_points
 from hpccomponent.surface.tasks.tiles import mesh_gap, mesh_tile, sum_tile
-from hpccomponent.surface.tiles.points import PointsThere, estimate_work, pack_cloud
+from hpccomponent.surface.tiles.points import PointsThere, estimate_work, pack_cells
+from hpccomponent.surface.types.lattice import pack_places, unique_keys
 from hpccomponent.surface.types.points import PointCloud
 
 
 def test_a_tiles_work_is_known_whichever_way_its_points_go() -> None:
     points = np.random.default_rng(1).random((5000, 3)) * (1.0, 0.0, 0.0)
     arranged = arrange_cloud(PointCloud(points, points))
-    packed = pack_cloud(arranged.arrangement, arranged.points)
+    packed = arranged.take_packed(arranged.keys)
     shared = make_blob(*encode_values((packed,)))
     sent: Any  # on the master a shared value is a blob still
     for sent in ((packed,), (shared,), (packed, shared)):
@@ -27,8 +29,25 @@ def test_a_tiles_work_is_known_whichever_way_its_points_go() -> None:
     assert estimate_work(whole) == pytest.approx(10_000, rel=0.1)
     cells = np.arange(7), np.arange(3)
     assert estimate_work(PointsThere("/nowhere", cells)) == 11.0
-    nothing = pack_cloud(arranged.arrangement, arranged.points.take(np.empty(0, np.int64)))
+    nothing = arranged.take_packed(np.empty(0, np.int64))
     assert estimate_work((nothing,)) > 0.0
+
+
+def test_groups_of_cells_are_packed_as_they_lie() -> None:
+    points = np.random.default_rng(2).normal(size=(5000, 3))
+    cloud = arrange_cloud(PointCloud(points, points))
+    size = 3.0 * cloud.arrangement.edge
+    places = np.floor((cloud.points.positions - cloud.low) / size).astype(np.int64)
+    cells = unique_keys(pack_places(places))
+    groups = [cells[::3], cells[1::3], np.array([pack_places(np.array([99, 99, 99]))])]
+    packed = pack_cells(cloud, cloud.low, size, groups)
+    for group, some in zip(groups, packed, strict=True):
+        own = np.isin(pack_places(places), group)
+        positions, normals = unpack_points(cloud.arrangement, some)
+        assert positions.tobytes() == cloud.points.positions[own].tobytes()
+        assert normals.tobytes() == cloud.points.normals[own].tobytes()  # type: ignore[index]
+        assert some.counts.all()
+    assert not len(packed[2])
 
 
 def test_tasks_tell_what_they_cost_by_their_arguments() -> None:

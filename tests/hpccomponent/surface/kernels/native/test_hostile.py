@@ -98,7 +98,6 @@ def test_plausible_arguments(native: ModuleType, data: st.DataObject) -> None:
         ("pack_records", points, points, points[0] if rows else np.zeros(3), 0.1),
         ("unpack_records", records, random.integers(-1, rows + 1, size=2), points[:2].copy(), 0.1),
         ("unpack_within", records, np.array([rows]), np.zeros((1, 3)), 0.1, *np.ones((2, 3))),
-        ("take_cells", points, points, np.zeros(3), 0.1, keys, np.ones(len(keys), np.uint8)),
         ("mark_ancestors", keys, 3, keys),
         ("mark_near", keys, keys, *random.integers(-1, draw(st.sampled_from([9, 130])), (2, 3))),
         (
