@@ -30,7 +30,7 @@ from big_cloud import write_cloud
 from msgspec import convert
 from process_usage import run
 
-from hpcapp.applications.surface.input import room
+from hpcapp.applications.surface.job import room
 from hpcapp.applications.surface.settings import THREADS_FROM_POINTS
 from hpccomponent.limits import available_cores
 

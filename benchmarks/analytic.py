@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import hpcapp
-from hpccomponent.surface.types.points import FloatArray
+from hpcapp.applications.surface.types.points import FloatArray
 
 SEMI_AXES = np.array([1.0, 0.8, 0.6])
 MAJOR, MINOR = 1.0, 0.4

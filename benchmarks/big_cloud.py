@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
+from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.io import open_points
-from hpccomponent.surface.types.points import FloatArray
 
 HEIGHT, WAVES = 0.08, 7.0
 ROWS_AT_ONCE = 1 << 18

@@ -17,12 +17,12 @@ from pathlib import Path
 
 import numpy as np
 
-from hpcapp.applications.surface.cloud_pass import MemoryPass
-from hpcapp.applications.surface.input.measure import measure_spacing
-from hpcapp.applications.surface.input.normals import turn_normals
+from hpcapp.applications.surface.cloud.arranged import arrange_cloud
+from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
+from hpcapp.applications.surface.cloud.measure import measure_spacing
+from hpcapp.applications.surface.normals.drive import turn_normals
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io import open_points, read_whole
-from hpccomponent.surface.cloud.arranged import arrange_cloud
-from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 COLUMNS = ["scan", "points", "right, %", "sure, %", "right of the sure, %", "CPU s"]
 PEER_COLUMNS = ["Open3D right, %", "Open3D CPU s"]

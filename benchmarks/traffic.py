@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
 from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
-from hpcapp.applications.surface.input.load import load
+from hpcapp.applications.surface.job.load import load
 from hpcapp.applications.surface.job.run import JobSettings
 from hpcapp.backends.serial import SerialExecutor
 from hpcapp.progress import Progress, StageClock

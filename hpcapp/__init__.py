@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from hpcapp.applications.surface.api import reconstruct
     from hpcapp.applications.surface.hierarchical.settings import Hierarchical
     from hpcapp.applications.surface.paper.settings import Paper
+    from hpcapp.applications.surface.types.points import PointCloud
     from hpcapp.backends.selection import open_executor
     from hpcapp.io import read_points, write_mesh
     from hpcapp.pages.shown_mesh import Mesh, read_mesh
-    from hpccomponent.surface.types.points import PointCloud
 
 __all__ = [
     "Hierarchical",
@@ -41,7 +41,7 @@ _HOMES = {
     "Hierarchical": "hpcapp.applications.surface.hierarchical.settings",
     "Mesh": "hpcapp.pages.shown_mesh",
     "Paper": "hpcapp.applications.surface.paper.settings",
-    "PointCloud": "hpccomponent.surface.types.points",
+    "PointCloud": "hpcapp.applications.surface.types.points",
     "open_executor": "hpcapp.backends.selection",
     "read_mesh": "hpcapp.pages.shown_mesh",
     "read_points": "hpcapp.io",

@@ -6,10 +6,10 @@ import struct
 
 import numpy as np
 
+from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.pages.arrays import quantise
 from hpcapp.pages.thin import thin_mesh
 from hpcapp.progress import MeshPart
-from hpccomponent.surface.types.mesh import Mesh
 
 __all__ = ["pack_part"]
 

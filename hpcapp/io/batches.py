@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
-from hpccomponent.surface.types.points import PointCloud
+from hpcapp.applications.surface.types.points import PointCloud
 
 __all__ = ["batch_points", "cut_points", "join_points"]
 

@@ -9,6 +9,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Literal
 
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.points.point_source import PointSource, Scan, read_whole, translated
 from hpcapp.io.points.recognition import recognise
@@ -21,8 +23,6 @@ from hpcapp.io.registry import (
 )
 from hpcapp.io.staging import check_folder, check_place
 from hpccomponent.errors import InputError, UsageError
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import PointCloud
 
 __all__ = [
     "FOLDER_SUFFIXES",

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpccomponent.surface.kernels import bound_points
-from hpccomponent.surface.types.points import FloatArray
+from hpcapp.applications.surface.kernels import bound_points
+from hpcapp.applications.surface.types.points import FloatArray
 
 __all__ = ["FAR_IN_DIAGONALS", "choose_origin", "finite_bounds", "needs_double", "to_local"]
 

@@ -16,7 +16,7 @@ import gzip
 import numpy as np
 from numpy.typing import NDArray
 
-from hpccomponent.surface.types.points import FloatArray
+from hpcapp.applications.surface.types.points import FloatArray
 
 __all__ = ["pack_array", "pack_text", "quantise"]
 

@@ -10,11 +10,11 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta
 
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import IntArray
 from hpcapp.pages.scene import Field, label_field
 from hpccomponent.errors import InputError
 from hpccomponent.foreign_json import convert
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import IntArray
 
 __all__ = ["TILE", "Owners", "mark_tiles", "take_labels"]
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.pages.png import write_png
 from hpcapp.pages.render import render_mesh
 from hpcapp.pages.thumbnail import draw_points
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import PointCloud
 
 __all__ = ["EYE", "write_picture"]
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.applications.surface.kernels import bound_points
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.pages.arrays import Packable, pack_array, quantise
-from hpccomponent.surface.kernels import bound_points
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = ["MOST_POINTS", "Field", "Marker", "Scene", "fields_of", "label_field", "pack_scene"]
 

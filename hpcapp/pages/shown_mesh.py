@@ -10,12 +10,12 @@ from html import escape
 from os import PathLike
 from pathlib import Path
 
+from hpcapp.applications.surface.types import mesh as plain
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import formats
 from hpcapp.pages.page import build_page, write_page
 from hpcapp.pages.scene import Scene, fields_of
 from hpcapp.pages.thin import MOST_FACES, thin_mesh
-from hpccomponent.surface.types import mesh as plain
-from hpccomponent.surface.types.points import PointCloud
 
 __all__ = ["Mesh", "read_mesh", "show_page"]
 

@@ -10,10 +10,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from hpcapp.applications.surface.types.lattice import pack_places
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
-from hpccomponent.surface.types.lattice import pack_places
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
 
 __all__ = ["MOST_FACES", "gather_mesh", "thin_mesh"]
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.pages.png import write_png
-from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = ["draw_points", "write_thumbnail"]
 

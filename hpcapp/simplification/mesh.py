@@ -20,10 +20,10 @@ from threading import Lock
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpccomponent.errors import UsageError
-from hpccomponent.surface import kernels
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray, IntArray
 
 __all__ = ["Target", "simplify_faces", "simplify_mesh", "unite_vertices"]
 

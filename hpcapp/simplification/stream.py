@@ -15,10 +15,10 @@ from tempfile import TemporaryFile
 
 import numpy as np
 
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.simplification.mesh import Target, simplify_faces, simplify_mesh, unite_vertices
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray, IntArray
 
 __all__ = ["RUN_FACES", "simplify_stream"]
 

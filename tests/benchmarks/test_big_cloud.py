@@ -8,8 +8,8 @@ import big_cloud
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import open_points, read_points, write_points
-from hpccomponent.surface.types.points import PointCloud
 
 
 @pytest.mark.parametrize("sweep", [False, True])

@@ -22,9 +22,9 @@ from peers import (
 from skimage.measure import marching_cubes
 
 from hpcapp.applications.simulate.scanner import ScanSettings
+from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.io import read_points, write_mesh
 from hpccomponent.errors import UsageError
-from hpccomponent.surface.types.mesh import Mesh
 
 SMALL = SimulatedCloud("sphere-small", "clean", "sphere", ScanSettings(points=500))
 COPY = "import shutil, sys; shutil.copy(sys.argv[1], sys.argv[2])"

@@ -8,15 +8,15 @@ import numpy as np
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from hpcapp.applications.surface.extraction.parts import MeshPart
+from hpcapp.applications.surface.kernels import label_components
+from hpcapp.applications.surface.kernels.portable.bricks import grow_bricks
+from hpcapp.applications.surface.kernels.portable.marching_cubes import extract_surface
 from hpcapp.applications.surface.stitching.plan import find_large
-from hpccomponent.surface.extraction.parts import MeshPart
-from hpccomponent.surface.kernels import label_components
-from hpccomponent.surface.kernels.portable.bricks import grow_bricks
-from hpccomponent.surface.kernels.portable.marching_cubes import extract_surface
-from hpccomponent.surface.types.grid import BRICK, OWN, BrickKinds, Grid
-from hpccomponent.surface.types.lattice import pack_places, unpack_keys
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import BoolArray, FloatArray, IntArray
+from hpcapp.applications.surface.types.grid import BRICK, OWN, BrickKinds, Grid
+from hpcapp.applications.surface.types.lattice import pack_places, unpack_keys
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
 
 SMALL, CRUMB = (0.75, 0.75, 0.75), (13 / 24, 12 / 24, 5 / 24)
 GRID = Grid(np.array([-1.0, -1.0, -1.0]), 1 / 24, (6, 6, 6))

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from hpccomponent.surface.cloud.arrangement import Arrangement, pack_points, unpack_points
-from hpccomponent.surface.cloud.disk import DiskCloud, Part, write_index, write_part
-from hpccomponent.surface.types.points import FloatArray
+from hpcapp.applications.surface.cloud.arrangement import Arrangement, pack_points, unpack_points
+from hpcapp.applications.surface.cloud.disk import DiskCloud, Part, write_index, write_part
+from hpcapp.applications.surface.types.points import FloatArray
 
 __all__ = ["DiskCloudWriter"]
 

@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from hpccomponent.surface.types.grid import Grid
-from hpccomponent.surface.types.points import FloatArray, IntArray
+from hpcapp.applications.surface.types.grid import Grid
+from hpcapp.applications.surface.types.points import FloatArray, IntArray
 
 StartComponent = Callable[..., "subprocess.Popen[str]"]
 StartCommand = Callable[..., "subprocess.Popen[str]"]

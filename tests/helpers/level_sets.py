@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from skimage import measure
 
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import FloatArray
 
 __all__ = ["mesh_level_set"]
 

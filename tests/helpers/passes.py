@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 from disk_clouds import DiskCloudWriter
 
-from hpcapp.applications.surface.cloud_pass import FolderPass, MemoryPass, make_cloud_folder
-from hpcapp.applications.surface.point_workers import PointWorkers
+from hpcapp.applications.surface.cloud.arranged import MemoryCloud, arrange_cloud
+from hpcapp.applications.surface.cloud.cloud_pass import FolderPass, MemoryPass, make_cloud_folder
+from hpcapp.applications.surface.cloud.point_workers import PointWorkers
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.backends.serial import SerialExecutor
 from hpcapp.workforce import Workforce
-from hpccomponent.surface.cloud.arranged import MemoryCloud, arrange_cloud
-from hpccomponent.surface.types.points import PointCloud
 
 __all__ = ["alone", "in_folder", "in_memory"]
 

@@ -19,9 +19,9 @@ import zmq
 from standing import StandingDask, StartDask
 from stopping import SITECUSTOMIZE
 
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.cli import _run
 from hpcapp.io import write_points
-from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 WriteCloud = Callable[..., Path]
 StartCommand = Callable[..., "subprocess.Popen[str]"]

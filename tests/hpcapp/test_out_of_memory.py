@@ -17,9 +17,9 @@ from fixture_types import StartCommand
 from process_tree import are_gone
 from standing import StartCluster
 
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import write_points
 from hpccomponent.limits import control_groups, read_text
-from hpccomponent.surface.types.points import PointCloud
 
 MEBIBYTE = 1 << 20
 GROUPS = (60, 70, 80, 90, 100, 110, 120, 130, 140, 200)  # MiB

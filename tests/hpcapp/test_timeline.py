@@ -11,13 +11,13 @@ import pytest
 from hpcapp.applications.surface.job.run import run_job
 from hpcapp.applications.surface.paper.settings import Paper
 from hpcapp.applications.surface.settings import JobSettings
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.backends.selection import open_executor
 from hpcapp.io import write_points
 from hpcapp.progress import Progress, StageClock
 from hpcapp.timeline import ANY_WORKER, MASTER, Timeline
 from hpcapp.workforce import map_batches
 from hpccomponent.runtime.visible_files import sees_files
-from hpccomponent.surface.types.points import PointCloud
 
 
 def test_a_span_never_begins_before_the_job() -> None:

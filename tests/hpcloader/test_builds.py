@@ -56,8 +56,8 @@ def test_the_first_that_fits_is_chosen(requires: Requirements) -> None:
         (Requirements(min_memory=16 * 2**30), "memory: 8.0 GiB, needed 16.0"),
         (Requirements(gpu="L4"), "no GPU 'L4' among NVIDIA H100 80GB"),
         (
-            Requirements(module="hpccomponent.surface._nowhere"),
-            "hpccomponent.surface._nowhere is not",
+            Requirements(module="hpcapp.applications.surface._nowhere"),
+            "hpcapp.applications.surface._nowhere is not",
         ),
         (Requirements(module="nowhere.at.all"), "module nowhere.at.all is not installed"),
         (Requirements(min_cores=8, architecture=("arm",)), "x86_64, not arm, cores: 4, needed 8"),

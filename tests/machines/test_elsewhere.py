@@ -17,8 +17,8 @@ from standing import StartCluster
 
 from hpcapp import open_executor
 from hpcapp.applications.quadrature.application import estimate
+from hpcapp.applications.surface.types.points import FloatArray
 from hpccomponent.errors import CloudError
-from hpccomponent.surface.types.points import FloatArray
 from hpcdeploy.reconcile.cluster import open_cluster
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from hpcapp.applications.compare.nearest import NearestFace, face_normals
 from hpcapp.applications.compare.truth import Truth, sample_mesh
 from hpcapp.applications.surface.stitching.topology import Topology, check_mesh
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import FloatArray
 
 __all__ = ["F_THRESHOLDS", "Measures", "as_json", "measure_mesh"]
 

@@ -9,10 +9,10 @@ from pathlib import Path
 
 from hpcapp.applications.compare.metrics import Measures
 from hpcapp.applications.compare.truth import Truth
+from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.pages.page import Section, build_page
 from hpcapp.pages.scene import MOST_POINTS, Field, Scene, fields_of
 from hpcapp.pages.thin import thin_mesh
-from hpccomponent.surface.types.mesh import Mesh
 
 __all__ = ["list_measures", "make_comparison", "say_openness"]
 

@@ -14,12 +14,12 @@ from hpcapp.applications.compare.nearest import NearestFace, face_normals
 from hpcapp.applications.simulate.rays import closest_points
 from hpcapp.applications.simulate.scanner import sample_surface
 from hpcapp.applications.simulate.shapes import Shape, diagonal_of, find_shape
+from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.stitching.topology import check_mesh
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io import holds_faces, read_mesh, read_points, take_finite
 from hpccomponent.errors import InputError
-from hpccomponent.surface.kernels import bound_points
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = [
     "MeshTruth",

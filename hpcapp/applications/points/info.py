@@ -7,12 +7,12 @@ import math
 import numpy as np
 from scipy.spatial import cKDTree
 
+from hpcapp.applications.surface.cleaning.repeated import find_repeated
+from hpcapp.applications.surface.kernels import bound_points
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io import PointSource, read_whole
 from hpcapp.io.points.column_roles import tell_use
 from hpcapp.io.points.point_source import Findings
-from hpccomponent.surface.cloud.repeated import find_repeated
-from hpccomponent.surface.kernels import bound_points
-from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = ["describe", "describe_file"]
 

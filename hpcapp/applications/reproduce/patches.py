@@ -14,9 +14,9 @@ from hpcapp.applications.reproduce.subject import Subject
 from hpcapp.applications.reproduce.surfaces import mesh_by_default
 from hpcapp.applications.surface.paper.kdtree import Patches, partition_by_rule
 from hpcapp.applications.surface.paper.split_rule import SplitRule
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.pages.render import render_mesh
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import PointCloud
 
 __all__ = ["make_figure_2", "make_figure_4"]
 

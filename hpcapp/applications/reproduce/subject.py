@@ -9,16 +9,16 @@ from pathlib import Path
 
 from hpcapp.applications.simulate.scanner import ScanSettings, simulate_scan
 from hpcapp.applications.simulate.shapes import find_shape
-from hpcapp.applications.surface.input.load import load
+from hpcapp.applications.surface.cloud.arranged import MemoryCloud, arrange_cloud
+from hpcapp.applications.surface.job.load import load
 from hpcapp.applications.surface.method import MethodSettings
 from hpcapp.applications.surface.paper.settings import Paper
 from hpcapp.applications.surface.settings import JobSettings
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import write_points
 from hpcapp.io.points.inputs import gather_points
 from hpcapp.progress import Progress, StageClock
 from hpccomponent.files.held_folders import temporary_folder
-from hpccomponent.surface.cloud.arranged import MemoryCloud, arrange_cloud
-from hpccomponent.surface.types.points import PointCloud
 
 __all__ = ["EXAMPLE_POINTS", "PAPER_BUNNY", "Subject", "arrange_for", "open_subject"]
 

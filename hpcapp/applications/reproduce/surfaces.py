@@ -13,10 +13,10 @@ from hpcapp.applications.surface.hierarchical.settings import Hierarchical
 from hpcapp.applications.surface.method import MethodSettings, Resources
 from hpcapp.applications.surface.paper.settings import Paper
 from hpcapp.applications.surface.pipeline import reconstruct
+from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.backends.selection import open_executor
 from hpcapp.pages.render import render_mesh
 from hpcapp.progress import Progress, StageClock
-from hpccomponent.surface.types.mesh import Mesh
 
 __all__ = ["make_figure_6", "mesh_by_default"]
 

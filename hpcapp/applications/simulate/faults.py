@@ -8,7 +8,7 @@ import numpy as np
 
 from hpcapp.applications.simulate.implicit import Shape, diagonal_of
 from hpcapp.applications.simulate.rays import run_in_blocks
-from hpccomponent.surface.types.points import BoolArray, FloatArray, IntArray
+from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
 
 __all__ = ["Moves", "draw_drift", "draw_moves", "strew_outliers"]
 

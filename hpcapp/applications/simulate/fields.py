@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hpccomponent.surface.types.points import FloatArray
+from hpcapp.applications.surface.types.points import FloatArray
 
 __all__ = ["Field", "cut", "grow", "intersect", "mirror", "smooth_unite", "unite"]
 

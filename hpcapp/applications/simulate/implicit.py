@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from hpcapp.applications.simulate.fields import Field
-from hpccomponent.surface.types.points import FloatArray
+from hpcapp.applications.surface.types.points import FloatArray
 
 __all__ = ["Bounds", "ImplicitShape", "Shape", "diagonal_of", "symmetric"]
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from hpcapp.applications.simulate.fields import Field
 from hpcapp.applications.simulate.solids import corner_distance, corner_slopes
-from hpccomponent.surface.types.points import FloatArray
+from hpcapp.applications.surface.types.points import FloatArray
 
 __all__ = ["disc", "extrude", "polygon", "revolve"]
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from hpcapp.applications.simulate.implicit import Shape, diagonal_of
 from hpcapp.applications.simulate.tracing import Tracer
+from hpcapp.applications.surface.kernels.parallel import run_batches
+from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
 from hpccomponent.limits import available_cores
-from hpccomponent.surface.kernels.parallel import run_batches
-from hpccomponent.surface.types.points import BoolArray, FloatArray, IntArray
 
 __all__ = [
     "closest_points",

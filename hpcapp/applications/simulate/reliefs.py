@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpcapp.applications.simulate.fields import Field
-from hpccomponent.surface.types.points import FloatArray
+from hpcapp.applications.surface.types.points import FloatArray
 
 __all__ = ["Relief", "displace", "lumps", "studs"]
 

@@ -27,8 +27,8 @@ from hpcapp.applications.simulate.rays import (
 )
 from hpcapp.applications.simulate.settings import ScanSettings
 from hpcapp.applications.simulate.tracing import Tracer
+from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
 from hpccomponent.errors import UsageError
-from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
 
 __all__ = ["ScanSettings", "sample_surface", "simulate_scan"]
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from hpcapp.applications.simulate.fields import Field
-from hpccomponent.surface.types.points import FloatArray
+from hpcapp.applications.surface.types.points import FloatArray
 
 __all__ = ["box", "cone", "cylinder", "ellipsoid", "half_space", "torus", "tube"]
 

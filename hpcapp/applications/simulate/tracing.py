@@ -16,7 +16,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from hpcapp.applications.simulate.implicit import Shape, diagonal_of
-from hpccomponent.surface.types.points import BoolArray, FloatArray, IntArray
+from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
 
 __all__ = ["Tracer"]
 

@@ -19,14 +19,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hpcapp.applications.surface.attributes.choice import parse_attributes
-from hpcapp.applications.surface.input.load import prepare, take_points
+from hpcapp.applications.surface.attributes.labels import find_labels
 from hpcapp.applications.surface.job.backend_choice import approach_workers
 from hpcapp.applications.surface.job.carry import carry_columns
+from hpcapp.applications.surface.job.load import prepare, take_points
 from hpcapp.applications.surface.job.steps import run_steps
 from hpcapp.applications.surface.method import MAX_GRID, MIN_GRID, MethodSettings
 from hpcapp.applications.surface.methods import DEFAULT_METHOD, find_method
 from hpcapp.applications.surface.options import option_names
 from hpcapp.applications.surface.settings import Settings
+from hpcapp.applications.surface.types.mesh import Mesh as TriangleMesh
+from hpcapp.applications.surface.types.points import ByteArray, FloatArray, PointCloud
 from hpcapp.communicator.scheduling.verification import Verification, attempt, repeat_until_trusted
 from hpcapp.io import drop_unusable
 from hpcapp.io.frame import to_local
@@ -34,9 +37,6 @@ from hpcapp.io.points.usable import Dropped, refuse_too_few
 from hpcapp.pages.shown_mesh import Mesh
 from hpcapp.progress import Progress, ProgressObserver, StageClock
 from hpccomponent.errors import InputError, UsageError
-from hpccomponent.surface.attributes.labels import find_labels
-from hpccomponent.surface.types.mesh import Mesh as TriangleMesh
-from hpccomponent.surface.types.points import ByteArray, FloatArray, PointCloud
 
 if TYPE_CHECKING:
     from distributed import Client

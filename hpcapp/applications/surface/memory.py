@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.cloud.spacing import estimate_spacing
+from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.method import TILE_POINTS, MethodSettings
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io.registry import find_point_reader
 from hpccomponent.errors import HpcError, UsageError
 from hpccomponent.limits import available_memory
-from hpccomponent.surface import kernels
-from hpccomponent.surface.cloud.spacing import estimate_spacing
-from hpccomponent.surface.kernels import bound_points
-from hpccomponent.surface.types.points import PointCloud
 from hpccomponent.units import parse_size
 
 __all__ = [

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.checkpoint import Keeping
+    from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
     from hpcapp.applications.surface.surface import Surface
+    from hpcapp.applications.surface.types.points import PointCloud
     from hpcapp.workforce import Workforce
-    from hpccomponent.surface.cloud.arranged import ArrangedCloud
-    from hpccomponent.surface.types.points import PointCloud
 
 __all__ = [
     "LARGE_TILE",

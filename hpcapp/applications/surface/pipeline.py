@@ -14,13 +14,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, replace_points
 from hpcapp.applications.surface.method import Method
 from hpcapp.applications.surface.surface import Surface
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.progress import StageClock
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import UsageError
-from hpccomponent.surface.cloud.arranged import ArrangedCloud, replace_points
-from hpccomponent.surface.types.points import PointCloud
 
 __all__ = ["Preprocess", "Reconstruction", "reconstruct"]
 

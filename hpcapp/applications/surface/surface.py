@@ -13,6 +13,8 @@ import numpy as np
 
 from hpcapp.applications.surface.attributes.carrying import NOTHING, Carrying
 from hpcapp.applications.surface.checkpoint import Keeping
+from hpcapp.applications.surface.extraction.parts import MeshPart
+from hpcapp.applications.surface.extraction.summary import PartSummary
 from hpcapp.applications.surface.stitching.assemble import (
     LoadPart,
     assemble_mesh,
@@ -21,7 +23,13 @@ from hpcapp.applications.surface.stitching.assemble import (
     take_tile,
 )
 from hpcapp.applications.surface.stitching.plan import WeldPlan, plan_weld
+from hpcapp.applications.surface.stitching.shared_ply import write_kept, write_part
+from hpcapp.applications.surface.stitching.tile_ply import write_kept_tile
 from hpcapp.applications.surface.stitching.topology import Topology, check_mesh
+from hpcapp.applications.surface.tiles.patterns import kept_part
+from hpcapp.applications.surface.types.lattice import number_keys
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpcapp.io import describe_losses, needs_double, write_mesh
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.registry import TILES_SUFFIX
@@ -32,14 +40,6 @@ from hpccomponent.files.held_folders import temporary_folder
 from hpccomponent.protocol.declared import ANYTHING, Fixed
 from hpccomponent.runtime.background import Deferred
 from hpccomponent.store.base import FolderStore
-from hpccomponent.surface.extraction.parts import MeshPart
-from hpccomponent.surface.extraction.summary import PartSummary
-from hpccomponent.surface.tasks.shared_ply import write_kept, write_part
-from hpccomponent.surface.tasks.surface_patterns import kept_part
-from hpccomponent.surface.tasks.tile_ply import write_kept_tile
-from hpccomponent.surface.types.lattice import number_keys
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray, IntArray
 
 __all__ = ["PartSurface", "Surface", "WholeSurface", "simplify_surface"]
 

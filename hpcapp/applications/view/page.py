@@ -8,7 +8,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
+from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.stitching.topology import check_mesh
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io import holds_faces, read_mesh, read_points, take_finite
 from hpcapp.pages.job import describe_job
 from hpcapp.pages.owners import mark_tiles, take_labels
@@ -16,9 +19,6 @@ from hpcapp.pages.page import Section, build_page, make_table
 from hpcapp.pages.report import read_report
 from hpcapp.pages.scene import Field, Scene, fields_of
 from hpcapp.pages.thin import thin_mesh
-from hpccomponent.surface.kernels import bound_points
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = ["make_page", "read_shown"]
 

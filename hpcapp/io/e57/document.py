@@ -16,8 +16,8 @@ from xml.parsers import expat
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.applications.surface.types.points import ByteArray
 from hpccomponent.errors import InputError
-from hpccomponent.surface.types.points import ByteArray
 
 __all__ = ["Element", "read_document", "refuse", "sum_pages"]
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hpcapp.applications.surface.types.points import FloatArray, Int32Array, PointCloud
 from hpcapp.io.batches import batch_points
 from hpcapp.io.columns import Numbers
 from hpcapp.io.e57.document import Element, read_document, refuse
@@ -24,7 +25,6 @@ from hpcapp.io.e57.scans import (
 from hpcapp.io.points.column_roles import COLOURS, NORMALS
 from hpcapp.io.points.point_source import Findings, PointSource, Scan, keep_small
 from hpccomponent.errors import InputError, UsageError
-from hpccomponent.surface.types.points import FloatArray, Int32Array, PointCloud
 
 __all__ = ["open_e57"]
 

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
+from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.io.e57.document import Element, refuse
 from hpcapp.io.points.column_roles import COLOURS, find_role
 from hpccomponent.decoding.process import Decoder, open_decoder
 from hpccomponent.errors import InputError
-from hpccomponent.surface.types.points import FloatArray
 
 __all__ = [
     "CARTESIAN",

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io.columns import Numbers
 from hpcapp.io.frame import finite_bounds
 from hpcapp.io.points.usable import drop_non_finite
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import OutputError, UsageError
-from hpccomponent.surface.types.points import PointCloud
 
 __all__ = ["write_e57"]
 

@@ -10,11 +10,11 @@ from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 
+from hpcapp.applications.surface.types.points import ByteArray
 from hpcapp.io.las.header import LasHeader
 from hpccomponent.decoding.laz import read_items
 from hpccomponent.decoding.process import open_decoder
 from hpccomponent.errors import InputError, UsageError
-from hpccomponent.surface.types.points import ByteArray
 
 __all__ = ["Take", "find_library", "open_decompressor"]
 

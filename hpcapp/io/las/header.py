@@ -15,10 +15,10 @@ from typing import BinaryIO
 
 import numpy as np
 
+from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.io.crs import Crs, parse_geokeys, parse_wkt
 from hpcapp.io.points.point_source import Findings
 from hpccomponent.errors import InputError
-from hpccomponent.surface.types.points import FloatArray
 
 __all__ = ["LasHeader", "find_crs", "read_header"]
 

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.applications.surface.types.points import BoolArray, FloatArray, PointCloud
 from hpcapp.io.columns import Numbers
 from hpcapp.io.las.header import LasHeader
 from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS, find_role
 from hpccomponent.errors import InputError
-from hpccomponent.surface.types.points import BoolArray, FloatArray, PointCloud
 
 __all__ = ["LasLayout", "find_layout"]
 

@@ -11,6 +11,7 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.applications.surface.types.points import ByteArray, PointCloud
 from hpcapp.io.batches import batch_points
 from hpcapp.io.las.decompression import Take, find_library, open_decompressor
 from hpcapp.io.las.header import LasHeader, find_crs, read_header
@@ -18,7 +19,6 @@ from hpcapp.io.las.layout import LasLayout, find_layout
 from hpcapp.io.points.point_source import Findings, PointSource, Scan, keep_small
 from hpccomponent.errors import InputError
 from hpccomponent.limits import available_cores
-from hpccomponent.surface.types.points import ByteArray, PointCloud
 
 __all__ = ["open_las"]
 

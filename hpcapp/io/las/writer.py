@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io.columns import Numbers
 from hpcapp.io.crs import UNIT_CODES, parse_epsg
 from hpcapp.io.frame import finite_bounds
@@ -19,7 +20,6 @@ from hpcapp.io.las.layout import DEGREES_A_STEP
 from hpcapp.io.points.usable import drop_non_finite
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import OutputError, UsageError
-from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = ["choose_grid", "write_las"]
 

@@ -17,12 +17,12 @@ from pathlib import Path
 
 import numpy as np
 
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io.columns import Numbers
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import OutputError
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = ["write_glb"]
 

@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import ByteArray, FloatArray
 from hpcapp.io.columns import Numbers
 from hpcapp.io.frame import to_local
 from hpccomponent.errors import InputError
 from hpccomponent.foreign_json import decode
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import ByteArray, FloatArray
 
 __all__ = ["read_glb"]
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
 from hpcapp.io.frame import finite_bounds
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
 
 __all__ = ["MeshStream", "as_stream", "find_vertices", "make_mesh"]
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.io.columns import Ragged
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.meshes.obj import coordinate_format
@@ -24,7 +25,6 @@ from hpcapp.io.rows import (
 )
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import InputError
-from hpccomponent.surface.types.mesh import Mesh
 
 __all__ = ["read_off", "write_off"]
 

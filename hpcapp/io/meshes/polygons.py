@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.io.columns import Ragged, cut_fans
 from hpcapp.io.frame import to_local
 from hpccomponent.errors import InputError
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray
 
 __all__ = ["mesh_of_polygons"]
 

@@ -16,11 +16,11 @@ from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 import numpy as np
 
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.rows import write_rows
 from hpcapp.io.staging import replacing
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray, IntArray
 
 __all__ = ["write_3mf"]
 

@@ -21,13 +21,13 @@ from pathlib import Path
 
 import numpy as np
 
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpcapp.io.batches import join_points
 from hpcapp.io.meshes.glb import write_glb
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream, find_vertices, make_mesh
 from hpcapp.io.staging import replacing_folder
 from hpcapp.simplification.mesh import Target, simplify_mesh
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray, IntArray
 
 __all__ = ["TILE_FACES", "write_tileset"]
 

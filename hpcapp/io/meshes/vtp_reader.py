@@ -16,10 +16,10 @@ from xml.etree import ElementTree as Xml
 
 import numpy as np
 
+from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.io.columns import Numbers, Ragged
 from hpcapp.io.meshes.polygons import mesh_of_polygons
 from hpccomponent.errors import InputError
-from hpccomponent.surface.types.mesh import Mesh
 
 __all__ = ["read_vtp"]
 

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.io.columns import Numbers, Ragged, Rows
 from hpcapp.io.ply.header import Element, Header, Property
 from hpcapp.io.rows import Line, line_error, numbered, parse_table, take_lines
 from hpccomponent.errors import InputError
-from hpccomponent.surface.types.points import FloatArray
 
 __all__ = ["scan_ascii"]
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.io.points.point_source import Scan
-from hpccomponent.surface.types.points import FloatArray
 
 __all__ = ["Kept", "keep", "parse_comments"]
 

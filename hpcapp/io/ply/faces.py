@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.applications.surface.types.points import BoolArray, FloatArray
 from hpcapp.io.columns import Numbers, Ragged, cut_fans
 from hpcapp.io.ply.header import Header
 from hpccomponent.errors import InputError
-from hpccomponent.surface.types.points import BoolArray, FloatArray
 
 __all__ = ["find_polygons", "vertex_normals"]
 

@@ -14,6 +14,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.applications.surface.stitching.shared_ply import (
+    FACE_SIZE,
+    SharedPly,
+    coordinate_lines,
+    face_rows,
+    mesh_header,
+    ply_header,
+    vertex_rows,
+    vertex_size,
+)
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io.frame import needs_double
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.meshes.polygons import mesh_of_polygons
@@ -28,18 +40,6 @@ from hpcapp.io.points.named_columns import build_cloud
 from hpcapp.io.points.point_source import Scan
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import InputError, OutputError
-from hpccomponent.surface.tasks.shared_ply import (
-    FACE_SIZE,
-    SharedPly,
-    coordinate_lines,
-    face_rows,
-    mesh_header,
-    ply_header,
-    vertex_rows,
-    vertex_size,
-)
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = ["holds_ply_faces", "read_ply_mesh", "shared_ply", "write_ply_mesh", "write_ply_points"]
 
@@ -146,7 +146,7 @@ def shared_ply(
     Yields
     ------
     SharedPly
-        Where `write_part` and `write_kept` of `hpccomponent.surface.tasks.shared_ply` are to write,
+        Where `write_part` and `write_kept` of the surface's `stitching.shared_ply` are to write,
         until the block ends.
     """
     is_double = needs_double(box, origin)

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
+from hpcapp.applications.surface.stitching.shared_ply import coordinate_lines, ply_header
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io.ply.columns import VertexProperties
 from hpcapp.io.ply.comments import keep
 from hpcapp.io.points.column_roles import AXES, name_columns
 from hpcapp.io.points.point_source import PointSource
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import InputError
-from hpccomponent.surface.tasks.shared_ply import coordinate_lines, ply_header
-from hpccomponent.surface.types.points import PointCloud
 
 __all__ = ["write_joined"]
 

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from hpcapp.applications.surface.cloud.point_records import Column, PointRecords
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io.batches import cut_points, join_points
 from hpcapp.io.columns import Ragged, Rows
 from hpcapp.io.ply.binary import find_records
@@ -27,8 +29,6 @@ from hpcapp.io.points.named_columns import (
 )
 from hpcapp.io.points.point_source import Findings, PointSource, Scan
 from hpccomponent.errors import InputError
-from hpccomponent.surface.cloud.point_records import Column, PointRecords
-from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = ["open_ply", "plan_vertex"]
 

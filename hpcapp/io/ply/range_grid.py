@@ -15,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
+from hpcapp.applications.surface.types.points import IntArray
 from hpcapp.io.columns import Ragged
 from hpcapp.io.ply.header import Header
 from hpcapp.io.rows import is_count
 from hpccomponent.errors import InputError
-from hpccomponent.surface.types.points import IntArray
 
 __all__ = ["GRID_LIST", "find_cells", "find_range_grid"]
 

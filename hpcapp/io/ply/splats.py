@@ -14,9 +14,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io.columns import Numbers
 from hpcapp.io.points.named_columns import ColumnPlan, build_cloud, stack
-from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = ["are_splats", "build_splats", "plan_splats"]
 

@@ -11,8 +11,8 @@ from typing import Literal
 
 import numpy as np
 
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io.columns import Numbers
-from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = [
     "AXES",

@@ -13,6 +13,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.applications.surface.attributes.vertex_normals import add_face_normals, scale_normals
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io.batches import cut_points
 from hpcapp.io.columns import Numbers
 from hpcapp.io.meshes.obj import read_obj
@@ -22,9 +25,6 @@ from hpcapp.io.points.column_roles import name_columns
 from hpcapp.io.points.point_source import Findings, PointSource
 from hpcapp.io.rows import Line, line_error, numbered, parse_table
 from hpccomponent.errors import InputError
-from hpccomponent.surface.attributes.vertex_normals import add_face_normals, scale_normals
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = ["open_obj", "open_off", "open_stl", "sample_faces", "slice_cloud"]
 

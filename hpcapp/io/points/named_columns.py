@@ -10,11 +10,11 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.applications.surface.cloud.point_records import Column, PointRecords, colour_type
+from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
 from hpcapp.io.columns import Numbers
 from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS, find_role
 from hpccomponent.errors import InputError
-from hpccomponent.surface.cloud.point_records import Column, PointRecords, colour_type
-from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
 
 __all__ = ["ColumnPlan", "add_grid", "build_cloud", "describe_records", "plan_columns", "stack"]
 

@@ -21,6 +21,8 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.applications.surface.cloud.point_records import Column, PointRecords
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io.columns import Numbers
 from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS
 from hpcapp.io.points.named_columns import (
@@ -35,8 +37,6 @@ from hpcapp.io.points.packed_colours import PACKED, unpack_words
 from hpcapp.io.points.point_source import Findings, PointSource, Scan
 from hpcapp.io.text.columns import assign_by_value
 from hpccomponent.errors import InputError
-from hpccomponent.surface.cloud.point_records import Column, PointRecords
-from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = ["open_npy"]
 

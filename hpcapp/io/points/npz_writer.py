@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.lib import format as npy_format
 
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io.columns import Numbers
 from hpcapp.io.staging import replacing
-from hpccomponent.surface.types.points import PointCloud
 
 __all__ = ["write_npz_points"]
 

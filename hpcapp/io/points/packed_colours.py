@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from hpcapp.applications.surface.types.points import ByteArray, FloatArray
 from hpcapp.io.columns import Numbers
-from hpccomponent.surface.types.points import ByteArray, FloatArray
 
 __all__ = ["PACKED", "unpack_float_text", "unpack_words"]
 

@@ -16,6 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
+from hpcapp.applications.surface.cloud.point_records import Column, PointRecords
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io.columns import Numbers
 from hpcapp.io.points.lzf import MOST_EXPANSION, expand_lzf
 from hpcapp.io.points.named_columns import (
@@ -30,8 +32,6 @@ from hpcapp.io.points.pcd_header import PcdField, PcdHeader, read_pcd_header
 from hpcapp.io.points.point_source import Findings, PointSource, Scan
 from hpcapp.io.rows import numbered, parse_table, take_lines
 from hpccomponent.errors import InputError
-from hpccomponent.surface.cloud.point_records import Column, PointRecords
-from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = ["open_pcd"]
 

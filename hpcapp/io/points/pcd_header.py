@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from hpcapp.applications.surface.types.points import FloatArray
 from hpccomponent.errors import InputError
-from hpccomponent.surface.types.points import FloatArray
 
 __all__ = ["PcdField", "PcdHeader", "read_pcd_header"]
 

@@ -11,11 +11,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
+from hpcapp.applications.surface.cloud.point_records import PointRecords
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io.batches import cut_points, join_points
 from hpcapp.io.frame import to_local
 from hpccomponent.errors import InputError
-from hpccomponent.surface.cloud.point_records import PointRecords
-from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = ["Findings", "PointSource", "Scan", "keep_small", "read_whole", "translated"]
 

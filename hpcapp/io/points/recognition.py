@@ -31,13 +31,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.applications.surface.cloud.point_records import PointRecords
+from hpcapp.applications.surface.kernels import bound_points
+from hpcapp.applications.surface.types.points import BoolArray, FloatArray, PointCloud
 from hpcapp.io.batches import join_points
 from hpcapp.io.columns import Numbers
 from hpcapp.io.points.column_roles import ColourScale, judge_colours, judge_normals
 from hpcapp.io.points.point_source import Findings, PointSource, translated
-from hpccomponent.surface.cloud.point_records import PointRecords
-from hpccomponent.surface.kernels import bound_points
-from hpccomponent.surface.types.points import BoolArray, FloatArray, PointCloud
 
 __all__ = ["recognise"]
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from hpcapp.applications.surface.cloud.validity import Dropped, select_usable
+from hpcapp.applications.surface.kernels import bound_points
+from hpcapp.applications.surface.types.points import BoolArray, FloatArray, PointCloud
 from hpccomponent.errors import InputError, OutputError
-from hpccomponent.surface.cloud.validity import Dropped, select_usable
-from hpccomponent.surface.kernels import bound_points
-from hpccomponent.surface.types.points import BoolArray, FloatArray, PointCloud
 
 __all__ = [
     "FEWEST_POINTS",

@@ -21,12 +21,12 @@ from pathlib import Path
 
 import numpy as np
 
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io.columns import Numbers
 from hpcapp.io.points.column_roles import AXES, find_role, judge_colours
 from hpcapp.io.points.mesh_points import slice_cloud
 from hpcapp.io.points.point_source import PointSource
 from hpccomponent.errors import InputError
-from hpccomponent.surface.types.points import PointCloud
 
 __all__ = ["open_vtk"]
 

@@ -14,6 +14,7 @@ from typing import Literal
 
 import numpy as np
 
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io.columns import Numbers
 from hpcapp.io.points.column_roles import (
     AXES,
@@ -27,7 +28,6 @@ from hpcapp.io.points.column_roles import (
 from hpcapp.io.points.point_source import Findings
 from hpcapp.io.text.tables import RowNotes
 from hpccomponent.errors import InputError
-from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = ["DEGREES", "Columns", "assign_by_name", "assign_by_value"]
 

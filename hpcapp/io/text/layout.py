@@ -13,13 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
+from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS, find_role
 from hpcapp.io.points.point_source import Findings
 from hpcapp.io.rows import Line, is_count, line_error, numbered
 from hpcapp.io.text.lines import find_encoding, read_blocks, sample_lines
 from hpcapp.io.text.tables import RowFormat, is_missing, is_number, parse_sample
 from hpccomponent.errors import InputError
-from hpccomponent.surface.types.points import FloatArray
 
 __all__ = ["Layout", "find_layout"]
 

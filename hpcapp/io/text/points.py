@@ -13,13 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io.batches import batch_points
 from hpcapp.io.points.point_source import Findings, PointSource, Scan
 from hpcapp.io.text.columns import DEGREES, Columns, assign_by_name, assign_by_value
 from hpcapp.io.text.layout import Layout, find_layout
 from hpcapp.io.text.lines import Block, LineReader, read_blocks
 from hpcapp.io.text.tables import RowNotes, parse_block
-from hpccomponent.surface.types.points import PointCloud
 
 __all__ = ["open_text"]
 

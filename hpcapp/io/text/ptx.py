@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io.batches import batch_points
 from hpcapp.io.columns import Numbers
 from hpcapp.io.points.column_roles import AXES, COLOURS
@@ -28,7 +29,6 @@ from hpcapp.io.text.columns import Columns
 from hpcapp.io.text.lines import Block, LineReader, find_encoding, read_blocks
 from hpcapp.io.text.tables import RowFormat, RowNotes, parse_block
 from hpccomponent.errors import InputError
-from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = ["open_ptx"]
 

@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
+from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.io.points.point_source import Findings
 from hpcapp.io.rows import line_error
 from hpcapp.io.text.lines import Block
 from hpccomponent.errors import InputError
-from hpccomponent.surface.types.points import FloatArray
 
 __all__ = ["RowFormat", "RowNotes", "is_missing", "is_number", "parse_block", "parse_sample"]
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io.columns import Numbers
 from hpcapp.io.rows import write_rows
 from hpcapp.io.staging import replacing
-from hpccomponent.surface.types.points import PointCloud
 
 __all__ = ["write_text_points"]
 

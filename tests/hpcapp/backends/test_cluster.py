@@ -18,13 +18,13 @@ from fixture_types import StartCommand
 from standing import StartCluster
 
 import hpcapp
+from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.backends import cluster as cluster_module
 from hpcapp.backends.selection import Backend
 from hpcapp.communicator.executor import CommunicatorExecutor
 from hpccomponent.errors import NoWorkersError, UsageError
 from hpccomponent.inventory import dump_inventory, read_inventory
 from hpccomponent.protocol.keys import write_secret
-from hpccomponent.surface.types.points import FloatArray
 
 TASK = "quadrature.estimate"
 

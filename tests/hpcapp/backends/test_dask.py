@@ -22,11 +22,11 @@ from cryptography.x509.oid import NameOID
 from standing import StartDask
 
 import hpcapp
+from hpcapp.applications.surface.kernels.build import kernel_id
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.backends.selection import open_backend, open_executor
 from hpcapp.workforce import map_batches
 from hpccomponent.errors import JobError, NoWorkersError, TaskError, UsageError, WorkerLostError
-from hpccomponent.surface.build import kernel_id
-from hpccomponent.surface.types.points import PointCloud
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -19,11 +19,11 @@ import numpy as np
 import pytest
 from process_tree import are_gone, descendants
 
+from hpcapp.applications.surface.kernels.build import kernel_id
 from hpcapp.backends.engines import RAY
 from hpcapp.backends.selection import Backend, open_executor
 from hpcapp.workforce import map_batches
 from hpccomponent.errors import NoWorkersError, TaskError, UsageError, WorkerLostError
-from hpccomponent.surface.build import kernel_id
 
 # Ray keeps threads as long as it runs. It is not imported here: that is the backend's to do.
 pytestmark = [

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 import hpcapp
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.backends import BACKENDS
 from hpcapp.backends.processes import open_processes
 from hpcapp.backends.selection import open_backend, open_executor
@@ -19,7 +20,6 @@ from hpcapp.backends.serial import SerialExecutor
 from hpcapp.workforce import map_batches
 from hpccomponent.errors import UsageError, WorkerLostError
 from hpccomponent.limits import available_cores
-from hpccomponent.surface.types.points import PointCloud
 
 
 @pytest.mark.parametrize(

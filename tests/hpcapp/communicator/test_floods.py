@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from fixture_types import StartComponent
 
+from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.communicator.executor import CommunicatorExecutor
 from hpccomponent.protocol.connection import write_connection
-from hpccomponent.surface.types.points import FloatArray
 
 HELPERS = Path(__file__).parents[2] / "helpers"
 WAIT = 60.0

@@ -13,6 +13,7 @@ import zmq
 from fixture_types import StartComponent
 
 from hpcapp.applications.quadrature.application import estimate
+from hpcapp.applications.surface.paper.tasks import fit_patches
 from hpcapp.communicator.executor import CommunicatorExecutor
 from hpccomponent.protocol.codec import encode_values
 from hpccomponent.protocol.frames import LARGEST_FRAME, Buffer, split_buffers
@@ -30,7 +31,6 @@ from hpccomponent.protocol.messages import (
     encode_message,
 )
 from hpccomponent.runtime.numerics import numerics_id, package_version
-from hpccomponent.surface.tasks.patch_quadrics import fit_patches
 
 WAIT = 60.0
 ROWS = 200

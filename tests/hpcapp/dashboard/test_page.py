@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.dashboard.server import open_dashboard
 from hpcapp.dashboard.watched_job import WatchedJob
 from hpcapp.progress import Progress
 from hpcapp.timeline import MASTER, Timeline, WorkerState
-from hpccomponent.surface.types.mesh import Mesh
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

@@ -14,6 +14,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.dashboard.app import MOST_REQUESTS
 from hpcapp.dashboard.server import open_dashboard, parse_address
 from hpcapp.dashboard.unauthenticated import MOST_UNAUTHENTICATED
@@ -22,7 +23,6 @@ from hpcapp.dashboard.watched_job import WatchedJob
 from hpcapp.progress import Progress
 from hpcapp.timeline import MASTER, Timeline, WorkerState
 from hpccomponent.errors import UsageError
-from hpccomponent.surface.types.mesh import Mesh
 
 LOOPBACK = "127.0.0.1:0"
 TETRAHEDRON = Mesh(

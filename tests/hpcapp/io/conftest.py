@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import PointCloud
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import PointCloud
 
 MakeFile = Callable[..., Path]
 

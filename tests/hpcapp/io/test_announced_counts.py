@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from mutated_files import page_e57, read_pages
 
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import open_points, read_mesh, read_whole, write_mesh, write_points
 from hpccomponent.errors import InputError
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import PointCloud
 
 COUNT, MORE, FEWER = 1000, 2000, 500
 POINTS = np.random.default_rng(1).normal(size=(COUNT, 3)).astype(np.float32).astype(np.float64)

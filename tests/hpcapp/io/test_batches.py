@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io.batches import batch_points
-from hpccomponent.surface.types.points import PointCloud
 
 
 def _make(start: int, stop: int) -> PointCloud:

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import drop_unusable, read_mesh, read_points, write_mesh, write_points
 from hpccomponent.errors import InputError
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import PointCloud
 
 HEADER = (
     "ply\nformat {} 1.0\nelement strip 2\nproperty list char int ids\nproperty short s\n"

@@ -5,6 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import (
     check_writable,
     drop_unusable,
@@ -14,8 +16,6 @@ from hpcapp.io import (
     write_points,
 )
 from hpccomponent.errors import InputError, UsageError
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import PointCloud
 
 Make = Callable[..., Path]
 MESH_SUFFIXES = [".ply", ".obj", ".off", ".stl", ".PLY", ".Obj"]

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from mutated_files import GOOD, watch_reading, write_mutations
 
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import write_points
-from hpccomponent.surface.types.points import PointCloud
 
 MUTATIONS = 150  # python tests/helpers/mutated_files.py makes more
 

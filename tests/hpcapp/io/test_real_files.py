@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.cli import main
 from hpcapp.io import open_points, read_whole
 from hpcapp.io.points.inputs import gather_points
-from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 Told = tuple[int, str, str]
 Tell = Callable[[Path], Told]

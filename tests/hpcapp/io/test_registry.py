@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import open_points, read_points, write_points
 from hpcapp.io.points.point_source import Scan
 from hpcapp.io.registry import FORMATS, Format, list_suffixes
-from hpccomponent.surface.types.points import PointCloud
 
 WKT = 'PROJCS["a",GEOGCS["b",UNIT["degree",0.0174532925]],UNIT["metre",1]]'
 SCANS = (Scan(scanner=np.array([1.0, 2.0, 3.0])),)

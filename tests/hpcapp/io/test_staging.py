@@ -4,11 +4,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.io import check_writable, write_mesh
 from hpcapp.io.meshes.tiles import shared_tiles
 from hpcapp.io.staging import check_place, replacing
 from hpccomponent.errors import OutputError
-from hpccomponent.surface.types.mesh import Mesh
 
 
 @pytest.mark.slow

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import hpcapp
+from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
 from hpcapp.pages.job import describe_job
 from hpcapp.pages.page import build_page
 from hpcapp.pages.scene import Field, Marker, Scene, label_field
-from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.pages.owners import TILE, Owners, mark_tiles, take_labels
 from hpccomponent.errors import InputError
-from hpccomponent.surface.types.mesh import Mesh
 
 PLY = Path("m.ply")
 FIVE = Mesh(np.zeros((5, 3)), np.array([[0, 1, 2]]), np.zeros(3))

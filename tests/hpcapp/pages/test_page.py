@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.pages.page import Section, build_page, make_list, make_table, write_page
 from hpcapp.pages.scene import Field, Marker, Scene, fields_of, label_field
 from hpccomponent.errors import OutputError
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import PointCloud
 
 CORNERS = np.array([[0.0, 0, 0], [2.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])

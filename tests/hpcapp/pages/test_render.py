@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import BoolArray, ByteArray
 from hpcapp.pages.png import write_png
 from hpcapp.pages.render import render_mesh
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import BoolArray, ByteArray
 
 SQUARE = np.array([[0.0, 0, 0], [0, 1, 0], [0, 1, 1], [0, 0, 1]])
 FACES = np.array([[0, 1, 2], [0, 2, 3]])  # anticlockwise as seen from +x

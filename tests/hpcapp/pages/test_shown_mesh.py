@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import hpcapp
-from hpccomponent.surface.types.mesh import Mesh as PlainMesh
-from hpccomponent.surface.types.points import PointCloud
+from hpcapp.applications.surface.types.mesh import Mesh as PlainMesh
+from hpcapp.applications.surface.types.points import PointCloud
 
 CORNERS = np.array([[0.0, 0, 0], [2.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])

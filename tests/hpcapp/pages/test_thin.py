@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.io.meshes.mesh_stream import as_stream
 from hpcapp.pages.thin import gather_mesh, thin_mesh
-from hpccomponent.surface.types.mesh import Mesh
 
 
 def make_ball(rings: int = 120) -> Mesh:

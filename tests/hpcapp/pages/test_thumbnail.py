@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.pages.thumbnail import draw_points, write_thumbnail
-from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 RED, BLUE = (200, 10, 10), (10, 10, 200)
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.io import read_mesh, write_mesh
 from hpcapp.simplification.command import simplify
 from hpccomponent.errors import InputError, UsageError
-from hpccomponent.surface.types.mesh import Mesh
 
 pytest.importorskip("pyfqmr", reason="needs the light extra")
 

@@ -10,9 +10,9 @@ import pytest
 from level_sets import mesh_level_set
 
 from hpcapp.applications.surface.stitching.topology import check_mesh, signed_volume
+from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.simplification.mesh import Target, simplify_mesh
 from hpccomponent.errors import UsageError
-from hpccomponent.surface.types.mesh import Mesh
 
 
 def make_torus(cells: int = 64) -> Mesh:

@@ -7,7 +7,7 @@ import numpy as np
 from hpcapp.applications.simulate import solids
 from hpcapp.applications.simulate.fields import cut, grow, mirror, smooth_unite, unite
 from hpcapp.applications.simulate.implicit import ImplicitShape, symmetric
-from hpccomponent.surface.types.points import FloatArray
+from hpcapp.applications.surface.types.points import FloatArray
 
 __all__ = ["CLASSIC"]
 

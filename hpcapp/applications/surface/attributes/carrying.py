@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hpcapp.applications.surface.attributes.vertex_normals import add_face_normals, scale_normals
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
-from hpccomponent.surface.attributes.vertex_normals import add_face_normals, scale_normals
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 if TYPE_CHECKING:
-    from hpccomponent.surface.attributes.carry import Carried
+    from hpcapp.applications.surface.attributes.carry import Carried
 
 __all__ = ["NOTHING", "SUPPORT", "Carrying", "Evaluate"]
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from hpccomponent.errors import UsageError
 
 if TYPE_CHECKING:
-    from hpccomponent.surface.types.points import PointCloud
+    from hpcapp.applications.surface.types.points import PointCloud
 
 __all__ = ["CONFIDENCE", "AttributeChoice", "parse_attributes"]
 

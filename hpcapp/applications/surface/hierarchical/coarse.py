@@ -6,15 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hpcapp.workforce import Workforce, begin_batch
-from hpccomponent.surface.fitting.cell_points import PartMoments
-from hpccomponent.surface.fitting.far_field import (
+from hpcapp.applications.surface.field.cell_points import PartMoments
+from hpcapp.applications.surface.field.far_field import (
     crop_far_field,
     far_step,
     restore_far_field,
 )
-from hpccomponent.surface.fitting.levels import find_trust
-from hpccomponent.surface.fitting.pyramid import (
+from hpcapp.applications.surface.field.levels import find_trust
+from hpcapp.applications.surface.field.pyramid import (
     Level,
     Parents,
     Pyramid,
@@ -23,13 +22,14 @@ from hpccomponent.surface.fitting.pyramid import (
     lay_vertices,
     raise_levels,
 )
-from hpccomponent.surface.tasks.tiles import solve_far
-from hpccomponent.surface.tiles.halo import HALO_STEPS, mark_near
-from hpccomponent.surface.tiles.plan import CoarseLattice, CoarseLevels, Plan, Samples
-from hpccomponent.surface.types.field import FarField, FieldLevel
-from hpccomponent.surface.types.grid import BRICK, Grid
-from hpccomponent.surface.types.lattice import ancestor_keys, unique_keys, unpack_keys
-from hpccomponent.surface.types.points import IntArray
+from hpcapp.applications.surface.tiles.halo import HALO_STEPS, mark_near
+from hpcapp.applications.surface.tiles.plan import CoarseLattice, CoarseLevels, Plan, Samples
+from hpcapp.applications.surface.tiles.tasks import solve_far
+from hpcapp.applications.surface.types.field import FarField, FieldLevel
+from hpcapp.applications.surface.types.grid import BRICK, Grid
+from hpcapp.applications.surface.types.lattice import ancestor_keys, unique_keys, unpack_keys
+from hpcapp.applications.surface.types.points import IntArray
+from hpcapp.workforce import Workforce, begin_batch
 
 __all__ = ["Coarse", "far_level", "fit_coarse"]
 

@@ -6,21 +6,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hpcapp.applications.surface.method import MARGIN, MAX_GRID, Resolution
-from hpccomponent.surface import kernels
-from hpccomponent.surface.cloud.measured import Measured
-from hpccomponent.surface.fitting.cell_points import SortedPoints
-from hpccomponent.surface.fitting.pyramid import (
+from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.cloud.measured import Measured
+from hpcapp.applications.surface.field.cell_points import SortedPoints
+from hpcapp.applications.surface.field.pyramid import (
     Level,
     VertexQuadrics,
     build_pyramid,
     count_levels,
     fit_levels,
 )
-from hpccomponent.surface.fitting.robust import find_tolerance, measure_points, tell_kurtosis
-from hpccomponent.surface.fitting.weights import LEAST_MU, Weights, tell_noise
-from hpccomponent.surface.kernels import bound_points
-from hpccomponent.surface.types.points import IntArray, PointCloud
+from hpcapp.applications.surface.field.robust import find_tolerance, measure_points, tell_kurtosis
+from hpcapp.applications.surface.field.weights import LEAST_MU, Weights, tell_noise
+from hpcapp.applications.surface.kernels import bound_points
+from hpcapp.applications.surface.method import MARGIN, MAX_GRID, Resolution
+from hpcapp.applications.surface.types.points import IntArray, PointCloud
 
 __all__ = ["Scale", "choose_scale", "suggest_grid"]
 

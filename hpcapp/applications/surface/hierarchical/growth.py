@@ -14,20 +14,25 @@ from typing import Any
 import numpy as np
 
 from hpcapp.applications.surface.checkpoint import Keeping
+from hpcapp.applications.surface.extraction.parts import MeshPart
+from hpcapp.applications.surface.extraction.summary import PartSummary
 from hpcapp.applications.surface.hierarchical.coarse import Coarse
 from hpcapp.applications.surface.hierarchical.tiles import Tiling
 from hpcapp.applications.surface.method import Advance, ShowPart, show_nothing
 from hpcapp.applications.surface.surface import PartSurface
+from hpcapp.applications.surface.tiles.patterns import tile_surface
+from hpcapp.applications.surface.tiles.plan import Plan
+from hpcapp.applications.surface.tiles.tasks import mesh_gap, mesh_tile
+from hpcapp.applications.surface.types.grid import BRICK
+from hpcapp.applications.surface.types.lattice import (
+    find_keys,
+    pack_places,
+    unique_keys,
+    unpack_keys,
+)
+from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.errors import JobError
-from hpccomponent.surface.extraction.parts import MeshPart
-from hpccomponent.surface.extraction.summary import PartSummary
-from hpccomponent.surface.tasks.surface_patterns import tile_surface
-from hpccomponent.surface.tasks.tiles import mesh_gap, mesh_tile
-from hpccomponent.surface.tiles.plan import Plan
-from hpccomponent.surface.types.grid import BRICK
-from hpccomponent.surface.types.lattice import find_keys, pack_places, unique_keys, unpack_keys
-from hpccomponent.surface.types.points import FloatArray, IntArray
 
 __all__ = ["mesh_regions"]
 

@@ -15,15 +15,19 @@ from typing import Any
 
 import numpy as np
 
-from hpcapp.applications.surface.checkpoint import Keeping
-from hpcapp.applications.surface.hierarchical.coarse import Coarse, far_level, fit_coarse
-from hpcapp.applications.surface.hierarchical.estimates import Scale, choose_scale
-from hpcapp.applications.surface.hierarchical.growth import mesh_regions
-from hpcapp.applications.surface.hierarchical.opening import (
+from hpcapp.applications.surface.boundary.drive import (
     Closure,
     OpeningSettings,
     close_surface,
 )
+from hpcapp.applications.surface.checkpoint import Keeping
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
+from hpcapp.applications.surface.cloud.arrangement import choose_arrangement
+from hpcapp.applications.surface.field.far_field import FEWEST_NODES, choose_nodes
+from hpcapp.applications.surface.field.pyramid import count_levels
+from hpcapp.applications.surface.hierarchical.coarse import Coarse, far_level, fit_coarse
+from hpcapp.applications.surface.hierarchical.estimates import Scale, choose_scale
+from hpcapp.applications.surface.hierarchical.growth import mesh_regions
 from hpcapp.applications.surface.hierarchical.slabs import mesh_slabs
 from hpcapp.applications.surface.hierarchical.tiles import Tiling
 from hpcapp.applications.surface.method import (
@@ -36,17 +40,13 @@ from hpcapp.applications.surface.method import (
     show_nothing,
 )
 from hpcapp.applications.surface.surface import PartSurface
+from hpcapp.applications.surface.tiles.patterns import coarse_lattice
+from hpcapp.applications.surface.tiles.plan import CoarseLattice, Plan, Samples
+from hpcapp.applications.surface.tiles.tasks import sum_tile
+from hpcapp.applications.surface.types.grid import BRICK, Grid
+from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
 from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.errors import InputError, UsageError
-from hpccomponent.surface.cloud.arranged import ArrangedCloud
-from hpccomponent.surface.cloud.arrangement import choose_arrangement
-from hpccomponent.surface.fitting.far_field import FEWEST_NODES, choose_nodes
-from hpccomponent.surface.fitting.pyramid import count_levels
-from hpccomponent.surface.tasks.surface_patterns import coarse_lattice
-from hpccomponent.surface.tasks.tiles import sum_tile
-from hpccomponent.surface.tiles.plan import CoarseLattice, Plan, Samples
-from hpccomponent.surface.types.grid import BRICK, Grid
-from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
 
 __all__ = [
     "HierarchicalMethod",

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from hpcapp.applications.surface.hierarchical.lengths import parse_length
+from hpcapp.applications.surface.boundary.lengths import parse_length
 from hpcapp.applications.surface.options import check_options, option
 from hpccomponent.errors import UsageError
 
 if TYPE_CHECKING:
+    from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
     from hpcapp.applications.surface.method import Method, Resolution, Resources
-    from hpccomponent.surface.cloud.arranged import ArrangedCloud
-    from hpccomponent.surface.types.points import PointCloud
+    from hpcapp.applications.surface.types.points import PointCloud
 
 __all__ = ["Hierarchical"]
 
@@ -145,8 +145,8 @@ class Hierarchical:
         UsageError
             The grid is too small.
         """
+        from hpcapp.applications.surface.boundary.drive import OpeningSettings
         from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
-        from hpcapp.applications.surface.hierarchical.opening import OpeningSettings
 
         return HierarchicalMethod(
             grid,

@@ -9,16 +9,16 @@ from __future__ import annotations
 
 from functools import partial
 
+from hpcapp.applications.surface.extraction.summary import summarize_part
+from hpcapp.applications.surface.field.levels import SlabFields, fit_above
+from hpcapp.applications.surface.field.pyramid import build_pyramid
 from hpcapp.applications.surface.method import Advance, ShowPart, show_nothing
 from hpcapp.applications.surface.surface import PartSurface
-from hpccomponent.surface.extraction.summary import summarize_part
-from hpccomponent.surface.fitting.levels import SlabFields, fit_above
-from hpccomponent.surface.fitting.pyramid import build_pyramid
-from hpccomponent.surface.tasks.tiles import find_far, sample_cells
-from hpccomponent.surface.tiles.halo import plan_whole
-from hpccomponent.surface.tiles.plan import Plan
-from hpccomponent.surface.tiles.slabs import cut_slabs, grow_slabs
-from hpccomponent.surface.types.points import PointCloud
+from hpcapp.applications.surface.tiles.halo import plan_whole
+from hpcapp.applications.surface.tiles.plan import Plan
+from hpcapp.applications.surface.tiles.slabs import cut_slabs, grow_slabs
+from hpcapp.applications.surface.tiles.tasks import find_far, sample_cells
+from hpcapp.applications.surface.types.points import PointCloud
 
 __all__ = ["mesh_slabs"]
 

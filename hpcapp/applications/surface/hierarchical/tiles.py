@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.point_workers import PointWorkers
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
+from hpcapp.applications.surface.cloud.cutting import cut_tiles
+from hpcapp.applications.surface.cloud.point_workers import PointWorkers
+from hpcapp.applications.surface.tiles.halo import mark_near
+from hpcapp.applications.surface.tiles.plan import Plan
+from hpcapp.applications.surface.tiles.points import CellPoints, PointsThere, pack_cells
+from hpcapp.applications.surface.tiles.tasks import KEPT_TILES
+from hpcapp.applications.surface.types.grid import BRICK
+from hpcapp.applications.surface.types.lattice import unpack_keys
+from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpcapp.workforce import Workforce
-from hpccomponent.surface.cloud.arranged import ArrangedCloud
-from hpccomponent.surface.cloud.cutting import cut_tiles
-from hpccomponent.surface.tasks.tiles import KEPT_TILES
-from hpccomponent.surface.tiles.halo import mark_near
-from hpccomponent.surface.tiles.plan import Plan
-from hpccomponent.surface.tiles.points import CellPoints, PointsThere, pack_cells
-from hpccomponent.surface.types.grid import BRICK
-from hpccomponent.surface.types.lattice import unpack_keys
-from hpccomponent.surface.types.points import FloatArray, IntArray
 
 __all__ = ["Tiling", "halo_cells", "weigh_cells"]
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from hpcapp.applications.surface.attributes.carrying import Carrying
 from hpcapp.applications.surface.attributes.choice import CONFIDENCE
-from hpcapp.applications.surface.input.folder import choose_tile
-from hpcapp.applications.surface.input.load import Loaded
+from hpcapp.applications.surface.job.folder import choose_tile
+from hpcapp.applications.surface.job.load import Loaded
 from hpcapp.applications.surface.settings import Settings, choose_threads
 from hpcapp.progress import StageClock
 

@@ -5,11 +5,11 @@ Each function returns sentences that say what is odd and what to do, or none.
 
 from __future__ import annotations
 
+from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.kernels import bound_points
+from hpcapp.applications.surface.normals.consistency import faces_inwards
 from hpcapp.applications.surface.surface import Surface
-from hpccomponent.surface import kernels
-from hpccomponent.surface.kernels import bound_points
-from hpccomponent.surface.normals.consistency import faces_inwards
-from hpccomponent.surface.types.points import FloatArray, PointCloud
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 
 __all__ = ["SAMPLE", "check_closure", "check_resolution", "check_sides"]
 

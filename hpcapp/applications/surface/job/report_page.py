@@ -13,6 +13,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from hpcapp.applications.surface.attributes.carrying import SUPPORT, Carrying
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
 from hpcapp.io import read_mesh, read_points, take_finite
 from hpcapp.io.meshes.mesh_stream import MeshStream
 from hpcapp.pages.job import describe_job
@@ -20,11 +22,9 @@ from hpcapp.pages.owners import TILE, Owners, mark_tiles, take_labels
 from hpcapp.pages.page import Section, build_page, make_table, write_page
 from hpcapp.pages.scene import MOST_POINTS, Field, Marker, Scene, fields_of
 from hpcapp.pages.thin import thin_mesh
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
 
 if TYPE_CHECKING:
-    from hpcapp.applications.surface.input.load import Loaded
+    from hpcapp.applications.surface.job.load import Loaded
     from hpcapp.applications.surface.job.steps import Outcome
     from hpcapp.applications.surface.pipeline import Reconstruction
 
@@ -114,7 +114,7 @@ def _measure(loaded: Loaded, outcome: Outcome, places: FloatArray) -> FloatArray
         tree = cKDTree(cloud.points.positions, compact_nodes=False, balanced_tree=False)
         distances: FloatArray = tree.query(places, workers=-1)[0]
         return distances
-    from hpccomponent.surface.attributes.search import evaluate_blocks
+    from hpcapp.applications.surface.attributes.search import evaluate_blocks
 
     spacing = float(outcome.result.facts["spacing"])
     take = lambda keys: PointCloud(cloud.take_blocks(keys)[0])  # noqa: E731 - it is one expression

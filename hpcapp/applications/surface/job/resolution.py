@@ -7,12 +7,12 @@ from math import sqrt
 
 import numpy as np
 
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.memory import check_memory, fit_memory
 from hpcapp.applications.surface.method import MARGIN, MAX_GRID, MIN_GRID
 from hpcapp.applications.surface.settings import Settings
+from hpcapp.applications.surface.types.points import FloatArray
 from hpccomponent.errors import UsageError
-from hpccomponent.surface.cloud.arranged import ArrangedCloud
-from hpccomponent.surface.types.points import FloatArray
 
 __all__ = ["choose_grid", "find_grid", "guess_grid"]
 

@@ -13,13 +13,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hpcapp.applications.surface.input.folder import choose_tile, find_point_workers
-from hpcapp.applications.surface.input.load import Loaded, PointFolder, load
-from hpcapp.applications.surface.input.recognised import describe_input
-from hpcapp.applications.surface.input.room import Room, open_room
 from hpcapp.applications.surface.job.backend_choice import Job, approach_workers
 from hpcapp.applications.surface.job.carry import carry_columns
+from hpcapp.applications.surface.job.folder import choose_tile, find_point_workers
+from hpcapp.applications.surface.job.load import Loaded, PointFolder, load
+from hpcapp.applications.surface.job.recognised import describe_input
 from hpcapp.applications.surface.job.resolution import guess_grid
+from hpcapp.applications.surface.job.room import Room, open_room
+from hpcapp.applications.surface.kernels.build import kernel_id
+from hpcapp.applications.surface.kernels.freed_memory import keep_memory
 from hpcapp.applications.surface.memory import count_most_points
 from hpcapp.applications.surface.method import TILE_POINTS
 from hpcapp.applications.surface.settings import JobSettings
@@ -29,8 +31,6 @@ from hpcapp.io import describe_losses
 from hpcapp.io.output import open_output
 from hpcapp.progress import Progress, StageClock
 from hpcapp.timeline import Timeline
-from hpccomponent.surface.build import kernel_id
-from hpccomponent.surface.freed_memory import keep_memory
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.attributes.carrying import Carrying

@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hpcapp.applications.surface.checkpoint import Keeping
-from hpcapp.applications.surface.input.folder import all_see_folder, choose_tile
-from hpcapp.applications.surface.input.load import Loaded
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.job.backend_choice import Choice, Job, Opener
 from hpcapp.applications.surface.job.diagnostics import (
     SAMPLE,
@@ -21,7 +20,10 @@ from hpcapp.applications.surface.job.diagnostics import (
     check_resolution,
     check_sides,
 )
+from hpcapp.applications.surface.job.folder import all_see_folder, choose_tile
+from hpcapp.applications.surface.job.load import Loaded
 from hpcapp.applications.surface.job.resolution import find_grid
+from hpcapp.applications.surface.kernels.build import kernel_id
 from hpcapp.applications.surface.method import Resources
 from hpcapp.applications.surface.pipeline import Reconstruction
 from hpcapp.applications.surface.pipeline import reconstruct as run_pipeline
@@ -31,12 +33,10 @@ from hpcapp.applications.surface.settings import (
     choose_threads,
 )
 from hpcapp.applications.surface.surface import simplify_surface
+from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.backends.selection import Backend
 from hpcapp.progress import StageClock
 from hpccomponent.runtime.background import Deferred
-from hpccomponent.surface.build import kernel_id
-from hpccomponent.surface.cloud.arranged import ArrangedCloud
-from hpccomponent.surface.types.points import FloatArray
 
 if TYPE_CHECKING:
     from distributed import Client

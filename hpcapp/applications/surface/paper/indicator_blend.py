@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.applications.surface.paper.kdtree import Patches
+from hpcapp.applications.surface.types.points import FloatArray
 from hpccomponent.errors import JobError, UsageError
-from hpccomponent.surface.types.points import FloatArray
 
 __all__ = ["NodeGrid", "plan_grid", "sample_indicator_blend", "settle_zeros"]
 

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.applications.surface.paper.indicator_blend import NodeGrid
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import FloatArray
 from hpccomponent.errors import JobError
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray
 
 __all__ = ["extract_iso_surface"]
 

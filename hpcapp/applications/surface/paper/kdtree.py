@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.paper.split_rule import SplitRule
+from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpccomponent.errors import InputError, UsageError
-from hpccomponent.surface.kernels import bound_points
-from hpccomponent.surface.types.points import FloatArray, IntArray
 
 __all__ = ["Patches", "partition_by_count", "partition_by_rule"]
 

@@ -18,6 +18,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
+from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.method import Advance, ShowPart, show_nothing
 from hpcapp.applications.surface.paper.indicator_blend import (
     plan_grid,
@@ -31,17 +33,15 @@ from hpcapp.applications.surface.paper.kdtree import (
     partition_by_rule,
 )
 from hpcapp.applications.surface.paper.split_rule import SplitRule
-from hpcapp.applications.surface.surface import WholeSurface
-from hpcapp.workforce import Workforce, map_batches
-from hpccomponent.errors import InputError, UsageError
-from hpccomponent.surface.cloud.arranged import ArrangedCloud
-from hpccomponent.surface.kernels import bound_points
-from hpccomponent.surface.tasks.patch_quadrics import (
+from hpcapp.applications.surface.paper.tasks import (
     evaluate_quadrics,
     fit_patches,
     gradient_quadrics,
 )
-from hpccomponent.surface.types.points import FloatArray, PointCloud
+from hpcapp.applications.surface.surface import WholeSurface
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.workforce import Workforce, map_batches
+from hpccomponent.errors import InputError, UsageError
 
 __all__ = ["PaperMethod", "PaperPartition", "measure_residuals"]
 

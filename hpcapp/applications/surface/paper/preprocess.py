@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
+from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
 from hpccomponent.errors import InputError, UsageError
-from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
 
 __all__ = ["denoise", "measure_spacing", "remove_outliers", "resample"]
 

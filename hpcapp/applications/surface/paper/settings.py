@@ -9,10 +9,10 @@ from hpcapp.applications.surface.method import MARGIN, Resolution
 from hpcapp.applications.surface.options import check_options, option
 
 if TYPE_CHECKING:
+    from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
     from hpcapp.applications.surface.method import Method, Resources
     from hpcapp.applications.surface.paper.method import PaperPartition
-    from hpccomponent.surface.cloud.arranged import ArrangedCloud
-    from hpccomponent.surface.types.points import FloatArray, PointCloud
+    from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 
 __all__ = ["Paper"]
 

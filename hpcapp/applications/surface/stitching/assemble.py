@@ -10,14 +10,18 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from hpcapp.applications.surface.extraction.part_places import (
+    PartPlaces,
+    place_faces,
+    place_vertices,
+)
+from hpcapp.applications.surface.extraction.parts import Int32Array, MeshPart
 from hpcapp.applications.surface.stitching.plan import WeldPlan
+from hpcapp.applications.surface.stitching.tile_ply import cut_tile
+from hpcapp.applications.surface.types.lattice import unique_keys
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
 from hpcapp.io import MeshStream
-from hpccomponent.surface.extraction.part_places import PartPlaces, place_faces, place_vertices
-from hpccomponent.surface.extraction.parts import Int32Array, MeshPart
-from hpccomponent.surface.tasks.tile_ply import cut_tile
-from hpccomponent.surface.types.lattice import unique_keys
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
 
 __all__ = ["LoadPart", "assemble_mesh", "stream_mesh", "stream_tiles", "take_tile"]
 

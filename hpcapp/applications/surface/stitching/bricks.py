@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.extraction.part_places import starts_of
+from hpcapp.applications.surface.extraction.summary import PartSummary
+from hpcapp.applications.surface.types.lattice import find_keys, unique_keys, unpack_keys
+from hpcapp.applications.surface.types.points import IntArray
 from hpccomponent.errors import JobError
-from hpccomponent.surface import kernels
-from hpccomponent.surface.extraction.part_places import starts_of
-from hpccomponent.surface.extraction.summary import PartSummary
-from hpccomponent.surface.types.lattice import find_keys, unique_keys, unpack_keys
-from hpccomponent.surface.types.points import IntArray
 
 __all__ = ["PartBricks", "check_foreign", "collect_bricks", "join_labels", "missing_bricks"]
 

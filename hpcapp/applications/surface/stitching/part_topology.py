@@ -13,13 +13,13 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.extraction.part_places import starts_of
+from hpcapp.applications.surface.extraction.summary import PartSummary
 from hpcapp.applications.surface.stitching.bricks import PartBricks
 from hpcapp.applications.surface.stitching.topology import Topology, count_loops
-from hpccomponent.surface import kernels
-from hpccomponent.surface.extraction.part_places import starts_of
-from hpccomponent.surface.extraction.summary import PartSummary
-from hpccomponent.surface.types.lattice import find_first, find_keys, number_keys
-from hpccomponent.surface.types.points import FloatArray, IntArray
+from hpcapp.applications.surface.types.lattice import find_first, find_keys, number_keys
+from hpcapp.applications.surface.types.points import FloatArray, IntArray
 
 __all__ = ["Components", "judge_parts"]
 

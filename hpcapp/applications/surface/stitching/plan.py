@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.applications.surface.extraction.part_places import PartPlaces, starts_of
+from hpcapp.applications.surface.extraction.summary import PartSummary
 from hpcapp.applications.surface.stitching.bricks import (
     PartBricks,
     check_foreign,
@@ -21,10 +23,8 @@ from hpcapp.applications.surface.stitching.bricks import (
 )
 from hpcapp.applications.surface.stitching.part_topology import Components, judge_parts
 from hpcapp.applications.surface.stitching.topology import Topology
-from hpccomponent.surface.extraction.part_places import PartPlaces, starts_of
-from hpccomponent.surface.extraction.summary import PartSummary
-from hpccomponent.surface.types.lattice import unique_keys
-from hpccomponent.surface.types.points import FloatArray, IntArray
+from hpcapp.applications.surface.types.lattice import unique_keys
+from hpcapp.applications.surface.types.points import FloatArray, IntArray
 
 __all__ = ["WeldPlan", "missing_bricks", "plan_weld"]
 

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hpccomponent.surface import kernels
-from hpccomponent.surface.types.lattice import number_keys
-from hpccomponent.surface.types.mesh import Mesh, Survey
-from hpccomponent.surface.types.points import IntArray
+from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.types.lattice import number_keys
+from hpcapp.applications.surface.types.mesh import Mesh, Survey
+from hpcapp.applications.surface.types.points import IntArray
 
 __all__ = ["Topology", "check_mesh", "count_loops", "signed_volume"]
 

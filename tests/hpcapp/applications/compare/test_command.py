@@ -11,10 +11,10 @@ import pytest
 from click.testing import CliRunner
 
 from hpcapp.applications.compare.command import compare
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import write_mesh, write_points
 from hpccomponent.errors import InputError, UsageError
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import PointCloud
 
 CORNERS = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
 FACES = np.array([

@@ -10,8 +10,8 @@ from hpcapp.applications.compare.metrics import measure_mesh
 from hpcapp.applications.compare.nearest import NearestFace
 from hpcapp.applications.compare.truth import MeshTruth, PointTruth, ShapeTruth, sample_mesh
 from hpcapp.applications.simulate.shapes import SHAPES, diagonal_of
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import PointCloud
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import PointCloud
 
 
 def ball(radius: float = 1.0, cells: int = 40) -> Mesh:

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.points.info import describe, describe_file
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import open_points
-from hpccomponent.surface.types.points import PointCloud
 
 
 def grid(step: float = 0.25) -> np.ndarray:

@@ -9,9 +9,9 @@ import pytest
 from click.testing import CliRunner
 
 from hpcapp.applications.reproduce.command import reproduce
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import write_points
 from hpccomponent.errors import HpcError, InputError, UsageError
-from hpccomponent.surface.types.points import PointCloud
 
 
 @pytest.fixture

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.reproduce.scaling import Run, limit_of_fits, measure, summarise
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import write_points
 from hpccomponent.errors import UsageError
-from hpccomponent.surface.types.points import PointCloud
 
 
 def runs_of(slow_round: float) -> list[Run]:

@@ -10,8 +10,8 @@ from scipy.spatial import KDTree
 
 from hpcapp.applications.simulate.scanner import ScanSettings, sample_surface, simulate_scan
 from hpcapp.applications.simulate.shapes import SHAPES, Shape, diagonal_of
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpccomponent.errors import UsageError
-from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 TORUS = SHAPES["torus"]
 SPHERE = SHAPES["sphere"]

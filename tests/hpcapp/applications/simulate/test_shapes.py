@@ -17,9 +17,9 @@ from hpcapp.applications.simulate.shapes import (
     find_shape,
 )
 from hpcapp.applications.surface.stitching.topology import check_mesh
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import FloatArray
 from hpccomponent.errors import UsageError
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray
 
 every_shape = pytest.mark.parametrize("shape", SHAPES.values(), ids=list(SHAPES))
 

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 import hpcapp
 from hpcapp.applications.surface.job.run import JobSettings, run_job
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import read_points, write_mesh
 from hpcapp.progress import Progress
 from hpccomponent.errors import HpcError, InputError, UsageError
-from hpccomponent.surface.types.points import PointCloud
 
 FAR = np.array([5_400_000.0, 400_000.0, 100.0])
 

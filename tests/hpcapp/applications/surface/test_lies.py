@@ -14,11 +14,11 @@ import recorded_tasks
 from lies import LIES
 from recorded_tasks import Answer, RecordedTasks
 
-from hpcapp.applications.surface.input import room
-from hpcapp.applications.surface.job import run, steps
+from hpcapp.applications.surface.job import room, run, steps
 from hpcapp.applications.surface.job.run import run_job
 from hpcapp.applications.surface.paper.settings import Paper
 from hpcapp.applications.surface.settings import JobSettings
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import write_points
 from hpcapp.progress import Progress
 from hpccomponent.errors import JobError, ProtocolError
@@ -26,7 +26,6 @@ from hpccomponent.protocol.codec import encode_values
 from hpccomponent.protocol.declared import check_result
 from hpccomponent.runtime.tasks import TaskRegistry
 from hpccomponent.store.places import open_store
-from hpccomponent.surface.types.points import PointCloud
 
 MOST_BYTES = 100 << 20  # that any answer of these jobs may have
 MOST_ANSWERS = 10  # of each task, about which all lies are told

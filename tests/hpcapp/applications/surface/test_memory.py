@@ -6,8 +6,8 @@ from hpcapp.applications.surface import memory
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
 from hpcapp.applications.surface.memory import check_memory
 from hpcapp.applications.surface.paper.settings import Paper
+from hpcapp.applications.surface.types.points import PointCloud
 from hpccomponent.errors import UsageError
-from hpccomponent.surface.types.points import PointCloud
 
 
 def test_a_volume_grows_with_the_third_power_and_a_surface_with_the_second(

@@ -16,20 +16,19 @@ import pytest
 
 from hpcapp.applications.surface import surface
 from hpcapp.applications.surface.api import reconstruct
+from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.hierarchical import growth as regions
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
-from hpcapp.applications.surface.input import folder, load, room
-from hpcapp.applications.surface.job import run, steps
+from hpcapp.applications.surface.job import folder, load, room, run, steps
 from hpcapp.applications.surface.job.run import run_job
 from hpcapp.applications.surface.memory import fitting_tile, parse_limit
 from hpcapp.applications.surface.settings import JobSettings
+from hpcapp.applications.surface.stitching import shared_ply, tile_ply
+from hpcapp.applications.surface.tiles import tasks as region
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import read_mesh, read_points, write_mesh, write_points
 from hpcapp.progress import Progress, ProgressObserver
 from hpccomponent.errors import JobError, OutputError, UsageError
-from hpccomponent.surface.extraction.parts import MeshPart
-from hpccomponent.surface.tasks import shared_ply, tile_ply
-from hpccomponent.surface.tasks import tiles as region
-from hpccomponent.surface.types.points import PointCloud
 
 if TYPE_CHECKING:
     from lab_bucket import Bucket

@@ -6,15 +6,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface.cloud.arranged import MemoryCloud
 from hpcapp.applications.surface.paper.method import PaperMethod
 from hpcapp.applications.surface.pipeline import reconstruct
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.backends.serial import SerialExecutor
 from hpcapp.progress import Progress, StageClock
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import InputError
 from hpccomponent.runtime.background import Deferred
-from hpccomponent.surface.cloud.arranged import MemoryCloud
-from hpccomponent.surface.types.points import PointCloud
 
 SERIAL = Workforce(SerialExecutor())
 

@@ -10,15 +10,14 @@ import pytest
 from click.testing import CliRunner
 
 from hpcapp.applications.surface.api import reconstruct
-from hpcapp.applications.surface.input import room
-from hpcapp.applications.surface.job import run, steps
+from hpcapp.applications.surface.job import room, run, steps
 from hpcapp.applications.surface.job.run import run_job
 from hpcapp.applications.surface.settings import JobSettings
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import read_mesh, write_points
 from hpcapp.progress import Progress
 from hpcapp.simplification.command import simplify
 from hpccomponent.errors import UsageError
-from hpccomponent.surface.types.points import PointCloud
 
 
 def make_ball(points: int = 8000) -> PointCloud:

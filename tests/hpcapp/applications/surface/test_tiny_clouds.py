@@ -11,9 +11,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import hpcapp
+from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.backends.selection import open_executor
 from hpccomponent.errors import InputError, JobError
-from hpccomponent.surface.types.points import FloatArray
 
 Random = np.random.Generator
 

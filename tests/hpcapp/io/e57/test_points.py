@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from mutated_files import page_e57, read_pages
 
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io.e57.points import open_e57
 from hpcapp.io.points.point_source import PointSource
 from hpccomponent.errors import InputError, UsageError
-from hpccomponent.surface.types.points import PointCloud
 
 pytest.importorskip("pye57", reason="pye57 is not installed")
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import read_points, write_points
 from hpcapp.io.e57.points import open_e57
 from hpccomponent.errors import OutputError, UsageError
-from hpccomponent.surface.types.points import PointCloud
 
 pye57 = pytest.importorskip("pye57", reason="pye57 is not installed")
 

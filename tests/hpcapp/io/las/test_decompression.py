@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import write_points
 from hpcapp.io.las.points import open_las
 from hpccomponent.errors import InputError, UsageError
-from hpccomponent.surface.types.points import PointCloud
 
 pytest.importorskip("laspy", reason="laspy is not installed")
 pytest.importorskip("lazrs", reason="lazrs is not installed")

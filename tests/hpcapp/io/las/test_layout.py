@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import PointSource, open_points
 from hpcapp.io.las.points import open_las
 from hpccomponent.errors import InputError
-from hpccomponent.surface.types.points import PointCloud
 
 laspy = pytest.importorskip("laspy", reason="laspy is not installed")
 

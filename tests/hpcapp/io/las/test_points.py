@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import open_points
 from hpcapp.io.las.points import open_las
 from hpccomponent.errors import InputError
-from hpccomponent.surface.types.points import PointCloud
 
 MakeLas = Callable[..., Path]
 GPS_WITHHELD, OVERLAP = 4, 8

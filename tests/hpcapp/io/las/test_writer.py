@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import read_points, write_points
 from hpcapp.io.las.points import open_las
 from hpcapp.io.las.writer import choose_grid
 from hpccomponent.errors import OutputError, UsageError
-from hpccomponent.surface.types.points import PointCloud
 
 laspy = pytest.importorskip("laspy", reason="laspy is not installed")
 pytest.importorskip("lazrs", reason="lazrs is not installed")

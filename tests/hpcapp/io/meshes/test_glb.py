@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.io.meshes.glb import write_glb
 from hpcapp.io.meshes.mesh_stream import as_stream
 from hpccomponent.errors import OutputError
-from hpccomponent.surface.types.mesh import Mesh
 
 TYPES = {5121: "u1", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}

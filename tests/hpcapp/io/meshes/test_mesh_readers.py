@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import holds_faces, read_mesh, write_mesh, write_points
 from hpccomponent.errors import InputError
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import PointCloud
 
 
 @pytest.mark.parametrize("suffix", [".glb", ".vtp", ".ply"])

@@ -4,9 +4,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.io.meshes.obj import read_obj, write_obj
 from hpccomponent.errors import InputError
-from hpccomponent.surface.types.mesh import Mesh
 
 Make = Callable[..., Path]
 SQUARE = "v 0 0 0\nv 1 0 0 1.0\nv 1 1 0 0.5 0.5 0.5\nv 0 1 0\n"

@@ -4,9 +4,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.io.meshes.stl import read_stl, write_stl
 from hpccomponent.errors import InputError
-from hpccomponent.surface.types.mesh import Mesh
 
 Make = Callable[..., Path]
 CORNERS = "  vertex 0 0 0\n  vertex 1 0 0\n  vertex 0 1 -0.0\n"

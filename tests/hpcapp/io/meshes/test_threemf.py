@@ -7,8 +7,8 @@ from zipfile import ZipFile
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.io.meshes.threemf import write_3mf
-from hpccomponent.surface.types.mesh import Mesh
 
 CORE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
 MATERIAL = "{http://schemas.microsoft.com/3dmanufacturing/material/2015/02}"

@@ -11,10 +11,10 @@ import pytest
 from level_sets import mesh_level_set
 from numpy.typing import NDArray
 
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.io.meshes.tileset import write_tileset
 from hpccomponent.errors import OutputError
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.io.meshes.vtp import write_vtp
-from hpccomponent.surface.types.mesh import Mesh
 
 
 def read_vtp(path: Path) -> tuple[ElementTree.Element, dict[str, NDArray[np.generic]]]:

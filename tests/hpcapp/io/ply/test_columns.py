@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import read_mesh, write_mesh
 from hpcapp.io.ply.columns import VertexProperties
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import PointCloud
 
 
 def test_a_mesh_with_everything_has_it_in_its_rows(tmp_path: Path, painted: Mesh) -> None:

@@ -9,13 +9,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io.formats import read_points
 from hpcapp.io.ply.format import read_ply_mesh, shared_ply, write_ply_mesh, write_ply_points
 from hpcapp.io.ply.points import open_ply
 from hpcapp.io.points.point_source import read_whole
 from hpccomponent.errors import InputError, OutputError
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import PointCloud
 
 Make = Callable[..., Path]
 XYZ = "property float x\nproperty float y\nproperty float z\n"

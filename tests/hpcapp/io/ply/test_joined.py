@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import open_points, read_points, write_points
 from hpcapp.io.ply.joined import write_joined
 from hpcapp.io.points.mesh_points import slice_cloud
 from hpcapp.io.points.point_source import PointSource, Scan
 from hpccomponent.errors import InputError
-from hpccomponent.surface.types.points import PointCloud
 
 FAR = np.array([4321098.123456789, -987654.3210987654, 5.5])
 

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from hpcapp.applications.surface.cloud.file_tasks import FileRange
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io.ply.points import open_ply
 from hpcapp.io.points.point_source import PointSource
 from hpccomponent.errors import InputError
 from hpccomponent.protocol.codec import decode_values, encode_values
-from hpccomponent.surface.tasks.file_ranges import FileRange
-from hpccomponent.surface.types.points import PointCloud
 
 Make = Callable[..., Path]
 XYZ = "property float x\nproperty float y\nproperty float z\n"

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io import read_points, write_points
 from hpcapp.io.points.inputs import find_files, gather_points
 from hpccomponent.errors import InputError, UsageError
-from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 TETRAHEDRON = "v 0 0 0\nv 4 0 0\nv 0 4 0\nv 0 0 4\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 

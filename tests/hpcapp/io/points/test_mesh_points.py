@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.io import read_whole
 from hpcapp.io.meshes.stl import write_stl
 from hpcapp.io.points.mesh_points import open_obj, open_off, open_stl, sample_faces
 from hpccomponent.errors import InputError
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray
 
 OCTAHEDRON = np.array(
     [[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], np.float64

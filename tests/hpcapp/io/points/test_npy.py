@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io.points.npy import open_npy
 from hpcapp.io.points.npz_writer import write_npz_points
 from hpcapp.io.points.point_source import read_whole
 from hpccomponent.errors import InputError
-from hpccomponent.surface.types.points import PointCloud
 
 RANDOM = np.random.default_rng(3)
 POSITIONS = RANDOM.normal(size=(50, 3))

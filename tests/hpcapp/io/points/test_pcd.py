@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io.points.pcd import open_pcd
 from hpcapp.io.points.point_source import PointSource, read_whole
 from hpccomponent.errors import InputError
-from hpccomponent.surface.types.points import PointCloud
 
 Make = Callable[..., Path]
 

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface.cloud.point_records import PointRecords
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import PointSource, open_points, read_points, write_points
 from hpcapp.io.points.point_source import Findings, keep_small
 from hpccomponent.errors import InputError
 from hpccomponent.protocol.codec import decode_values, encode_values
-from hpccomponent.surface.cloud.point_records import PointRecords
-from hpccomponent.surface.types.points import PointCloud
 
 Make = Callable[..., Path]
 ORDERS = [("binary_little_endian", "<"), ("binary_big_endian", ">")]

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io import open_points, read_whole
 from hpcapp.io.points.point_source import PointSource
 from hpcapp.io.points.recognition import recognise
-from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 Source = Callable[..., PointSource]
 

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io.points.usable import Dropped, drop_unusable
 from hpccomponent.errors import InputError
-from hpccomponent.surface.types.points import PointCloud
 
 
 def sphere(n: int = 40, scale: float = 1.0) -> PointCloud:

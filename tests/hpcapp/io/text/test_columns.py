@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.io.points.point_source import Findings
 from hpcapp.io.text.columns import Columns, assign_by_name, assign_by_value
 from hpcapp.io.text.tables import RowNotes
 from hpccomponent.errors import InputError
-from hpccomponent.surface.types.points import FloatArray
 
 RANDOM = np.random.default_rng(4)
 POINTS = RANDOM.uniform(-5, 5, (300, 3))

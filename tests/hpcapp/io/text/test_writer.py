@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io.formats import read_points
 from hpcapp.io.text.writer import write_text_points
-from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 
 @pytest.mark.parametrize("with_normals", [True, False])

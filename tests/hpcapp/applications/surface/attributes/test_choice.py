@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.surface.attributes.choice import AttributeChoice, parse_attributes
+from hpcapp.applications.surface.types.points import PointCloud
 from hpccomponent.errors import UsageError
-from hpccomponent.surface.types.points import PointCloud
 
 CLOUD = PointCloud(
     np.zeros((2, 3)),

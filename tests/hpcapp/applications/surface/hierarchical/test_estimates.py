@@ -3,10 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface.cloud.measured import measure_points
+from hpcapp.applications.surface.cloud.spacing import estimate_spacing
 from hpcapp.applications.surface.hierarchical.estimates import choose_scale
-from hpccomponent.surface.cloud.measured import measure_points
-from hpccomponent.surface.cloud.spacing import estimate_spacing
-from hpccomponent.surface.types.points import PointCloud
+from hpcapp.applications.surface.types.points import PointCloud
 
 
 def noisy_sphere(noise: float, count: int = 20_000) -> PointCloud:

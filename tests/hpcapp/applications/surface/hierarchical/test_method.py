@@ -12,22 +12,22 @@ from disk_clouds import DiskCloudWriter
 from recorder import Recorder
 
 from hpcapp.applications.surface.checkpoint import Keeping
+from hpcapp.applications.surface.cloud.arranged import arrange_cloud
+from hpcapp.applications.surface.extraction.parts import MeshPart
+from hpcapp.applications.surface.field import levels as field_levels
+from hpcapp.applications.surface.field.levels import SlabFields
+from hpcapp.applications.surface.field.robust import find_tolerance
 from hpcapp.applications.surface.hierarchical import estimates, slabs
 from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod, plan_grid
 from hpcapp.applications.surface.stitching.topology import check_mesh
+from hpcapp.applications.surface.tiles import slabs as slab_growth
+from hpcapp.applications.surface.tiles.slabs import grow_slabs
+from hpcapp.applications.surface.types.grid import BRICK, BrickKinds
+from hpcapp.applications.surface.types.lattice import unpack_keys
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import InputError, UsageError
-from hpccomponent.surface.cloud.arranged import arrange_cloud
-from hpccomponent.surface.extraction.parts import MeshPart
-from hpccomponent.surface.fitting import levels as field_levels
-from hpccomponent.surface.fitting.levels import SlabFields
-from hpccomponent.surface.fitting.robust import find_tolerance
-from hpccomponent.surface.tiles import slabs as slab_growth
-from hpccomponent.surface.tiles.slabs import grow_slabs
-from hpccomponent.surface.types.grid import BRICK, BrickKinds
-from hpccomponent.surface.types.lattice import unpack_keys
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
 
 
 def ignore(done: int, total: int) -> None:

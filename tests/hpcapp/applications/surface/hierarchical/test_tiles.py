@@ -6,11 +6,11 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hpcapp.applications.surface.cloud.cutting import cut_tiles
 from hpcapp.applications.surface.hierarchical.tiles import weigh_cells
-from hpccomponent.surface.cloud.cutting import cut_tiles
-from hpccomponent.surface.tiles.halo import mark_near
-from hpccomponent.surface.tiles.plan import Plan
-from hpccomponent.surface.types.lattice import pack_places, spread_keys, unique_keys
+from hpcapp.applications.surface.tiles.halo import mark_near
+from hpcapp.applications.surface.tiles.plan import Plan
+from hpcapp.applications.surface.types.lattice import pack_places, spread_keys, unique_keys
 
 
 @given(st.integers(0, 2**32), st.integers(1, 200), st.integers(1, 20))

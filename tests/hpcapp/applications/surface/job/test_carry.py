@@ -12,15 +12,14 @@ from numpy.typing import NDArray
 import hpcapp
 from hpcapp.applications.surface import surface
 from hpcapp.applications.surface.attributes.choice import parse_attributes
-from hpcapp.applications.surface.input import room
-from hpcapp.applications.surface.job import run, steps
+from hpcapp.applications.surface.job import room, run, steps
 from hpcapp.applications.surface.job.run import run_job
+from hpcapp.applications.surface.normals.orientation import SURE
 from hpcapp.applications.surface.settings import JobSettings
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io import write_points
 from hpcapp.progress import Progress
 from hpccomponent.errors import InputError, JobError, UsageError
-from hpccomponent.surface.normals.orientation import SURE
-from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 SILENT = Progress()
 FAR = np.array([4.0e5, 5.4e6, 0.0])

@@ -7,10 +7,10 @@ from hpcapp.applications.surface.job.diagnostics import (
     check_resolution,
     check_sides,
 )
+from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.surface import WholeSurface
-from hpccomponent.surface.kernels import bound_points
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray, PointCloud
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 
 
 def surface_of(vertices: FloatArray) -> WholeSurface:

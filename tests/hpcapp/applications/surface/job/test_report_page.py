@@ -13,11 +13,11 @@ from click.testing import CliRunner
 
 from hpcapp.applications.surface.command import reconstruct
 from hpcapp.applications.surface.job.report_page import build_job_page, find_guesses, show_files
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.applications.view.page import make_page
 from hpcapp.io import read_mesh, write_points
 from hpccomponent.errors import UsageError
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import PointCloud
 
 
 def run(*words: str | Path) -> dict[str, Any]:

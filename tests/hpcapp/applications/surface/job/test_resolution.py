@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.surface import memory
+from hpcapp.applications.surface.cloud.arranged import MemoryCloud, arrange_cloud
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
 from hpcapp.applications.surface.job.resolution import find_grid, guess_grid
 from hpcapp.applications.surface.paper.settings import Paper
 from hpcapp.applications.surface.settings import Settings
+from hpcapp.applications.surface.types.points import PointCloud
 from hpccomponent.errors import UsageError
-from hpccomponent.surface.cloud.arranged import MemoryCloud, arrange_cloud
-from hpccomponent.surface.types.points import PointCloud
 
 
 def sphere(points: int, noise: float = 0.0) -> MemoryCloud:

@@ -12,11 +12,11 @@ from hpcapp.applications.surface.hierarchical.settings import Hierarchical
 from hpcapp.applications.surface.job.run import JobSettings, run_job
 from hpcapp.applications.surface.method import MethodSettings
 from hpcapp.applications.surface.paper.settings import Paper
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import read_mesh, write_mesh
 from hpcapp.progress import Progress
 from hpccomponent.errors import HpcError, OutputError
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import PointCloud
 
 SILENT = Progress()
 

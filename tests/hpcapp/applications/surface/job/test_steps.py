@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.surface.checkpoint import Keeping
-from hpcapp.applications.surface.input.load import load
 from hpcapp.applications.surface.job.backend_choice import approach_workers
+from hpcapp.applications.surface.job.load import load
 from hpcapp.applications.surface.job.steps import run_steps
 from hpcapp.applications.surface.settings import JobSettings
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import write_points
 from hpcapp.progress import Progress, StageClock
-from hpccomponent.surface.types.points import PointCloud
 
 P = ParamSpec("P")
 R = TypeVar("R")

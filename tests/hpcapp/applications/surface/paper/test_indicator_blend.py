@@ -11,10 +11,10 @@ from hpcapp.applications.surface.paper.indicator_blend import (
 )
 from hpcapp.applications.surface.paper.iso_surface import extract_iso_surface
 from hpcapp.applications.surface.paper.kdtree import Patches
+from hpcapp.applications.surface.paper.tasks import evaluate_quadrics
 from hpcapp.applications.surface.stitching.topology import check_mesh
+from hpcapp.applications.surface.types.points import FloatArray
 from hpccomponent.errors import JobError, UsageError
-from hpccomponent.surface.tasks.patch_quadrics import evaluate_quadrics
-from hpccomponent.surface.types.points import FloatArray
 
 
 def boxes(low: list[list[float]], high: list[list[float]]) -> Patches:

@@ -11,8 +11,8 @@ from hypothesis.extra.numpy import arrays
 
 from hpcapp.applications.surface.paper.kdtree import partition_by_count, partition_by_rule
 from hpcapp.applications.surface.paper.split_rule import SplitRule
+from hpcapp.applications.surface.types.points import FloatArray
 from hpccomponent.errors import InputError, UsageError
-from hpccomponent.surface.types.points import FloatArray
 
 ROOTS = ("cube", "box", "tight")
 

@@ -9,13 +9,13 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface.cloud.arranged import MemoryCloud
 from hpcapp.applications.surface.paper.method import PaperMethod, PaperPartition, measure_residuals
 from hpcapp.applications.surface.stitching.topology import check_mesh
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import InputError, UsageError
-from hpccomponent.surface.cloud.arranged import MemoryCloud
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 P = ParamSpec("P")
 R = TypeVar("R")

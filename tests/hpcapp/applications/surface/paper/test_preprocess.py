@@ -13,8 +13,8 @@ from hpcapp.applications.surface.paper.preprocess import (
     remove_outliers,
     resample,
 )
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpccomponent.errors import InputError, UsageError
-from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 
 def sphere(n: int = 3000, noise: float = 0.0, seed: int = 0) -> PointCloud:

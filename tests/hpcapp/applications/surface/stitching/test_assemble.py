@@ -12,16 +12,16 @@ from cut_mesh import SHAPES, cut_mesh, cuts, drop_small_components, extract_shap
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from hpcapp.applications.surface.extraction.parts import MeshPart
+from hpcapp.applications.surface.extraction.summary import summarize_part
 from hpcapp.applications.surface.stitching import assemble as welded
 from hpcapp.applications.surface.stitching.plan import WeldPlan, plan_weld
+from hpcapp.applications.surface.stitching.shared_ply import write_part
 from hpcapp.applications.surface.stitching.topology import check_mesh
+from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.io import read_mesh, write_mesh
 from hpcapp.io.meshes.tiles import write_tiles
 from hpcapp.io.ply.format import shared_ply
-from hpccomponent.surface.extraction.parts import MeshPart
-from hpccomponent.surface.extraction.summary import summarize_part
-from hpccomponent.surface.tasks.shared_ply import write_part
-from hpccomponent.surface.types.mesh import Mesh
 
 Weld = tuple[WeldPlan, list[MeshPart], Mesh]
 

@@ -19,6 +19,8 @@ from cut_mesh import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hpcapp.applications.surface.extraction.parts import MeshPart
+from hpcapp.applications.surface.extraction.summary import summarize_part
 from hpcapp.applications.surface.stitching.assemble import assemble_mesh
 from hpcapp.applications.surface.stitching.plan import (
     WeldPlan,
@@ -27,12 +29,10 @@ from hpcapp.applications.surface.stitching.plan import (
     plan_weld,
 )
 from hpcapp.applications.surface.stitching.topology import check_mesh
+from hpcapp.applications.surface.types.lattice import unpack_keys
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.applications.surface.types.points import IntArray
 from hpccomponent.errors import JobError
-from hpccomponent.surface.extraction.parts import MeshPart
-from hpccomponent.surface.extraction.summary import summarize_part
-from hpccomponent.surface.types.lattice import unpack_keys
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import IntArray
 
 ORIGIN = np.array([5.0, 0.0, -3.0])
 extracted = cache(extract_shape)

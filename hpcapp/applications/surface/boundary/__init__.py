@@ -1,0 +1,1 @@
+"""Where a surface ends: what points support, open or closed, trim and holes."""

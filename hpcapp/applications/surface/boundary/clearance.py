@@ -1,0 +1,198 @@
+"""How far a mesh's vertices are from the points that support them.
+
+::
+
+    vertex ── offset to each point near it ──> along the surface there, and off it
+                                               └──> clearance: 1 where support ends
+
+A point supports the surface in a flat ellipsoid around it: as far as its radius along the plane
+that its normal stands on, and half the least radius off that plane. So a sheet that bends back
+behind the rim of the points, or runs behind them, is not theirs. Three points must agree: a lone
+one has no surface, and the line where support ends does not follow single points. What is found
+depends on the place and the cloud alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.types.lattice import find_keys, pack_places
+from hpcapp.applications.surface.types.points import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    PointCloud,
+)
+from hpccomponent.protocol.records import record
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
+
+__all__ = ["SupportRule", "find_bare", "measure_clearance"]
+
+_FLATNESS = 0.5  # of the ellipsoids of the least radius
+_AGREEING = 3  # points, of which the one that supports least counts
+_LEAST, _MOST = 0.85, 1.4  # clearances are clamped to these: only those around 1 are asked for
+_NEIGHBOURS = 6  # which one's distance tells a point's own spacing
+_DENSITY = np.sqrt(np.pi / _NEIGHBOURS)  # times that distance
+_CLASS = 1.25  # points whose radii differ by less are searched together
+_PLACES_AT_ONCE = 1 << 12
+
+
+@record("surface.support_rule")
+@dataclass(frozen=True, slots=True)
+class SupportRule:
+    """How far the points support the surface.
+
+    Parameters
+    ----------
+    radius : float
+        Of a point, in length units of the input.
+    most : float
+        Of a point whose neighbours are far away: their spacing counts then.
+    spacings : float
+        The radius in spacings of those.
+    """
+
+    radius: float
+    most: float
+    spacings: float
+
+    @property
+    def reach(self) -> float:
+        """How far from a place points may lie that its clearance depends on."""
+        return _MOST * self.most + self._farthest
+
+    @property
+    def _farthest(self) -> float:
+        """Neighbours that are farther away do not make a radius larger."""
+        return self.most / (self.spacings * _DENSITY) if self.most > self.radius else 0.0
+
+    def radii(self, tree: cKDTree, rows: IntArray, threads: int) -> FloatArray:
+        """Return the radii of some rows of the points that a tree holds, with all around them."""
+        if self.most <= self.radius:
+            return np.full(len(rows), self.radius)
+        distances, _ = tree.query(
+            tree.data[rows],
+            [_NEIGHBOURS + 1],
+            distance_upper_bound=self._farthest * (1.0 + 1e-9),
+            workers=threads,
+        )
+        radii: FloatArray = self.spacings * _DENSITY * distances[:, 0]
+        return radii.clip(self.radius, self.most)
+
+
+def measure_clearance(
+    places: FloatArray, cloud: PointCloud, rule: SupportRule, threads: int = 1
+) -> Float32Array:
+    """Tell how far some places on a surface are from the points that support them.
+
+    Parameters
+    ----------
+    places : ndarray of float64, shape (v, 3)
+        In length units of the input.
+    cloud : PointCloud
+        With normals; all points within `rule.reach` of a place, in any order.
+
+    Returns
+    -------
+    ndarray of float32, shape (v,)
+        In radii: below 1 where points support the surface. Clamped to 0.85 and 1.4.
+    """
+    if not len(places) or not len(cloud):
+        return np.full(len(places), _MOST, np.float32)
+    from scipy.spatial import cKDTree  # heavy, and of no use where nothing is cut
+
+    tree = cKDTree(cloud.positions, balanced_tree=False, compact_nodes=False)
+    bound = _MOST * rule.most
+    # (v,): the distance of the third nearest point bounds a place's clearance on both sides: most
+    # places are sure of theirs by that.
+    distances, _ = tree.query(places, [_AGREEING], distance_upper_bound=bound, workers=threads)
+    nearest = distances[:, 0]
+    clearance = np.where(nearest < bound, _LEAST, _MOST)
+    unsure = np.flatnonzero((nearest > _LEAST * _FLATNESS * rule.radius) & (nearest < bound))
+    if not len(unsure):
+        return clearance.astype(np.float32)
+    from_places, _ = cKDTree(places[unsure]).query(
+        cloud.positions, distance_upper_bound=bound, workers=threads
+    )
+    rows = np.flatnonzero(from_places < bound)  # points that may matter to one that is unsure
+    radii = rule.radii(tree, rows, threads)
+    # (u, 3): the least squared clearances of each, of which the third counts.
+    least = np.full((len(unsure), _AGREEING), _MOST * _MOST)
+    for alike in _by_radius(radii, rule.radius):
+        points = cloud.take(rows[alike])
+        _lower(least, places[unsure], points, radii[alike], _FLATNESS * rule.radius)
+    clearance[unsure] = np.clip(np.sqrt(least[:, -1]), _LEAST, _MOST)
+    return clearance.astype(np.float32)
+
+
+def find_bare(places: FloatArray, cloud: PointCloud, rule: SupportRule) -> BoolArray:
+    """Tell which of a few places on a surface no points support, by one radius for all points."""
+    least = np.full((len(places), _AGREEING), _MOST * _MOST)
+    if len(places) and len(cloud):
+        radii = np.full(len(cloud), rule.radius)
+        _lower(least, places, cloud, radii, _FLATNESS * rule.radius)
+    bare: BoolArray = least[:, -1] >= 1.0
+    return bare
+
+
+def _by_radius(radii: FloatArray, least: float) -> list[IntArray]:
+    """Return the rows of points whose radii are about the same."""
+    classes = np.floor(np.log(radii / least) / np.log(_CLASS) + 1e-6).astype(np.int64)
+    return [np.flatnonzero(classes == one) for one in np.unique(classes)]
+
+
+def _lower(
+    least: FloatArray, places: FloatArray, cloud: PointCloud, radii: FloatArray, thickness: float
+) -> None:
+    """Put what some points give among the least squared clearances of each place."""
+    assert cloud.normals is not None  # noqa: S101 - the points of a surface have normals
+    size, origin = _MOST * float(radii.max()), cloud.positions[0]
+    sorted_points = kernels.sort_points(cloud.positions, origin, size)
+    for start in range(0, len(places), _PLACES_AT_ONCE):
+        batch = places[start : start + _PLACES_AT_ONCE]
+        cells = np.floor((batch - origin) / size).astype(np.int64)
+        # (q,): each place with each point near it; (q,) how far it is off the point's plane, and
+        # how far away, squared.
+        at, point = _pair(cells, *sorted_points)
+        offsets = batch[at] - cloud.positions[point]
+        off, along = np.zeros(len(at)), np.zeros(len(at))
+        for axis in range(3):  # sums in one order, whatever the shape
+            off += offsets[:, axis] * cloud.normals[point, axis]
+            along += offsets[:, axis] * offsets[:, axis]
+        off *= off
+        squares = (along - off) / (radii[point] * radii[point]) + off / (thickness * thickness)
+        is_near = squares < _MOST * _MOST
+        at, squares = at[is_near], squares[is_near]
+        # Sorted by place and clearance: the first three of each go into its row.
+        order = np.lexsort((squares, at))
+        at, squares = at[order], squares[order]
+        turn = np.arange(len(at)) - np.searchsorted(at, at)
+        first = turn < _AGREEING
+        here = np.full((len(batch), _AGREEING), _MOST * _MOST)
+        here[at[first], turn[first]] = squares[first]
+        both = np.concatenate([least[start : start + len(batch)], here], axis=1)
+        least[start : start + len(batch)] = np.sort(both, axis=1)[:, :_AGREEING]
+
+
+def _pair(
+    cells: IntArray, keys: IntArray, offsets: IntArray, rows: NDArray[np.uint32]
+) -> tuple[IntArray, IntArray]:
+    """Return each place with the points in its cell and the 26 around it."""
+    at, points = [], []
+    for step in np.ndindex(3, 3, 3):
+        cell = find_keys(keys, pack_places(cells + np.array(step) - 1))
+        here = np.flatnonzero(cell < len(keys))
+        first = offsets[cell[here]]
+        counts = offsets[cell[here] + 1] - first
+        turn = np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
+        at.append(np.repeat(here, counts))
+        points.append(rows[np.repeat(first, counts) + turn].astype(np.int64))
+    return np.concatenate(at), np.concatenate(points)

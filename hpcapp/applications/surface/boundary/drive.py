@@ -1,0 +1,344 @@
+"""Whether a surface stays closed, and how it is cut open where no point supports it.
+
+::
+
+    closed surface ── judge_support ──> share without support ── large? ──> stays closed
+                                                                  │ yes
+    parts ── survey_support ──> patches, seams ── join, match ──> open_part ──> open surface
+
+All is decided from what holds for the whole cloud, so neither tiles nor workers change a bit of it.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hpcapp.applications.surface.boundary.clearance import SupportRule
+from hpcapp.applications.surface.boundary.lengths import Length
+from hpcapp.applications.surface.boundary.opening import OpeningSeams, OpeningSurvey
+from hpcapp.applications.surface.boundary.seams import match_seams, place_foreign
+from hpcapp.applications.surface.boundary.tasks import (
+    Near,
+    judge_support,
+    open_part,
+    survey_support,
+)
+from hpcapp.applications.surface.checkpoint import Keeping
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
+from hpcapp.applications.surface.extraction.parts import MeshPart
+from hpcapp.applications.surface.extraction.taken_bricks import TakenBricks
+from hpcapp.applications.surface.method import Advance
+from hpcapp.applications.surface.normals.consistency import faces_inwards
+from hpcapp.applications.surface.surface import PartSurface
+from hpcapp.applications.surface.tiles.patterns import surface_box
+from hpcapp.applications.surface.tiles.plan import Plan
+from hpcapp.applications.surface.types.grid import BRICK
+from hpcapp.applications.surface.types.lattice import unpack_keys
+from hpcapp.applications.surface.types.points import BoolArray, IntArray, PointCloud
+from hpcapp.workforce import Workforce, stream_batches
+from hpccomponent.errors import InputError
+
+__all__ = ["Closure", "OpeningSettings", "close_surface"]
+
+log = logging.getLogger("hpcapp")
+
+BARE_SHARE, ONE_WAY_SHARE = 0.2, 0.05
+"""A closed surface of which no point supports more than this share is left open; the second one
+where the normals face one way, as those of no closed surface do. Objects scanned from all sides
+have less than a tenth, views, terrains and rooms most often more than a third."""
+
+_SPACINGS, _NOISES, _STEPS = 3.0, 4.0, 1.5  # of the trim distance that is chosen
+_SPARSEST = 1.5  # times that, where points are few
+_FILL = 4.0  # times the trim distance: loops that are filled
+_CRUMB = 3.0  # times the trim distance: pieces smaller than a square of this are dropped
+_FACES = 2.0  # of a piece as large as the side of a cell
+_ONE_WAY = 0.5  # length of the mean normal of what is seen from one side; a half sphere's
+
+
+@dataclass(frozen=True, slots=True)
+class OpeningSettings:
+    """What a user asks of the borders of the surface.
+
+    Parameters
+    ----------
+    close : str
+        ``auto``, ``yes`` or ``no``.
+    trim, fill_holes : Length or None
+        None where they are to be chosen.
+    """
+
+    close: str = "yes"
+    trim: Length | None = None
+    fill_holes: Length | None = None
+
+    @property
+    def is_asked(self) -> bool:
+        """Whether the surface is to be open whatever the points are."""
+        return self.close == "no" or (self.close == "auto" and self.trim is not None)
+
+
+@dataclass(frozen=True, slots=True)
+class Closure:
+    """How the borders of a surface came about.
+
+    Parameters
+    ----------
+    is_open : bool
+    reason : str
+    trim, fill_holes : float
+        In length units of the input; 0 where nothing was cut.
+    holes, crumbs : int
+        Holes that were filled, and pieces that were dropped.
+    is_room : bool
+        Whether it was taken for a room, by its normals.
+    """
+
+    is_open: bool
+    reason: str
+    trim: float = 0.0
+    fill_holes: float = 0.0
+    holes: int = 0
+    crumbs: int = 0
+    is_room: bool = False
+
+    def facts(self) -> dict[str, Any]:
+        """Return it for the report: JSON values."""
+        if not self.is_open:
+            return {"open": False, "closure": self.reason}
+        return {
+            "open": True,
+            "room": self.is_room,
+            "closure": self.reason,
+            "trim": self.trim,
+            "fill_holes": self.fill_holes,
+            "holes_filled": self.holes,
+            "crumbs": self.crumbs,
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Parts:
+    """The parts of a closed surface, and where their tasks run.
+
+    Parameters
+    ----------
+    surface : PartSurface
+    cloud : ArrangedCloud
+    plan : Plan
+    workforce : Workforce
+    shared : Keeping or None
+        Where workers see both the parts and the points; None where tasks run here.
+    threads : int
+        Of this process.
+    """
+
+    surface: PartSurface
+    cloud: ArrangedCloud
+    plan: Plan
+    workforce: Workforce
+    shared: Keeping | None
+    threads: int
+
+    def __len__(self) -> int:
+        return len(self.surface.parts)
+
+    def taken(self, index: int) -> TakenBricks:
+        """Return which of its bricks a part gives."""
+        summary, bricks = self.surface.summaries[index], self.surface.plan.bricks
+        rows = np.flatnonzero(bricks.is_taken[bricks.of_part(index)])
+        box = np.stack(surface_box(self.plan))
+        return TakenBricks(summary.bricks[rows], summary.vertex_counts[rows], box)
+
+    def part(self, index: int) -> MeshPart | tuple[Any, Any]:
+        """Return a part as a task is given it."""
+        if self.shared is not None:
+            return self.shared.place, self.surface.parts[index]
+        return self.surface.load(index)
+
+    def near(self, index: int, reach: float) -> Near:
+        """Return the points within reach of what a part gives."""
+        plan, blocks, keys = self.plan, self.cloud.arrangement, self.cloud.keys
+        edge, margin = BRICK * plan.step, reach + 2.0 * plan.step
+        bricks = unpack_keys(self.taken(index).keys)
+        if not len(bricks):
+            return Near(self.cloud.place, keys[:0])
+        low = blocks.origin + blocks.edge * unpack_keys(keys) - margin - plan.grid_origin
+        first = np.floor(low / edge).astype(np.int64)
+        end = np.floor((low + blocks.edge + 2.0 * margin) / edge).astype(np.int64) + 1
+        return Near(self.cloud.place, keys[_hold_some(bricks, first, end)])
+
+    def run(
+        self, task: Callable[..., Any], batch: Callable[[int], tuple[Any, ...]]
+    ) -> Iterator[tuple[int, Any]]:
+        """Run a task for each part, on the workers or right here."""
+        indices = range(len(self))
+        if self.shared is not None:
+            at_once = 2 * self.workforce.workers
+            yield from stream_batches(self.workforce, task, map(batch, indices), at_once)
+            return
+        for index in indices:
+            yield index, task(*batch(index))
+
+
+def _hold_some(places: IntArray, first: IntArray, end: IntArray) -> BoolArray:
+    """Tell which boxes of a lattice, each from `first` to before `end`, hold one of its places."""
+    low = places.min(axis=0)
+    table = np.zeros(places.max(axis=0) - low + 2, np.int32)
+    table[tuple((places - low + 1).T)] = 1
+    for axis in range(3):  # how many places lie below each corner
+        np.cumsum(table, axis=axis, out=table)
+    most = np.array(table.shape) - 1
+    ends = [np.clip(some - low, 0, most) for some in (first, end)]
+    counts = np.zeros(len(first), np.int64)
+    for corner in np.ndindex(2, 2, 2):
+        at = tuple(ends[side][:, axis] for axis, side in enumerate(corner))
+        counts += (1 if sum(corner) % 2 else -1) * table[at]
+    return counts > 0
+
+
+def close_surface(
+    surface: PartSurface,
+    cloud: ArrangedCloud,
+    plan: Plan,
+    spacing: float,
+    asked: OpeningSettings,
+    workforce: Workforce,
+    shared: Keeping | None,
+    threads: int,
+    advance: Advance,
+) -> tuple[PartSurface, Closure]:
+    """Leave a closed surface as it is, or cut it open where no point supports it.
+
+    Parameters
+    ----------
+    surface : PartSurface
+        Closed. The parts that it holds in memory are let go where it is cut.
+    cloud : ArrangedCloud
+    plan : Plan
+    spacing : float
+        Of the points, in length units of the input.
+    asked : OpeningSettings
+    workforce : Workforce
+    shared : Keeping or None
+        Where workers see both the parts and the points; None where this process does the work.
+    threads : int
+        The result does not depend on it.
+    advance : callable
+        Told (parts done, parts in all).
+
+    Returns
+    -------
+    surface : PartSurface
+    closure : Closure
+
+    Raises
+    ------
+    InputError
+        Nothing is left.
+    """
+    if asked.close == "yes":
+        return surface, Closure(False, "closed, as asked")
+    if not all(isinstance(part, str) for part in surface.parts):
+        shared = None  # a cloud that is one tile is made into a mesh here
+    parts = _Parts(surface, cloud, plan, workforce, shared, threads)
+    chosen = max(_SPACINGS * spacing, _NOISES * plan.noise, _STEPS * plan.step)
+    reason, is_room = "open, as asked", False
+    if not asked.is_asked:
+        share = _find_bare_share(parts, SupportRule(chosen, chosen, _SPACINGS))
+        is_one_way = share > ONE_WAY_SHARE and _faces_one_way(cloud.measure().sample)
+        if share <= (ONE_WAY_SHARE if is_one_way else BARE_SHARE):
+            return surface, Closure(False, f"closed: points support {_percent(1.0 - share)} of it")
+        is_room = not is_one_way and faces_inwards(cloud.measure().sample)
+        seen = "from inside, as a room" if is_room else "in part"
+        seen = "from one side, as a view or a terrain" if is_one_way else seen
+        reason = f"open: seen {seen}; no point supports {_percent(share)} of the closed surface"
+    radius = chosen if asked.trim is None else asked.trim.of(spacing)
+    rule = SupportRule(radius, _SPARSEST * radius if asked.trim is None else radius, _SPACINGS)
+    fill = _FILL * radius if asked.fill_holes is None else asked.fill_holes.of(spacing)
+    opened, holes = _cut(parts, rule, fill, advance)
+    if not opened.plan.face_count:
+        raise InputError(
+            f"no piece of the surface within {radius:g} of the points is larger than a crumb",
+            "give a longer --trim: some spacings of the points, as 3s",
+        )
+    closure = Closure(True, reason, radius, fill, holes, opened.plan.dropped, is_room)
+    log.info(
+        "%s; cut %g from the points, %d hole(s) up to %g filled, %d crumb(s) dropped",
+        reason, radius, holes, fill, closure.crumbs,
+    )  # fmt: skip
+    return opened, closure
+
+
+def _find_bare_share(parts: _Parts, rule: SupportRule) -> float:
+    """Return the share of a surface that no point supports, 0 to 1."""
+
+    def batch(index: int) -> tuple[Any, ...]:
+        return parts.part(index), parts.taken(index), parts.near(index, rule.reach), rule
+
+    found = [counts for _, counts in parts.run(judge_support, batch)]
+    bare, vertices = (sum(column) for column in zip(*found, strict=True))
+    return float(bare / max(1, vertices))
+
+
+def _cut(
+    parts: _Parts, rule: SupportRule, fill: float, advance: Advance
+) -> tuple[PartSurface, int]:
+    """Cut all parts; return the open surface, and how many holes of it are filled."""
+    surface, keeping = parts.surface, parts.surface.keeping
+    places = place_foreign(surface.plan)
+    surveys: dict[int, OpeningSurvey | None] = {}
+    seams: dict[int, OpeningSeams] = {}
+    threads = 1 if parts.shared is not None else parts.threads
+
+    def survey(index: int) -> tuple[Any, ...]:
+        rim, near = surface.summaries[index].rim, parts.near(index, rule.reach)
+        given = parts.part(index), parts.taken(index), places[index], rim, near, rule
+        return *given, threads
+
+    for index, found in parts.run(survey_support, survey):
+        surveys[index], seams[index] = found
+        advance(len(seams), 2 * len(parts))
+    matched = match_seams(surface.plan, [seams[index] for index in range(len(parts))], fill)
+
+    def cut(index: int) -> tuple[Any, ...]:
+        decided = matched.stays[index], matched.foreign_numbers[index], matched.seam_cuts[index]
+        name = surface.parts[index]
+        keep = None
+        if parts.shared is not None:
+            keep = parts.shared.place, f"{name}-open"
+        return parts.part(index), parts.taken(index), surveys[index], decided, keep
+
+    opened: dict[int, Any] = {}
+    for index, (part, summary, exits) in parts.run(open_part, cut):
+        kept, surveys[index] = part, None
+        name = surface.parts[index]
+        if isinstance(name, str):
+            kept = f"{name}-open"
+            if part is not None and keeping is not None:
+                keeping.store.put(kept, (part, summary, exits))
+        else:
+            surface.parts[index] = MeshPart.empty()
+        opened[index] = kept, summary
+        advance(len(parts) + len(opened), 2 * len(parts))
+    cuts, summaries = zip(*(opened[index] for index in range(len(parts))), strict=True)
+    crumb = int(_FACES * (_CRUMB * rule.radius / parts.plan.step) ** 2)
+    opened_surface = PartSurface(
+        [*cuts], [*summaries], surface.origin, keeping, surface.workers, crumb
+    )
+    return opened_surface, matched.holes
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.0f} %"
+
+
+def _faces_one_way(sample: PointCloud) -> bool:
+    """Tell whether the normals of a cloud face one way."""
+    assert sample.normals is not None  # noqa: S101 - they were measured
+    mean = sample.normals.mean(axis=0)
+    return float(np.sqrt((mean * mean).sum())) >= _ONE_WAY

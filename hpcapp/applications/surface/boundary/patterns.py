@@ -1,0 +1,100 @@
+"""What the tasks that cut a surface open declare of their results.
+
+Names of extents: b bricks, c components, g foreign vertices.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hpcapp.applications.surface.boundary.opening import OpeningSeams
+from hpcapp.applications.surface.extraction.taken_bricks import TakenBricks
+from hpcapp.applications.surface.tiles.patterns import (
+    MOST_FACES,
+    MOST_VERTICES,
+    are_bounds,
+    part_surface,
+    whole_numbers,
+)
+from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.applications.surface.types.result_patterns import SMALL_BYTES, lie_within, rise_by_pairs
+from hpccomponent.protocol.declared import (
+    Array,
+    Declared,
+    Exactly,
+    Fixed,
+    Nothing,
+    Record,
+    Where,
+    Whole,
+)
+
+__all__ = ["judged_support", "open_surface", "opened_bytes", "opening_seams"]
+
+_CUT_VERTICES, _CUT_FACES = MOST_VERTICES + 3 * MOST_FACES, 2 * MOST_FACES  # each face may be cut
+_SENT_VERTEX, _KEPT_VERTEX = 256, 64  # bytes of an open part, for each vertex of the closed one
+
+
+def opened_bytes(taken: TakenBricks, keep: tuple[str, str] | None) -> int:
+    """Return how large what becomes of a part that is cut open may be, in bytes."""
+    each = _SENT_VERTEX if keep is None else _KEPT_VERTEX
+    return SMALL_BYTES + 1024 * len(taken.keys) + each * taken.vertices
+
+
+def open_surface(taken: TakenBricks, keep: tuple[str, str] | None) -> Declared:
+    """Return the pattern of what `opening.open_part` returns, or keeps.
+
+    Parameters
+    ----------
+    taken : TakenBricks
+        What the part gives.
+    keep : tuple of str or None
+        A store and a name, where it is kept.
+
+    Returns
+    -------
+    Declared
+    """
+    bricks = Where(Array("<i8", "b", low=0, rises=True), taken.holds, "bricks are the part's own")
+    foreign = Array("<i8", "g", low=0)
+    most = _CUT_VERTICES, _CUT_FACES
+    return part_surface(bricks, foreign, Array("<i8", 0), taken.box, most, keep)
+
+
+def judged_support(_part: Any, taken: TakenBricks, *_: Any) -> Declared:
+    """Return the pattern of what `opening.judge_support` counts."""
+    return Fixed(Whole(0, taken.vertices), Exactly(taken.vertices))
+
+
+def opening_seams(
+    _part: Any, taken: TakenBricks, _places: FloatArray, rim: IntArray, *_: Any
+) -> Declared:
+    """Return the pattern of what `opening.survey_support` finds."""
+
+    def agrees(seams: OpeningSeams) -> bool:
+        patches, ends = len(seams.loops), seams.edges
+        return (
+            lie_within(seams.foreign_labels, -1, patches)
+            and lie_within(seams.rim_labels, -1, patches)
+            and patches <= taken.vertices + len(seams.foreign_bricks)
+            and lie_within(ends[:, [1, 3]], 0, MOST_VERTICES)
+            and lie_within(ends[:, 5], 0, _CUT_VERTICES)
+            and taken.holds(ends[:, 4])
+            and rise_by_pairs(seams.foreign_bricks, seams.foreign_numbers)
+            and are_bounds(seams.loops, taken.box)
+        )
+
+    seams = Record(
+        OpeningSeams,
+        foreign_bricks=Array("<i8", "g", low=0),
+        foreign_numbers=whole_numbers("g", high=MOST_VERTICES - 1),
+        foreign_labels=whole_numbers("g", low=-1),
+        rim_labels=whole_numbers(len(rim), low=-1),
+        rim_numbers=whole_numbers(len(rim), low=-1, high=_CUT_VERTICES - 1),
+        loops=Array("<f8", "c", 6, low=-np.inf, finite=False),
+        edges=Array("<i8", "m", 6, low=0),
+    )
+    # Only what is kept is surveyed by others.
+    return Fixed(Nothing(), Where(seams, agrees, "what it names lies in its bricks and patches"))

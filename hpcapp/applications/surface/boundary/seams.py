@@ -1,0 +1,163 @@
+"""What the parts of a surface that is cut open must know of one another.
+
+::
+
+    plan of the closed parts ──> where foreign vertices are
+    seams of all parts       ──> bare patches joined, small ones stay; numbers of foreign vertices
+                                 and of cuts through edges that two parts share
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.boundary.opening import OpeningSeams
+from hpcapp.applications.surface.extraction.part_places import starts_of
+from hpcapp.applications.surface.stitching.plan import WeldPlan
+from hpcapp.applications.surface.types.lattice import find_keys
+from hpcapp.applications.surface.types.points import BoolArray, FloatArray, Int32Array, IntArray
+from hpccomponent.errors import JobError
+
+__all__ = ["MatchedSeams", "match_seams", "place_foreign"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MatchedSeams:
+    """What is decided for each part; see `extraction.opening.cut_opening`.
+
+    Parameters
+    ----------
+    stays : list of ndarray of bool
+    foreign_numbers : list of ndarray of int64
+    seam_cuts : list of ndarray of int64
+    holes : int
+        Patches of the whole surface that stay.
+    """
+
+    stays: list[BoolArray]
+    foreign_numbers: list[IntArray]
+    seam_cuts: list[IntArray]
+    holes: int
+
+
+class _Rims:
+    """The vertices that parts may name of one another, in one row."""
+
+    def __init__(self, plan: WeldPlan) -> None:
+        self._bricks = plan.bricks
+        rims = [summary.rim for summary in plan.summaries]
+        self.starts = starts_of(np.array([len(rim) for rim in rims], np.int64))
+        owners = np.repeat(np.arange(len(rims)), np.diff(self.starts))
+        self._keys = owners << 32 | np.concatenate(rims)
+        self._vertex_starts = starts_of(plan.bricks.vertex_counts)
+
+    def find(self, bricks: IntArray, numbers: Int32Array) -> IntArray:
+        """Return where vertices, by brick and number, stand in the row."""
+        there = find_keys(self._bricks.keys, bricks)
+        if (there == len(self._bricks.keys)).any():
+            raise _refuse_unknown()
+        copies = self._bricks.taken[there]
+        owners = self._bricks.part_of(copies)
+        starts = self._vertex_starts
+        rows = starts[copies] - starts[self._bricks.parts[owners]] + numbers
+        found = find_keys(self._keys, owners << 32 | rows)
+        if (found == len(self._keys)).any():
+            raise _refuse_unknown()
+        return found
+
+
+def _refuse_unknown() -> JobError:
+    return JobError(
+        "no tile has the vertices on its rim that another refers to",
+        "this is an error of hpcapp: please report it",
+    )
+
+
+def place_foreign(plan: WeldPlan) -> list[FloatArray]:
+    """Return where the foreign vertices of each part are.
+
+    Parameters
+    ----------
+    plan : WeldPlan
+
+    Returns
+    -------
+    list of ndarray of float64, shape (g, 3)
+    """
+    rims = _Rims(plan)
+    places = np.concatenate([summary.rim_places for summary in plan.summaries])
+    return [
+        places[rims.find(summary.foreign_bricks, summary.foreign_numbers)]
+        for summary in plan.summaries
+    ]
+
+
+def match_seams(plan: WeldPlan, seams: Sequence[OpeningSeams], fill: float) -> MatchedSeams:
+    """Join the bare patches of all parts, and match what they cut along their seams.
+
+    Parameters
+    ----------
+    plan : WeldPlan
+        Of the closed parts.
+    seams : sequence of OpeningSeams
+        Of the parts.
+    fill : float
+        Patches whose boundary is no larger than this stay, in length units of the input: the
+        diagonal of the box around it.
+
+    Returns
+    -------
+    MatchedSeams
+    """
+    rims = _Rims(plan)
+    label_starts = starts_of(np.array([len(some.loops) for some in seams], np.int64))
+    shifts = np.repeat(label_starts[:-1], np.diff(rims.starts))
+    rim_labels = np.concatenate([some.rim_labels for some in seams]) + shifts
+    rim_numbers = np.concatenate([some.rim_numbers for some in seams]).astype(np.int64)
+    left, right, foreign_numbers = [], [], []
+    for start, some in zip(label_starts, seams, strict=False):
+        rows = rims.find(some.foreign_bricks, some.foreign_numbers)
+        foreign_numbers.append(rim_numbers[rows])
+        bare = some.foreign_labels >= 0
+        left.append(start + some.foreign_labels[bare])
+        right.append(rim_labels[rows[bare]])
+    loops = np.concatenate([some.loops for some in seams])
+    stays, holes = _choose_small(loops, np.concatenate(left), np.concatenate(right), fill)
+    return MatchedSeams(
+        np.split(stays, label_starts[1:-1]),
+        foreign_numbers,
+        _match_cuts([some.edges for some in seams]),
+        holes,
+    )
+
+
+def _choose_small(
+    loops: FloatArray, left: IntArray, right: IntArray, fill: float
+) -> tuple[BoolArray, int]:
+    """Tell which labels are of patches with a small boundary, and how many these patches are."""
+    if not len(loops):
+        return np.zeros(0, np.bool_), 0
+    joined = np.stack([left, right, right], axis=1)  # edges as faces with a corner twice
+    count, patch = kernels.label_components(joined.astype(np.int64), len(loops))
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    np.minimum.at(low, patch, loops[:, :3])
+    np.maximum.at(high, patch, loops[:, 3:])
+    size = np.maximum(high - low, 0.0)
+    is_small = (high >= low).all(axis=1) & ((size * size).sum(axis=1) <= fill * fill)
+    return is_small[patch], int(is_small.sum())
+
+
+def _match_cuts(edges: list[IntArray]) -> list[IntArray]:
+    """Name each cut by the lowest brick with a face at its edge."""
+    every = np.concatenate(edges)
+    order = np.lexsort(every[:, 4::-1].T)
+    ends = every[order, :4]
+    first = np.ones(len(order), np.bool_)
+    first[1:] = (ends[1:] != ends[:-1]).any(axis=1)
+    named = np.empty((len(order), 2), np.int64)
+    named[order] = every[order[first], 4:][np.cumsum(first) - 1]
+    return np.split(named, np.cumsum([len(some) for some in edges])[:-1])

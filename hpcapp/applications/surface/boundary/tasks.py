@@ -1,0 +1,200 @@
+"""The tasks that cut a closed surface open where no point supports it, part by part.
+
+::
+
+    judge_support    some vertices of a part, points ──> share that none supports    ──> master
+    survey_support   part, points ──> patches, cuts                                  ──> master
+    open_part        part, what the master has decided ──> open part, its summary
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hpcapp.applications.surface.boundary.clearance import (
+    SupportRule,
+    find_bare,
+    measure_clearance,
+)
+from hpcapp.applications.surface.boundary.opening import (
+    OpeningSeams,
+    OpeningSurvey,
+    cut_opening,
+    drop_copies,
+    survey_opening,
+)
+from hpcapp.applications.surface.boundary.patterns import (
+    judged_support,
+    open_surface,
+    opened_bytes,
+    opening_seams,
+)
+from hpcapp.applications.surface.cloud.arranged import Place
+from hpcapp.applications.surface.cloud.disk import open_place
+from hpcapp.applications.surface.extraction.part_places import starts_of
+from hpcapp.applications.surface.extraction.parts import MeshPart
+from hpcapp.applications.surface.extraction.summary import PartSummary, summarize_part
+from hpcapp.applications.surface.extraction.taken_bricks import TakenBricks
+from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray, PointCloud
+from hpcapp.applications.surface.types.result_patterns import SMALL_BYTES
+from hpccomponent.protocol.records import record
+from hpccomponent.runtime.tasks import declare
+from hpccomponent.store.places import hold_store
+
+__all__ = ["Near", "judge_support", "open_part", "survey_support"]
+
+Part = MeshPart | tuple[str, str]
+"""A part, or a store (see `store.places`) and the name under which it is there."""
+
+
+@record("surface.near_points")
+@dataclass(frozen=True, slots=True, eq=False)
+class Near:
+    """Points that a task reads where the cloud is.
+
+    Parameters
+    ----------
+    cloud : Place
+        A folder that the worker sees; in this process the cloud itself.
+    blocks : ndarray of int64
+        Sorted keys of its blocks.
+    """
+
+    cloud: Place
+    blocks: IntArray
+
+    def read(self) -> PointCloud:
+        """Return the points."""
+        return PointCloud(*open_place(self.cloud).take_blocks(self.blocks))
+
+
+@declare(result=judged_support, limit=SMALL_BYTES)
+def judge_support(part: Part, taken: TakenBricks, near: Near, rule: SupportRule) -> tuple[int, int]:
+    """Tell how much of a part no point supports, by a vertex of each of its bricks (a task).
+
+    Parameters
+    ----------
+    part : MeshPart or tuple of str
+    taken : TakenBricks
+    near : Near
+        All points within the rule's reach of them.
+    rule : SupportRule
+        With one radius for all points.
+
+    Returns
+    -------
+    bare, vertices : int
+        A brick counts as its vertices.
+    """
+    held = _hold(part)
+    counts = np.where(taken.mark(held), held.vertex_counts, 0)
+    places = held.vertices[starts_of(held.vertex_counts)[:-1][counts > 0]]
+    bare = find_bare(places, near.read(), rule)
+    return int(counts[counts > 0][bare].sum()), int(counts.sum())
+
+
+@declare(result=opening_seams, limit=lambda _part, taken, *_: opened_bytes(taken, None))
+def survey_support(
+    part: Part,
+    taken: TakenBricks,
+    places: FloatArray,
+    rim: IntArray,
+    near: Near,
+    rule: SupportRule,
+    threads: int = 1,
+) -> tuple[OpeningSurvey | None, OpeningSeams]:
+    """Find where the points' support of a part ends (a task).
+
+    Parameters
+    ----------
+    part : MeshPart or tuple of str
+        The survey of one that is kept is put beside it.
+    taken : TakenBricks
+    places : ndarray of float64, shape (g, 3)
+        Where its foreign vertices are.
+    rim : ndarray of int32, shape (r,)
+        Rows of its vertices that other parts may name.
+    near : Near
+        All points within the rule's reach of the vertices.
+    rule : SupportRule
+    threads : int
+        The result does not depend on it.
+
+    Returns
+    -------
+    survey : OpeningSurvey or None
+        None where it is kept.
+    seams : OpeningSeams
+    """
+    held = _hold(part)
+    is_taken = taken.mark(held)
+    own = np.append(np.repeat(is_taken, held.vertex_counts), False)
+    rows = np.where(own[rim], np.cumsum(own)[rim] - 1, -1)
+    held, places = drop_copies(held, is_taken, places)
+    all_places = np.concatenate([held.vertices, places])
+    clearances = measure_clearance(all_places, near.read(), rule, threads)
+    survey, seams = survey_opening(held, places, clearances, rows)
+    if isinstance(part, MeshPart):
+        return survey, seams
+    place, name = part
+    hold_store(place).put(_beside(name), survey)
+    return None, seams
+
+
+@declare(
+    result=lambda _part, taken, _survey, _decided, keep=None: open_surface(taken, keep),
+    limit=lambda _part, taken, _survey, _decided, keep=None: opened_bytes(taken, keep),
+)
+def open_part(
+    part: Part,
+    taken: TakenBricks,
+    survey: OpeningSurvey | None,
+    decided: tuple[BoolArray, IntArray, IntArray],
+    keep: tuple[str, str] | None = None,
+) -> tuple[MeshPart | None, PartSummary, IntArray]:
+    """Cut a part open (a task).
+
+    Parameters
+    ----------
+    part : MeshPart or tuple of str
+    taken : TakenBricks
+    survey : OpeningSurvey or None
+        None where it is kept beside the part.
+    decided : tuple
+        Which patches stay, the numbers of foreign vertices, and the names of the cuts through
+        edges with one face (see `cut_opening`).
+    keep : tuple of str, optional
+        A store and a name, under which the result is put there.
+
+    Returns
+    -------
+    part, summary, exits
+        As those of `mesh_tile`; there are no exits.
+    """
+    if survey is None:
+        assert not isinstance(part, MeshPart)  # noqa: S101 - its survey would be at hand
+        survey = hold_store(part[0]).get(_beside(part[1]))
+    # The survey knows where the foreign vertices of what is left are: those of the part need not.
+    held = _hold(part)
+    held, _ = drop_copies(held, taken.mark(held), np.zeros((len(held.foreign_bricks), 3)))
+    cut, exits = cut_opening(held, survey, *decided), np.empty(0, np.int64)
+    summary = summarize_part(cut)
+    if keep is None:
+        return cut, summary, exits
+    place, name = keep
+    hold_store(place).put(name, (cut, summary, exits))
+    return None, summary, exits
+
+
+def _hold(part: Part) -> MeshPart:
+    if isinstance(part, MeshPart):
+        return part
+    place, name = part
+    held: MeshPart = hold_store(place).get(name)[0]
+    return held
+
+
+def _beside(name: str) -> str:
+    return f"{name}-support"

@@ -1,0 +1,99 @@
+"""How a cloud is cleaned: far, repeated and outlying points dropped, wrong normals turned round.
+
+::
+
+    drop_far ── drop_repeated ── (normals) ── rank, judge ── outliers dropped ── normals mended
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hpcapp.applications.surface.cleaning import outlier_regions
+from hpcapp.applications.surface.cleaning import tasks as tasks
+from hpcapp.applications.surface.cleaning.outlier_regions import DroppedCells
+from hpcapp.applications.surface.cloud.cloud_pass import CloudPass, PassT
+from hpcapp.applications.surface.cloud.measure import measure_spacing
+from hpcapp.applications.surface.normals import consistency
+from hpcapp.applications.surface.types.lattice import unique_keys
+
+__all__ = [
+    "Cleaned",
+    "clean_cloud",
+    "drop_repeated",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class Cleaned:
+    """What was found wrong with a cloud.
+
+    Parameters
+    ----------
+    outliers : int
+        Points that were dropped.
+    flipped : int
+        Normals that were turned round.
+    repeated : int
+        Points at the place of another that were dropped.
+    """
+
+    outliers: int
+    flipped: int
+    repeated: int = 0
+
+
+def drop_repeated(cloud_pass: PassT) -> tuple[PassT, int]:
+    """Drop the points at the place of another, and return how many they were.
+
+    The first point of each place stays.
+    """
+    cloud_pass, counts = cloud_pass.rewrite(tasks.drop_repeated)
+    return cloud_pass, sum(count for (count,) in counts)
+
+
+def clean_cloud(cloud_pass: PassT, spacing: float) -> tuple[PassT, Cleaned, float]:
+    """Drop the points that belong to no surface and turn round the normals that point inwards.
+
+    Parameters
+    ----------
+    cloud_pass : CloudPass
+        Through ten points or more with unit normals. Far ones must have been dropped: see
+        `drop_far`.
+    spacing : float
+        In length units of the input.
+
+    Returns
+    -------
+    cloud_pass : CloudPass
+        Through the points that remain, in their order.
+    cleaned : Cleaned
+    spacing : float
+        Of these.
+    """
+    outliers = 0
+    if (cells := _find_outliers(cloud_pass, spacing)) is not None:
+        cloud_pass, counts = cloud_pass.rewrite(tasks.drop_cells, cells)
+        outliers = sum(count for (count,) in counts)
+        spacing = measure_spacing(cloud_pass)
+    margin = consistency.MARGIN * spacing
+    cloud_pass, counts = cloud_pass.rewrite(
+        tasks.mend_region, cloud_pass.cloud.low, spacing, margin=margin
+    )
+    return cloud_pass, Cleaned(outliers, sum(count for (count,) in counts)), spacing
+
+
+def _find_outliers(cloud_pass: CloudPass, spacing: float) -> DroppedCells | None:
+    """Return the cells whose points lie apart from every surface; None where there are none."""
+    low, margin = cloud_pass.cloud.low, outlier_regions.MARGIN * spacing
+    ranks = cloud_pass.each(tasks.rank_region, low, spacing, margin=margin)
+    judged = outlier_regions.judge_sparse(ranks)
+    strays = [judged.stray_cells]
+    if any(by_rank[judged.base + 1 : -1].any() for by_rank, *_ in ranks):
+        strays += cloud_pass.each(tasks.judge_region, low, spacing, judged.base, margin=margin)
+    cells = unique_keys(np.concatenate(strays))
+    if not (len(cells) or len(judged.island_cells)):
+        return None
+    return DroppedCells(low, spacing, cells, judged.island_cells)

@@ -1,0 +1,221 @@
+"""Outliers of a cloud that is looked at region by region, and found just as in one piece.
+
+::
+
+    region + margin ── rank_region ──> points by rank, coarse cells, sparse cells ──┐
+         │                                                     all of these ── judge_sparse
+         │                                                           │ base, stray cells
+    region + margin ── judge_region ──> stray cells <────────────────┘
+
+What decides over a point of rank `LOCAL_RANK` or less lies within `MARGIN` spacings of it, so
+that a region knows it; cells of higher ranks are few, and the master judges them with all coarse
+cells. Cells are those of one lattice.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.cleaning.outliers import (
+    EDGE,
+    ISLAND_LEVEL,
+    Level,
+    coarsen,
+    find_base,
+    find_islands,
+    find_strays,
+    rank_cells,
+)
+from hpcapp.applications.surface.types.lattice import (
+    cells_of,
+    find_keys,
+    merge_counts,
+    number_keys,
+    pack_places,
+    unpack_keys,
+)
+from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
+from hpccomponent.protocol.records import record
+
+__all__ = [
+    "LOCAL_RANK",
+    "MARGIN",
+    "DroppedCells",
+    "Judgement",
+    "RegionRanks",
+    "judge_region",
+    "judge_sparse",
+    "rank_region",
+]
+
+RegionRanks = tuple[IntArray, IntArray, IntArray, IntArray, IntArray, IntArray]
+
+LOCAL_RANK = ISLAND_LEVEL
+"""Up to which a region judges by itself."""
+
+MARGIN = EDGE * (4 * 2.0**LOCAL_RANK + 1)
+"""Spacings: two cells to a neighbour's end, twice, for it is judged by its own neighbours."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judgement:
+    """What the master finds.
+
+    Parameters
+    ----------
+    base : int
+        The rank of most points.
+    stray_cells : ndarray of int64, shape (s,)
+        Sorted keys of the finest cells that it judged to be stray.
+    island_cells : ndarray of int64, shape (i,)
+        Sorted keys of the cells of `ISLAND_LEVEL` on islands.
+    """
+
+    base: int
+    stray_cells: IntArray
+    island_cells: IntArray
+
+
+@record("surface.dropped_cells")
+@dataclass(frozen=True, slots=True, eq=False)
+class DroppedCells:
+    """Cells whose points are outliers.
+
+    Parameters
+    ----------
+    low : ndarray of float64, shape (3,)
+        The least coordinates of the cloud.
+    spacing : float
+        Of the cloud: from both the cells follow.
+    strays, islands : ndarray of int64
+        Sorted keys of finest cells, and of cells of `ISLAND_LEVEL`.
+    """
+
+    low: FloatArray
+    spacing: float
+    strays: IntArray
+    islands: IntArray
+
+    def find_kept(self, positions: FloatArray) -> BoolArray:
+        """Tell which points, of shape (n, 3), do not lie in these cells."""
+        edge = EDGE * self.spacing
+        cells = np.floor(cells_of(positions, self.low, edge)).astype(np.int64)
+        kept: BoolArray = find_keys(self.strays, pack_places(cells)) == len(self.strays)
+        islands = pack_places(cells >> ISLAND_LEVEL)
+        kept &= find_keys(self.islands, islands) == len(self.islands)
+        return kept
+
+
+def rank_region(
+    positions: FloatArray, own: BoolArray, low: FloatArray, spacing: float
+) -> RegionRanks:
+    """Rank the points of a region.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+        All points of the cloud in a region and within `MARGIN` spacings of it.
+    own : ndarray of bool, shape (n,)
+        Which of them lie in the region.
+    low : ndarray of float64, shape (3,)
+        The least coordinates of the cloud.
+    spacing : float
+        Of the cloud, in length units of the input.
+
+    Returns
+    -------
+    points_by_rank : ndarray of int64, shape (LOCAL_RANK + 2,)
+        Own points of each rank; the last are those of all higher ranks.
+    coarse_keys, coarse_counts : ndarray of int64, shape (c,)
+        Cells of `ISLAND_LEVEL`, and the own points in each.
+    sparse_keys, sparse_ranks, sparse_counts : ndarray of int64, shape (s,)
+        Finest cells of rank `LOCAL_RANK` or more, and the own points in each.
+    """
+    levels, rank, cell_of = _rank(positions, low, spacing)
+    counts = np.bincount(cell_of[own], minlength=len(rank)).astype(np.int64)
+    by_rank = np.bincount(rank, counts, LOCAL_RANK + 2).astype(np.int64)
+    level = levels[ISLAND_LEVEL]
+    coarse = np.bincount(level.row_of, counts, len(level.keys)).astype(np.int64)
+    some = np.flatnonzero((rank >= LOCAL_RANK) & (counts > 0))
+    held = coarse > 0
+    keys = levels[0].keys[some]
+    return by_rank, level.keys[held], coarse[held], keys, rank[some], counts[some]
+
+
+def judge_sparse(regions: list[RegionRanks]) -> Judgement:
+    """Judge the cells of high ranks, and the islands.
+
+    Parameters
+    ----------
+    regions : list
+        What `rank_region` returned for each.
+
+    Returns
+    -------
+    Judgement
+    """
+    columns = list(zip(*regions, strict=True))
+    coarse = merge_counts(np.concatenate(columns[1]), np.concatenate(columns[2]))
+    coarse_levels = coarsen(*coarse)
+    island = find_islands(coarse_levels)
+    keys, rows = number_keys(np.concatenate(columns[3]))
+    counts = np.bincount(rows, np.concatenate(columns[5]), len(keys)).astype(np.int64)
+    rank = np.empty(len(keys), np.int64)
+    rank[rows] = np.concatenate(columns[4])
+    by_rank = np.sum(columns[0], axis=0)
+    stray = np.zeros(len(keys), np.bool_)
+    base = find_base(by_rank)
+    if by_rank[-1]:
+        levels = _levels_of(keys, counts, coarse_levels)
+        rank = rank_cells(levels, rank)
+        high = np.bincount(rank, np.where(rank > LOCAL_RANK, counts, 0)).astype(np.int64)
+        by_rank = np.concatenate([by_rank[:-1], high[LOCAL_RANK + 1 :]])
+        base = find_base(by_rank)
+        numbers = range(max(base, LOCAL_RANK) + 1, len(levels))
+        stray = find_strays(levels, rank, base, numbers)
+    return Judgement(base, keys[stray], coarse[0][island])
+
+
+def judge_region(
+    positions: FloatArray, own: BoolArray, low: FloatArray, spacing: float, base: int
+) -> IntArray:
+    """Find the stray cells of low ranks in a region.
+
+    Parameters
+    ----------
+    positions, own, low, spacing
+        As for `rank_region`.
+    base : int
+        The rank of most points of the cloud.
+
+    Returns
+    -------
+    ndarray of int64, shape (s,)
+        Sorted keys of finest cells, with own points in them.
+    """
+    levels, rank, cell_of = _rank(positions, low, spacing)
+    stray = find_strays(levels, rank, base, range(base + 1, LOCAL_RANK + 1))
+    stray &= np.bincount(cell_of[own], minlength=len(rank)) > 0
+    return levels[0].keys[stray]
+
+
+def _rank(
+    positions: FloatArray, low: FloatArray, spacing: float
+) -> tuple[list[Level], IntArray, IntArray]:
+    """Return the levels of a region, the ranks of its finest cells, and each point's cell."""
+    keys, counts, cell_of = kernels.count_cells(positions, low, EDGE * spacing)
+    levels = coarsen(keys, counts, LOCAL_RANK + 1)
+    return levels, rank_cells(levels, np.zeros(len(keys), np.int64)), cell_of
+
+
+def _levels_of(keys: IntArray, counts: IntArray, coarse: list[Level]) -> list[Level]:
+    """Return the levels above some finest cells; those below `ISLAND_LEVEL` know only these."""
+    levels = coarsen(keys, counts, ISLAND_LEVEL)
+    places = unpack_keys(keys)
+    for number, level in enumerate(coarse, start=ISLAND_LEVEL):
+        rows = find_keys(level.keys, pack_places(places >> number))
+        levels.append(Level(level.keys, level.counts, rows))
+    return levels

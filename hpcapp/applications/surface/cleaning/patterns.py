@@ -1,0 +1,71 @@
+"""What the tasks that clean a cloud declare of their results."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hpcapp.applications.surface.cleaning.outlier_regions import LOCAL_RANK
+from hpcapp.applications.surface.cleaning.outliers import EDGE, ISLAND_LEVEL
+from hpcapp.applications.surface.cloud.patterns import UNIT, AssignedPoints
+from hpcapp.applications.surface.cloud.regions import StoredBlocks
+from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.applications.surface.types.result_patterns import are_units
+from hpccomponent.protocol.declared import Array, Declared, Either, Fixed, Nothing, Where, Whole
+
+__all__ = ["mended_region", "ranked_region", "stray_cells", "without_points"]
+
+
+def without_points(points: StoredBlocks, *_: Any) -> Declared:
+    """Return the pattern of what tasks write that drop points."""
+    own = AssignedPoints.of(points)
+    written = Fixed(Array("<i8", "b", low=0, rises=True), Array("<i8", "b", low=0))
+    return Where(
+        Fixed(Either(Nothing(), written), Whole(0, own.points)),
+        lambda result: own.lacks(*result),
+        "blocks lack the points that are dropped",
+    )
+
+
+def ranked_region(points: StoredBlocks, low: FloatArray, spacing: float) -> Declared:
+    """Return the pattern of what `cleaning.rank_region` returns."""
+    own, size = AssignedPoints.of(points), EDGE * spacing
+
+    def agrees(ranks: tuple[Any, ...]) -> bool:
+        by_rank, sparse_ranks, sparse_counts = ranks[0], ranks[4], ranks[5]
+        sparse = np.bincount(sparse_ranks, sparse_counts, LOCAL_RANK + 2)
+        return np.array_equal(sparse[LOCAL_RANK:], by_rank[LOCAL_RANK:])
+
+    by_rank = Array("<i8", LOCAL_RANK + 2, low=0, total=own.total)
+    counts = Array("<i8", "coarse", low=1, total=own.total)
+    coarse = own.cells("coarse", low, size * 2.0**ISLAND_LEVEL)
+    sparse_ranks = Array("<i8", "sparse", low=LOCAL_RANK, high=LOCAL_RANK + 1)
+    sparse_counts = Array("<i8", "sparse", low=1, total=(0, own.points))
+    sparse = own.cells("sparse", low, size), sparse_ranks, sparse_counts
+    return Where(
+        Fixed(by_rank, coarse, counts, *sparse),
+        agrees,
+        "sparse cells have the points of high ranks",
+    )
+
+
+def stray_cells(points: StoredBlocks, low: FloatArray, spacing: float, _base: int) -> Declared:
+    """Return the pattern of what `cleaning.judge_region` finds."""
+    own = AssignedPoints.of(points)
+    return Where(
+        own.cells("s", low, EDGE * spacing),
+        lambda cells: len(cells) <= own.points,
+        "each cell holds a point",
+    )
+
+
+def mended_region(points: StoredBlocks, *_: Any) -> Declared:
+    """Return the pattern of what `cleaning.mend_region` returns."""
+    own = AssignedPoints.of(points)
+    replaced = own.replaced(points.target, UNIT, are_units)
+    return Where(
+        Fixed(Either(Nothing(), replaced), Whole(0, own.points)),
+        lambda result: (result[0] is None) == (result[1] == 0),
+        "points are written where something of them has changed",
+    )

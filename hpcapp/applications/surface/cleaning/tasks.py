@@ -1,0 +1,93 @@
+"""The tasks that clean a cloud region by region; each is a pure function of a region's points.
+
+::
+
+    region ── drop_repeated ──> without repeated points
+    region ── rank_region ──> master ── judge_region ──> stray cells ── drop_cells ──> without them
+    region ── mend_region ──> inconsistent normals flipped
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hpcapp.applications.surface.cleaning import outlier_regions as outliers
+from hpcapp.applications.surface.cleaning.outlier_regions import DroppedCells, RegionRanks
+from hpcapp.applications.surface.cleaning.patterns import (
+    mended_region,
+    ranked_region,
+    stray_cells,
+    without_points,
+)
+from hpcapp.applications.surface.cleaning.repeated import find_repeated
+from hpcapp.applications.surface.cloud.patterns import region_bytes
+from hpcapp.applications.surface.cloud.regions import RegionPoints, Replaced
+from hpcapp.applications.surface.normals.consistency import find_turned
+from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpccomponent.runtime.tasks import declare
+
+__all__ = ["drop_cells", "drop_repeated", "judge_region", "mend_region", "rank_region"]
+
+
+@declare(result=without_points, limit=region_bytes(16))
+def drop_repeated(points: RegionPoints) -> tuple[Replaced | None, int]:
+    """Drop the points at the place of another before them (a task); return how many, too."""
+    region = points.take()
+    repeated = find_repeated(region.positions)
+    return region.drop(repeated), int(np.count_nonzero(repeated))
+
+
+@declare(result=ranked_region, limit=region_bytes(56))
+def rank_region(points: RegionPoints, low: FloatArray, spacing: float) -> RegionRanks:
+    """Rank the points of a region (a task).
+
+    Parameters
+    ----------
+    points : RegionPoints
+        With a margin of `outlier_regions.MARGIN` spacings.
+    low, spacing
+        As for `outlier_regions.rank_region`, whose result this is.
+    """
+    region = points.take()
+    return outliers.rank_region(region.positions, region.own, low, spacing)
+
+
+@declare(result=stray_cells, limit=region_bytes(8))
+def judge_region(points: RegionPoints, low: FloatArray, spacing: float, base: int) -> IntArray:
+    """Find the stray cells of low ranks in a region (a task).
+
+    Parameters
+    ----------
+    points : RegionPoints
+        With a margin of `outlier_regions.MARGIN` spacings.
+    low, spacing, base
+        As for `outlier_regions.judge_region`, whose result this is.
+    """
+    region = points.take()
+    return outliers.judge_region(region.positions, region.own, low, spacing, base)
+
+
+@declare(result=without_points, limit=region_bytes(16))
+def drop_cells(points: RegionPoints, cells: DroppedCells) -> tuple[Replaced | None, int]:
+    """Drop the points in some cells (a task); return how many, too."""
+    region = points.take()
+    dropped = ~cells.find_kept(region.positions)
+    return region.drop(dropped), int(np.count_nonzero(dropped))
+
+
+@declare(result=mended_region, limit=region_bytes(40))
+def mend_region(
+    points: RegionPoints, low: FloatArray, spacing: float
+) -> tuple[Replaced | None, int]:
+    """Turn round the inconsistent normals of a region (a task); return how many, too.
+
+    Parameters
+    ----------
+    points : RegionPoints
+        With a margin of `consistency.MARGIN` spacings.
+    low, spacing
+        As for `consistency.find_turned`.
+    """
+    region = points.take()
+    turned = find_turned(region.positions, region.normals, low, spacing)[region.own]
+    return region.flip(turned), int(np.count_nonzero(turned))

@@ -1,0 +1,346 @@
+"""An arranged cloud, wherever it lies: its blocks, and the points in some of them.
+
+Whoever works through a cloud asks for whole blocks, so that it need not be in memory. Here is
+the cloud that is; `disk` has the one that is not. Both give the same points, bit for bit, and
+answer the same questions, so that nobody else asks which of them it is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.cloud.arrangement import (
+    Arrangement,
+    PackedPoints,
+    choose_arrangement,
+    pack_snapped,
+    snap_points,
+)
+from hpcapp.applications.surface.cloud.measured import Measured, Points, measure_points
+from hpcapp.applications.surface.kernels import bound_points
+from hpcapp.applications.surface.types.lattice import find_keys
+from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray, PointCloud
+
+__all__ = ["ArrangedCloud", "MemoryCloud", "Place", "arrange_cloud", "find_runs", "replace_points"]
+
+_ROWS_AT_ONCE = 1 << 14  # what is made of them stays in the cache
+_ENDLESS = Arrangement(np.zeros(3), np.inf)
+
+
+class ArrangedCloud(Protocol):
+    """Points with normals, snapped and sorted as an arrangement says.
+
+    Parameters
+    ----------
+    arrangement : Arrangement
+    origin : ndarray of float64, shape (3,)
+        What was subtracted from the input's coordinates.
+    keys, counts : ndarray of int64, shape (b,)
+        Of the occupied blocks, sorted, and how many points each holds.
+    low, high : ndarray of float64, shape (3,)
+        Corners of the box around all points.
+    points : PointCloud or None
+        All of them, where they are in memory.
+    place : Place
+        From where tasks can read it, see `disk.open_place`.
+    """
+
+    @property
+    def arrangement(self) -> Arrangement: ...  # noqa: D102 - see the class
+
+    @property
+    def origin(self) -> FloatArray: ...  # noqa: D102 - see the class
+
+    @property
+    def keys(self) -> IntArray: ...  # noqa: D102 - see the class
+
+    @property
+    def counts(self) -> IntArray: ...  # noqa: D102 - see the class
+
+    @property
+    def low(self) -> FloatArray: ...  # noqa: D102 - see the class
+
+    @property
+    def high(self) -> FloatArray: ...  # noqa: D102 - see the class
+
+    @property
+    def points(self) -> PointCloud | None: ...  # noqa: D102 - see the class
+
+    @property
+    def place(self) -> Place: ...  # noqa: D102 - see the class
+
+    def __len__(self) -> int: ...
+
+    def take_blocks(self, keys: IntArray) -> Points:
+        """Return the points in some blocks, block after block, each in the order of the input.
+
+        Parameters
+        ----------
+        keys : ndarray of int64, shape (k,)
+            Sorted, unique; those of blocks without points are passed over.
+
+        Returns
+        -------
+        positions, normals : ndarray of float64, shape (m, 3)
+            See `Points`.
+        """
+
+    def take_packed(self, keys: IntArray) -> PackedPoints:
+        """Return the same points as `take_blocks`, packed."""
+
+    def count_cells(
+        self, keys: IntArray, origin: FloatArray, size: float
+    ) -> tuple[IntArray, IntArray]:
+        """Count the points of some blocks in the occupied cells of a lattice.
+
+        Parameters
+        ----------
+        keys : ndarray of int64, shape (k,)
+            As for `take_blocks`, of one point or more.
+        origin : ndarray of float64, shape (3,)
+            Corner of a cell.
+        size : float
+            Of a cell, in length units of the input.
+
+        Returns
+        -------
+        keys, counts : ndarray of int64, shape (c,)
+            Sorted by key.
+        """
+
+    def measure(self) -> Measured:
+        """Return the spacing and a sample: what has been found before, or by a pass through all.
+
+        Returns
+        -------
+        Measured
+
+        Raises
+        ------
+        InputError
+            There are no normals, or all points are the same.
+        """
+
+    def sample(self, points: int) -> PointCloud:
+        """Return points evenly from all of the cloud.
+
+        Parameters
+        ----------
+        points : int
+            About so many, where there are; all of them where that costs nothing.
+
+        Returns
+        -------
+        PointCloud
+        """
+
+
+Place = str | ArrangedCloud
+"""Where a cloud lies: a folder, or the cloud itself where it is in this process's memory."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MemoryCloud:
+    """An arranged cloud in memory; see `ArrangedCloud`.
+
+    Parameters
+    ----------
+    points : PointCloud
+        With normals; arranged.
+    arrangement : Arrangement
+    keys : ndarray of int64, shape (b,)
+    offsets : ndarray of int64, shape (b + 1,)
+        Block i holds the points offsets[i] to offsets[i + 1].
+    low, high : ndarray of float64, shape (3,)
+        Corners of the box around all points.
+    measured : Measured or None
+        What was found out about it before.
+    """
+
+    points: PointCloud
+    arrangement: Arrangement
+    keys: IntArray
+    offsets: IntArray
+    low: FloatArray
+    high: FloatArray
+    measured: Measured | None = None
+
+    @classmethod
+    def as_they_are(cls, points: PointCloud) -> MemoryCloud:
+        """Hold points in one endless block, neither rounded nor sorted.
+
+        Parameters
+        ----------
+        points : PointCloud
+            One or more.
+
+        Returns
+        -------
+        MemoryCloud
+            For a method that cuts the cloud up by itself.
+        """
+        box = bound_points(points.positions)
+        return cls(points, _ENDLESS, np.zeros(1, np.int64), np.array([0, len(points)]), *box)
+
+    @property
+    def place(self) -> Place:
+        """See `ArrangedCloud`."""
+        return self
+
+    @property
+    def origin(self) -> FloatArray:
+        """See `ArrangedCloud`."""
+        return self.points.origin
+
+    @property
+    def counts(self) -> IntArray:
+        """See `ArrangedCloud`."""
+        return np.diff(self.offsets)
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def take_blocks(self, keys: IntArray) -> Points:
+        """See `ArrangedCloud`; views where the blocks lie side by side."""
+        assert self.points.normals is not None  # noqa: S101 - checked when it was arranged
+        rows = find_keys(self.keys, keys)
+        runs = find_runs(rows[rows < len(self.keys)])
+        slices = [slice(self.offsets[run.start], self.offsets[run.stop]) for run in runs]
+        positions = _join([self.points.positions[some] for some in slices])
+        return positions, _join([self.points.normals[some] for some in slices])
+
+    def take_packed(self, keys: IntArray) -> PackedPoints:
+        """See `ArrangedCloud`."""
+        points = self.take_blocks(keys)
+        if not len(points[0]):
+            none = np.empty(0, np.int64)
+            return PackedPoints.from_records(none, none, np.empty((0, 6), np.float32))
+        return pack_snapped(self.arrangement, *points)
+
+    def count_cells(
+        self, keys: IntArray, origin: FloatArray, size: float
+    ) -> tuple[IntArray, IntArray]:
+        """See `ArrangedCloud`."""
+        cells, offsets, _ = kernels.sort_points(self.take_blocks(keys)[0], origin, size)
+        return cells, np.diff(offsets)
+
+    def measure(self) -> Measured:
+        """See `ArrangedCloud`."""
+        return measure_points(self.points) if self.measured is None else self.measured
+
+    def sample(self, points: int) -> PointCloud:
+        """See `ArrangedCloud`."""
+        del points  # all of them are here
+        return self.points
+
+    def select(self, kept: BoolArray) -> MemoryCloud:
+        """Return the points that a mask names, in the same blocks.
+
+        Parameters
+        ----------
+        kept : ndarray of bool, shape (n,)
+            One point or more.
+
+        Returns
+        -------
+        MemoryCloud
+            Without the blocks that are left empty.
+        """
+        counts = np.add.reduceat(kept, self.offsets[:-1], dtype=np.int64)
+        offsets = np.append(0, np.cumsum(counts[counts > 0]))
+        points, keys = self.points.take(kept), self.keys[counts > 0]
+        box = bound_points(points.positions)
+        return MemoryCloud(points, self.arrangement, keys, offsets, *box)
+
+
+def arrange_cloud(cloud: PointCloud) -> MemoryCloud:
+    """Snap a cloud's points and sort them by blocks.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        Finite positions.
+
+    Returns
+    -------
+    MemoryCloud
+
+    Raises
+    ------
+    InputError
+        All points are the same.
+    """
+    box = bound_points(cloud.positions)
+    arrangement = choose_arrangement(*box)
+    snapped = snap_points(arrangement, cloud.positions)
+    keys, offsets, rows = kernels.sort_points(snapped, arrangement.origin, arrangement.edge)
+    positions = snapped.take(rows, axis=0)
+    del snapped  # makes room for the normals
+    normals = None if cloud.normals is None else _take_singles(cloud.normals, rows)
+    colours = None if cloud.colours is None else cloud.colours.take(rows, axis=0)
+    attributes = {name: column.take(rows) for name, column in cloud.attributes.items()}
+    arranged = PointCloud(positions, normals, colours, attributes, cloud.origin)
+    # Rounding leaves the least the least.
+    low, high = snap_points(arrangement, np.stack(box))
+    return MemoryCloud(arranged, arrangement, keys, offsets, low, high)
+
+
+def replace_points(cloud: ArrangedCloud, points: PointCloud) -> MemoryCloud:
+    """Hold other points as those of a cloud are held: arranged, or as they are.
+
+    Parameters
+    ----------
+    cloud : ArrangedCloud
+    points : PointCloud
+        Finite positions.
+
+    Returns
+    -------
+    MemoryCloud
+
+    Raises
+    ------
+    InputError
+        All points are the same, and would be arranged.
+    """
+    is_endless = np.isinf(cloud.arrangement.edge)
+    return MemoryCloud.as_they_are(points) if is_endless else arrange_cloud(points)
+
+
+def _take_singles(vectors: FloatArray, rows: NDArray[np.uint32]) -> FloatArray:
+    """Take some rows, rounded to single precision."""
+    taken = np.empty((len(rows), 3))
+    for start in range(0, len(rows), _ROWS_AT_ONCE):
+        some = slice(start, start + _ROWS_AT_ONCE)
+        taken[some] = vectors.take(rows[some], axis=0).astype(np.float32)
+    return taken
+
+
+def find_runs(rows: IntArray) -> list[slice]:
+    """Return the runs of consecutive numbers among rising ones.
+
+    Parameters
+    ----------
+    rows : ndarray of int64, shape (k,)
+
+    Returns
+    -------
+    list of slice
+    """
+    if not len(rows):
+        return []
+    breaks = np.flatnonzero(np.diff(rows) != 1) + 1
+    bounds = [0, *breaks.tolist(), len(rows)]
+    return [slice(int(rows[a]), int(rows[b - 1]) + 1) for a, b in pairwise(bounds)]
+
+
+def _join(parts: list[NDArray[Any]]) -> NDArray[Any]:
+    if not parts:
+        return np.zeros((0, 3))
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)

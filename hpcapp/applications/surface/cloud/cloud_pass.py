@@ -1,0 +1,270 @@
+"""How a cloud is gone through: one way, for points in memory and for points in a folder.
+
+::
+
+    each(task)     region ── task ──> result          the points stay as they are
+    rewrite(task)  region ── task ──> other points    the pass through these is the next one
+
+A task is a pure function of a region (see `regions`). In memory it is called directly, mostly with
+all points at once; in a folder workers run it, region by region.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from operator import itemgetter
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, MemoryCloud
+from hpcapp.applications.surface.cloud.disk import DiskCloud, Part, write_index, write_part
+from hpcapp.applications.surface.cloud.measured import Measured
+from hpcapp.applications.surface.cloud.point_workers import PointWorkers
+from hpcapp.applications.surface.cloud.regions import MemoryRegion, ReplacedRows
+from hpcapp.applications.surface.cloud.tasks import bound_region
+from hpcapp.applications.surface.kernels import bound_points
+from hpcapp.applications.surface.types.lattice import find_keys
+from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
+from hpccomponent.files.private_files import make_private_folder
+
+__all__ = ["CloudPass", "FolderPass", "MemoryPass", "make_cloud_folder"]
+
+Rows = IntArray | slice
+Result = TypeVar("Result")
+PassT = TypeVar("PassT", bound="CloudPass")
+
+_PREFIX = "points-"  # of the folders of clouds
+POINTS_AT_ONCE = 1 << 19
+"""Of a region in memory: tasks with margins hold much of each point."""
+
+
+class CloudPass(Protocol):
+    """How a cloud is gone through."""
+
+    @property
+    def cloud(self) -> ArrangedCloud:
+        """The points."""
+
+    def each(self, task: Callable[..., Result], *given: Any, margin: float = 0.0) -> list[Result]:
+        """Run a task for each region.
+
+        Parameters
+        ----------
+        task : callable
+            A registered task of `RegionPoints`.
+        *given : object
+            What it is given after its points.
+        margin : float
+            How far around its region it looks, in length units of the input.
+
+        Returns
+        -------
+        list
+            The results; without a margin in the order of the cloud, else in any.
+        """
+
+    def rewrite(
+        self: PassT, task: Callable[..., Any], *given: Any, margin: float = 0.0
+    ) -> tuple[PassT, list[Any]]:
+        """Replace the points by what a task makes of them, region by region.
+
+        Parameters
+        ----------
+        task : callable
+            As for `each`; it returns a tuple that begins with what its region's own points have
+            become (see `Region`), None where they stay.
+        *given, margin
+            As for `each`.
+
+        Returns
+        -------
+        cloud_pass : CloudPass
+            Through the other points; this one's are not there any more.
+        results : list of tuple
+            What else the task returned.
+        """
+
+    def note(self: PassT, measured: Measured) -> PassT:
+        """Keep what was found out about the cloud with it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MemoryPass:
+    """The pass through a cloud in memory."""
+
+    cloud: MemoryCloud
+
+    def each(self, task: Callable[..., Result], *given: Any, margin: float = 0.0) -> list[Result]:
+        """See `CloudPass`."""
+        return [task(region, *given) for region in self._cut(margin)]
+
+    def rewrite(
+        self, task: Callable[..., Any], *given: Any, margin: float = 0.0
+    ) -> tuple[MemoryPass, list[Any]]:
+        """See `CloudPass`."""
+        results = self.each(task, *given, margin=margin)
+        changes = [replaced for replaced, *_ in results if replaced is not None]
+        return self._replace(changes), [tuple(rest) for _, *rest in results]
+
+    def note(self, measured: Measured) -> MemoryPass:
+        """See `CloudPass`."""
+        return MemoryPass(replace(self.cloud, measured=measured))
+
+    def _cut(self, margin: float) -> Iterator[MemoryRegion]:
+        """Yield the regions: all points at once where they are few, or no margin is asked for."""
+        points = self.cloud.points
+        positions, normals = points.positions, points.normals
+        everything = np.arange(len(positions))
+        boxes = _cut_boxes(positions, everything) if margin else [everything]
+        if len(boxes) == 1:
+            own = np.ones(len(positions), np.bool_)
+            yield MemoryRegion(positions, normals, own, slice(None))
+            return
+        for rows in boxes:
+            near, own = _find_near(positions, rows, margin)
+            yield MemoryRegion(
+                positions[near], None if normals is None else normals[near], own, rows
+            )
+
+    def _replace(self, changes: list[ReplacedRows]) -> MemoryPass:
+        """Return the pass through what some changes leave of the points."""
+        if not changes:
+            return self
+        points, count = self.cloud.points, len(self.cloud)
+        kept = [(some.rows, some.kept) for some in changes if some.kept is not None]
+        normals = [(some.rows, some.normals) for some in changes if some.normals is not None]
+        attributes = dict(points.attributes)
+        for name in changes[0].attributes:
+            columns = [(some.rows, some.attributes[name]) for some in changes]
+            attributes[name] = _place(columns, np.zeros(count, columns[0][1].dtype))
+        if normals:
+            points = replace(points, normals=_place(normals, points.normals))
+        cloud = replace(self.cloud, points=replace(points, attributes=attributes))
+        if kept:
+            cloud = cloud.select(_place(kept, np.ones(count, np.bool_)))
+        return MemoryPass(cloud)
+
+
+def _place(columns: list[tuple[Rows, NDArray[Any]]], others: NDArray[Any] | None) -> NDArray[Any]:
+    """Return new values of some points, and what the others have."""
+    rows, values = columns[0]
+    if isinstance(rows, slice):  # these are all
+        return values
+    shape = (sum(len(some) for _, some in columns), *values.shape[1:])
+    placed = np.empty(shape, values.dtype) if others is None else others.astype(values.dtype)
+    for rows, values in columns:
+        placed[rows] = values
+    return placed
+
+
+def _cut_boxes(positions: FloatArray, rows: IntArray) -> list[IntArray]:
+    """Cut points into boxes of a few each, by halving across the longest side."""
+    if len(rows) <= POINTS_AT_ONCE:
+        return [rows]
+    low, high = bound_points(positions[rows])
+    column = positions[rows, int(np.argmax(high - low))]
+    is_below = column < np.median(column)
+    if is_below.all() or not is_below.any():
+        return [rows]
+    halves = rows[is_below], rows[~is_below]
+    return [box for half in halves for box in _cut_boxes(positions, half)]
+
+
+def _find_near(positions: FloatArray, rows: IntArray, margin: float) -> tuple[IntArray, BoolArray]:
+    """Return some points and those around them, in their order, and which are the points."""
+    low, high = bound_points(positions[rows])
+    columns = zip(positions.T, low - margin, high + margin, strict=True)
+    is_near = np.logical_and.reduce([(column >= a) & (column <= b) for column, a, b in columns])
+    near = np.flatnonzero(is_near)
+    return near, find_keys(rows, near) < len(rows)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FolderPass:
+    """The pass through a cloud in a folder, by whoever sees it.
+
+    Parameters
+    ----------
+    cloud : DiskCloud
+    place : Path
+        The folder in which clouds get folders: 24 bytes are written of each point that changes.
+    workers : PointWorkers
+        The points do not depend on it.
+    """
+
+    cloud: DiskCloud
+    place: Path
+    workers: PointWorkers
+
+    def each(self, task: Callable[..., Result], *given: Any, margin: float = 0.0) -> list[Result]:
+        """See `CloudPass`."""
+        results = self.workers.run(task, self.cloud, margin, given, None)
+        return [result for _, _, result in sorted(results, key=itemgetter(0))]
+
+    def rewrite(
+        self, task: Callable[..., Any], *given: Any, margin: float = 0.0
+    ) -> tuple[FolderPass, list[Any]]:
+        """See `CloudPass`."""
+        folder = make_cloud_folder(self.place)
+        parts: dict[int, Part] = {}
+        others: dict[int, tuple[Any, ...]] = {}
+        for index, is_written, (replaced, *rest) in self.workers.run(
+            task, self.cloud, margin, given, folder
+        ):
+            others[index] = tuple(rest)
+            if replaced is not None:
+                blocks = replaced if is_written else write_part(folder, index, [replaced])
+                parts[index] = Part.whole(index, *blocks)
+        cloud_pass = self if not parts else self._replace(folder, [parts[i] for i in sorted(parts)])
+        cloud_pass._remove_others()
+        return cloud_pass, [others[index] for index in sorted(others)]
+
+    def note(self, measured: Measured) -> FolderPass:
+        """See `CloudPass`."""
+        cloud = self.cloud
+        return self._index(cloud.folder, (cloud.low, cloud.high), cloud.parts, measured)
+
+    def _replace(self, folder: Path, parts: list[Part]) -> FolderPass:
+        """Return the pass through a cloud some of whose blocks are in new parts."""
+        cloud = self.cloud
+        changed = np.sort(np.concatenate([part.keys for part in parts]))
+        there = os.path.relpath(cloud.folder, folder)
+        kept = [part.without(changed, there) for part in cloud.parts]
+        written = [part for part in (*kept, *(part.filled() for part in parts)) if len(part.keys)]
+        replaced = self._index(folder, (cloud.low, cloud.high), written)
+        if len(replaced.cloud) == len(cloud):
+            return replaced
+        boxes = np.stack(replaced.each(bound_region))
+        box = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
+        return replaced._index(folder, box, written)
+
+    def _index(
+        self,
+        folder: Path,
+        box: tuple[FloatArray, FloatArray],
+        parts: list[Part],
+        measured: Measured | None = None,
+    ) -> FolderPass:
+        cloud = self.cloud
+        indexed = write_index(folder, cloud.arrangement, cloud.origin, box, parts, measured)
+        return replace(self, cloud=indexed)
+
+    def _remove_others(self) -> None:
+        """Remove the clouds that this one has come of, but for the parts that it still has."""
+        for folder in self.place.glob(f"{_PREFIX}*"):
+            if folder != self.cloud.folder and not self.cloud.uses(folder):
+                shutil.rmtree(folder, ignore_errors=True)  # one may write there still
+
+
+def make_cloud_folder(place: Path) -> Path:
+    """Make a folder for a cloud, of a name that no worker of an earlier run writes to."""
+    folder = place / f"{_PREFIX}{secrets.token_hex(4)}"
+    make_private_folder(folder)
+    return folder

@@ -1,0 +1,98 @@
+"""How cells and blocks with their points are cut into about equal parts."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from hpcapp.applications.surface.types.lattice import unique_keys, unpack_keys
+from hpcapp.applications.surface.types.points import FloatArray, IntArray
+
+__all__ = ["cut_even", "cut_regions", "cut_tiles"]
+
+
+def cut_even(counts: IntArray, pieces: int) -> list[slice]:
+    """Cut a cloud into runs of whole blocks with about as many points each.
+
+    Parameters
+    ----------
+    counts : ndarray of int64, shape (b,)
+        Points in each block.
+    pieces : int
+        At most; fewer where blocks are few or uneven.
+
+    Returns
+    -------
+    list of slice
+        Of rows of `counts`.
+
+    Examples
+    --------
+    >>> cut_even(np.array([3, 4, 9, 1, 1]), 3)
+    [slice(0, 2, None), slice(2, 3, None), slice(3, 5, None)]
+    """
+    ends = np.cumsum(counts)
+    wanted = ends[-1] * np.arange(1, pieces) / pieces
+    inner = np.searchsorted(ends - 0.5 * counts, wanted)
+    bounds = unique_keys(np.concatenate([[0], inner, [len(counts)]])).tolist()
+    return [slice(a, b) for a, b in pairwise(bounds)]
+
+
+def cut_regions(keys: IntArray, counts: IntArray, pieces: int) -> list[IntArray]:
+    """Cut a cloud into regions of about as many points, as compact as blocks allow.
+
+    Parameters
+    ----------
+    keys, counts : ndarray of int64, shape (b,)
+        Of the cloud's blocks.
+    pieces : int
+        How many, or fewer.
+
+    Returns
+    -------
+    list of ndarray of int64
+        Sorted keys of each region's blocks.
+    """
+    region_of = cut_tiles(keys, counts, pieces)
+    return [keys[region_of == region] for region in range(int(region_of.max()) + 1)]
+
+
+def cut_tiles(cells: IntArray, work: IntArray | FloatArray, count: int) -> IntArray:
+    """Cut cells into compact tiles of equal work, by halving across the longest side.
+
+    Parameters
+    ----------
+    cells : ndarray of int64, shape (c,)
+        Keys of coarse cells.
+    work : ndarray of int64 or float64, shape (c,)
+        Of each, in any unit.
+    count : int
+        Of tiles, one or more.
+
+    Returns
+    -------
+    ndarray of int64, shape (c,)
+        The tile of each cell: numbers from 0 on, none left out.
+
+    Notes
+    -----
+    The halos of runs along a Morton curve hold a half more (`docs/explanation/tiles.md`).
+    """
+    places = unpack_keys(cells)
+    tiles = np.zeros(len(cells), np.int64)
+    pending = [(np.arange(len(cells)), 0, min(count, len(cells)))]
+    while pending:
+        rows, first, parts = pending.pop()
+        tiles[rows] = first
+        if parts == 1:
+            continue
+        near = places[rows]
+        axis = int(np.argmax(near.max(axis=0) - near.min(axis=0)))
+        rows = rows[np.argsort(near[:, axis], kind="stable")]
+        own, lower = work[rows], parts // 2
+        middles = np.cumsum(own) - 0.5 * own
+        cut = int(np.searchsorted(middles, own.sum() * (lower / parts)))
+        cut = min(max(cut, lower), len(rows) - (parts - lower))  # a cell for each tile
+        pending += [(rows[:cut], first, lower), (rows[cut:], first + lower, parts - lower)]
+    return tiles

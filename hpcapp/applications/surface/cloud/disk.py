@@ -1,0 +1,498 @@
+"""An arranged cloud in a folder: 24 bytes a point there, and an index of its blocks in memory.
+
+::
+
+    points.0   points.1   points.2 ...       packed points of one part of the input each,
+    └ blocks in the order of their keys      offsets and normals side by side (float32),
+                                             and a last record with their checksum
+    index                                    arrangement, box, the blocks of each part, estimates
+
+Each part may be written by another machine that sees the folder; who has all of them writes the
+index, without which there is no cloud. An index may also name parts in a folder beside it, and
+leave out some of their blocks: so a cloud in which little is changed is not written again.
+Whether all of it is as it was written is found out by `DiskCloud.check`, which a job asks that goes
+on from what another has left.
+
+Reading some blocks takes a run of each part and puts these together in the order of the parts.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, Place
+from hpcapp.applications.surface.cloud.arrangement import (
+    Arrangement,
+    PackedPoints,
+    interleave,
+    unpack_points,
+    unpacking_arguments,
+)
+from hpcapp.applications.surface.cloud.measured import Measured, Points, measure_points
+from hpcapp.applications.surface.cloud.part_check import check_part, with_check
+from hpcapp.applications.surface.types.lattice import find_keys, merge_counts
+from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
+from hpccomponent.errors import JobError, OutputError
+from hpccomponent.files.private_files import open_at_once
+from hpccomponent.files.whole_files import write_whole
+from hpccomponent.store.value import DamagedError, from_bytes, to_buffers
+
+__all__ = [
+    "DiskCloud",
+    "Part",
+    "open_disk_cloud",
+    "open_place",
+    "write_index",
+    "write_part",
+]
+
+_INDEX = "index"
+_COLUMNS = 6  # float32 a point: offset and normal
+_POINT_BYTES = 4 * _COLUMNS
+_MOST_BUFFERS = 1024  # that one call fills, on Linux
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """The blocks of one file that belong to a cloud.
+
+    Parameters
+    ----------
+    file : str
+        Its name, as it is seen from the folder.
+    keys, counts : ndarray of int64, shape (b,)
+        Sorted keys of the blocks, and the points in each.
+    starts : ndarray of int64, shape (b,)
+        Which point of the file is the first of each.
+    """
+
+    file: str
+    keys: IntArray
+    counts: IntArray
+    starts: IntArray
+
+    @classmethod
+    def whole(cls, number: int, keys: IntArray, counts: IntArray) -> Part:
+        """Return all that `write_part` has written as a part of this number.
+
+        Parameters
+        ----------
+        number : int
+        keys, counts : ndarray of int64, shape (b,)
+            Sorted keys of the blocks, and the points in each.
+
+        Returns
+        -------
+        Part
+        """
+        return cls(_name_part(number), keys, counts, np.cumsum(counts) - counts)
+
+    def filled(self) -> Part:
+        """Return it without the blocks that hold no points."""
+        return self._take(np.flatnonzero(self.counts), self.file)
+
+    def without(self, keys: IntArray, folder: str) -> Part:
+        """Return it without some blocks, for an index from which its folder is called so.
+
+        Parameters
+        ----------
+        keys : ndarray of int64, shape (k,)
+            Sorted keys of the blocks that go.
+        folder : str
+            The path of its folder from that of the index.
+
+        Returns
+        -------
+        Part
+        """
+        kept = np.flatnonzero(find_keys(keys, self.keys) == len(keys))
+        return self._take(kept, os.path.normpath(os.path.join(folder, self.file)))
+
+    def _take(self, rows: IntArray, file: str) -> Part:
+        return Part(file, self.keys[rows], self.counts[rows], self.starts[rows])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DiskCloud:
+    """An arranged cloud in a folder; see `ArrangedCloud`.
+
+    Parameters
+    ----------
+    folder : Path
+    arrangement : Arrangement
+    origin, low, high : ndarray of float64, shape (3,)
+    keys, counts : ndarray of int64, shape (b,)
+    parts : list of Part
+    measured : Measured or None
+        What was found out about it before.
+    """
+
+    folder: Path
+    arrangement: Arrangement
+    origin: FloatArray
+    low: FloatArray
+    high: FloatArray
+    keys: IntArray
+    counts: IntArray
+    parts: list[Part]
+    measured: Measured | None = None
+
+    def __len__(self) -> int:
+        return int(self.counts.sum())
+
+    @property
+    def points(self) -> None:
+        """None: they need not fit into memory."""
+        return None
+
+    @property
+    def place(self) -> Place:
+        """See `ArrangedCloud`."""
+        return str(self.folder)
+
+    def uses(self, folder: Path) -> bool:
+        """Tell whether parts of it lie in some folder.
+
+        Parameters
+        ----------
+        folder : Path
+
+        Returns
+        -------
+        bool
+        """
+        names = {os.path.normpath((self.folder / part.file).parent) for part in self.parts}
+        return os.path.normpath(folder) in names
+
+    def check(self) -> None:
+        """Find out whether every part is as it was written, by reading all of them.
+
+        Raises
+        ------
+        DamagedError
+            One is not; the message names it.
+        """
+        for file in sorted({part.file for part in self.parts}):
+            most = max(_count_records(part) for part in self.parts if part.file == file)
+            check_part(Path(os.path.normpath(self.folder / file)), _POINT_BYTES * most)
+
+    def take_blocks(self, keys: IntArray) -> Points:
+        """See `ArrangedCloud` and `take_packed`."""
+        return unpack_points(self.arrangement, self.take_packed(keys))
+
+    def take_packed(self, keys: IntArray) -> PackedPoints:
+        """Return the points in some blocks as they lie there; see `take_blocks`.
+
+        Parameters
+        ----------
+        keys : ndarray of int64, shape (k,)
+            Sorted, unique; those of blocks without points are passed over.
+
+        Returns
+        -------
+        PackedPoints
+
+        Raises
+        ------
+        JobError
+            The folder is not there any more, or not whole.
+        """
+        rows = find_keys(self.keys, keys)
+        rows = rows[rows < len(self.keys)]
+        counts = self.counts[rows]
+        records = np.empty((int(counts.sum()), _COLUMNS), np.float32)
+        view = records.reshape(-1).view(np.uint8).data
+        filled = _POINT_BYTES * (np.cumsum(counts) - counts)  # where each block goes on
+        for part in self.parts:
+            own = find_keys(part.keys, self.keys[rows])
+            held = np.flatnonzero(own < len(part.keys))
+            if not len(held):
+                continue
+            own = own[held]
+            begins, sizes = part.starts[own], part.counts[own]
+            first, last = filled[held], filled[held] + _POINT_BYTES * sizes
+            filled[held] = last
+            targets = [view[a:b] for a, b in zip(first.tolist(), last.tolist(), strict=True)]
+            breaks = np.flatnonzero(begins[1:] != begins[:-1] + sizes[:-1]) + 1
+            bounds = [0, *breaks.tolist(), len(held)]
+            starts = (_POINT_BYTES * begins[bounds[:-1]]).tolist()
+            lengths = (_POINT_BYTES * np.add.reduceat(sizes, bounds[:-1])).tolist()
+            runs = [targets[a:b] for a, b in pairwise(bounds)]
+            self._read(part, zip(starts, lengths, runs, strict=True))
+        return PackedPoints.from_records(self.keys[rows], counts, records)
+
+    def sample(self, points: int) -> PointCloud:
+        """Return every so many-th point of each part, in the order of the parts.
+
+        Parameters
+        ----------
+        points : int
+            About so many, where there are.
+
+        Returns
+        -------
+        PointCloud
+
+        Raises
+        ------
+        JobError
+            The folder is not there any more, or not whole.
+        """
+        step = -(-len(self) // points)
+        keys, found = [], []
+        for part in self.parts:
+            ends = np.cumsum(part.counts)
+            every = np.arange(0, int(part.counts.sum()), step)
+            block = np.searchsorted(ends, every, side="right")
+            rows = part.starts[block] + every - (ends - part.counts)[block]
+            keys.append(part.keys[block])
+            with self._opened(part):
+                records: Any = np.empty((0, _COLUMNS), np.float32)
+                if len(rows):
+                    records = np.memmap(self.folder / part.file, np.float32, "r")
+                    records = records.reshape(-1, _COLUMNS)
+                found.append(np.asarray(records)[rows])
+        every = np.concatenate(keys)
+        ones = np.ones(len(every), np.int64)
+        packed = PackedPoints.from_records(every, ones, np.concatenate(found))
+        return PointCloud(*unpack_points(self.arrangement, packed))
+
+    def count_cells(
+        self, keys: IntArray, origin: FloatArray, size: float
+    ) -> tuple[IntArray, IntArray]:
+        """See `ArrangedCloud`."""
+        packed = unpacking_arguments(self.arrangement, self.take_packed(keys))
+        return kernels.count_packed(*packed, origin, size)
+
+    def measure(self) -> Measured:
+        """See `ArrangedCloud`."""
+        if self.measured is not None:
+            return self.measured
+        return measure_points(PointCloud(*self.take_blocks(self.keys)))
+
+    def _read(self, part: Part, runs: Iterable[tuple[int, int, list[memoryview]]]) -> None:
+        """Fill buffers from a part: those of a run one after the other, from its first byte on.
+
+        Of each run its first byte, its length and its buffers. There are many, and few bytes each.
+        """
+        path = self.folder / part.file
+        with self._opened(part), path.open("rb", buffering=0) as file:
+            number, read = file.fileno(), os.preadv
+            for start, length, targets in runs:
+                if len(targets) > _MOST_BUFFERS or read(number, targets, start) != length:
+                    _fill(number, start, targets, path)  # in several calls
+
+    @contextmanager
+    def _opened(self, part: Part) -> Iterator[None]:
+        """Translate what goes wrong while a part is read."""
+        try:
+            yield
+        except (OSError, ValueError, IndexError) as error:
+            what = error.strerror if isinstance(error, OSError) else "it is not whole"
+            raise JobError(
+                f"{self.folder / part.file}: the points that were put there cannot be read: {what}",
+                "run the job again; nobody may touch its temporary folder meanwhile",
+            ) from error
+
+
+def _fill(file: int, start: int, targets: list[memoryview], path: Path) -> None:
+    at = 0
+    while at < len(targets):
+        taken = os.preadv(file, targets[at : at + _MOST_BUFFERS], start)
+        if not taken:
+            raise JobError(
+                f"{path} has become shorter",
+                "run the job again; nobody may touch its temporary folder meanwhile",
+            )
+        start += taken
+        while at < len(targets) and taken >= len(targets[at]):
+            taken -= len(targets[at])
+            at += 1
+        if taken:
+            targets[at] = targets[at][taken:]
+
+
+def write_part(
+    folder: Path, number: int, pieces: Sequence[PackedPoints]
+) -> tuple[IntArray, IntArray]:
+    """Write one part of an arranged cloud.
+
+    Parameters
+    ----------
+    folder : Path
+    number : int
+        Of the part, from 0.
+    pieces : sequence of PackedPoints
+        The points of each block come in the order of the pieces. Where there are none, no file is
+        written.
+
+    Returns
+    -------
+    keys, counts : ndarray of int64, shape (b,)
+        The blocks of the part, and the points in each.
+
+    Raises
+    ------
+    OutputError
+        The disk is full, or the folder cannot be written.
+    """
+    if not pieces:
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    with _translated(folder):
+        write_whole(
+            folder / _name_part(number),
+            with_check(interleave(pieces), folder / _name_part(number)),
+        )
+    keys = np.concatenate([piece.keys for piece in pieces])
+    return merge_counts(keys, np.concatenate([piece.counts for piece in pieces]))
+
+
+def _count_records(part: Part) -> int:
+    """Return how many points a file must hold for what is taken of it."""
+    return int((part.starts + part.counts).max(initial=0))
+
+
+def _name_part(number: int) -> str:
+    return f"points.{number}"
+
+
+def write_index(
+    folder: Path,
+    arrangement: Arrangement,
+    origin: FloatArray,
+    box: tuple[FloatArray, FloatArray],
+    parts: Sequence[Part],
+    measured: Measured | None = None,
+) -> DiskCloud:
+    """Make a cloud of the parts that have been written.
+
+    Parameters
+    ----------
+    folder : Path
+    arrangement : Arrangement
+    origin : ndarray of float64, shape (3,)
+        What was subtracted from the input's coordinates.
+    box : tuple of ndarray of float64, shape (3,)
+        The least and the largest coordinates of all points.
+    parts : sequence of Part
+    measured : Measured, optional
+        What is known of the cloud.
+
+    Returns
+    -------
+    DiskCloud
+
+    Raises
+    ------
+    OutputError
+        The disk is full, or the folder cannot be written.
+    """
+    told = {
+        "edge": float(arrangement.edge),
+        "corner": arrangement.origin,
+        "origin": origin,
+        "box": np.stack(box),
+        "parts": [(part.file, part.keys, part.counts, part.starts) for part in parts],
+        "measured": None,
+    }
+    if measured is not None:
+        columns = (measured.sample.positions, measured.sample.normals)
+        told["measured"] = (float(measured.spacing), *columns)
+    with _translated(folder):
+        write_whole(folder / _INDEX, to_buffers(told, folder.name))
+    return _put_together(folder, arrangement, origin, box, parts, measured)
+
+
+def open_disk_cloud(folder: Path) -> DiskCloud:
+    """Open a cloud whose index has been written.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Returns
+    -------
+    DiskCloud
+        The one that this process has opened before, if nothing has changed.
+
+    Raises
+    ------
+    JobError
+        The folder holds none.
+    """
+    try:
+        found = (folder / _INDEX).stat()
+        return _open(folder, found.st_mtime_ns, found.st_ino)
+    except (OSError, DamagedError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise JobError(
+            f"{folder / _INDEX} holds no arranged points: {why}", "run the job again"
+        ) from error
+
+
+def open_place(place: Place) -> ArrangedCloud:
+    """Return the cloud that lies in some place.
+
+    Parameters
+    ----------
+    place : Place
+        See `ArrangedCloud`.
+
+    Returns
+    -------
+    ArrangedCloud
+
+    Raises
+    ------
+    JobError
+        A folder holds none.
+    """
+    return open_disk_cloud(Path(place)) if isinstance(place, str) else place
+
+
+@lru_cache(maxsize=2)
+def _open(folder: Path, *_version: int) -> DiskCloud:
+    with open(folder / _INDEX, "rb", opener=open_at_once) as file:
+        told = from_bytes(memoryview(file.read()), folder.name)
+    parts = [Part(*part) for part in told["parts"]]
+    measured = None
+    if told["measured"] is not None:
+        spacing, positions, normals = told["measured"]
+        measured = Measured(spacing, PointCloud(positions, normals))
+    arrangement = Arrangement(told["corner"], told["edge"])
+    return _put_together(folder, arrangement, told["origin"], told["box"], parts, measured)
+
+
+def _put_together(
+    folder: Path,
+    arrangement: Arrangement,
+    origin: FloatArray,
+    box: tuple[FloatArray, FloatArray] | FloatArray,
+    parts: Sequence[Part],
+    measured: Measured | None,
+) -> DiskCloud:
+    """Return the cloud of some parts."""
+    keys = np.concatenate([part.keys for part in parts])
+    merged = merge_counts(keys, np.concatenate([part.counts for part in parts]))
+    return DiskCloud(folder, arrangement, origin, box[0], box[1], *merged, list(parts), measured)
+
+
+@contextmanager
+def _translated(folder: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(
+            f"{folder}: the points cannot be put there: {error.strerror or error}",
+            "name a temporary folder with 24 bytes of room for each point, twice",
+        ) from error

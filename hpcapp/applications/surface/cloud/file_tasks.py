@@ -1,0 +1,250 @@
+"""The points in a range of a file: surveyed, bounded, and arranged in a folder (tasks).
+
+::
+
+    range ── survey_range ──> counts, boxes, a sample ──> master: frame, reach, arrangement
+    range ── arrange_range ──> points.N in the folder ──> its blocks
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.cloud.arrangement import Arrangement, PackedPoints, pack_points
+from hpcapp.applications.surface.cloud.disk import write_part
+from hpcapp.applications.surface.cloud.file_patterns import (
+    arranged_range,
+    bounded_range,
+    range_bytes,
+    surveyed_range,
+)
+from hpcapp.applications.surface.cloud.point_records import PointRecords
+from hpcapp.applications.surface.cloud.validity import Dropped, Reach, are_usable, select_usable
+from hpcapp.applications.surface.kernels import bound_points
+from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
+from hpcapp.applications.surface.types.result_patterns import SMALL_BYTES
+from hpccomponent.protocol.records import record
+from hpccomponent.runtime.tasks import declare
+
+__all__ = [
+    "FilePoints",
+    "FileRange",
+    "SentRange",
+    "arrange_range",
+    "bound_range",
+    "survey_range",
+    "unite_boxes",
+]
+
+_AT_ONCE = 1 << 16  # points: what is made of them stays in the cache
+_NOWHERE = np.zeros((0, 3))
+
+
+@record("surface.file_range")
+@dataclass(frozen=True, slots=True, eq=False)
+class FileRange:
+    """A range of a file that the worker sees.
+
+    Parameters
+    ----------
+    records : PointRecords
+    start, stop : int
+        Of its records.
+    """
+
+    records: PointRecords
+    start: int
+    stop: int
+
+    def __len__(self) -> int:
+        return self.stop - self.start
+
+    @property
+    def path(self) -> str:
+        """The file."""
+        return self.records.path
+
+    def pieces(self) -> Iterator[PointCloud]:
+        """Yield the points in their order, some at a time."""
+        for start in range(self.start, self.stop, _AT_ONCE):
+            yield self.records.read(start, min(start + _AT_ONCE, self.stop), ("normals",))
+
+
+@record("surface.sent_range")
+@dataclass(frozen=True, slots=True, eq=False)
+class SentRange:
+    """A range of a file, read already.
+
+    Parameters
+    ----------
+    path : str
+        The file, for messages.
+    positions : ndarray of float64, shape (n, 3)
+    normals : ndarray of float64, shape (n, 3), or None
+    """
+
+    path: str
+    positions: FloatArray
+    normals: FloatArray | None
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def pieces(self) -> Iterator[PointCloud]:
+        """Yield the points in their order, some at a time."""
+        for start in range(0, len(self.positions), _AT_ONCE):
+            rows = slice(start, start + _AT_ONCE)
+            yield PointCloud(
+                self.positions[rows], None if self.normals is None else self.normals[rows]
+            )
+
+
+FilePoints = FileRange | SentRange
+
+
+@declare(result=surveyed_range, limit=range_bytes)
+def survey_range(points: FilePoints, before: int, step: int) -> tuple[Any, ...]:
+    """Look through the points of a range (a task).
+
+    Parameters
+    ----------
+    points : FileRange or SentRange
+    before : int
+        Usable points in front of the range.
+    step : int
+        Every so many-th usable point of the file is in the sample.
+
+    Returns
+    -------
+    usable, non_finite, bad_normals : int
+        Points of each kind.
+    frame, box : ndarray of float64, shape (2, 3)
+        Around the points with finite positions, and around the usable ones.
+    sample : ndarray of float64, shape (s, 3)
+
+    Raises
+    ------
+    InputError
+        The file cannot be read any more.
+    """
+    dropped = Dropped()
+    frame = box = _bound(_NOWHERE)
+    usable, samples = 0, [_NOWHERE]
+    for cloud in points.pieces():
+        near = around = _bound(cloud.positions)
+        if not are_usable(cloud):
+            finite = np.isfinite(cloud.positions).all(axis=1)
+            around = _bound(cloud.positions[finite])
+            cloud, left_out = select_usable(cloud)
+            dropped += left_out
+            near = _bound(cloud.positions)
+        frame, box = unite_boxes([frame, around]), unite_boxes([box, near])
+        samples.append(cloud.positions[-(before + usable) % step :: step].copy())
+        usable += len(cloud)
+    sample = np.concatenate(samples)
+    return usable, dropped.non_finite_points, dropped.bad_normals, frame, box, sample
+
+
+@declare(result=bounded_range, limit=SMALL_BYTES)
+def bound_range(points: FilePoints, origin: FloatArray, reach: Reach) -> tuple[int, FloatArray]:
+    """Bound the usable points of a range that are within reach (a task).
+
+    Parameters
+    ----------
+    points : FileRange or SentRange
+    origin : ndarray of float64, shape (3,)
+        Of the local frame.
+    reach : Reach
+
+    Returns
+    -------
+    count : int
+    box : ndarray of float64, shape (2, 3)
+    """
+    count, box = 0, _bound(_NOWHERE)
+    for near in _take_near(points, origin, reach):
+        count += len(near)
+        box = unite_boxes([box, _bound(near.positions)])
+    return count, box
+
+
+@declare(result=arranged_range, limit=range_bytes)
+def arrange_range(
+    points: FilePoints,
+    origin: FloatArray,
+    reach: Reach | None,
+    arrangement: Arrangement,
+    target: tuple[str, int],
+) -> tuple[IntArray, IntArray]:
+    """Write the usable points of a range into a folder, arranged (a task).
+
+    Parameters
+    ----------
+    points : FileRange or SentRange
+    origin : ndarray of float64, shape (3,)
+        Of the local frame.
+    reach : Reach or None
+        Points beyond it are left out.
+    arrangement : Arrangement
+    target : tuple of (str, int)
+        The folder, and the number of the part: see `disk.write_part`.
+
+    Returns
+    -------
+    keys, counts : ndarray of int64, shape (b,)
+        The blocks of the part, and the points in each.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read any more.
+    OutputError
+        The disk is full, or the folder cannot be written.
+    """
+    pieces: list[PackedPoints] = []
+    for near in _take_near(points, origin, reach):
+        if len(near):
+            normals = np.zeros_like(near.positions) if near.normals is None else near.normals
+            pieces.append(pack_points(arrangement, near.positions, normals))
+    return write_part(Path(target[0]), target[1], pieces)
+
+
+def _take_near(points: FilePoints, origin: FloatArray, reach: Reach | None) -> Iterator[PointCloud]:
+    """Yield the usable points within reach, in their frame, some at a time."""
+    for cloud in points.pieces():
+        usable, _ = select_usable(cloud)
+        positions = usable.positions - origin if origin.any() else usable.positions
+        local = PointCloud(positions, usable.normals)
+        if reach is None or not len(local) or reach.holds(*bound_points(positions)):
+            yield local
+        else:
+            yield local.take(reach.find_near(positions))
+
+
+def _bound(positions: FloatArray) -> FloatArray:
+    """Return a box around points; around none it is one that any other makes larger."""
+    if not len(positions):
+        return np.array([[np.inf] * 3, [-np.inf] * 3])
+    return np.stack(kernels.bound_points(positions))
+
+
+def unite_boxes(boxes: Sequence[FloatArray]) -> FloatArray:
+    """Return the box around some boxes.
+
+    Parameters
+    ----------
+    boxes : sequence of ndarray of float64, shape (2, 3)
+        One or more.
+
+    Returns
+    -------
+    ndarray of float64, shape (2, 3)
+    """
+    columns = np.stack(boxes)
+    return np.stack([columns[:, 0].min(axis=0), columns[:, 1].max(axis=0)])

@@ -1,0 +1,198 @@
+"""From a file to an arranged cloud on disk: the points are never in memory at once.
+
+::
+
+    file ── ranges ──> survey: counts, boxes, a sample             first pass
+      │                   │ frame, reach, arrangement
+      └──── ranges ──> usable, local, near ── arranged ──> folder   second pass
+
+A range of a binary PLY is read, and its part of the folder written, by whoever runs its task;
+other formats are parsed here, in each pass. A third one bounds the points near the cloud where
+there are markers far away. Colours are left behind: a mesh has none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hpcapp.applications.surface.cloud.arrangement import choose_arrangement, snap_points
+from hpcapp.applications.surface.cloud.disk import DiskCloud, Part, write_index
+from hpcapp.applications.surface.cloud.file_tasks import (
+    FileRange,
+    SentRange,
+    arrange_range,
+    bound_range,
+    survey_range,
+    unite_boxes,
+)
+from hpcapp.applications.surface.cloud.point_workers import PointWorkers
+from hpcapp.applications.surface.cloud.reach import EvenSample, even_step, find_reach
+from hpcapp.applications.surface.cloud.validity import (
+    Dropped,
+    select_usable,
+)
+from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.io.frame import choose_origin
+from hpcapp.io.points.point_source import PointSource
+from hpcapp.io.points.usable import (
+    refuse_degenerate,
+    refuse_line,
+    refuse_too_few,
+)
+from hpccomponent.errors import InputError
+from hpccomponent.terminal import visible_text
+
+__all__ = ["Ingested", "ingest_file"]
+
+Task = Callable[..., Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ingested:
+    """A cloud that was put into a folder, and what was left out.
+
+    Parameters
+    ----------
+    cloud : DiskCloud
+    dropped : Dropped
+        Points without a finite position, or without a normal where others have one.
+    far : int
+        Points that were dropped because they lie far away (see `cleaning.drop_far`).
+    """
+
+    cloud: DiskCloud
+    dropped: Dropped
+    far: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Survey:
+    """What the first pass finds: a sample, the points' frame, and boxes around them in it."""
+
+    points: int
+    dropped: Dropped
+    origin: FloatArray
+    box: FloatArray
+    sample: FloatArray
+
+
+def ingest_file(
+    source: PointSource, folder: Path, workers: PointWorkers, *, drop_far: bool = True
+) -> Ingested:
+    """Arrange the usable points of a file in a folder.
+
+    Parameters
+    ----------
+    source : PointSource
+    folder : Path
+        Exists; 24 bytes a point are written.
+    workers : PointWorkers
+        The cloud does not depend on it.
+    drop_far : bool
+        Whether to drop points far from all others.
+
+    Returns
+    -------
+    Ingested
+        The points that `drop_unusable`, `drop_far` and `arrange_cloud` leave of the whole file,
+        bit for bit.
+
+    Raises
+    ------
+    InputError
+        The file is damaged, or holds no surface: see `drop_unusable`.
+    OutputError
+        The disk is full, or the folder cannot be written.
+    """
+    name = str(source.path)
+    if not workers.workers_see_input:
+        workers = replace(workers, workers_see=False)
+    found = _survey_records(source, workers) if source.records else _survey_parts(source, workers)
+    refuse_too_few(found.points, found.dropped, name)
+    refuse_degenerate(found.box[0], found.box[1], found.points, name)
+    refuse_line(
+        lambda: [found.sample],
+        lambda: _usable_positions(source, workers.points, found.origin),
+        found.points,
+        name,
+    )
+    points, box, reach = found.points, found.box, None
+    if drop_far and not (near := find_reach(found.sample)).holds(*box):
+        reach = near
+        bounded = list(_run(source, workers, bound_range, lambda _: (found.origin, reach)))
+        points = sum(count for count, _ in bounded)
+        box = unite_boxes([part for _, part in bounded])
+    blocks = choose_arrangement(*box)
+    low, high = snap_points(blocks, box)  # rounding leaves the least the least
+    common = found.origin, reach, blocks
+    written = _run(source, workers, arrange_range, lambda i: (*common, (str(folder), i)))
+    parts = [Part.whole(i, *arranged) for i, arranged in enumerate(written)]
+    cloud = write_index(folder, blocks, found.origin, (low, high), parts)
+    return Ingested(cloud, found.dropped, found.points - points)
+
+
+def _survey_records(source: PointSource, workers: PointWorkers) -> _Survey:
+    """Survey a file range by range, wherever; most files have no unusable points."""
+    assert source.records is not None  # noqa: S101 - or this would not be called
+    source.check()
+    ranges = workers.cut_rows(source.records.count)
+    before, step = [some.start for some in ranges], even_step(source.records.count)
+    found = list(_run(source, workers, survey_range, lambda i: (before[i], step)))
+    usable = [part[0] for part in found]
+    true, true_step = [sum(usable[:i]) for i in range(len(usable))], even_step(sum(usable))
+    if true_step != step or any((a - b) % step for a, b in zip(before, true, strict=True)):
+        found = list(_run(source, workers, survey_range, lambda i: (true[i], true_step)))
+    return _put_together(source, found, [part[5] for part in found])
+
+
+def _survey_parts(source: PointSource, workers: PointWorkers) -> _Survey:
+    """Survey a file that is parsed here."""
+    sample, found = EvenSample(), []
+    for *counts, positions in _run(source, workers, survey_range, lambda _: (0, 1)):
+        sample.add(positions)
+        found.append(counts)
+    return _put_together(source, found, [sample.positions])
+
+
+def _put_together(source: PointSource, found: list[Any], samples: list[FloatArray]) -> _Survey:
+    usable, non_finite, bad_normals = (sum(part[i] for part in found) for i in range(3))
+    dropped = Dropped(non_finite, bad_normals)
+    if not usable + dropped.total:
+        raise InputError(f"{source.path} holds no points", "check that the right file was exported")
+    sample = np.concatenate(samples)
+    frame, box = (unite_boxes([part[i] for part in found]) for i in (3, 4))
+    if not usable:
+        return _Survey(0, dropped, np.zeros(3), box, sample)
+    origin = choose_origin(*frame)
+    if origin.any():
+        box, sample = box - origin, sample - origin
+    return _Survey(usable, dropped, origin, box, sample)
+
+
+def _run(
+    source: PointSource, workers: PointWorkers, task: Task, more: Callable[[int], tuple[Any, ...]]
+) -> Iterator[Any]:
+    """Run a task for each range of a file, given more arguments; in the order of the file."""
+    if source.records is not None:
+        path = str(source.path.resolve())  # workers need not be where this process is
+        records = replace(source.records, path=path)
+        ranges = workers.cut_rows(source.records.count)
+        there = [FileRange(records, some.start, some.stop) for some in ranges]
+        yield from workers.map(task, [(points, *more(i)) for i, points in enumerate(there)])
+        return
+    for i, part in enumerate(source.chunks(workers.points)):
+        yield task(
+            SentRange(visible_text(str(source.path)), part.positions, part.normals), *more(i)
+        )
+
+
+def _usable_positions(source: PointSource, rows: int, origin: FloatArray) -> Iterator[FloatArray]:
+    """Yield the positions of all usable points, read here."""
+    for part in source.chunks(rows):
+        usable, _ = select_usable(part)
+        yield usable.positions - origin if origin.any() else usable.positions

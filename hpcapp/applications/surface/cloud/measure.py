@@ -1,0 +1,58 @@
+"""What is measured of a cloud before anything is made of it: its spacing, and a sample of it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hpcapp.applications.surface.cloud.cloud_pass import CloudPass, PassT
+from hpcapp.applications.surface.cloud.measured import SAMPLED_BOX, Measured, Points, draw_sample
+from hpcapp.applications.surface.cloud.spacing import search_spacing
+from hpcapp.applications.surface.cloud.tasks import count_boxes, sample_region
+from hpcapp.applications.surface.types.lattice import unique_keys
+from hpcapp.applications.surface.types.points import PointCloud
+
+__all__ = ["draw_boxes", "measure_cloud", "measure_spacing"]
+
+
+def measure_spacing(cloud_pass: CloudPass) -> float:
+    """Estimate the spacing of a cloud, in length units of the input.
+
+    Raises
+    ------
+    InputError
+        All points are the same.
+    """
+    cloud = cloud_pass.cloud
+
+    def count(edge: float, one_in: int, is_distinct: bool) -> tuple[int, int]:
+        counted = cloud_pass.each(count_boxes, cloud.low, edge, one_in, is_distinct)
+        points, keys = zip(*counted, strict=True)
+        return sum(points), len(unique_keys(np.concatenate(keys)))
+
+    return search_spacing(count, len(cloud), cloud.low, cloud.high)
+
+
+def measure_cloud(cloud_pass: PassT, spacing: float) -> PassT:
+    """Keep with a cloud what methods ask of it."""
+
+    def draw(one_in: int) -> Points:
+        return draw_boxes(cloud_pass, SAMPLED_BOX * spacing, one_in)
+
+    sample = draw_sample(draw, len(cloud_pass.cloud))
+    return cloud_pass.note(Measured(spacing, PointCloud(*sample)))
+
+
+def draw_boxes(cloud_pass: CloudPass, edge: float, one_in: int) -> Points:
+    """Return the points in a sample of boxes, in the order of the cloud.
+
+    Parameters
+    ----------
+    cloud_pass : CloudPass
+    edge : float
+        Of a box, in length units of the input.
+    one_in : int
+        How many boxes make one sampled.
+    """
+    samples = cloud_pass.each(sample_region, cloud_pass.cloud.low, edge, one_in)
+    positions, normals = (np.concatenate(column) for column in zip(*samples, strict=True))
+    return positions, normals

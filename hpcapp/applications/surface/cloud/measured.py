@@ -1,0 +1,110 @@
+"""What a method asks of a cloud before it chooses its scale: the spacing, and a sample."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.cloud.spacing import estimate_spacing
+from hpcapp.applications.surface.kernels import bound_points
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpccomponent.errors import InputError
+
+__all__ = ["SAMPLED_BOX", "Measured", "Points", "draw_sample", "first_share", "measure_points"]
+
+Points = tuple[FloatArray, FloatArray]
+"""Positions in length units of the input and unit normals, each of shape (n, 3)."""
+
+_SAMPLED_POINTS = 15_000
+SAMPLED_BOX = 24.0
+"""Spacings: large against the cells of a probe."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """What a method asks of a cloud.
+
+    Parameters
+    ----------
+    spacing : float
+        In length units of the input.
+    sample : PointCloud
+        Points by which the noise is judged, in the cloud's order.
+    """
+
+    spacing: float
+    sample: PointCloud
+
+
+def measure_points(points: PointCloud) -> Measured:
+    """Estimate the spacing of points in memory, and draw a sample of them.
+
+    Parameters
+    ----------
+    points : PointCloud
+        With normals.
+
+    Returns
+    -------
+    Measured
+
+    Raises
+    ------
+    InputError
+        There are no normals, or all points are the same.
+    """
+    positions, normals = points.positions, points.normals
+    if normals is None:
+        raise InputError("the cloud has no normals", "give oriented points")
+    spacing = estimate_spacing(positions)
+    low, _ = bound_points(positions)
+
+    def draw(one_in: int) -> Points:
+        if one_in == 1:
+            return positions, normals
+        rows = kernels.sample_boxes(positions, low, SAMPLED_BOX * spacing, one_in)
+        return positions[rows], normals[rows]
+
+    return Measured(spacing, PointCloud(*draw_sample(draw, len(points))))
+
+
+def first_share(points: int) -> int:
+    """Return how many boxes make one sampled, to begin with; of a small cloud all points are.
+
+    Parameters
+    ----------
+    points : int
+        Of the cloud.
+
+    Returns
+    -------
+    int
+        At least 1.
+    """
+    return max(points // _SAMPLED_POINTS, 1)
+
+
+def draw_sample(draw: Callable[[int], Points], points: int) -> Points:
+    """Draw a sample of boxes that holds enough points to find the noise by.
+
+    Parameters
+    ----------
+    draw : callable
+        Given how many boxes of edge `SAMPLED_BOX` make one sampled, returns the points in them, in
+        the cloud's order.
+    points : int
+        Of the cloud.
+
+    Returns
+    -------
+    positions, normals : ndarray of float64, shape (n, 3)
+        Of about 15,000 points; of a cloud in few boxes more, and all of a small one.
+    """
+    one_in = first_share(points)
+    while one_in > 1:
+        sample = draw(one_in)
+        if len(sample[0]) > _SAMPLED_POINTS // 4:
+            return sample
+        one_in //= 8
+    return draw(1)

@@ -1,0 +1,262 @@
+"""What the tasks that go through a cloud declare of their results.
+
+The master knows how many points lie in each block, from the index of the folder or from what it
+sends: so a result says nothing of points that are not there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, Place
+from hpcapp.applications.surface.cloud.arrangement import Arrangement, PackedPoints
+from hpcapp.applications.surface.cloud.disk import open_disk_cloud, open_place
+from hpcapp.applications.surface.cloud.regions import SentBlocks, StoredBlocks
+from hpcapp.applications.surface.types.lattice import find_keys, pack_places, unpack_keys
+from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.applications.surface.types.result_patterns import (
+    BOX,
+    SMALL_BYTES,
+    Box,
+    are_units,
+    bounds_some,
+    cells_in,
+    is_share,
+    lie_in,
+    lie_within,
+    sampled_boxes,
+)
+from hpccomponent.protocol.declared import (
+    Array,
+    Declared,
+    Fixed,
+    Record,
+    Where,
+)
+
+__all__ = [
+    "UNIT",
+    "AssignedPoints",
+    "bounded_region",
+    "counted_boxes",
+    "counted_cells",
+    "region_bytes",
+    "run_bytes",
+    "sampled_region",
+]
+
+UNIT = 1.001
+"""Of a vector of unit length, at most."""
+
+_SAME_BLOCKS = "the points are those of the blocks"
+_BELOW_ONE = float(np.nextafter(np.float32(1.0), np.float32(0.0)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AssignedPoints:
+    """The points that a task is given, as far as they are known without reading them.
+
+    Parameters
+    ----------
+    arrangement : Arrangement
+    keys, counts : ndarray of int64, shape (b,)
+        Of the task's own blocks, but for empty ones.
+    sent : PackedPoints or None
+        The points themselves, and others, where they are sent.
+    """
+
+    arrangement: Arrangement
+    keys: IntArray
+    counts: IntArray
+    sent: PackedPoints | None = None
+
+    @classmethod
+    def of(cls, points: StoredBlocks) -> AssignedPoints:
+        """Return what is known of a region's own points."""
+        if isinstance(points.where, SentBlocks):
+            sent = points.where
+            return replace(
+                cls.among(sent.arrangement, sent.packed, points.blocks), sent=sent.packed
+            )
+        cloud = open_disk_cloud(Path(points.where))
+        return cls.among(cloud.arrangement, cloud, points.blocks)
+
+    @classmethod
+    def among(
+        cls, arrangement: Arrangement, cloud: ArrangedCloud | PackedPoints, blocks: IntArray
+    ) -> AssignedPoints:
+        """Return what is known of the points in some of a cloud's blocks."""
+        rows = find_keys(cloud.keys, blocks)
+        rows = rows[rows < len(cloud.keys)]
+        return cls(arrangement, cloud.keys[rows], cloud.counts[rows])
+
+    @property
+    def points(self) -> int:
+        """How many there are."""
+        return int(self.counts.sum())
+
+    @property
+    def total(self) -> tuple[int, int]:
+        """How many there are, as the bounds of a sum."""
+        return self.points, self.points
+
+    @property
+    def box(self) -> Box:
+        """Corners of the box around the blocks."""
+        origin, edge = self.arrangement.origin, self.arrangement.edge
+        if not len(self.keys):
+            return origin, origin
+        places = unpack_keys(self.keys)
+        return origin + edge * places.min(axis=0), origin + edge * (places.max(axis=0) + 1)
+
+    def cells(self, extent: str, low: FloatArray, size: float) -> Declared:
+        """Return the pattern of keys of cells that hold points."""
+        return cells_in(extent, self.box, low, size)
+
+    def replaced(
+        self,
+        target: tuple[str, int] | None,
+        most: float,
+        are_right: Callable[[Any], bool] = lambda _: True,
+        *,
+        is_all: bool = False,
+    ) -> Declared:
+        """Return the pattern of blocks, some or all, with other normals, up to `most` long."""
+        keys, counts = Array("<i8", "b", low=0, rises=True), Array("<i8", "b", low=1)
+        if target is not None:
+            return Where(
+                Fixed(keys, counts),
+                lambda written: self._hold(written[0], written[1], is_all),
+                _SAME_BLOCKS,
+            )
+        offsets = Array("<f4", "p", 3, low=0.0, high=_BELOW_ONE)
+        normals = Array("<f4", "p", 3, low=-most, high=most)
+        return Where(
+            Record(PackedPoints, keys=keys, counts=counts, offsets=offsets, normals=normals),
+            lambda packed: (
+                self._hold(packed.keys, packed.counts, is_all)
+                and int(packed.counts.sum()) == len(packed)
+                and self._are_where_they_were(packed)
+                and are_right(packed.normals)
+            ),
+            _SAME_BLOCKS,
+        )
+
+    def lacks(self, blocks: tuple[IntArray, IntArray] | None, points: int) -> bool:
+        """Tell whether blocks may be those that so many points were dropped from."""
+        if blocks is None:
+            return points == 0
+        rows = find_keys(self.keys, blocks[0])
+        if not lie_within(rows, 0, len(self.keys)):
+            return False
+        dropped = self.counts[rows] - blocks[1]
+        return bool((dropped > 0).all()) and int(dropped.sum()) == points
+
+    def samples(self, positions: FloatArray, normals: FloatArray) -> bool:
+        """Tell whether points in the blocks' box may be some of these, in their order."""
+        places = np.floor((positions - self.arrangement.origin) / self.arrangement.edge)
+        rows = find_keys(self.keys, pack_places(places.astype(np.int64)))
+        return (
+            lie_within(rows, 0, len(self.keys))
+            and bool((rows[1:] >= rows[:-1]).all())
+            and bool((np.bincount(rows, minlength=len(self.keys)) <= self.counts).all())
+            and are_units(normals)
+        )
+
+    def _hold(self, keys: IntArray, counts: IntArray, is_all: bool) -> bool:
+        """Tell whether blocks with so many points are among these, or all of them."""
+        if is_all and len(keys) != len(self.keys):
+            return False
+        rows = find_keys(self.keys, keys)
+        return lie_within(rows, 0, len(self.keys)) and np.array_equal(counts, self.counts[rows])
+
+    def _are_where_they_were(self, packed: PackedPoints) -> bool:
+        if self.sent is None:
+            return True
+        own = find_keys(packed.keys, self.sent.keys) < len(packed.keys)
+        return np.array_equal(packed.offsets, self.sent.offsets[np.repeat(own, self.sent.counts)])
+
+
+def region_bytes(each: int) -> Callable[..., int]:
+    """Return how large what is found of some blocks may be, from what a task is given.
+
+    Parameters
+    ----------
+    each : int
+        Bytes of each point, at most.
+
+    Returns
+    -------
+    callable
+    """
+    return lambda points, *_: SMALL_BYTES + each * AssignedPoints.of(points).points
+
+
+def run_bytes(each: int) -> Callable[..., int]:
+    """Return the same of tasks that are given a place and blocks there.
+
+    Parameters
+    ----------
+    each : int
+        Bytes of each point, at most.
+
+    Returns
+    -------
+    callable
+    """
+
+    def limit(place: Place, blocks: IntArray, *_: Any) -> int:
+        cloud = open_place(place)
+        return SMALL_BYTES + each * AssignedPoints.among(cloud.arrangement, cloud, blocks).points
+
+    return limit
+
+
+def bounded_region(points: StoredBlocks) -> Declared:
+    """Return the pattern of what `blocks.bound_region` finds."""
+    own = AssignedPoints.of(points)
+    low, high = own.box
+    edge = own.arrangement.edge
+
+    def agrees(box: FloatArray) -> bool:
+        is_within = bounds_some(box, own.points) and lie_in(box, own.box)
+        return (
+            is_within and lie_in(box[0], (low, low + edge)) and lie_in(box[1], (high - edge, high))
+        )
+
+    return Where(BOX, agrees, "the box reaches from the first block to the last")
+
+
+def counted_boxes(
+    points: StoredBlocks, low: FloatArray, edge: float, one_in: int, is_distinct: bool
+) -> Declared:
+    """Return the pattern of what `blocks.count_boxes` counts."""
+    own = AssignedPoints.of(points)
+    return Where(
+        sampled_boxes(own.points, own.cells("c", low, edge)),
+        lambda counted: is_share(own.points, 0 if is_distinct else one_in, counted[0]),
+        "the boxes hold points of the blocks",
+    )
+
+
+def sampled_region(points: StoredBlocks, *_: Any) -> Declared:
+    """Return the pattern of what `blocks.sample_region` takes."""
+    own = AssignedPoints.of(points)
+    low, high = own.box
+    return Where(
+        Fixed(Array("<f8", "s", 3, low=low, high=high), Array("<f8", "s", 3)),
+        lambda sample: own.samples(*sample),
+        _SAME_BLOCKS,
+    )
+
+
+def counted_cells(place: Place, blocks: IntArray, origin: FloatArray, size: float) -> Declared:
+    """Return the pattern of what `blocks.count_block_cells` counts."""
+    cloud = open_place(place)
+    own = AssignedPoints.among(cloud.arrangement, cloud, blocks)
+    return Fixed(own.cells("c", origin, size), Array("<i8", "c", low=1, total=own.total))

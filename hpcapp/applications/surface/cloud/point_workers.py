@@ -1,0 +1,141 @@
+"""Who goes through a cloud in a folder, wherever they see it, and how much of it at once.
+
+Where the workers do not see the folder, tasks that know their region's margin are sent points, and
+the rest runs in this process: it is done sooner than the points have travelled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, is_dataclass
+from pathlib import Path
+from typing import Any
+
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
+from hpcapp.applications.surface.cloud.cutting import cut_even, cut_regions
+from hpcapp.applications.surface.cloud.disk import DiskCloud
+from hpcapp.applications.surface.cloud.regions import SentBlocks, StoredBlocks, pack_region
+from hpcapp.applications.surface.cloud.tasks import count_block_cells, merge_cells
+from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.backends.serial import SerialExecutor
+from hpcapp.workforce import Workforce, cut_equal, map_batches, stream_batches
+
+__all__ = ["PointWorkers"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointWorkers:
+    """Who goes through a cloud.
+
+    Parameters
+    ----------
+    workforce : Workforce
+        Runs the tasks.
+    workers_see : bool
+        Whether the workers see the folder.
+    points : int
+        How many a task may hold at most, about.
+    workers_see_input : bool
+        Whether they see the input, too.
+    """
+
+    workforce: Workforce
+    workers_see: bool
+    points: int
+    workers_see_input: bool = True
+
+    def count_pieces(self, points: int) -> int:
+        """Return into how many pieces a pass through so many points is cut.
+
+        No more than memory asks for, so that margins are few, but as many for each worker.
+        """
+        workers = self._seeing.workers
+        return workers * -(-max(points, 1) // (workers * self.points))
+
+    def cut_rows(self, rows: int) -> list[slice]:
+        """Cut the records of a file into ranges.
+
+        They have no margins: two for each piece, so that nobody waits long for the last.
+        """
+        return cut_equal(rows, min(2 * self.count_pieces(rows), max(rows, 1)))
+
+    def cut_blocks(self, counts: IntArray) -> list[slice]:
+        """Cut blocks, each with so many points, into runs: see `cut_even`."""
+        return cut_even(counts, self.count_pieces(int(counts.sum())))
+
+    def map(self, task: Callable[..., Any], batches: Sequence[tuple[Any, ...]]) -> list[Any]:
+        """Run a task that reads and writes the folder by itself; see `map_batches`."""
+        return map_batches(self._seeing, task, batches)
+
+    def run(
+        self,
+        task: Callable[..., Any],
+        cloud: DiskCloud,
+        margin: float,
+        given: Sequence[Any],
+        target: Path | None,
+    ) -> Iterator[tuple[int, bool, Any]]:
+        """Run a task over the regions of a cloud, and yield results as they come.
+
+        Parameters
+        ----------
+        task : callable
+        cloud : DiskCloud
+        margin : float
+            In length units of the input. Without one regions are runs of blocks.
+        given : sequence
+            What the task is given after its points; records are shared.
+        target : Path or None
+            Where what changes is written.
+
+        Yields
+        ------
+        index : int
+            Of the region; those of runs rise with their blocks.
+        is_written : bool
+            Whether what has changed is written already.
+        result : object
+        """
+        if margin:
+            regions = cut_regions(cloud.keys, cloud.counts, self.count_pieces(len(cloud)))
+        else:
+            regions = [cloud.keys[run] for run in self.cut_blocks(cloud.counts)]
+        sees = self.workers_see or not margin
+        workforce = self.workforce if margin else self._seeing
+        shared = [workforce.share(value) if is_dataclass(value) else value for value in given]
+
+        def batches() -> Iterator[tuple[Any, ...]]:
+            for index, blocks in enumerate(regions):
+                where: str | SentBlocks = str(cloud.folder)
+                if not sees:
+                    where = pack_region(cloud, blocks, margin)
+                part = None if target is None or not sees else (str(target), index)
+                yield StoredBlocks(where, blocks, margin, part), *shared
+
+        at_once = len(regions) if sees else workforce.workers + 1
+        for index, result in stream_batches(workforce, task, batches(), max(at_once, 1)):
+            yield index, sees, result
+
+    def count_cells(
+        self, cloud: ArrangedCloud, origin: FloatArray, size: float
+    ) -> tuple[IntArray, IntArray]:
+        """Count the points in the occupied cells of a lattice.
+
+        Parameters
+        ----------
+        cloud : ArrangedCloud
+            In memory too: threads share it.
+        origin, size
+            As for `count_block_cells`, whose result of the whole cloud this is.
+        """
+        runs = [cloud.keys[run] for run in self.cut_blocks(cloud.counts)]
+        asked = [(cloud.place, keys, origin, size) for keys in runs]
+        return merge_cells(self.map(count_block_cells, asked))
+
+    @property
+    def _seeing(self) -> Workforce:
+        """Who runs tasks that read and write the folder."""
+        return self.workforce if self.workers_see else _HERE
+
+
+_HERE = Workforce(SerialExecutor(), in_process=True)

@@ -1,0 +1,295 @@
+"""Regions of a cloud: the points that a task works on, wherever they lie, and those around them.
+
+A task is given `RegionPoints`, takes a `Region` of them, and says what becomes of its own points in
+terms of the region. So it is written once, for points in memory and for blocks in a folder.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpcapp.applications.surface.cloud.arrangement import Arrangement, PackedPoints, unpack_near
+from hpcapp.applications.surface.cloud.disk import DiskCloud, open_disk_cloud, write_part
+from hpcapp.applications.surface.types.lattice import find_keys, unpack_keys
+from hpcapp.applications.surface.types.points import BoolArray, Float32Array, FloatArray, IntArray
+from hpccomponent.protocol.records import record
+
+__all__ = [
+    "MemoryRegion",
+    "Region",
+    "RegionPoints",
+    "Replaced",
+    "ReplacedRows",
+    "SentBlocks",
+    "StoredBlocks",
+    "pack_region",
+]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReplacedRows:
+    """What becomes of some points in memory.
+
+    Parameters
+    ----------
+    rows : ndarray of int64, shape (m,), or slice
+        Which points of the cloud they are.
+    kept : ndarray of bool, shape (m,), or None
+        Those that stay; all by default.
+    normals : ndarray of float64 or float32, shape (m, 3), or None
+        In place of those that they had.
+    attributes : dict of str to ndarray, shape (m,)
+        To be added.
+    """
+
+    rows: IntArray | slice
+    kept: BoolArray | None = None
+    normals: NDArray[Any] | None = None
+    attributes: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+
+
+Replaced = ReplacedRows | PackedPoints | tuple[IntArray, IntArray]
+"""What becomes of a region's own points: of those in memory, or in a folder those blocks that have
+changed, written there (keys and counts) or to be sent. A block of which nothing is left has the
+count 0."""
+
+
+class Region(Protocol):
+    """The points of a region and those around it, in the order of the cloud."""
+
+    @property
+    def positions(self) -> FloatArray:
+        """Shape (n, 3), in length units of the input."""
+
+    @property
+    def normals(self) -> FloatArray | Float32Array:
+        """Shape (n, 3)."""
+
+    @property
+    def own(self) -> BoolArray:
+        """Shape (n,): which points are the region's own; m of them."""
+
+    def drop(self, dropped: BoolArray) -> Replaced | None:
+        """Leave out some of its own points, of shape (m,); None where there are none."""
+
+    def flip(self, turned: BoolArray) -> Replaced | None:
+        """Turn round the normals of some of its own points, of shape (m,); None where of none."""
+
+    def replace_normals(
+        self, normals: FloatArray | Float32Array, attributes: Mapping[str, NDArray[Any]]
+    ) -> Replaced:
+        """Give its own points other normals, of shape (m, 3).
+
+        Attributes are added as well, where the points lie in memory: in a folder they have none.
+        """
+
+
+class RegionPoints(Protocol):
+    """Where the points of a region are."""
+
+    def take(self) -> Region:
+        """Return the region; JobError where its folder is not there any more, or not whole."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MemoryRegion:
+    """A region of a cloud in memory.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+    given : ndarray of float64 or float32, shape (n, 3), or None
+        The normals that there are.
+    own : ndarray of bool, shape (n,)
+    rows : ndarray of int64, shape (m,), or slice
+        Which points of the cloud are its own.
+    """
+
+    positions: FloatArray
+    given: FloatArray | Float32Array | None
+    own: BoolArray
+    rows: IntArray | slice
+
+    def take(self) -> Region:
+        """See `RegionPoints`."""
+        return self
+
+    @property
+    def normals(self) -> FloatArray | Float32Array:
+        """See `Region`."""
+        assert self.given is not None  # noqa: S101 - or there is nothing to ask
+        return self.given
+
+    def drop(self, dropped: BoolArray) -> Replaced | None:
+        """See `Region`."""
+        return ReplacedRows(self.rows, kept=~dropped) if dropped.any() else None
+
+    def flip(self, turned: BoolArray) -> Replaced | None:
+        """See `Region`."""
+        if not turned.any():
+            return None
+        own = self.normals if self.own.all() else self.normals[self.own]
+        return ReplacedRows(self.rows, normals=np.where(turned[:, None], -own, own))
+
+    def replace_normals(
+        self, normals: FloatArray | Float32Array, attributes: Mapping[str, NDArray[Any]]
+    ) -> Replaced:
+        """See `Region`."""
+        return ReplacedRows(self.rows, normals=normals, attributes=attributes)
+
+
+@record("surface.sent_blocks")
+@dataclass(frozen=True, slots=True, eq=False)
+class SentBlocks:
+    """Points in blocks that a worker is sent."""
+
+    arrangement: Arrangement
+    packed: PackedPoints
+
+
+@record("surface.stored_blocks")
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredBlocks:
+    """Where the points of a region are that is some blocks of a `DiskCloud`.
+
+    Parameters
+    ----------
+    where : str or SentBlocks
+        The folder, which the worker sees, or what it is sent.
+    blocks : ndarray of int64, shape (k,)
+        Sorted keys of the region's own blocks.
+    margin : float
+        No point is missing that is no farther from them, in length units of the input.
+    target : tuple of (str, int), or None
+        The folder, and the number of the part, that what changes is written to: see
+        `disk.write_part`. None where the worker does not see it.
+    """
+
+    where: str | SentBlocks
+    blocks: IntArray
+    margin: float
+    target: tuple[str, int] | None = None
+
+    def take(self) -> Region:
+        """See `RegionPoints`."""
+        if isinstance(self.where, SentBlocks):
+            arrangement, packed = self.where.arrangement, self.where.packed
+        else:
+            cloud = open_disk_cloud(Path(self.where))
+            arrangement, packed = cloud.arrangement, _take_near(cloud, self.blocks, self.margin)
+        box = _bound(arrangement, self.blocks, self.margin)
+        positions, rows = unpack_near(arrangement, packed, *box)
+        own = np.repeat(find_keys(self.blocks, packed.keys) < len(self.blocks), packed.counts)
+        own = own[rows] if len(rows) < len(own) else own
+        return _StoredRegion(positions, own, packed, rows, self.target)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _StoredRegion:
+    """A region of blocks; see `Region`.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+    own : ndarray of bool, shape (n,)
+    packed : PackedPoints
+        These points and others.
+    rows : ndarray of int64, shape (n,)
+        Where the points are among them.
+    target : tuple of (str, int), or None
+        See `StoredBlocks`.
+    """
+
+    positions: FloatArray
+    own: BoolArray
+    packed: PackedPoints
+    rows: IntArray
+    target: tuple[str, int] | None
+
+    @property
+    def normals(self) -> Float32Array:
+        normals = self.packed.normals
+        return normals if len(normals) == len(self.rows) else normals[self.rows]
+
+    def drop(self, dropped: BoolArray) -> Replaced | None:
+        return self._put(self._take_own(), dropped, ~dropped) if dropped.any() else None
+
+    def flip(self, turned: BoolArray) -> Replaced | None:
+        if not turned.any():
+            return None
+        records = self._take_own()
+        records[turned, 3:] *= -1.0
+        return self._put(records, turned)
+
+    def replace_normals(
+        self, normals: FloatArray | Float32Array, attributes: Mapping[str, NDArray[Any]]
+    ) -> Replaced:
+        del attributes
+        records = self._take_own()
+        records[:, 3:] = normals
+        return self._put(records, np.ones(len(records), np.bool_))
+
+    def _take_own(self) -> Float32Array:
+        """Return a copy of the records of its own points, shape (m, 6)."""
+        return self.packed.to_records().take(self.rows[self.own], axis=0)
+
+    def _put(
+        self, records: Float32Array, changed: BoolArray, kept: BoolArray | None = None
+    ) -> Replaced:
+        """Put the blocks of its own points in which some have changed where they belong."""
+        # (m,): the block of each own point, among those that were read
+        blocks = np.searchsorted(np.cumsum(self.packed.counts), self.rows[self.own], side="right")
+        is_changed = np.zeros(len(self.packed.keys), np.bool_)
+        is_changed[blocks[changed]] = True
+        chosen = is_changed[blocks] if kept is None else is_changed[blocks] & kept
+        counts = np.bincount(blocks[chosen], minlength=len(is_changed))[is_changed]
+        packed = PackedPoints.from_records(
+            self.packed.keys[is_changed],
+            counts.astype(np.int64),
+            records if chosen.all() else records[chosen],
+        )
+        if self.target is None:
+            return packed
+        return write_part(Path(self.target[0]), self.target[1], [packed])
+
+
+def pack_region(cloud: DiskCloud, blocks: IntArray, margin: float) -> SentBlocks:
+    """Return what a worker is sent of a region: see `StoredBlocks`."""
+    return SentBlocks(cloud.arrangement, _take_near(cloud, blocks, margin))
+
+
+def _bound(
+    arrangement: Arrangement, blocks: IntArray, margin: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return the box around some blocks and a margin."""
+    places = unpack_keys(blocks)
+    corners = places.min(axis=0), places.max(axis=0) + 1
+    low, high = (arrangement.origin + arrangement.edge * corner for corner in corners)
+    return low - margin - arrangement.quantum, high + margin + arrangement.quantum
+
+
+def _take_near(cloud: DiskCloud, blocks: IntArray, margin: float) -> PackedPoints:
+    steps = int(np.ceil(margin / cloud.arrangement.edge))
+    return cloud.take_packed(_find_near(cloud.keys, blocks, steps))
+
+
+def _find_near(keys: IntArray, blocks: IntArray, steps: int) -> IntArray:
+    """Return those of a cloud's blocks that lie so many steps from some of them, or fewer."""
+    places, wanted = unpack_keys(keys), unpack_keys(blocks)
+    low = places.min(axis=0)
+    sides = places.max(axis=0) - low + 1  # some 64 at most: see `choose_arrangement`
+    near = np.zeros(sides, np.int64)
+    near[tuple((wanted - low).T)] = 1
+    for axis, side in enumerate(sides):
+        summed = np.insert(np.cumsum(near, axis=axis), 0, 0, axis=axis)
+        at = np.arange(side)
+        above = summed.take(np.minimum(at + steps + 1, side), axis=axis)
+        near = np.sign(above - summed.take(np.maximum(at - steps, 0), axis=axis))
+    is_near: BoolArray = near[tuple((places - low).T)] > 0
+    return keys[is_near]

@@ -1,0 +1,159 @@
+"""How far apart the points of a cloud lie, by counting occupied boxes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import sqrt
+
+import numpy as np
+
+from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.kernels import bound_points
+from hpcapp.applications.surface.types.lattice import cells_of, pack_places, unique_keys
+from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpccomponent.errors import InputError
+
+__all__ = ["Count", "estimate_spacing", "sample_box_keys", "search_spacing"]
+
+Count = Callable[[float, int, bool], tuple[int, int]]
+"""Given the edge of boxes, how many of them make one sampled, and whether points at one place count
+as one, returns the points in the sample and the boxes that hold some."""
+
+_FEW, _MANY = 3.0, 20.0
+_SAMPLED_POINTS = 200_000
+_ROUNDS = 40
+_STALLED = 0.8  # half the edge should leave a quarter of the points
+
+
+def estimate_spacing(positions: FloatArray) -> float:
+    """Estimate the typical distance between neighbouring points of a surface.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+        In length units of the input.
+
+    Returns
+    -------
+    float
+        H / sqrt(points per occupied box of edge H), in length units of the input.
+
+    Raises
+    ------
+    InputError
+        All points are the same.
+
+    Notes
+    -----
+    The box edge H is the first, by halving or doubling from a guess, with 3 to 20 points per
+    occupied box. Large clouds are sampled by whole boxes, which leaves the counts unbiased.
+    Where smaller boxes do not hold fewer points, repeated points are counted once.
+    """
+    low, high = bound_points(positions)
+
+    def count(edge: float, one_in: int, is_distinct: bool) -> tuple[int, int]:
+        counted = np.unique(positions, axis=0) if is_distinct else positions
+        return kernels.count_boxes(counted, low, edge, one_in)
+
+    return search_spacing(count, len(positions), low, high)
+
+
+def search_spacing(count: Count, points: int, low: FloatArray, high: FloatArray) -> float:
+    """Estimate the spacing of a cloud that somebody else counts; see `estimate_spacing`.
+
+    Parameters
+    ----------
+    count : callable
+        See `Count`. It is called for each size of boxes, three times or so.
+    points : int
+    low, high : ndarray of float64, shape (3,)
+        Corners of the box around all points.
+
+    Returns
+    -------
+    float
+        What `estimate_spacing` finds of all of them, to the last bit.
+
+    Raises
+    ------
+    InputError
+        All points are the same.
+    """
+    longest = float((high - low).max())
+
+    def search(points: int, is_distinct: bool) -> float:
+        edge, occupancy, is_stalled = _search_edge(
+            lambda edge, one_in: count(edge, one_in, is_distinct), points, longest
+        )
+        if is_stalled and not is_distinct:
+            distinct, _ = count(longest, 1, True)
+            if distinct < points:
+                return search(distinct, True)
+        return edge / sqrt(occupancy)
+
+    return search(points, False)
+
+
+def sample_box_keys(
+    positions: FloatArray, low: FloatArray, edge: float, one_in: int
+) -> tuple[int, IntArray]:
+    """Count points in a sample of boxes, and name the boxes: see `count_boxes`.
+
+    Counts of several groups of points add up, and their boxes unite, to those of all.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+    low : ndarray of float64, shape (3,)
+        Corner of a box.
+    edge : float
+        Of a box, in length units of the input.
+    one_in : int
+        About one box in so many is in the sample.
+
+    Returns
+    -------
+    points : int
+    keys : ndarray of int64, shape (b,)
+        Sorted keys of the sampled boxes that hold points.
+    """
+    if not len(positions):
+        return 0, np.zeros(0, np.int64)
+    chosen = positions[kernels.sample_boxes(positions, low, edge, one_in)]
+    places = np.floor(cells_of(chosen, low, edge)).astype(np.int64)
+    return len(chosen), unique_keys(pack_places(places))
+
+
+def _search_edge(
+    count: Callable[[float, int], tuple[int, int]], points: int, longest: float
+) -> tuple[float, float, bool]:
+    """Search the edge of boxes that hold a few points each.
+
+    `count` is given an edge and how many boxes make one sampled, and returns points and boxes.
+
+    Returns
+    -------
+    edge : float
+        In length units of the input.
+    occupancy : float
+        Points in an occupied box.
+    is_stalled : bool
+        Whether smaller boxes did not hold fewer points.
+    """
+    if longest <= 0.0:
+        raise InputError(f"all {points} points lie at one place", "scan something with an extent")
+    edge, one_in = longest * min(0.5, 3.0 / sqrt(points)), points // _SAMPLED_POINTS + 1
+
+    def measure(edge: float) -> float:
+        held, boxes = count(edge, one_in)
+        return held / max(1, boxes)
+
+    occupancy = measure(edge)
+    for _ in range(_ROUNDS):
+        if _FEW <= occupancy <= _MANY or (occupancy < _FEW and edge >= longest):
+            break
+        edge *= 2.0 if occupancy < _FEW else 0.5
+        before, occupancy = occupancy, measure(edge)
+        if before > _MANY and occupancy > _STALLED * before:
+            return edge, occupancy, True
+    return edge, occupancy, False

@@ -1,0 +1,95 @@
+"""Tasks that measure a cloud, region by region."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.cloud.arranged import Place
+from hpcapp.applications.surface.cloud.disk import open_place
+from hpcapp.applications.surface.cloud.measured import Points
+from hpcapp.applications.surface.cloud.patterns import (
+    bounded_region,
+    counted_boxes,
+    counted_cells,
+    region_bytes,
+    run_bytes,
+    sampled_region,
+)
+from hpcapp.applications.surface.cloud.regions import RegionPoints
+from hpcapp.applications.surface.cloud.spacing import sample_box_keys
+from hpcapp.applications.surface.types.lattice import merge_counts
+from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.applications.surface.types.result_patterns import SMALL_BYTES
+from hpccomponent.runtime.tasks import declare
+
+__all__ = ["bound_region", "count_block_cells", "count_boxes", "merge_cells", "sample_region"]
+
+
+@declare(result=bounded_region, limit=SMALL_BYTES)
+def bound_region(points: RegionPoints) -> FloatArray:
+    """Return the corners of the box around a region's points, shape (2, 3) (a task)."""
+    return np.stack(kernels.bound_points(points.take().positions))
+
+
+@declare(result=counted_boxes, limit=region_bytes(16))
+def count_boxes(
+    points: RegionPoints, low: FloatArray, edge: float, one_in: int, is_distinct: bool
+) -> tuple[int, IntArray]:
+    """Count points and boxes that hold some (a task); see `spacing.sample_box_keys`.
+
+    Parameters
+    ----------
+    points : RegionPoints
+    low : ndarray of float64, shape (3,)
+        The least coordinates of the cloud.
+    edge : float
+        Of the boxes, in length units of the input.
+    one_in : int
+        How many boxes make one sampled.
+    is_distinct : bool
+        Whether points at one place count as one.
+    """
+    positions = points.take().positions
+    if is_distinct:
+        positions = np.unique(positions, axis=0)
+    return sample_box_keys(positions, low, edge, one_in)
+
+
+@declare(result=sampled_region, limit=region_bytes(48))
+def sample_region(points: RegionPoints, low: FloatArray, edge: float, one_in: int) -> Points:
+    """Return the points in a sample of boxes (a task); see `kernels.sample_boxes`."""
+    region = points.take()
+    rows = kernels.sample_boxes(region.positions, low, edge, one_in)
+    return region.positions[rows], region.normals[rows].astype(np.float64)
+
+
+@declare(result=counted_cells, limit=run_bytes(16))
+def count_block_cells(
+    place: Place, blocks: IntArray, origin: FloatArray, size: float
+) -> tuple[IntArray, IntArray]:
+    """Count the points in each occupied cell of a lattice (a task).
+
+    Parameters
+    ----------
+    place : Place
+        Of the cloud.
+    blocks : ndarray of int64, shape (k,)
+        Sorted keys of some of its blocks.
+    origin : ndarray of float64, shape (3,)
+        Corner of a cell.
+    size : float
+        Of a cell, in length units of the input.
+
+    Returns
+    -------
+    keys, counts : ndarray of int64, shape (c,)
+        Sorted by key.
+    """
+    return open_place(place).count_cells(blocks, origin, size)
+
+
+def merge_cells(counted: list[tuple[IntArray, IntArray]]) -> tuple[IntArray, IntArray]:
+    """Merge what `count_block_cells` has counted of several runs of blocks."""
+    keys, counts = (np.concatenate(column) for column in zip(*counted, strict=True))
+    return merge_counts(keys, counts)

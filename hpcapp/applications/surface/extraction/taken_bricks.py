@@ -1,0 +1,48 @@
+"""What a part gives to the mesh, as tasks are told that cut it open."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hpcapp.applications.surface.extraction.parts import MeshPart
+from hpcapp.applications.surface.types.lattice import find_keys
+from hpcapp.applications.surface.types.points import BoolArray, FloatArray, Int32Array, IntArray
+from hpccomponent.protocol.records import record
+
+__all__ = ["TakenBricks"]
+
+
+@record("surface.taken_bricks")
+@dataclass(frozen=True, slots=True, eq=False)
+class TakenBricks:
+    """The bricks of a part that the mesh takes from it.
+
+    Parameters
+    ----------
+    keys : ndarray of int64, shape (k,)
+        Sorted.
+    vertex_counts : ndarray of int32, shape (k,)
+        How many vertices each has.
+    box : ndarray of float64, shape (2, 3)
+        In which the surface lies.
+    """
+
+    keys: IntArray
+    vertex_counts: Int32Array
+    box: FloatArray
+
+    @property
+    def vertices(self) -> int:
+        """How many they have together."""
+        return int(self.vertex_counts.sum(dtype=np.int64))
+
+    def holds(self, keys: IntArray) -> bool:
+        """Tell whether all of some bricks are among these."""
+        return bool((find_keys(self.keys, keys) < len(self.keys)).all())
+
+    def mark(self, part: MeshPart) -> BoolArray:
+        """Tell which of the bricks of the part these are."""
+        marked: BoolArray = find_keys(self.keys, part.bricks) < len(self.keys)
+        return marked

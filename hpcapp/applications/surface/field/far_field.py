@@ -1,0 +1,284 @@
+"""A coarse signed distance everywhere: the sign in empty space, and what closes holes.
+
+The normals of the cells, spread on a coarse periodic grid, are the gradient of an indicator
+function; one Poisson equation, solved by FFT, gives it. Near the samples it is scaled to a signed
+distance, and it is cut off one and a half grid steps from the surface.
+
+A normal counts by the area that it stands for. Where most cells are empty, as in a deep bore that
+few rays have reached, those that are not stand for their neighbours too: their normals are spread
+over discs as large as their share of the surface.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hpcapp.applications.surface.kernels import integrate_normals, sample_grid
+from hpcapp.applications.surface.types.field import FarField
+from hpcapp.applications.surface.types.lattice import (
+    OCTANTS,
+    ancestor_keys,
+    find_keys,
+    number_keys,
+    pack_places,
+)
+from hpcapp.applications.surface.types.points import Float32Array, FloatArray, IntArray
+from hpccomponent.protocol.records import record
+
+__all__ = [
+    "FAR_REACH",
+    "FEWEST_NODES",
+    "FarFieldPart",
+    "choose_nodes",
+    "crop_far_field",
+    "crop_nodes",
+    "far_step",
+    "lay_far_field",
+    "restore_far_field",
+    "solve_far_field",
+    "spread_samples",
+]
+
+FEWEST_NODES = 128
+"""Along a side."""
+
+_MOST_NODES = 256
+_BLURRED = 4.0  # standard deviations of the noise: shape that is smaller is not told from it
+_PADDING = 1.5
+
+FAR_REACH = 1.5
+"""Steps: the values are cut off there."""
+
+_ENOUGH = 6.0  # samples on one sheet, from which the area of each is told
+_WIDEST = 5  # the level of cells up to which they are looked for
+_PER_SQUARE = 1.5  # samples of a whole sheet in a cube, by the square of its edge in cells
+_OF_TUBE, _OF_SHEET = 0.5, 0.8  # mean cos^2 of the angles of its normals to one of them
+_PAIRS, _TWICE = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0)), (1.0, 1.0, 1.0, 2.0, 2.0, 2.0)
+_LARGEST_AREA = 64.0  # cells that one may stand for
+_LEAST_LENGTH = 0.1  # of a normal that says where its disc lies
+_GOLDEN_TURN = complex(-0.7373688780783197, 0.6754902942615238)  # by the golden angle
+
+
+@record("surface.far_field_part")
+@dataclass(frozen=True, slots=True, eq=False)
+class FarFieldPart:
+    """A box of a far field.
+
+    Parameters
+    ----------
+    values : ndarray of float32, shape (x, y, z)
+        Of the nodes in the box.
+    first : ndarray of int64, shape (3,)
+        The lowest node of the box.
+    nodes : int
+        Along each side of the whole.
+    """
+
+    values: Float32Array
+    first: IntArray
+    nodes: int
+    origin: FloatArray
+    step: float
+
+
+def crop_far_field(far: FarField, low: FloatArray, high: FloatArray) -> FarFieldPart:
+    """Cut out the nodes that interpolation within a box asks for."""
+    nodes = len(far.values)
+    first, end = crop_nodes(far.origin, far.step, nodes, low, high)
+    box = tuple(slice(a, b) for a, b in zip(first, end, strict=True))
+    return FarFieldPart(np.ascontiguousarray(far.values[box]), first, nodes, far.origin, far.step)
+
+
+def crop_nodes(
+    origin: FloatArray, step: float, nodes: int, low: FloatArray, high: FloatArray
+) -> tuple[IntArray, IntArray]:
+    """Return the first and the end of the nodes that interpolation within a box asks for."""
+    first = np.clip(np.floor((low - origin) / step).astype(np.int64) - 1, 0, nodes - 2)
+    end = np.clip(np.ceil((high - origin) / step).astype(np.int64) + 2, first + 2, nodes)
+    return first, end
+
+
+def restore_far_field(part: FarFieldPart) -> FarField:
+    """Put a box of a far field back to its place, bit for bit; all around it is 0."""
+    values = np.zeros((part.nodes,) * 3, np.float32)
+    box = tuple(slice(a, a + side) for a, side in zip(part.first, part.values.shape, strict=True))
+    values[box] = part.values
+    return FarField(values, part.origin, part.step)
+
+
+def choose_nodes(low: FloatArray, high: FloatArray, cell_size: float, noise: float) -> int:
+    """Choose how fine a far field is: no finer than what the points resolve.
+
+    Parameters
+    ----------
+    low, high : ndarray of float64, shape (3,)
+        Of the box that it covers, in length units of the input.
+    cell_size : float
+        Edge of the finest cells, in the same units.
+    noise : float
+        Standard deviation of the positions along the normals, in the same units.
+
+    Returns
+    -------
+    int
+        A power of two.
+    """
+    resolved = max(cell_size, _BLURRED * noise)
+    return _MOST_NODES if resolved < far_step(low, high, FEWEST_NODES) else FEWEST_NODES
+
+
+def far_step(low: FloatArray, high: FloatArray, nodes: int) -> float:
+    """Return the step of the far field that covers a box, in length units of the input."""
+    return _PADDING * float((high - low).max()) / nodes
+
+
+def lay_far_field(low: FloatArray, high: FloatArray, nodes: int) -> tuple[FloatArray, float]:
+    """Return where node (0, 0, 0) of the far field that covers a box lies, and its step."""
+    step = far_step(low, high, nodes)
+    return 0.5 * (low + high) - 0.5 * step * nodes, step
+
+
+def solve_far_field(
+    centroids: FloatArray,
+    normals: FloatArray,
+    box: tuple[FloatArray, FloatArray],
+    size: float,
+    nodes: int,
+    threads: int = 1,
+) -> FarField:
+    """Solve for the coarse field of some cells of points.
+
+    Parameters
+    ----------
+    centroids : ndarray of float64, shape (c, 3)
+        In length units of the input.
+    normals : ndarray of float64, shape (c, 3)
+        Means, pointing out of the object.
+    box : tuple of two ndarray of float64, shape (3,)
+        Low and high corner of what the field must cover.
+    size : float
+        Edge of the cells, in length units of the input. It is the standard deviation of the
+        Gaussian that the samples are smeared with, too; at least one grid step is taken.
+    nodes : int
+        Along each side, a power of two.
+
+    Notes
+    -----
+    The cost is that of four FFTs of all nodes.
+    """
+    low, high = box
+    origin, step = lay_far_field(low, high, nodes)
+    centroids, normals = spread_samples(centroids, normals, size)
+    centroids = np.clip(centroids, low, high)
+    places = (centroids - origin) / step  # (s, 3): in steps from node (0, 0, 0)
+    # (g, g, g): an indicator whose gradient the normals are; 0 where neither box nor samples are.
+    bounds = _bound_rows((low - origin) / step, (high - origin) / step, nodes)
+    chi = np.zeros((nodes,) * 3, np.float32)
+    kept = chi[tuple(slice(*run) for run in bounds)]
+    kept[:] = integrate_normals(places, normals, max(1.0, size / step), bounds, nodes, threads)
+    # Made a distance: 0 at the samples in their mean, and of slope 1 across them, a step each way.
+    unit = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    chi -= np.float32(sample_grid(chi, places).mean())
+    rise = sample_grid(chi, places + unit) - sample_grid(chi, places - unit)
+    slope = max(float(rise.mean()) / (2.0 * step), 1e-300)
+    chi /= np.float32(slope)
+    np.clip(chi, -FAR_REACH * step, FAR_REACH * step, out=chi)
+    return FarField(chi, origin, step)
+
+
+def spread_samples(
+    centroids: FloatArray, normals: FloatArray, size: float
+) -> tuple[FloatArray, FloatArray]:
+    """Spread samples that stand for more than one cell over their share of the surface.
+
+    Returns
+    -------
+    centroids : ndarray of float64, shape (s, 3)
+        Samples of about one cell each: first those that are as they were, then the discs.
+    normals : ndarray of float64, shape (s, 3)
+        As long as they count.
+
+    Notes
+    -----
+    A whole sheet leaves about 1.5 a^2 samples in a cube of a cells along an edge. Where there are
+    k of them, in the smallest cube with 6 or more, each stands for 1.5 a^2 / k cells. Samples of
+    the same sheet count 1, those of one that faces the other way 0. Around an outlier the smallest
+    such cube reaches the dense samples of the surface: so it stands for few cells. Where normals
+    turn all around, as of a tube thinner than the cube, there is no sheet: nothing is spread, or
+    it would go on beyond the tube's end.
+    """
+    lengths = np.linalg.norm(normals, axis=1)
+    axes = normals / np.maximum(lengths, 1e-300)[:, None]
+    areas = _find_areas(centroids / size, axes)
+    alone = (areas <= 1.0) | (lengths < _LEAST_LENGTH)
+    sparse = np.flatnonzero(~alone)
+    # (d,): each sample once for each cell that it stands for, and the how-manieth of these it is.
+    counts = np.ceil(areas[sparse]).astype(np.int64)
+    of = np.repeat(sparse, counts)
+    number = np.arange(len(of)) - np.repeat(np.cumsum(counts) - counts, counts)
+    # (d, 2): a sunflower of as much area, in a plane across the normal.
+    share = (number + 0.5) / np.repeat(counts, counts)
+    turns = (size * np.sqrt(areas[of] * share / np.pi))[:, None] * _turn(int(_LARGEST_AREA))[number]
+    across = np.cross(axes[of], np.eye(3)[np.argmin(np.abs(axes[of]), axis=1)])
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    along = np.cross(axes[of], across)
+    discs = centroids[of] + turns[:, :1] * across + turns[:, 1:] * along
+    weights = areas[of] / np.repeat(counts, counts)
+    return (
+        np.concatenate([centroids[alone], discs]),
+        np.concatenate([normals[alone], normals[of] * weights[:, None]]),
+    )
+
+
+def _find_areas(places: FloatArray, axes: FloatArray) -> FloatArray:
+    """Tell for how many cells each sample stands; `places` are in cells, `axes` unit normals.
+
+    The cubes are eight cells of a coarser level, which meet at its corner next to the sample.
+    """
+    shifted = places - np.floor(places.min(axis=0, initial=np.inf))
+    keys = pack_places(np.floor(shifted).astype(np.int64))
+    # (c,), and the rows of samples around which too few have been found so far.
+    areas, open_rows = np.ones(len(places)), np.arange(len(places))
+    # (c, 6): of each normal n, the entries of n n^T: their sum tells the mean cos^2 to any axis.
+    products = np.stack([axes[:, i] * axes[:, j] for i, j in _PAIRS], axis=1)
+    for level in range(1, _WIDEST + 1):
+        cells, number = number_keys(ancestor_keys(keys, level))
+        # (k + 1, 10): how many, their normals and these products, in each cell; 0 of a missing one.
+        sums = np.zeros((len(cells) + 1, 10))
+        sums[:-1, 0] = np.bincount(number)
+        for column, values in enumerate((*axes.T, *products.T), start=1):
+            sums[:-1, column] = np.bincount(number, values)
+        lower = np.floor(shifted[open_rows] / 2.0**level - 0.5).astype(np.int64)
+        around = np.zeros((len(open_rows), 10))
+        for octant in OCTANTS:
+            around += sums[find_keys(cells, pack_places(lower + octant))]
+        count = np.maximum(around[:, 0], 1.0)
+        # (m,): samples of the same sheet, (1 + cos) / 2 each; and whether it is a sheet at all.
+        sheet = 0.5 * (count + (around[:, 1:4] * axes[open_rows]).sum(axis=1))
+        straight = (around[:, 4:] * products[open_rows] * _TWICE).sum(axis=1) / count  # mean cos^2
+        is_sheet = np.clip((straight - _OF_TUBE) / (_OF_SHEET - _OF_TUBE), 0.0, 1.0)
+        enough = sheet >= _ENOUGH
+        squares = _PER_SQUARE * 4.0 ** (level + 1) * is_sheet[enough]
+        areas[open_rows[enough]] = squares / sheet[enough]
+        open_rows = open_rows[~enough]
+    return np.minimum(areas, _LARGEST_AREA)
+
+
+def _turn(count: int) -> FloatArray:
+    """Return points on the unit circle, each the golden angle on from the one before.
+
+    By products alone: a sine has other last digits on other processors.
+    """
+    turns = [complex(1.0, 0.0)]
+    while len(turns) < count:
+        turns.append(turns[-1] * _GOLDEN_TURN)
+    return np.array([(turn.real, turn.imag) for turn in turns])
+
+
+def _bound_rows(low: FloatArray, high: FloatArray, nodes: int) -> IntArray:
+    """Return the first and the end of the planes and of the rows that hold a box and two nodes."""
+    first = np.maximum(np.floor(low).astype(np.int64) - 2, 0)
+    end = np.minimum(np.ceil(high).astype(np.int64) + 3, nodes)
+    return np.stack([first, end], axis=1)[:2]

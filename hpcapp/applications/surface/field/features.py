@@ -1,0 +1,70 @@
+"""Edges and corners: vertices of the finest lattice around which the points fall into pieces.
+
+They are few: what is known of them stands beside the level. Where one quadric agrees with its
+points' normals, nothing is asked.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.field.cell_points import SortedPoints
+from hpcapp.applications.surface.kernels import BASIS
+from hpcapp.applications.surface.types.field import PIECES, Features
+from hpcapp.applications.surface.types.lattice import find_layers, unpack_keys
+from hpcapp.applications.surface.types.points import Float32Array, IntArray
+
+__all__ = ["find_features", "join_features"]
+
+_REACH = 3  # cells on each side of a vertex that the fits look at (see `fit_features`)
+_ROUND = 0.04  # misfit of a quadric (see `hermite.evaluate_misfits`), some 11 degrees
+_NONE = 255  # joints of a vertex where one quadric does
+
+
+def find_features(
+    vertices: IntArray,
+    misfits: Float32Array,
+    noise: float,
+    cells: IntArray,
+    points: SortedPoints,
+    threads: int = 1,
+) -> Features:
+    """Fit joined quadrics where one quadric would round an edge or a corner off.
+
+    Parameters
+    ----------
+    vertices : ndarray of int64, shape (v,)
+        Sorted keys of the finest lattice, one or more.
+    misfits : ndarray of float32, shape (v,)
+        How far the gradients of their quadrics are off the points' normals (see
+        `hermite.evaluate_misfits`): where they agree, one quadric does.
+    noise : float
+        Variance of the positions along the normals, in cells squared.
+    cells : ndarray of int64, shape (c,)
+        Sorted keys of the occupied cells.
+    points : SortedPoints
+        In these.
+    """
+    asked = vertices[misfits > _ROUND]
+    # Keys sort by x first: one run of cells has all that lie within reach.
+    low, high = unpack_keys(vertices[[0, -1]])[:, 0].tolist()
+    run = find_layers(cells, low - _REACH, high + _REACH - 1)
+    local, normals, offsets = points.place(run)
+    given = asked, cells[run], offsets, local, normals, noise
+    pieces, joints = kernels.fit_features(*given, threads)
+    is_joined = joints < _NONE
+    return Features(asked[is_joined], pieces[is_joined], joints[is_joined])
+
+
+def join_features(parts: list[Features]) -> Features:
+    """Join the features of runs of vertices, one after the other."""
+    none = Features(
+        np.empty(0, np.int64), np.empty((0, PIECES, BASIS), np.float32), np.empty(0, np.uint8)
+    )
+    parts = [none, *parts]
+    return Features(
+        np.concatenate([part.keys for part in parts]),
+        np.concatenate([part.pieces for part in parts]),
+        np.concatenate([part.joints for part in parts]),
+    )

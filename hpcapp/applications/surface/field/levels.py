@@ -1,0 +1,251 @@
+"""From moments to the levels of a field: fitted, and each quadric trusted as far as it deserves.
+
+::
+
+    levels from 1 up ── fitted as a whole ──> trust
+         │ parents
+    level 0 ── fitted for a slab of the grid, some layers of vertices at a time ──> trust
+
+The finest level has most of the vertices, a hundred bytes for each point, and what a fit takes
+beside its result is twice as much as that. Keys sort by x first: a slab of the grid across x, and
+some layers of vertices in it, ask for one run of cells and of parents.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+
+from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.field.cell_points import SortedPoints
+from hpcapp.applications.surface.field.features import find_features, join_features
+from hpcapp.applications.surface.field.pyramid import (
+    Level,
+    Parents,
+    Pyramid,
+    VertexQuadrics,
+    fit_levels,
+)
+from hpcapp.applications.surface.field.support import crowd_vertices
+from hpcapp.applications.surface.field.weights import Weights, trust_vertices
+from hpcapp.applications.surface.kernels import BASIS
+from hpcapp.applications.surface.kernels.parallel import run_batches
+from hpcapp.applications.surface.types.field import FarField, Features, Field, FieldLevel
+from hpcapp.applications.surface.types.grid import BRICK, Grid
+from hpcapp.applications.surface.types.lattice import (
+    find_keys,
+    find_layers,
+    pack_places,
+    unique_keys,
+    unpack_keys,
+)
+from hpcapp.applications.surface.types.points import BoolArray, Float32Array, FloatArray, IntArray
+from hpccomponent.cutting import cut_equal
+
+__all__ = ["SlabFields", "find_trust", "fit_above"]
+
+_AT_ONCE = 1 << 17  # vertices of the finest level
+# Of bricks in a slab: those beside it are evaluated too, one layer on each side.
+_LEAST_LAYERS = 8
+_TRUST_ROWS = 1 << 16
+
+
+def fit_above(
+    pyramid: Pyramid,
+    weights: list[Weights],
+    parents: Parents | None,
+    far: FarField,
+    threads: int = 1,
+) -> tuple[tuple[FieldLevel, ...], Parents | None]:
+    """Fit every level but the finest, and tell how far each quadric is to be trusted.
+
+    Parameters
+    ----------
+    pyramid : Pyramid
+        From level 0 on. What is above it is taken out: nobody asks for it any more.
+
+    Returns
+    -------
+    levels : tuple of FieldLevel
+        Finest first.
+    parents : Parents or None
+        What level 0 asks for.
+    """
+    quadrics, parents = fit_levels(pyramid, weights, parents, threads, lowest=1)
+    levels, vertices = pyramid.levels, pyramid.vertices
+    above = replace(pyramid, levels=levels[1:], vertices=vertices[1:], first=1)
+    coarser = find_trust(above, quadrics, far, threads)
+    del levels[1:], vertices[1:]
+    return coarser, parents
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SlabFields:
+    """The field, whose finest level is fitted for a slab of the grid at a time.
+
+    Parameters
+    ----------
+    pyramid : Pyramid
+        Its only level is 0, or none where that has no vertices.
+    weights : list of Weights
+        Of every level.
+    parents : Parents or None
+        Of level 1, where there is one.
+    above : tuple of FieldLevel
+        All coarser levels, finest first.
+    """
+
+    pyramid: Pyramid
+    weights: list[Weights]
+    parents: Parents | None
+    above: tuple[FieldLevel, ...]
+    far: FarField
+    grid: Grid
+    threads: int = 1
+
+    def let_go(self) -> None:
+        """Take points and corners out of the pyramid, whoever else holds it: no more is fitted."""
+        self.pyramid.levels.clear()
+        self.pyramid.vertices.clear()
+
+    def mark_supported(self, places: FloatArray) -> BoolArray:
+        """Tell which places have points in their finest cell.
+
+        Parameters
+        ----------
+        places : ndarray of float64, shape (n, 3)
+            In length units of the input.
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+        """
+        if not self.pyramid.levels:
+            return np.zeros(len(places), np.bool_)
+        cells = self.pyramid.levels[0].cells
+        inside = np.floor((places - self.pyramid.origin) / self.pyramid.cell_size)
+        supported: BoolArray = find_keys(cells, pack_places(inside.astype(np.int64))) < len(cells)
+        return supported
+
+    def cut(self, first: int, end: int, quadrics: int) -> list[int]:
+        """Cut layers of bricks along x into slabs.
+
+        Parameters
+        ----------
+        first, end : int
+            Layers from `first` to before `end`.
+        quadrics : int
+            Of the finest level, about so many in each slab.
+
+        Returns
+        -------
+        list of int
+            The bounds of the slabs, from `first` to `end`; a slab has 8 layers or more, on average.
+        """
+        vertices, grid = self.pyramid.vertices[0], self.grid
+        count = min(-(-len(vertices) // quadrics), max(1, (end - first) // _LEAST_LAYERS))
+        rows = np.arange(1, count) * len(vertices) // max(count, 1)
+        corners = self.pyramid.cell_size * unpack_keys(vertices[rows])[:, 0]
+        shift = self.pyramid.origin[0] - grid.origin[0]
+        cuts = np.floor((corners + shift) / (BRICK * grid.step)).astype(np.int64)
+        bounds: list[int] = unique_keys(np.clip([first, *cuts, end], first, end)).tolist()
+        return bounds
+
+    def fit(self, first: int, end: int) -> Field:
+        """Return the field of layers of bricks, from `first` to before `end`, and beside these."""
+        pyramid, grid = self.pyramid, self.grid
+        nodes = BRICK * np.array([first - 1, end + 1]) * grid.step
+        places = (grid.origin[0] + nodes - pyramid.origin[0]) / pyramid.cell_size
+        low, high = int(np.floor(places[0])), int(np.floor(places[1])) + 1
+        vertices = pyramid.vertices[0]
+        part = replace(pyramid, vertices=[vertices[find_layers(vertices, low, high)]])
+        finest, features = _fit_finest(part, self.weights, self.parents, self.far, self.threads)
+        levels = (finest, *self.above)
+        return Field(pyramid.origin, pyramid.cell_size, levels, self.far, features)
+
+
+def _fit_finest(
+    pyramid: Pyramid,
+    weights: list[Weights],
+    parents: Parents | None,
+    far: FarField,
+    threads: int = 1,
+) -> tuple[FieldLevel, Features]:
+    """Fit the finest level, some layers of vertices at a time; `parents` are those of level 1."""
+    vertices = pyramid.vertices[0]
+    coefficients = np.empty((len(vertices), BASIS), np.float32)
+    trust = np.empty(len(vertices), np.float32)
+    features: list[Features] = []
+    for first, end in pairwise(_cut_layers(vertices)):
+        # The cells around some layers of vertices, and the parents of these, are runs too.
+        low, high = unpack_keys(vertices[[first, end - 1]])[:, 0].tolist()
+        finest = pyramid.levels[0]
+        points = finest.points
+        assert isinstance(points, SortedPoints)  # noqa: S101 - the finest level has points
+        run = find_layers(finest.cells, low - 1, high)
+        level = Level(finest.cells[run], points.run(run), finest.squares)
+        part = replace(pyramid, levels=[level], vertices=[vertices[first:end]])
+        near = parents and parents.between(low // 2, -(-high // 2))
+        quadrics, _ = fit_levels(part, weights, near, threads)
+        (fitted,) = find_trust(part, quadrics, far, threads)
+        coefficients[first:end] = fitted.coefficients
+        trust[first:end] = fitted.trust
+        of_run = vertices[first:end], quadrics[0].misfits, weights[0].noise
+        features.append(find_features(*of_run, finest.cells, points, threads))
+    return FieldLevel(vertices, coefficients, trust), join_features(features)
+
+
+def find_trust(
+    pyramid: Pyramid, quadrics: list[VertexQuadrics], far: FarField, threads: int = 1
+) -> tuple[FieldLevel, ...]:
+    """Tell how far each quadric of some levels is to be trusted (see `weights`).
+
+    `quadrics` are those of the finest of these levels.
+    """
+    levels = []
+    for index, of_level in enumerate(quadrics):
+        level, keys, depth = pyramid.levels[index], pyramid.vertices[index], pyramid.first + index
+        crowds = (
+            crowd_vertices(keys, of_level.counts, level.cells, level.squares)
+            if depth
+            else np.zeros(len(keys))
+        )
+        origin = (pyramid.origin - far.origin) / far.step
+        spacing = pyramid.cell_size * 2.0**depth / far.step
+        given = depth, keys, of_level, crowds, (far.values, origin, spacing, far.step)
+        rows = cut_equal(len(keys), -(-len(keys) // _TRUST_ROWS))
+        parts = run_batches(partial(_trust_rows, *given), rows, threads)
+        trust = np.concatenate([np.empty(0, np.float32), *parts])
+        levels.append(FieldLevel(keys, of_level.coefficients, trust))
+    return tuple(levels)
+
+
+def _trust_rows(
+    depth: int,
+    keys: IntArray,
+    quadrics: VertexQuadrics,
+    crowds: FloatArray,
+    far: tuple[Float32Array, FloatArray, float, float],
+    rows: slice,
+) -> Float32Array:
+    """Trust some vertices of a level; `far` is a grid with its origin, spacing and step."""
+    values, origin, spacing, step = far
+    distances = kernels.sample_corners(values, keys[rows], origin, spacing) / step
+    return trust_vertices(
+        quadrics.coefficients[rows, 0], distances, quadrics.counts[rows],
+        quadrics.inherited[rows], crowds[rows], depth,
+    )  # fmt: skip
+
+
+def _cut_layers(vertices: IntArray) -> list[int]:
+    """Cut sorted vertices into about equal runs of whole layers; return the bounds of these."""
+    bounds = [0]
+    for piece in cut_equal(len(vertices), -(-len(vertices) // _AT_ONCE))[:-1]:
+        layer = int(unpack_keys(vertices[[piece.stop]])[0, 0])
+        start = find_layers(vertices, layer, layer).start
+        if start > bounds[-1]:
+            bounds.append(start)
+    return [*bounds, len(vertices)] if len(vertices) else bounds

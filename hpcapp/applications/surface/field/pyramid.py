@@ -1,0 +1,416 @@
+"""The pyramid of lattices under a cloud: cells with moments, vertices with quadrics.
+
+::
+
+    points of level 0 --moments, sums of eight--> level 1 ... level L
+                                                                |
+    quadrics of level 0 <--prior-- level 1 <--prior-- ... <-- fits of level L
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.field.cell_points import (
+    CellMoments,
+    PartMoments,
+    SortedPoints,
+    merge_parents,
+    sort_cloud,
+)
+from hpcapp.applications.surface.field.robust import weigh_points
+from hpcapp.applications.surface.field.support import sum_squares, surrounded_vertices
+from hpcapp.applications.surface.field.weights import (
+    CHANCE_SHARE,
+    FIELD_LEVELS,
+    Weights,
+    find_agreement,
+    localise_noise,
+)
+from hpcapp.applications.surface.kernels import BASIS
+from hpcapp.applications.surface.kernels.parallel import run_batches
+from hpcapp.applications.surface.types.lattice import (
+    BITS,
+    OCTANTS,
+    find_layers,
+    step_keys,
+)
+from hpcapp.applications.surface.types.points import Float32Array, FloatArray, IntArray, PointCloud
+from hpccomponent.cutting import cut_equal
+from hpccomponent.protocol.records import record
+
+__all__ = [
+    "Level",
+    "Parents",
+    "Pyramid",
+    "VertexQuadrics",
+    "build_pyramid",
+    "count_levels",
+    "fit_levels",
+    "lay_vertices",
+    "raise_levels",
+]
+
+
+_COARSEST_CELLS = 6
+# Corners in a batch: what it takes stays in the cache, and memory that was freed is used again.
+_LEAST_BATCH, _MOST_BATCH = 1 << 12, 1 << 16
+_LAYERS = 2  # of corners in a batch at least: the cells on both sides of its ends are summed twice
+_FINER_UNITS = np.float32(4.0)  # the same variance, in cells of the next finer level squared
+_LOCAL_FROM = 2  # levels further up, which tell a vertex the noise around it
+# What a point counts one level further up, where the surface is 4 times larger.
+_ANCESTORS = np.float32(0.25)
+_DETAIL = np.float32(0.25)  # of what fits leave over: where they miss shape, points are right
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Level:
+    """One lattice of the pyramid.
+
+    Parameters
+    ----------
+    cells : ndarray of int64, shape (c,)
+        Sorted keys of the occupied cells.
+    points : SortedPoints, CellMoments or PartMoments
+        What the fits know of the points in each cell: those of the finest level themselves.
+    squares : ndarray of float64, shape (c,)
+        Sums of the squared counts of each cell's children; none at the finest level.
+    """
+
+    cells: IntArray
+    points: SortedPoints | CellMoments | PartMoments
+    squares: FloatArray
+
+    @property
+    def is_finest(self) -> bool:
+        """Whether the level holds the points themselves."""
+        return isinstance(self.points, SortedPoints)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pyramid:
+    """Lattices from a finer to a coarser one.
+
+    Parameters
+    ----------
+    origin : ndarray of float64, shape (3,)
+        Where corner (0, 0, 0) of every level lies.
+    cell_size : float
+        Edge of the cells of level 0, in length units of the input.
+    levels : list of Level
+        `fit_levels` takes the points out of each as it goes: they are most of the memory.
+    vertices : list of ndarray of int64
+        Of each level, the sorted keys of the corners that carry a quadric (see `lay_vertices`).
+    first : int
+        The level that is first in the list.
+    height : int
+        How many levels the whole cloud has, from level 0 on.
+    """
+
+    origin: FloatArray
+    cell_size: float
+    levels: list[Level]
+    vertices: list[IntArray]
+    first: int
+    height: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VertexQuadrics:
+    """The quadrics of one level.
+
+    Parameters
+    ----------
+    coefficients : ndarray of float32, shape (v, 10)
+    counts : ndarray of float32, shape (v,)
+        Points in the eight cells around each vertex; above the finest level, as far as the
+        quadric agrees with their normals.
+    inherited : ndarray of float32, shape (v,)
+        The mean count of its parents, 0 for those that points do not surround (see `crowding`),
+        plus a quarter of what these inherited.
+    variances : ndarray of float32, shape (v, 3)
+        What the fits leave over (see `hermite.residual_variances`), in cells squared: its own, the
+        mean of its parents' and of theirs. Where points are few, its own is the parents'.
+    misfits : ndarray of float32, shape (v,)
+        How far its gradients are off the points' normals (see `hermite.evaluate_misfits`), 0
+        where there are no points.
+    """
+
+    coefficients: Float32Array
+    counts: Float32Array
+    inherited: Float32Array
+    variances: Float32Array
+    misfits: Float32Array
+
+
+@record("surface.parents")
+@dataclass(frozen=True, slots=True, eq=False)
+class Parents:
+    """What the vertices of the next finer level take from a level.
+
+    Parameters
+    ----------
+    keys : ndarray of int64, shape (v,)
+        Sorted.
+    coefficients : ndarray of float32, shape (v, 10)
+    support : ndarray of float32, shape (v,)
+        The count of each vertex, 0 where points do not surround it, plus a quarter of what it
+        inherited.
+    variances : ndarray of float32, shape (v, 2)
+        Its own, and the mean of its parents', in cells of this level squared.
+    """
+
+    keys: IntArray
+    coefficients: Float32Array
+    support: Float32Array
+    variances: Float32Array
+
+    def between(self, first: int, last: int) -> Parents:
+        """Return those whose x lies in a range, both ends included; nothing is copied.
+
+        Parameters
+        ----------
+        first, last : int
+            In cells of this level.
+        """
+        run = find_layers(self.keys, first, last)
+        return Parents(
+            self.keys[run], self.coefficients[run], self.support[run], self.variances[run]
+        )
+
+
+def count_levels(longest: float, cell_size: float) -> int:
+    """Return how many levels a cloud has: floor(log2(longest side / cell_size / 6)) + 1, or 1.
+
+    Parameters
+    ----------
+    longest : float
+        Longest side of the cloud, in length units of the input.
+    cell_size : float
+        Edge of the finest cells, in length units of the input.
+    """
+    return 1 + max(0, int(np.floor(np.log2(longest / cell_size / _COARSEST_CELLS))))
+
+
+def build_pyramid(
+    cloud: PointCloud, origin: FloatArray, cell_size: float, height: int, threads: int = 1
+) -> Pyramid:
+    """Sort the points into the finest cells, and sum their moments over all coarser ones.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        With normals.
+    origin : ndarray of float64, shape (3,)
+        Where corner (0, 0, 0) of every level lies.
+    cell_size : float
+        Edge of the finest cells, in length units of the input.
+    height : int
+        How many levels there are (see `count_levels`).
+    """
+    finest = Level(*sort_cloud(cloud, origin, cell_size), np.empty(0))
+    levels = raise_levels(finest, height, threads)
+    vertices = lay_vertices(kernels.spread_keys(levels[0].cells, -1, 2), height)
+    return Pyramid(origin, cell_size, levels, vertices, 0, height)
+
+
+def raise_levels(finest: Level, levels: int, threads: int = 1) -> list[Level]:
+    """Put coarser levels upon a level.
+
+    Parameters
+    ----------
+    levels : int
+        How many there shall be, `finest` included.
+
+    Returns
+    -------
+    list of Level
+        Finest first.
+    """
+    raised = [finest]
+    while len(raised) < levels:
+        finer = raised[-1]
+        cells, moments = merge_parents(finer.cells, finer.points, threads)
+        squares = sum_squares(finer.cells, finer.points.counts, cells)
+        raised.append(Level(cells, moments, squares))
+    return raised
+
+
+def lay_vertices(finest: IntArray, levels: int) -> list[IntArray]:
+    """Return the corners that carry quadrics, level by level: some, and all their ancestors.
+
+    Parameters
+    ----------
+    finest : ndarray of int64, shape (v,)
+        Sorted keys of corners of the finest of these levels.
+
+    Returns
+    -------
+    list of ndarray of int64
+        Among the ancestors of the corners of cells are all corners of the coarser cells.
+    """
+    vertices = [finest]
+    while len(vertices) < levels:
+        vertices.append(kernels.parent_keys(vertices[-1]))
+    return vertices
+
+
+def fit_levels(
+    pyramid: Pyramid,
+    weights: list[Weights],
+    parents: Parents | None = None,
+    threads: int = 1,
+    lowest: int = 0,
+) -> tuple[list[VertexQuadrics], Parents | None]:
+    """Fit every level, from the coarsest to the finest, each with the one above as prior.
+
+    Parameters
+    ----------
+    pyramid : Pyramid
+        It may lack vertices that nobody asks for, but no parent of one that is there.
+    weights : list of Weights
+        Of each level of the whole cloud, finest first.
+    parents : Parents, optional
+        The level above the coarsest of `pyramid`, where there is one.
+    lowest : int
+        How many levels, the finest ones, are left as they are.
+
+    Returns
+    -------
+    quadrics : list of VertexQuadrics
+        Of the fitted levels that a field is made of, finest first.
+    parents : Parents or None
+        What the level below the finest of these takes from it; None where there is no such.
+    """
+    kept: list[VertexQuadrics] = []
+    for index in reversed(range(lowest, len(pyramid.levels))):
+        cells, vertices = pyramid.levels[index].cells, pyramid.vertices[index]
+        depth = pyramid.first + index
+        quadrics = _inherit_level(vertices, parents, threads)
+        # (t,): the corners of the occupied cells, and where they stand among the vertices.
+        touched = kernels.spread_keys(cells, 0, 1)
+        rows = kernels.find_keys(vertices, touched, threads)
+        asked = rows < len(vertices)
+        if not asked.all():
+            touched, rows = touched[asked], rows[asked]
+        # (t,): the variance of the points around each, in cells squared, which tells how far off a
+        # prior is only by chance.
+        local = depth < pyramid.height - _LOCAL_FROM
+        noise = _find_noise(CHANCE_SHARE * weights[depth].noise, quadrics.variances[rows], local)
+        arguments = touched, rows, quadrics, noise, weights[depth], threads
+        if depth == 1 and index == 1 and np.isfinite(weights[1].tolerance):
+            _fit_weighed(pyramid, *arguments)
+        else:
+            _fit_level(pyramid.levels[index], *arguments)
+        _drop_points(pyramid, index)
+        parents = _offer_level(vertices, cells, quadrics) if depth else None
+        if depth < FIELD_LEVELS:
+            kept.insert(0, quadrics)
+    return kept, parents
+
+
+def _drop_points(pyramid: Pyramid, index: int) -> None:
+    """Take what a level knows of its points out of memory."""
+    pyramid.levels[index] = replace(pyramid.levels[index], points=CellMoments([]))
+
+
+def _inherit_level(vertices: IntArray, parents: Parents | None, threads: int) -> VertexQuadrics:
+    """Return the means of the parents' quadrics, support and variances; zeros at the coarsest."""
+    none = np.zeros(len(vertices), np.float32)
+    if parents is None:
+        coefficients, variances = (np.zeros((len(vertices), k), np.float32) for k in (BASIS, 3))
+        return VertexQuadrics(coefficients, none, none.copy(), variances, none.copy())
+    # (p, 3): averaged as the quadrics are.
+    values = np.column_stack((parents.support, _FINER_UNITS * parents.variances))
+    given = vertices, parents.keys, parents.coefficients, values
+    means, inherited = kernels.inherit_level(*given, threads)
+    support, variances = inherited[:, 0].copy(), inherited[:, [1, 1, 2]]
+    return VertexQuadrics(means, none, support, variances, none.copy())
+
+
+def _offer_level(vertices: IntArray, cells: IntArray, quadrics: VertexQuadrics) -> Parents:
+    """Return what the next finer level takes from a level that is fitted."""
+    surrounded = surrounded_vertices(vertices, cells)
+    support = quadrics.counts * surrounded + _ANCESTORS * quadrics.inherited
+    return Parents(vertices, quadrics.coefficients, support, quadrics.variances[:, :2])
+
+
+def _find_noise(overall: float, variances: Float32Array, local: bool) -> Float32Array:
+    """Return the noise at some vertices, told locally where there are two levels further up."""
+    if local:
+        return localise_noise(overall, variances[:, 1], variances[:, 2])
+    return np.full(len(variances), overall, np.float32)
+
+
+def _fit_level(
+    level: Level,
+    corners: IntArray,
+    rows: IntArray,
+    quadrics: VertexQuadrics,
+    noise: Float32Array,
+    weights: Weights,
+    threads: int,
+) -> None:
+    """Fit the corners of a level's cells; `rows` says where they stand in `quadrics`."""
+
+    def fit(cut: slice) -> None:
+        touched, at = corners[cut], rows[cut]
+        # The run of cells that these corners touch: keys sort by x first.
+        first = step_keys(touched[0], -OCTANTS[-1])
+        bounds = np.searchsorted(level.cells, (first, touched[-1] + 1))
+        near = slice(int(bounds[0]), int(bounds[1]))
+        coefficients, counts, variances, misfits = kernels.fit_corners(
+            touched, level.cells[near], level.points.sum(near),
+            quadrics.coefficients.take(at, axis=0),
+            noise[cut], weights.lam, weights.least_mu, weights.most_mu,
+        )  # fmt: skip
+        quadrics.coefficients[at] = coefficients
+        quadrics.misfits[at] = misfits
+        quadrics.counts[at] = counts if level.is_finest else counts * find_agreement(misfits)
+        known = ~np.isnan(variances)  # where points are many; elsewhere the parents' stand
+        quadrics.variances[at[known], 0] = variances[known]
+
+    if len(rows):
+        run_batches(fit, _cut_corners(corners, threads), threads)
+
+
+def _fit_weighed(
+    pyramid: Pyramid,
+    corners: IntArray,
+    rows: IntArray,
+    quadrics: VertexQuadrics,
+    noise: Float32Array,
+    weights: Weights,
+    threads: int,
+) -> None:
+    """Fit the level above the finest, weigh the points of both by that, and fit it again.
+
+    Counts and variances stay those of points that count alike.
+    """
+    finest = pyramid.levels[0]
+    assert isinstance(finest.points, SortedPoints)  # noqa: S101 - the finest level has points
+    # A first fit, over the parents' quadrics, which stay the prior of the second one.
+    first = replace(quadrics, coefficients=quadrics.coefficients.copy())
+    _fit_level(pyramid.levels[1], corners, rows, first, noise, weights, threads)
+    _drop_points(pyramid, 1)  # before they are summed anew
+    counts, variances = first.counts.copy(), first.variances.copy()
+    # (t,): what a point may be off, of which a part is the noise, and a part missed detail.
+    spread = np.maximum(noise, _DETAIL * variances[rows, 0])
+    blend = corners, first.coefficients.take(rows, axis=0), spread
+    points = weigh_points(finest.cells, finest.points, blend, weights.tolerance, threads)
+    pyramid.levels[0] = replace(finest, points=points)
+    moments = merge_parents(finest.cells, points, threads)[1]
+    weighed = replace(pyramid.levels[1], points=moments)
+    _fit_level(weighed, corners, rows, quadrics, noise, weights, threads)
+    quadrics.counts[:], quadrics.variances[:] = counts, variances
+
+
+def _cut_corners(touched: IntArray, threads: int) -> list[slice]:
+    """Cut the corners of a level into batches: small ones, but not of less than two layers."""
+    layers = int((touched[-1] >> 2 * BITS) - (touched[0] >> 2 * BITS)) + 1
+    wanted = max(_LAYERS * len(touched) // layers, _LEAST_BATCH)
+    batches = -(-len(touched) // min(wanted, _MOST_BATCH))
+    return cut_equal(len(touched), max(batches, threads))

@@ -1,0 +1,231 @@
+"""How much a fit believes its points, its prior and their normals, and a field its quadrics.
+
+The constants are the method's: nobody has to set them, and all of them are here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+
+from hpcapp.applications.surface.types.points import Float32Array, FloatArray
+
+__all__ = [
+    "CHANCE_SHARE",
+    "FIELD_LEVELS",
+    "LEAST_MU",
+    "Weights",
+    "find_agreement",
+    "localise_noise",
+    "tell_noise",
+    "trust_vertices",
+    "weigh_levels",
+]
+
+Variances = TypeVar("Variances", FloatArray, Float32Array)
+
+FIELD_LEVELS = 4
+"""So many levels, finest first, lie above the far field; coarser ones only serve as priors."""
+
+CHANCE_SHARE = 0.5
+"""Of the noise's variance, what excuses that a prior misses few points: where shape is rich, the
+variance is estimated too large."""
+
+LEAST_MU = 0.3
+"""The least weight of a prior, in points; and its weight where there is nothing to compare."""
+
+
+_MOST_MU = 1000.0
+_LAM_PER_NOISE = 15.0
+_LEAST_LAM = 0.001
+_LEAST_COARSE_LAM = 0.1  # a quadric bends within a coarse cell: its normals hold it
+_MOST_LAM = 1.0
+
+_SAME_NOISE, _BIAS_GROWTH = 1.35, 1.2  # of residuals in cells of double the size
+_LEAST_LOCAL, _MOST_LOCAL = 0.5, 4.0  # times the variance of the whole cloud
+
+_FULL_COUNT = 6.0
+_FULL_INHERITED = 16.0
+_OWN_COUNT = 3.0
+_CROWDED_FROM, _CROWDED_AT = 6.0, 12.0  # other points in the cell of a point, one level finer
+_AGREES, _CONTRADICTS = 0.2, 0.6  # mean squared distances of gradients and normals
+_OVERRULED_FROM, _OVERRULED_AT = 0.6, 1.2  # steps of the far field from its surface
+
+
+@dataclass(frozen=True, slots=True)
+class Weights:
+    """The weights of one level's fits (see `hermite.fit_vertices` and `hermite.weigh_priors`).
+
+    Parameters
+    ----------
+    lam : float
+        Of the normals against the positions, dimensionless.
+    noise : float
+        Variance of the positions along the normals, in cells of the level squared.
+    least_mu, most_mu : float
+        Between which the weight of a prior lies, in points.
+    tolerance : float
+        How far off a point may lie until it counts half, in variances (see `robust`).
+    """
+
+    lam: float
+    noise: float
+    least_mu: float
+    most_mu: float
+    tolerance: float = np.inf
+
+
+def weigh_levels(
+    cell_size: float, levels: int, noise: float, tolerance: float = np.inf
+) -> list[Weights]:
+    """Choose the weights of every level's fits.
+
+    Parameters
+    ----------
+    cell_size : float
+        Edge of the finest cells, in length units of the input.
+    noise : float
+        Standard deviation of the positions along the normals, in length units of the input.
+
+    Returns
+    -------
+    list of Weights
+        From the finest level to the coarsest, which has no prior to speak of.
+
+    Notes
+    -----
+    Positions are wrong by the noise, normals by about the noise over the distance that they were
+    estimated from: the smaller the noise is in cells, the less is to be had from normals.
+    """
+    weights = []
+    for depth in range(levels):
+        variance = (noise / (cell_size * 2.0**depth)) ** 2
+        least = _LEAST_COARSE_LAM if depth else _LEAST_LAM
+        lam = min(max(_LAM_PER_NOISE * variance, least), _MOST_LAM)
+        most_mu = _MOST_MU if depth < levels - 1 else LEAST_MU
+        weights.append(Weights(lam, variance, LEAST_MU, most_mu, tolerance))
+    return weights
+
+
+def tell_noise(finer: Variances, coarser: Variances) -> Variances:
+    """Tell noise from detail by the residual variances in cells of one size and of its double.
+
+    Parameters
+    ----------
+    finer, coarser : ndarray of float, shape (...)
+        In one unit.
+
+    Returns
+    -------
+    ndarray of float, shape (...)
+        Variances in that unit, 0 or more.
+
+    Notes
+    -----
+    Noise leaves the same residual in cells of either size; what the larger cells leave beyond
+    that is detail that their quadrics miss, and the smaller ones leave a good part of it too.
+    """
+    bias = np.maximum(0.0, coarser - _SAME_NOISE * finer) / _BIAS_GROWTH
+    noise: Variances = np.maximum(0.0, finer - bias)
+    return noise
+
+
+def localise_noise(overall: float, finer: Float32Array, coarser: Float32Array) -> Float32Array:
+    """Tell the noise around each vertex from what the fits of coarser levels left over there.
+
+    Parameters
+    ----------
+    overall : float
+        The variance of the whole cloud, in cells of the vertices' level squared.
+    finer, coarser : ndarray of float32, shape (v,)
+        Residual variances one and two levels further up, in the same cells squared.
+
+    Returns
+    -------
+    ndarray of float32, shape (v,)
+        Variances in the same cells squared, from half of the whole cloud's to four times as much.
+
+    Notes
+    -----
+    Scans that do not quite match leave the same residuals in cells of any size, and they are
+    noise for who averages; detail that a quadric misses leaves more in larger cells, and is taken
+    off. Variances of few points scatter: below half of the whole cloud's, chance is likelier than
+    a better scan, and priors would be given up for nothing.
+    """
+    local = np.clip(tell_noise(finer, coarser), overall * _LEAST_LOCAL, overall * _MOST_LOCAL)
+    result: Float32Array = local.astype(np.float32)
+    return result
+
+
+def find_agreement(misfits: Float32Array) -> Float32Array:
+    """Tell how far quadrics of a coarser level agree with the normals of their points.
+
+    Parameters
+    ----------
+    misfits : ndarray of float32, shape (v,)
+        Mean squared distances of gradients and normals (see `hermite.evaluate_misfits`).
+
+    Returns
+    -------
+    ndarray of float32, shape (v,)
+        From 1 down to 0: how much of its points supports a quadric.
+
+    Notes
+    -----
+    Where two sheets lie in one coarse cell, as at the rim of a wing, no quadric follows both. It
+    is left from the field, and supports no finer one, or the surface would grow beyond the rim.
+    """
+    share = (_CONTRADICTS - misfits) / (_CONTRADICTS - _AGREES)
+    result: Float32Array = np.clip(share, 0.0, 1.0).astype(np.float32)
+    return result
+
+
+def trust_vertices(
+    values: Float32Array,
+    far: FloatArray,
+    counts: Float32Array,
+    inherited: Float32Array,
+    crowds: FloatArray | float,
+    depth: int,
+) -> Float32Array:
+    """Tell how much the quadrics of a level count against what lies behind them.
+
+    Parameters
+    ----------
+    values : ndarray of float32, shape (v,)
+        Each quadric at its own vertex: only the sign counts.
+    far : ndarray of float64, shape (v,)
+        The far field there, in its steps, positive outside.
+    counts, inherited : ndarray of float32, shape (v,)
+        Points around each vertex, and around its ancestors (see `VertexQuadrics`).
+    crowds : float, or ndarray of float64, shape (v,)
+        Other points in the cell of a point of the next finer level (see `crowding`); 0 at the
+        finest level.
+    depth : int
+        The level, 0 for the finest.
+
+    Returns
+    -------
+    ndarray of float32, shape (v,)
+        0 to 1.
+
+    Notes
+    -----
+    Quadrics go on where the surface ends, and sheets would grow there. Where the far field is
+    sure of its sign and the quadric has the other one, it is overruled, unless points of its own
+    support it. At coarser levels points support it only as a whole, from all around.
+
+    Coarse quadrics fill in where finer cells hold too few points; where these hold enough, the
+    space between them is empty because the surface does not pass there.
+    """
+    # (v,): by the points around, as far as finer cells do not hold enough of them already.
+    trust = np.minimum(1.0, counts / _FULL_COUNT + inherited / _FULL_INHERITED)
+    trust *= np.clip((_CROWDED_AT - crowds) / (_CROWDED_AT - _CROWDED_FROM), 0.0, 1.0)
+    # (v,): how far the far field overrules a quadric of the other sign, unless points support it.
+    sure = (np.abs(far) - _OVERRULED_FROM) / (_OVERRULED_AT - _OVERRULED_FROM)
+    overruled = np.clip(sure, 0.0, 1.0) * (np.sign(values) != np.sign(far))
+    own = 0.0 if depth else np.clip(counts / _OWN_COUNT, 0.0, 1.0)
+    result: Float32Array = (trust * (1.0 - overruled * (1.0 - own))).astype(np.float32)
+    return result

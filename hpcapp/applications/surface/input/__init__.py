@@ -1,1 +1,0 @@
-"""From a file to a clean cloud, in memory or in a folder."""

@@ -1,0 +1,327 @@
+"""A cloud from its file to what the methods take: in memory, or in a folder."""
+
+from __future__ import annotations
+
+import logging
+import os
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+
+from hpcapp.applications.surface.attributes.choice import CONFIDENCE
+from hpcapp.applications.surface.attributes.labels import find_labels
+from hpcapp.applications.surface.checkpoint import POINTS_NOTE
+from hpcapp.applications.surface.cleaning.drive import Cleaned, clean_cloud, drop_repeated
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, MemoryCloud, arrange_cloud
+from hpcapp.applications.surface.cloud.cloud_pass import (
+    CloudPass,
+    FolderPass,
+    MemoryPass,
+    make_cloud_folder,
+)
+from hpcapp.applications.surface.cloud.disk import open_disk_cloud
+from hpcapp.applications.surface.cloud.ingest import ingest_file
+from hpcapp.applications.surface.cloud.measure import measure_cloud, measure_spacing
+from hpcapp.applications.surface.cloud.point_workers import PointWorkers
+from hpcapp.applications.surface.cloud.reach import drop_far
+from hpcapp.applications.surface.job.columns import Columns, FileColumns, MemoryColumns
+from hpcapp.applications.surface.normals.sides import Oriented, orient_cloud
+from hpcapp.applications.surface.settings import JobSettings, Settings
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.io import PointSource, drop_unusable, open_points, read_whole
+from hpcapp.io.points.point_source import Findings
+from hpcapp.io.points.usable import Dropped, refuse_too_few
+from hpcapp.progress import StageClock
+from hpccomponent.errors import JobError
+from hpccomponent.files.private_files import remove_path
+from hpccomponent.store.base import FolderStore
+from hpccomponent.store.value import DamagedError
+
+__all__ = ["Loaded", "PointFolder", "Read", "load", "prepare", "take_points"]
+
+log = logging.getLogger("hpcapp")
+
+_NOTE = POINTS_NOTE[-1]
+# What a job needs once its points are there: half of what it imports.
+_LATER = (
+    "hpcapp.applications.surface.job.steps",
+    "hpcapp.applications.surface.hierarchical.method",
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointFolder:
+    """A folder that a job's points are put into, and who goes through them there.
+
+    Parameters
+    ----------
+    path : Path
+        Is made where there is none; 24 bytes a point are written, and those of blocks that change
+        again.
+    workers : PointWorkers
+    """
+
+    path: Path
+    workers: PointWorkers
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Read:
+    """Points as they were read, each place once, and what is known of them.
+
+    Parameters
+    ----------
+    cloud_pass : CloudPass
+    dropped : Dropped
+        Points that cannot be used.
+    cleaned : Cleaned
+        Points that were dropped because they lie far away or at the place of another.
+    columns : Columns
+        What is to be carried to the mesh.
+    has_normals, is_oriented : bool
+        Whether the points have normals, and whether the input says that these have a side.
+    scanners : ndarray of float64, shape (s, 3), or None
+        Where scanners stood, in the coordinates of the input.
+    """
+
+    cloud_pass: CloudPass
+    dropped: Dropped
+    cleaned: Cleaned
+    columns: Columns
+    has_normals: bool
+    is_oriented: bool = True
+    scanners: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Loaded:
+    """A cloud, and what was left out of it.
+
+    Parameters
+    ----------
+    cloud : ArrangedCloud
+    dropped : Dropped
+    cleaned : Cleaned
+    columns : Columns
+        Colours and attributes that are to be carried to the mesh.
+    oriented : Oriented
+        How its normals came about.
+    findings : Findings
+        What is odd about the file.
+    """
+
+    cloud: ArrangedCloud
+    dropped: Dropped
+    cleaned: Cleaned
+    columns: Columns
+    oriented: Oriented
+    findings: Findings
+
+    def report(self, shown: str) -> None:
+        """Log what was left out of the input.
+
+        Parameters
+        ----------
+        shown : str
+            The input, for the messages.
+        """
+        for line in self.findings.lines():
+            log.warning("warning: %s: %s", shown, line)
+        dropped, cleaned = self.dropped, self.cleaned
+        for count, what in (
+            (dropped.non_finite_points, "dropped %d points that are NaN or Inf"),
+            (dropped.bad_normals, "dropped %d points whose normal is zero, NaN or Inf"),
+            (cleaned.repeated, "dropped %d points at the place of another"),
+            (cleaned.outliers, "dropped %d outliers"),
+            (cleaned.flipped, "flipped %d inconsistent normals"),
+        ):
+            if count:
+                log.warning(f"%s: {what}", shown, count)
+        self.oriented.report(shown)
+
+
+def load(settings: JobSettings, clock: StageClock, folder: PointFolder | None = None) -> Loaded:
+    """Read a job's points, and make of them what its method takes.
+
+    Parameters
+    ----------
+    settings : JobSettings
+    clock : StageClock
+    folder : PointFolder, optional
+        Where the points are put; into memory by default. They are the same, bit for bit. With
+        `resume`, what is in the folder is taken, if it is whole.
+    """
+    source = open_points(settings.points)
+    if folder is not None and settings.resume:
+        loaded = _find_loaded(folder.path, FileColumns.of(settings, source))
+        if loaded is not None:
+            return loaded
+    if settings.normals == "estimate":
+        source = source.without_normals()
+    if folder is None:
+        read = _read_into_memory(settings, source, clock)
+    else:
+        read = _read_into_folder(settings, source, folder, clock)
+    refuse_too_few(len(read.cloud_pass.cloud), read.dropped, str(settings.points))
+    loaded = replace(prepare(settings, read, clock), findings=source.findings)
+    if folder is not None:
+        _note(folder.path, loaded)
+    return loaded
+
+
+def _read_into_memory(settings: JobSettings, source: PointSource, clock: StageClock) -> Read:
+    with clock.stage("read"):
+        columns = settings.attributes.select(read_whole(source), settings.shown)
+        labels = find_labels(columns.attributes)
+        points, dropped = drop_unusable(columns, str(settings.points))
+        del columns
+    read = take_points(settings, points, labels, clock)
+    return replace(
+        read,
+        dropped=dropped,
+        is_oriented=source.oriented,
+        scanners=_find_scanners(settings, source),
+    )
+
+
+def take_points(
+    settings: Settings, points: PointCloud, labels: frozenset[str], clock: StageClock
+) -> Read:
+    """Drop points that lie far away, arrange the rest, and drop those at the place of another.
+
+    Parameters
+    ----------
+    settings : Settings
+        The method tells whether far points are dropped, and whether the others are arranged.
+    points : PointCloud
+        Usable ones.
+    labels : frozenset of str
+        Attributes of which no mean is to be taken.
+    clock : StageClock
+    """
+    method, near = settings.method, points
+    with nullcontext() if method.needs_whole_cloud else clock.stage("arrange"):
+        if method.needs_whole_cloud:  # it cuts the cloud up by itself
+            cloud = MemoryCloud.as_they_are(points)
+        else:
+            near = drop_far(points) if method.cleans else points
+            cloud = arrange_cloud(near)
+        cloud_pass, repeated = drop_repeated(MemoryPass(cloud))
+    cleaned = Cleaned(len(points) - len(near), 0, repeated)
+    columns = MemoryColumns(points.view(slice(0)), labels)
+    return Read(cloud_pass, Dropped(0, 0), cleaned, columns, points.normals is not None)
+
+
+def _read_into_folder(
+    settings: JobSettings, source: PointSource, folder: PointFolder, clock: StageClock
+) -> Read:
+    remove_path(folder.path)
+    for module in _LATER:
+        folder.workers.workforce.defer(partial(import_module, module))
+    place = make_cloud_folder(folder.path)
+    with clock.stage("read"):
+        ingested = ingest_file(source, place, folder.workers, drop_far=settings.method.cleans)
+    with clock.stage("arrange"):
+        cloud_pass = FolderPass(ingested.cloud, folder.path, folder.workers)
+        cloud_pass, repeated = drop_repeated(cloud_pass)
+    return Read(
+        cloud_pass,
+        ingested.dropped,
+        Cleaned(ingested.far, 0, repeated),
+        FileColumns.of(settings, source),
+        source.has_normals,
+        source.oriented,
+        _find_scanners(settings, source),
+    )
+
+
+def _find_scanners(settings: JobSettings, source: PointSource) -> FloatArray | None:
+    """Return where scanners stood, in the file's coordinates; None where nobody knows."""
+    if settings.viewpoints:
+        return np.array(settings.viewpoints)
+    known = [scan.scanner for scan in source.scans if scan.scanner is not None]
+    return np.array(known) if len(known) == len(source.scans) else None
+
+
+def prepare(settings: Settings, read: Read, clock: StageClock) -> Loaded:
+    """Give points that were read their normals, and clean them.
+
+    Parameters
+    ----------
+    settings : Settings
+    read : Read
+        Ten points or more.
+    clock : StageClock
+
+    Returns
+    -------
+    Loaded
+        Measured, where its method does not cut it up by itself.
+    """
+    cloud_pass, method = read.cloud_pass, settings.method
+    is_asked = settings.attributes.has_confidence
+    keeps = is_asked and CONFIDENCE not in read.columns.layout.attributes
+    spacing = measure_spacing(cloud_pass)
+    cloud_pass, oriented = orient_cloud(
+        cloud_pass,
+        spacing,
+        settings.normals,
+        read.scanners,
+        clock,
+        has_normals=read.has_normals,
+        is_oriented=read.is_oriented,
+        attribute=CONFIDENCE if keeps else None,
+    )
+    cleaned = read.cleaned
+    if method.cleans:
+        with clock.stage("clean"):
+            cloud_pass, found, spacing = clean_cloud(cloud_pass, spacing)
+        cleaned = Cleaned(cleaned.outliers + found.outliers, found.flipped, cleaned.repeated)
+    if not method.needs_whole_cloud:
+        cloud_pass = measure_cloud(cloud_pass, spacing)
+    cloud = cloud_pass.cloud
+    columns = read.columns.of_cloud(cloud)
+    return Loaded(cloud, read.dropped, cleaned, columns, oriented, Findings())
+
+
+def _note(folder: Path, loaded: Loaded) -> None:
+    """Keep what is known of the points beside them, for a job that goes on from there."""
+    told = {
+        "cloud": Path(str(loaded.cloud.place)).name,
+        "dropped": asdict(loaded.dropped),
+        "cleaned": asdict(loaded.cleaned),
+        "findings": asdict(loaded.findings),
+        "oriented": asdict(loaded.oriented),
+    }
+    FolderStore(folder).put(_NOTE, told)
+
+
+def _find_loaded(folder: Path, columns: Columns) -> Loaded | None:
+    """Return the points that another run has put into a folder; None if they are not whole."""
+    try:
+        os.lstat(folder / _NOTE)
+    except FileNotFoundError:  # it did not come so far
+        return None
+    except OSError as error:
+        log.warning("warning: %s: %s: the points are read again", folder, error.strerror)
+        return None
+    try:
+        told = FolderStore(folder).get(_NOTE)
+        cloud = open_disk_cloud(folder / told["cloud"])
+        cloud.check()
+    except (JobError, DamagedError) as error:
+        problem = error.problem if isinstance(error, JobError) else str(error)
+        log.warning("warning: %s: the points are read again", problem)
+        return None
+    return Loaded(
+        cloud,
+        Dropped(**told["dropped"]),
+        Cleaned(**told["cleaned"]),
+        columns,
+        Oriented(**told["oriented"]),
+        Findings(**told["findings"]),
+    )

@@ -1,0 +1,259 @@
+"""Where a job has its points and tiles besides memory, and what becomes of them.
+
+::
+
+    --temp-dir FOLDER ──> FOLDER/JOB-RUN/          held by this process (see `held_folders`)
+                          ├── <hash>               a finished tile each
+                          ├── sums/                of one run
+                          └── points/              the cloud, where it is not in memory
+
+JOB is a hash of all that decides the mesh, RUN is random: two jobs of one input have a folder each.
+A job that resumes takes one that nobody holds any more, and waits where all are held. In a bucket
+nothing tells who lives: there it takes what is there.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import secrets
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from hpcapp.applications.surface.checkpoint import SUMS, Keeping, digest
+from hpcapp.applications.surface.job.folder import may_pay_in_folder
+from hpcapp.applications.surface.kernels.build import kernel_id
+from hpcapp.applications.surface.memory import fits_memory
+from hpcapp.applications.surface.settings import JobSettings, name_backend
+from hpcapp.backends import BACKENDS
+from hpccomponent.errors import DistrustError, HpcError, InputError, OutputError, UsageError
+from hpccomponent.files.held_folders import (
+    HeldFolder,
+    create_held,
+    hold,
+    read_owner,
+    remove_abandoned,
+    temporary_folder,
+)
+from hpccomponent.files.private_files import remove_path
+from hpccomponent.store.places import open_store
+from hpccomponent.terminal import visible_text
+
+__all__ = ["Room", "open_room"]
+
+log = logging.getLogger("hpcapp")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Room:
+    """Where a job has its points and tiles besides memory.
+
+    Parameters
+    ----------
+    keeping : Keeping or None
+        Where finished tiles are kept.
+    folder : Path or None
+        Where the points lie; None where they are in memory.
+    is_needed : bool
+        Whether memory is too small for them; else they lie there for other processes only.
+    """
+
+    keeping: Keeping | None
+    folder: Path | None
+    is_needed: bool = True
+
+
+@contextmanager
+def open_room(settings: JobSettings) -> Iterator[Room]:
+    """Find room for a job.
+
+    What lies there is taken away when the block ends, however it ends; but a job that resumes and
+    fails leaves what it has finished.
+
+    Parameters
+    ----------
+    settings : JobSettings
+
+    Yields
+    ------
+    Room
+
+    Raises
+    ------
+    UsageError, OutputError, CloudError
+        The place cannot be had.
+    InputError
+        The input cannot be looked at.
+    """
+    if settings.resume and settings.temp_dir is None:
+        raise UsageError("--resume goes on from what lies in --temp-dir", "give that too")
+    is_needed = not fits_memory(settings.points, settings.max_memory)
+    in_memory = settings.method.needs_whole_cloud or not (is_needed or may_pay_in_folder(settings))
+    if settings.method.needs_whole_cloud or (in_memory and settings.temp_dir is None):
+        yield Room(None, None)
+        return
+    job, place = _name_job(settings), settings.temp_dir
+    if place is None or "://" in place:
+        is_here = settings.cluster is None and (name_backend(settings) or "zmq") in BACKENDS
+        with temporary_folder() as near:
+            points = None if in_memory else near / job / "points"
+            if place is None:
+                keeping = Keeping(str(near), job, is_shared=is_here)
+                keeping.make_folders()
+                yield Room(keeping, points, is_needed)
+                return
+            prefix = _choose_prefix(place, job, settings.resume)
+            keeping = Keeping(place, prefix, settings.resume)
+            keeping.check()
+            with _taken_away(keeping):
+                yield Room(keeping, points, is_needed)
+        return
+    held = _hold_folder(_find_folder(place), job, settings.resume)
+    keeping = Keeping(str(held.path.parent), held.path.name, settings.resume)
+    with _taken_away(keeping, held):
+        keeping.make_folders()
+        yield Room(keeping, None if in_memory else held.path / "points", is_needed)
+
+
+def _find_folder(place: str) -> Path:
+    """Return the folder that --temp-dir names; its last part need not be there."""
+    text = place.removeprefix("folder:")
+    if not text:
+        raise UsageError("--temp-dir names no folder", "name one, or s3://BUCKET/PREFIX")
+    if text.startswith("~"):  # a shell has left it so: of --temp-dir=~/x, or no such user
+        raise UsageError(
+            f"--temp-dir {text}: no such home folder is known here",
+            f"write the whole path, or ./{text} for a folder of that name",
+        )
+    folder = Path(os.path.realpath(text))  # a link may lead to itself
+    if folder.exists() and not folder.is_dir():
+        raise OutputError(f"--temp-dir {text}: is not a folder", "name a folder")
+    if visible_text(str(folder)) != str(folder):
+        raise OutputError(
+            f"--temp-dir {text}: its path is not UTF-8, or holds control characters: workers are "
+            "not told of it",
+            "name another folder",
+        )
+    return folder
+
+
+def _name_job(settings: JobSettings) -> str:
+    """Return a hash of the input, of what decides the mesh, and of the kernels."""
+    return digest(
+        *map(_identify, settings.files), settings.points.stat().st_size, settings.grid,
+        settings.depth, settings.voxel_size, repr(settings.method), settings.outliers,
+        settings.denoise, settings.resample, settings.normals, settings.viewpoints, kernel_id(),
+    )  # fmt: skip
+
+
+def _identify(file: Path) -> str:
+    """Return what tells a file from another one, and from itself when it was changed."""
+    try:
+        found = file.stat()
+    except OSError as error:
+        raise InputError(
+            f"{file}: cannot be read: {error.strerror}", "check the file's name"
+        ) from error
+    return f"{visible_text(str(file.resolve()))} {found.st_size} {found.st_mtime_ns}"
+
+
+@contextmanager
+def _taken_away(keeping: Keeping, held: HeldFolder | None = None) -> Iterator[None]:
+    """Take away what a job has kept, when it is done or has failed; see `open_room`."""
+    is_left = False
+    try:
+        yield
+    except DistrustError:  # nothing of it is to be believed
+        raise
+    except BaseException:
+        is_left = _leave_work(keeping)
+        raise
+    finally:
+        if held is None:
+            if not is_left:
+                _clear_bucket(keeping)
+        elif is_left:
+            held.let_go()
+        else:
+            held.remove()
+
+
+def _leave_work(keeping: Keeping) -> bool:
+    """Tell whether what a failed job has finished is left, and say what becomes of it."""
+    try:
+        is_something = keeping.holds_work()
+    except HpcError:  # the bucket is out of reach
+        is_something = keeping.resumes
+    if is_something and keeping.resumes:
+        log.warning(
+            "what is finished is kept in %s: the same command with --resume goes on from there",
+            keeping.where,
+        )
+    elif is_something:
+        log.warning("what was finished is removed: a job that is started with --resume keeps it")
+    return is_something and keeping.resumes
+
+
+def _clear_bucket(keeping: Keeping) -> None:
+    try:
+        keeping.clear()
+    except HpcError as error:
+        log.warning("warning: some of %s is left: %s", keeping.where, error)
+
+
+def _hold_folder(folder: Path, job: str, resumes: bool) -> HeldFolder:
+    """Hold a folder in which this process does a job."""
+    if resumes:
+        if (found := _hold_left(folder, job)) is not None:
+            return found
+    else:
+        for owner in remove_abandoned(folder, f"{job}-"):
+            log.info("%s has the same job in %s: this one has a folder of its own", owner, folder)
+    return create_held(folder / _name_run(job))
+
+
+def _hold_left(folder: Path, job: str) -> HeldFolder | None:
+    """Hold what an earlier run of a job has left; None where there is nothing, or no use in it."""
+    while True:
+        busy = None
+        for path in sorted(folder.glob(f"{job}-*")):
+            held = hold(path)
+            if held is None:
+                busy = _name_busy(path) or busy
+            elif Keeping(str(folder), path.name).holds_work():
+                remove_path(path / SUMS)  # they are of one run
+                return held
+            else:
+                held.remove()
+        if busy is None:
+            return None
+        log.info("waiting for %s, which has the same job in %s", read_owner(busy), folder)
+        held = hold(busy, waits=True)
+        if held is not None:
+            held.let_go()
+        elif busy.exists():  # it cannot be waited for
+            return None
+
+
+def _name_busy(path: Path) -> Path | None:
+    """Return a folder that somebody holds; None where nobody says so, as of another user's."""
+    if read_owner(path) is not None:
+        return path
+    with suppress(OSError):
+        if os.lstat(path).st_uid == os.geteuid() and not os.access(path, os.R_OK | os.X_OK):
+            log.warning("warning: %s cannot be looked into: what it keeps is not used", path)
+    return None
+
+
+def _choose_prefix(place: str, job: str, resumes: bool) -> str:
+    """Return under which prefix of a bucket a job keeps its tiles: that with most, or a new one."""
+    names = open_store(place).list(f"{job}-") if resumes else []
+    found = Counter(name.partition("/")[0] for name in names)
+    return max(sorted(found), key=found.__getitem__) if found else _name_run(job)
+
+
+def _name_run(job: str) -> str:
+    return f"{job}-{secrets.token_hex(4)}"

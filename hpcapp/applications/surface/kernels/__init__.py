@@ -1,0 +1,27 @@
+"""The one door to the kernels: every hot loop of the surface, as a function of arrays.
+
+::
+
+    this module ──> native     C++, where the extension loads
+               └──> portable   numpy: the specification, and what runs elsewhere
+
+Both builds offer the same names with the same parameters (a test compares them), and each
+function is described in full where it stands in `portable`, whose types are those of both. A
+kernel's row depends on no other row of its batch and on no number of threads; the two builds agree
+to rounding, and the workers of one job run the same one (see `build`).
+"""
+
+from typing import TYPE_CHECKING
+
+from hpcapp.applications.surface.kernels.build import load_native
+from hpcapp.applications.surface.kernels.constants import BASIS, COLUMNS, FINE, UNSURE, WRONG
+
+if TYPE_CHECKING or load_native() is None:
+    from hpcapp.applications.surface.kernels.portable import *  # noqa: F403
+    from hpcapp.applications.surface.kernels.portable import __all__ as _kernels
+else:
+    from hpcapp.applications.surface.kernels._native import *  # noqa: F403
+    from hpcapp.applications.surface.kernels._native import __all__ as _kernels
+
+__all__ = ["BASIS", "COLUMNS", "FINE", "UNSURE", "WRONG"]
+__all__ += _kernels

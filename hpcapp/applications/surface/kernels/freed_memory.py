@@ -1,0 +1,35 @@
+"""What becomes of memory that this process has freed: the system's again, or its own for later.
+
+See `docs/explanation/kernels.md` for what it saves.
+"""
+
+from __future__ import annotations
+
+from hpcapp.applications.surface import kernels
+
+__all__ = ["bound_free_memory", "keep_memory", "leave_for_files"]
+
+_MOST = 1 << 28  # that waits for the next task
+_PAGES = 1 << 25  # that a file is made of, at least
+
+
+def keep_memory() -> None:
+    """Have this process use memory that it has freed again, instead of giving it back."""
+    kernels.keep_memory()
+
+
+def bound_free_memory() -> None:
+    """Give the system back what memory is free, kept or not, if it is 256 MB or more.
+
+    To be called before a task takes most of its memory.
+    """
+    kernels.bound_free_memory(_MOST)
+
+
+def leave_for_files() -> None:
+    """Give the system back what memory is free, kept or not, if it is 32 MB or more.
+
+    To be called before a large file is written by who will need little memory: the file's pages are
+    made of what this process has touched, which the system has at hand.
+    """
+    kernels.bound_free_memory(_PAGES)

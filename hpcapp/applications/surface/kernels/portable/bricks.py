@@ -1,0 +1,149 @@
+"""Which bricks the surface passes through: seeded at the points, grown across sign changes.
+
+A tile grows its own bricks, those that hold points of its own, and what the surface reaches from
+them; where it comes upon bricks of other tiles, these make its rim: they are evaluated, because
+vertices are balanced among the faces on both sides, but belong to the other tile.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from hpcapp.applications.surface.types.grid import (
+    BESIDE,
+    BRICK,
+    NODES,
+    OPEN,
+    OUT,
+    OWN,
+    BrickKinds,
+    Grid,
+)
+from hpcapp.applications.surface.types.lattice import (
+    cells_of,
+    find_keys,
+    pack_places,
+    step_keys,
+    unique_keys,
+    unpack_keys,
+)
+from hpcapp.applications.surface.types.points import BoolArray, Float32Array, FloatArray, IntArray
+
+__all__ = ["grow_bricks", "seed_bricks"]
+
+Evaluate = Callable[[IntArray], Float32Array]
+
+
+def seed_bricks(grid: Grid, positions: FloatArray) -> IntArray:
+    """Return the bricks that hold a point.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+        In length units of the input, inside the grid.
+
+    Returns
+    -------
+    ndarray of int64, shape (b,)
+        Sorted, unique keys.
+    """
+    places = np.floor(cells_of(positions, grid.origin, BRICK * grid.step)).astype(np.int64)
+    return unique_keys(pack_places(places))
+
+
+def grow_bricks(
+    evaluate: Evaluate, kinds: BrickKinds, bricks: tuple[int, int, int]
+) -> tuple[IntArray, Float32Array, BoolArray, IntArray]:
+    """Evaluate a tile's own bricks, all open ones that the surface reaches, and their rim.
+
+    Parameters
+    ----------
+    evaluate : callable
+        From places of bricks, shape (b, 3), to their node values, shape (b, 9, 9, 9).
+    bricks : tuple of int
+        Bricks of the grid along x, y and z.
+
+    Returns
+    -------
+    places : ndarray of int64, shape (b, 3)
+        Sorted.
+    values : ndarray of float32, shape (b, 9, 9, 9)
+    taken : ndarray of bool, shape (b,)
+        False for the rim.
+    exits : ndarray of int64, shape (e,)
+        Sorted keys of bricks that the surface reaches, and that are `BESIDE` or `OUT`.
+
+    Notes
+    -----
+    No edge that the surface crosses lies on a brick that no tile has, once the exits are grown
+    too, so the surface is closed; the cost grows with its area. The rim is what the surface
+    reaches among the 26 neighbours of what is taken: six cells deep at least.
+    """
+    part, beyond = _Grown(evaluate, bricks), [np.empty(0, np.int64)]
+    new = kinds.own()
+    while len(new):
+        reached = part.add(new)
+        kind = kinds.at(reached)
+        may_grow = (kind == OWN) | (kind == OPEN)
+        new = np.setdiff1d(reached[may_grow], part.keys())
+        beyond.append(reached[~may_grow])
+    # What the surface reaches beyond: exits where no tile has the brick, the rim where one has.
+    taken = part.keys()
+    edge = unique_keys(np.concatenate(beyond))
+    exits = edge[np.isin(kinds.at(edge), (OUT, BESIDE))]
+    new = edge[kinds.at(edge) != OUT]
+    while len(new):
+        reached = np.setdiff1d(part.add(new), part.keys())
+        new = reached[(kinds.at(reached) != OUT) & _touch(reached, taken)]
+    keys, values = part.sorted()
+    return unpack_keys(keys), values, np.isin(keys, taken), exits
+
+
+class _Grown:
+    """Bricks that are evaluated."""
+
+    def __init__(self, evaluate: Evaluate, bricks: tuple[int, int, int]) -> None:
+        self._evaluate = evaluate
+        self._bricks = bricks
+        self._keys: list[IntArray] = [np.empty(0, np.int64)]
+        self._values: list[Float32Array] = [np.empty((0, *[NODES] * 3), np.float32)]
+
+    def add(self, keys: IntArray) -> IntArray:
+        """Evaluate bricks and return those behind the faces on which the sign changes."""
+        values = self._evaluate(unpack_keys(keys))
+        self._keys.append(keys)
+        self._values.append(values)
+        return _reached(keys, values, self._bricks)
+
+    def keys(self) -> IntArray:
+        """Return all, sorted."""
+        return unique_keys(np.concatenate(self._keys))
+
+    def sorted(self) -> tuple[IntArray, Float32Array]:
+        """Return all with their values, sorted."""
+        joined = np.concatenate(self._keys)
+        order = np.argsort(joined, kind="stable")
+        return joined[order], np.concatenate(self._values)[order]
+
+
+def _touch(keys: IntArray, others: IntArray) -> BoolArray:
+    """Tell which bricks have one of the others among their 26 neighbours."""
+    touched = np.zeros(len(keys), np.bool_)
+    for step in np.ndindex(3, 3, 3):
+        touched |= find_keys(others, step_keys(keys, np.array(step) - 1)) < len(others)
+    return touched
+
+
+def _reached(keys: IntArray, values: Float32Array, bricks: tuple[int, int, int]) -> IntArray:
+    """Return the bricks behind the faces on which the sign changes."""
+    inside = values < 0.0
+    places = unpack_keys(keys)
+    reached = []
+    for axis in range(3):
+        for step, layer, last in ((-1, 0, 0), (1, NODES - 1, bricks[axis] - 1)):
+            face = np.take(inside, layer, axis=axis + 1).reshape(len(keys), NODES**2)
+            crossed = face.any(axis=1) & ~face.all(axis=1) & (places[:, axis] != last)
+            reached.append(step_keys(keys[crossed], step * np.eye(3, dtype=np.int64)[axis]))
+    return unique_keys(np.concatenate(reached))

@@ -1,0 +1,294 @@
+"""Marching cubes over bricks, welded by edge numbers and never by coordinates."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hpcapp.applications.surface.kernels.case_table import EDGES, case_triangles, triangle_counts
+from hpcapp.applications.surface.kernels.portable.bricks import grow_bricks
+from hpcapp.applications.surface.kernels.portable.field import evaluate_bricks
+from hpcapp.applications.surface.types.field import Field
+from hpcapp.applications.surface.types.grid import BRICK, NODES, BrickKinds, Grid
+from hpcapp.applications.surface.types.lattice import OCTANTS, find_keys, pack_places, step_keys
+from hpcapp.applications.surface.types.mesh import BrickMesh
+from hpcapp.applications.surface.types.points import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    Int32Array,
+    IntArray,
+)
+
+__all__ = ["balance_vertices", "extract_surface", "grow_surface"]
+
+
+_NEAREST = 0.002
+"""Vertices keep this share of an edge from its ends, so that no triangle has zero area."""
+
+_SLIVER = 0.16
+"""Squared edges count as if they were longer by this share of a squared grid step."""
+
+_ROUNDS = 4
+"""Of holding folds: what a vertex gets depends on nothing farther away than seven faces."""
+
+
+def extract_surface(
+    grid: Grid, places: IntArray, values: Float32Array, taken: BoolArray | None = None
+) -> BrickMesh:
+    """Extract the 0-level of the node values.
+
+    Parameters
+    ----------
+    places : ndarray of int64, shape (b, 3)
+        Sorted, as `grow_bricks` gives them.
+    values : ndarray of float32, shape (b, 9, 9, 9)
+        Negative inside, never 0.
+    taken : ndarray of bool, shape (b,), optional
+        False for bricks whose neighbours may be missing: their faces are left out there.
+
+    Returns
+    -------
+    BrickMesh
+        Closed where all bricks are there, edge- and vertex-manifold.
+
+    Raises
+    ------
+    ValueError
+        A brick that the surface enters from one that is taken is missing.
+
+    Notes
+    -----
+    The vertex on an edge belongs to the brick of the edge's lower node.
+    """
+    taken = np.ones(len(places), np.bool_) if taken is None else taken
+    inside = values < 0.0
+    numbers, vertices = _place_vertices(grid, places, values, inside)
+    faces, owner = _assemble_faces(places, inside, numbers)
+    whole = np.logical_and.reduce(faces >= 0, axis=1)
+    if not (whole | ~taken[owner]).all():
+        raise ValueError("places: a brick that the surface enters is missing")
+    return BrickMesh(
+        pack_places(places),
+        taken,
+        _count_crossed(inside).astype(np.int32),
+        np.bincount(owner[whole], minlength=len(places)).astype(np.int32),
+        vertices,
+        faces[whole],
+        np.empty(0, np.int64),
+    )
+
+
+def grow_surface(field: Field, grid: Grid, kinds: BrickKinds, threads: int = 1) -> BrickMesh:
+    """Extract the surface in a tile's own bricks, and in all that it reaches from them."""
+    del threads  # numpy runs on one
+    places, values, taken, exits = grow_bricks(
+        lambda bricks: evaluate_bricks(field, grid, bricks), kinds, grid.bricks
+    )
+    return replace(extract_surface(grid, places, values, taken), exits=exits)
+
+
+def _count_crossed(inside: BoolArray) -> IntArray:
+    """Return how many vertices each brick owns."""
+    lower = (slice(None), *[slice(0, BRICK)] * 3)
+    crossed = [inside[lower] != inside[_shifted(axis)] for axis in range(3)]
+    counts: IntArray = sum(c.sum(axis=(1, 2, 3)) for c in crossed)
+    return counts
+
+
+def _place_vertices(
+    grid: Grid, places: IntArray, values: Float32Array, inside: BoolArray
+) -> tuple[Int32Array, FloatArray]:
+    """Number the crossed edges, shape (b, 3, 8, 8, 8), and place a vertex on each."""
+    lower = (slice(None), *[slice(0, BRICK)] * 3)
+    # (b, 3, 8, 8, 8): whether the edge from each node along each axis is crossed.
+    crossed = np.empty((len(places), 3, BRICK, BRICK, BRICK), np.bool_)
+    for axis in range(3):
+        upper = _shifted(axis)
+        np.not_equal(inside[lower], inside[upper], out=crossed[:, axis])
+    # Vertices are numbered in that order; edges that are not crossed hold the one before.
+    numbers = (np.cumsum(crossed.reshape(-1)) - 1).astype(np.int32).reshape(crossed.shape)
+    brick, axis_of, *node = np.nonzero(crossed)
+    local = np.stack(node, axis=1)  # (v, 3): the lower node of each crossed edge, in its brick
+    coordinates = (BRICK * places[brick] + local).astype(np.float64)
+    coordinates[np.arange(len(brick)), axis_of] += _cross_edges(values, brick, local, axis_of)
+    return numbers, grid.origin + coordinates * grid.step
+
+
+def _cross_edges(
+    values: Float32Array, brick: IntArray, local: IntArray, axis: IntArray
+) -> FloatArray:
+    """Return how far along each edge the surface crosses it, by a parabola through its ends.
+
+    A distance bends along an edge wherever the surface is curved: straight lines would put all
+    vertices on its hollow side. The parabola bends like the smaller of the two second differences
+    of the four nodes next to the edge in its brick, and not at all where they disagree, as they
+    do at creases and at the rims of the quadrics; it is monotone.
+    """
+    rows = np.arange(len(local))
+    place = local[rows, axis]
+    nodes = local.copy()
+
+    def at(along: IntArray) -> FloatArray:
+        nodes[rows, axis] = along
+        x, y, z = nodes.T
+        value: FloatArray = values[brick, x, y, z].astype(np.float64)
+        return value
+
+    # Four nodes in a row around the edge, as far as the brick has them: (3, v) rises between
+    # them, and two second differences.
+    start = np.clip(place - 1, 0, NODES - 4)
+    rises = np.diff([at(start + i) for i in range(4)], axis=0)
+    lower, upper = np.diff(rises, axis=0)
+    first = at(place)
+    rise = at(place + 1) - first
+    smaller = np.where(np.abs(lower) < np.abs(upper), lower, upper)
+    most = np.abs(rise)
+    bend = np.where(lower * upper > 0.0, 0.5 * np.clip(smaller, -most, most), 0.0)
+    # first + slope t + bend t^2 = 0, by the root that loses no digits where bend is small.
+    slope = rise - bend
+    root = np.sqrt(slope * slope - 4.0 * bend * first)
+    share: FloatArray = 2.0 * np.abs(first) / (root + np.abs(slope))
+    return share.clip(_NEAREST, 1.0 - _NEAREST)
+
+
+def _shifted(axis: int) -> tuple[slice, ...]:
+    """Return the index of the nodes one step up along an axis from the lower 8^3."""
+    return (slice(None), *[slice(1, BRICK + 1) if a == axis else slice(0, BRICK) for a in range(3)])
+
+
+def _assemble_faces(
+    places: IntArray, inside: BoolArray, numbers: Int32Array
+) -> tuple[IntArray, IntArray]:
+    """Look up the triangles of every cell that the surface crosses, and the brick of each."""
+    # (b, 8, 8, 8): bit c is set where corner c of the cell is inside.
+    cases = np.zeros((len(places), BRICK, BRICK, BRICK), np.uint8)
+    for corner, octant in enumerate(OCTANTS):
+        index = (slice(None), *[slice(int(o), int(o) + BRICK) for o in octant])
+        cases |= inside[index].astype(np.uint8) << np.uint8(corner)
+    brick, *cell = np.nonzero((cases != 0) & (cases != 255))
+    case = cases[brick, cell[0], cell[1], cell[2]]  # (m,): of the cells that are crossed
+    vertex_of_edge = _edge_numbers(places, brick, np.stack(cell, axis=1), numbers)
+    counts = triangle_counts()[case]
+    # (f,): the cell of each triangle, and which of that cell's triangles it is.
+    owner = np.repeat(np.arange(len(case)), counts)
+    first = np.cumsum(counts) - counts
+    turn = np.arange(len(owner)) - first[owner]
+    edges = case_triangles()[case[owner], turn]
+    return vertex_of_edge[owner[:, None], edges].astype(np.int64), brick[owner]
+
+
+def _edge_numbers(
+    places: IntArray, brick: IntArray, cell: IntArray, numbers: Int32Array
+) -> Int32Array:
+    """Return the vertex number on each of the 12 edges of some cells, shape (m, 12).
+
+    Edges that are not crossed get numbers without a meaning; no triangle asks for them. -1 stands
+    for a vertex of a brick that is not there.
+    """
+    keys = pack_places(places)
+    missing = len(keys)
+    # (b, 8): the rows of the bricks that own edges of a brick's cells: itself, and those above.
+    neighbours = np.stack([find_keys(keys, step_keys(keys, o)) for o in OCTANTS], axis=1)
+    on_edges = np.empty((len(brick), len(EDGES)), np.int32)
+    for edge, (axis, corner) in enumerate(EDGES):
+        # The edge belongs to the brick of its lower node, which may be the next one.
+        node = cell + OCTANTS[corner]
+        over = node == BRICK
+        owner = neighbours[brick, over @ np.array([1, 2, 4])]
+        x, y, z = np.where(over, 0, node).T
+        number = numbers[np.where(owner == missing, 0, owner), axis, x, y, z]
+        on_edges[:, edge] = np.where(owner == missing, -1, number)
+    return on_edges
+
+
+def balance_vertices(vertices: FloatArray, faces: IntArray, step: float) -> FloatArray:
+    """Move vertices off the surface that they lie on, so that the faces balance around it.
+
+    Parameters
+    ----------
+    vertices : ndarray of float64, shape (v, 3)
+        In length units of the input.
+    faces : ndarray of int64, shape (f, 3)
+        Anticlockwise as seen from outside.
+    step : float
+        Of the grid that the faces come from, in length units of the input.
+
+    Returns
+    -------
+    ndarray of float64, shape (v, 3)
+        Vertices of faces that would turn over stay where they are.
+
+    Notes
+    -----
+    A face is a chord: where the surface is convex it lies inside, and a mesh whose vertices are
+    exact is too small. With p and q the ends of an edge and n the normals there, the surface
+    rises over the edge by about (q - p) . (n_q - n_p) / 8, two thirds of it on average; over a
+    face the mean gap is the sum over its edges of (q - p) . (n_q - n_p) / 24. Each vertex moves
+    along its normal by the area-weighted mean gap of its faces, which is never more than a
+    quarter of their longest edge. Normals are weighted as is exact on spheres, but for slivers,
+    whose normals are nothing to go by.
+
+    References
+    ----------
+    N. Max, Weights for computing vertex normals from facet normals, J. Graphics Tools 4 (1999),
+    doi:10.1080/10867651.1999.10487501.
+    """
+    crosses = _face_crosses(vertices, faces)
+    normals = _vertex_normals(vertices, faces, crosses, _SLIVER * step * step)
+    gaps = np.zeros(len(faces))  # (f,): 24 times the mean gap of each face
+    for p, q in ((0, 1), (1, 2), (2, 0)):
+        tail, head = faces[:, p], faces[:, q]
+        rise = (normals[head] - normals[tail]) * (vertices[head] - vertices[tail])
+        gaps += rise.sum(axis=1)
+    areas = np.linalg.norm(crosses, axis=1)  # (f,): twice the areas, which is as good a weight
+    weights = np.maximum(_gather(faces, areas, len(vertices)), 1e-300)
+    shifts = _gather(faces, areas * (gaps / 24.0), len(vertices)) / weights
+    return _hold_folds(vertices, vertices + normals * shifts[:, None], faces, crosses)
+
+
+def _face_crosses(vertices: FloatArray, faces: IntArray) -> FloatArray:
+    """Return the normals of the faces, of twice their area in length."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    return np.cross(b - a, c - a)
+
+
+def _vertex_normals(
+    vertices: FloatArray, faces: IntArray, crosses: FloatArray, excess: float
+) -> FloatArray:
+    """Return unit normals, each face counting 1 / (product of its two squared edges there)."""
+    # Edge k runs from corner k to the next: corner k has the edges k and k - 1.
+    edges = [vertices[faces[:, k - 2]] - vertices[faces[:, k]] for k in range(3)]
+    squares = [(edge**2).sum(axis=1) for edge in edges]
+    squares = [square + max(excess, 1e-150) for square in squares]
+    weights = np.stack([1.0 / (squares[k] * squares[k - 1]) for k in range(3)], axis=1)
+    corners = faces.reshape(-1)
+    sums = [
+        np.bincount(corners, (weights * cross[:, None]).reshape(-1), len(vertices))
+        for cross in crosses.T
+    ]
+    normals: FloatArray = np.stack(sums, axis=1, dtype=np.float64)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    return normals
+
+
+def _gather(faces: IntArray, values: FloatArray, vertices: int) -> FloatArray:
+    """Sum a value of the faces at each of their vertices, in the order of the faces."""
+    sums = np.bincount(faces.reshape(-1), np.repeat(values, 3), vertices)
+    return sums.astype(np.float64, copy=False)
+
+
+def _hold_folds(
+    vertices: FloatArray, moved: FloatArray, faces: IntArray, crosses: FloatArray
+) -> FloatArray:
+    """Put the vertices of faces that turn over back, a few times: what is held may turn others."""
+    is_held = np.zeros(len(vertices), np.bool_)
+    for _ in range(_ROUNDS):
+        folded = (crosses * _face_crosses(moved, faces)).sum(axis=1) <= 0.0
+        folded &= ~is_held[faces].all(axis=1)
+        if not folded.any():
+            break
+        is_held[faces[folded]] = True
+        moved = np.where(is_held[:, None], vertices, moved)
+    return moved

@@ -1,0 +1,71 @@
+"""Normals for points that have none: estimated, and turned to one side over the whole object.
+
+::
+
+    regions ── estimate ──> normals without a side ── patches, links ──> sides ── turn ──> normals
+
+This module takes its time to be imported (scipy), and is only where it is needed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hpcapp.applications.surface.cloud.cloud_pass import PassT
+from hpcapp.applications.surface.normals import estimation, patches
+from hpcapp.applications.surface.normals.orientation import SURE, orient_patches
+from hpcapp.applications.surface.normals.tasks import (
+    CONFIDENCE_BINS,
+    estimate_region,
+    group_region,
+    turn_region,
+)
+from hpcapp.applications.surface.types.points import FloatArray
+
+__all__ = ["turn_normals"]
+
+
+def turn_normals(
+    cloud_pass: PassT,
+    spacing: float,
+    scanners: FloatArray | None,
+    *,
+    keeps: bool,
+    attribute: str | None = None,
+) -> tuple[PassT, float, int]:
+    """Give points normals that are on one side.
+
+    Parameters
+    ----------
+    cloud_pass : CloudPass
+    spacing : float
+        Of its points, in length units of the input.
+    scanners : ndarray of float64, shape (s, 3), or None
+        Where scanners stood, in the frame of the positions.
+    keeps : bool
+        Whether the normals that are there count, but for their side; else they are estimated.
+    attribute : str, optional
+        By which name points in memory keep how sure their side is, 0 to 1.
+
+    Returns
+    -------
+    cloud_pass : CloudPass
+        Through points with unit normals.
+    sure : float
+        Share of the points whose side is sure, 0 to 1.
+    turned : int
+        How many normals are the opposites of what they were.
+    """
+    cloud = cloud_pass.cloud
+    given = cloud.low, spacing
+    margin = estimation.MARGIN * spacing
+    cloud_pass, _ = cloud_pass.rewrite(estimate_region, *given, keeps, margin=margin)
+    margin = patches.MARGIN * spacing
+    grouped = cloud_pass.each(group_region, *given, margin=margin)
+    sides = orient_patches(*patches.merge_patches(grouped), spacing, -cloud.origin, scanners)
+    del grouped
+    cloud_pass, results = cloud_pass.rewrite(turn_region, *given, sides, attribute, margin=margin)
+    turned = sum(opposite for opposite, _ in results)
+    confidences = np.sum([binned for _, binned in results], axis=0)
+    sure = float(confidences[round(SURE * CONFIDENCE_BINS) :].sum()) / len(cloud)
+    return cloud_pass, sure, turned

@@ -1,0 +1,396 @@
+"""Patches: points of one cell on one sheet, whose normals agree up to their signs.
+
+::
+
+    cell ── a seed, what lies on its plane ──> patch 0      the rest ── a seed ──> patch 1 ...
+    near points of different patches ──> links
+
+Cells lie on a lattice that does not depend on who looks, so that a patch is the same in whatever
+region it is made of. Only patches have to be turned to their side, some ten times fewer than
+points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from hpcapp.applications.surface.types.lattice import (
+    cells_of,
+    find_first,
+    find_keys,
+    merge_counts,
+    number_keys,
+    pack_places,
+    unique_keys,
+)
+from hpcapp.applications.surface.types.points import BoolArray, Float32Array, FloatArray, IntArray
+from hpccomponent.protocol.records import record
+
+__all__ = [
+    "CELL",
+    "LINKED",
+    "MARGIN",
+    "SHEETS",
+    "Links",
+    "Patches",
+    "Sides",
+    "find_patches",
+    "merge_patches",
+    "turn_points",
+]
+
+CELL = 4.0
+"""Spacings: the edge of the cells that patches are made in."""
+
+SHEETS = 12
+"""Patches of a cell at most: what is left then goes to the last."""
+_AGREE = 0.75  # |cosine| between the normals of a patch and of its seed
+_THICK = 0.35  # spacings between a seed's plane and a point on it
+_NOISES = 2.0  # or so many standard deviations of the point, where that is more
+LINKED = 8
+"""Neighbours that a point links its patch to, and one more that is itself."""
+_REACH = 4.0  # spacings: farther points are no neighbours
+
+MARGIN = _REACH + CELL * 3.0**0.5
+"""Spacings: as far as what decides over a patch and its links lies."""
+
+
+@record("surface.normal_patches")
+@dataclass(frozen=True, slots=True, eq=False)
+class Patches:
+    """Groups of points that have one side.
+
+    Parameters
+    ----------
+    keys, ranks : ndarray of int64, shape (p,)
+        The cell of each, and which of its patches it is; sorted by both.
+    counts : ndarray of int64, shape (p,)
+        Points in each.
+    centres : ndarray of float64, shape (p, 3)
+        Means of the positions, in length units of the input.
+    normals : ndarray of float64, shape (p, 3)
+        Unit length; on the side of the seed.
+    noise : ndarray of float64, shape (p,)
+        Mean standard deviation of the points around their planes, in length units of the input.
+    """
+
+    keys: IntArray
+    ranks: IntArray
+    counts: IntArray
+    centres: FloatArray
+    normals: FloatArray
+    noise: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.keys)
+
+    def take(self, rows: IntArray) -> Patches:
+        """Return some of them.
+
+        Parameters
+        ----------
+        rows : ndarray of int64, shape (q,)
+
+        Returns
+        -------
+        Patches
+        """
+        return Patches(
+            self.keys[rows],
+            self.ranks[rows],
+            self.counts[rows],
+            self.centres[rows],
+            self.normals[rows],
+            self.noise[rows],
+        )
+
+
+@record("surface.patch_links")
+@dataclass(frozen=True, slots=True, eq=False)
+class Links:
+    """Which patches touch.
+
+    Parameters
+    ----------
+    first, second : ndarray of int64, shape (l,)
+        Rows of patches, the lower one first.
+    contacts : ndarray of int64, shape (l,)
+        In how many points.
+    """
+
+    first: IntArray
+    second: IntArray
+    contacts: IntArray
+
+
+@record("surface.patch_sides")
+@dataclass(frozen=True, slots=True, eq=False)
+class Sides:
+    """On which side patches have their normals.
+
+    Parameters
+    ----------
+    keys, ranks : ndarray of int64, shape (p,)
+        See `Patches`.
+    values : ndarray of float32, shape (p,)
+        Above 0 where the patch's normal points out of the object, below it where it points
+        inwards; the confidence, 0 to 1, is how far from 0.
+    """
+
+    keys: IntArray
+    ranks: IntArray
+    values: Float32Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Grouped:
+    """Points in patches.
+
+    Parameters
+    ----------
+    patches : Patches
+    patch_of : ndarray of int64, shape (n,)
+        The patch of each point.
+    is_opposed : ndarray of bool, shape (n,)
+        Whether the point's normal is on the other side than its patch's.
+    """
+
+    patches: Patches
+    patch_of: IntArray
+    is_opposed: BoolArray
+
+
+def find_patches(
+    positions: FloatArray,
+    vectors: FloatArray | Float32Array,
+    own: BoolArray,
+    low: FloatArray,
+    spacing: float,
+) -> tuple[Patches, Links]:
+    """Find the patches that points belong to, and what these touch.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+        Of a cloud, or of a region of it and all points within `MARGIN`; in its order.
+    vectors : ndarray of float32, shape (n, 3)
+        What `estimation.estimate_normals` has returned of them.
+    own : ndarray of bool, shape (n,)
+        The points of the region.
+    low : ndarray of float64, shape (3,)
+        The least coordinates of the cloud.
+    spacing : float
+        Of the cloud, in length units of the input.
+
+    Returns
+    -------
+    patches : Patches
+        Those of the points, and those they touch.
+    links : Links
+        Between them.
+    """
+    grouped = _group_points(positions, vectors, low, spacing)
+    links = _link_patches(positions, own, grouped.patch_of, spacing)
+    wanted = np.zeros(len(grouped.patches), np.bool_)
+    for rows in (grouped.patch_of[own], links.first, links.second):
+        wanted[rows] = True
+    row_of = np.cumsum(wanted) - 1
+    kept = Links(row_of[links.first], row_of[links.second], links.contacts)
+    return grouped.patches.take(np.flatnonzero(wanted)), kept
+
+
+def merge_patches(found: Sequence[tuple[Patches, Links]]) -> tuple[Patches, Links]:
+    """Put together what was found in the regions of a cloud.
+
+    Parameters
+    ----------
+    found : sequence of tuple
+        What `find_patches` has returned of each; one or more.
+
+    Returns
+    -------
+    patches : Patches
+        Each once.
+    links : Links
+        Each once, sorted.
+    """
+    parts = [patches for patches, _ in found]
+    keys = np.concatenate([part.keys for part in parts])
+    names = number_keys(keys)[1] * SHEETS + np.concatenate([part.ranks for part in parts])
+    kept, first_rows = find_first(names)
+    row_of = np.searchsorted(kept, names)
+    starts = np.cumsum([0, *(len(part) for part in parts[:-1])])
+    ends = []
+    for side in ("first", "second"):
+        rows = zip((getattr(links, side) for _, links in found), starts, strict=True)
+        ends.append(row_of[np.concatenate([local + start for local, start in rows])])
+    contacts = np.concatenate([links.contacts for _, links in found])
+    every, sums = merge_counts(ends[0] * len(kept) + ends[1], contacts)
+    columns = [
+        np.concatenate([getattr(part, field.name) for part in parts])[first_rows]
+        for field in fields(Patches)
+    ]
+    return Patches(*columns), Links(every // len(kept), every % len(kept), sums)
+
+
+def turn_points(
+    positions: FloatArray,
+    vectors: FloatArray | Float32Array,
+    low: FloatArray,
+    spacing: float,
+    sides: Sides,
+) -> tuple[Float32Array, BoolArray, Float32Array]:
+    """Turn normals to the sides of their patches.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+        Of a cloud, or of a region of it and all points within `MARGIN`; in its order.
+    vectors : ndarray of float32, shape (n, 3)
+        What `estimation.estimate_normals` has returned of them.
+    low : ndarray of float64, shape (3,)
+        The least coordinates of the cloud.
+    spacing : float
+        Of the cloud, in length units of the input.
+    sides : Sides
+        Of all patches that points of the region belong to.
+
+    Returns
+    -------
+    normals : ndarray of float32, shape (n, 3)
+        Unit length.
+    is_turned : ndarray of bool, shape (n,)
+        Whether they are the opposites of the vectors.
+    confidences : ndarray of float32, shape (n,)
+        0 to 1; 0 for points of other patches.
+    """
+    grouped = _group_points(positions, vectors, low, spacing)
+    rows = _find_names(sides, grouped.patches)
+    values = np.append(sides.values, np.float32(0.0))[rows][grouped.patch_of]
+    is_turned = (values < 0.0) != grouped.is_opposed
+    _, normals = _split(vectors)
+    turned = np.where(is_turned[:, None], -normals, normals).astype(np.float32)
+    return turned, is_turned, np.abs(values)
+
+
+def _group_points(
+    positions: FloatArray, vectors: FloatArray | Float32Array, low: FloatArray, spacing: float
+) -> _Grouped:
+    """Group the points of whole cells; what comes of cells that are not is no patch."""
+    noise, normals = _split(vectors)
+    places = np.floor(cells_of(positions, low, CELL * spacing)).astype(np.int64)
+    keys, cell_of = number_keys(pack_places(places))
+    thick = np.maximum(_THICK * spacing, _NOISES * noise)
+    ranks = np.zeros(len(positions), np.int64)
+    opposed = np.zeros(len(positions), np.bool_)
+    left = np.argsort(cell_of, kind="stable")
+    for rank in range(SHEETS):
+        seeds = _find_seeds(positions, left, cell_of)
+        arms = positions[left] - positions[seeds]
+        cosines = _dot(normals[left], normals[seeds])
+        is_on = np.abs(_dot(arms, normals[seeds])) <= thick[left]
+        is_on &= np.abs(_dot(arms, normals[left])) <= thick[left]
+        is_on &= np.abs(cosines) >= _AGREE
+        is_on |= (left == seeds) | (rank == SHEETS - 1)
+        ranks[left[is_on]] = rank
+        opposed[left[is_on]] = cosines[is_on] < 0.0
+        left = left[~is_on]
+        if not len(left):
+            break
+    names, patch_of = number_keys(cell_of * SHEETS + ranks)
+    patches = _describe(
+        (keys[names // SHEETS], names % SHEETS),
+        patch_of,
+        positions,
+        np.where(opposed[:, None], -normals, normals),
+        noise,
+    )
+    return _Grouped(patches, patch_of, opposed)
+
+
+def _link_patches(
+    positions: FloatArray, own: BoolArray, patch_of: IntArray, spacing: float
+) -> Links:
+    """Find the patches that lie among the neighbours of a region's own points."""
+    from scipy.spatial import cKDTree  # takes its time, and every task imports this module
+
+    rows = np.flatnonzero(own)
+    tree, found = cKDTree(positions), [np.zeros(0, np.int64)]
+    patches = int(patch_of.max(initial=-1)) + 1
+    for start in range(0, len(rows), 1 << 15):
+        some = rows[start : start + (1 << 15)]
+        far, near = tree.query(positions[some], LINKED + 2, distance_upper_bound=_REACH * spacing)
+        is_near = far[:, :-1] < far[:, -1:]
+        first = np.broadcast_to(patch_of[some, None], is_near.shape)[is_near]
+        second = patch_of[near[:, :-1][is_near]]
+        differ = first != second
+        first, second = first[differ], second[differ]
+        found.append(np.minimum(first, second) * patches + np.maximum(first, second))
+    names, link_of = number_keys(np.concatenate(found))
+    contacts = np.bincount(link_of, minlength=len(names))
+    return Links(names // max(patches, 1), names % max(patches, 1), contacts)
+
+
+def _find_names(sides: Sides, wanted: Patches) -> IntArray:
+    """Return where patches stand among those with sides; beyond the last where they do not."""
+    keys = unique_keys(sides.keys)
+    names = find_keys(keys, sides.keys) * SHEETS + sides.ranks
+    return find_keys(names, find_keys(keys, wanted.keys) * SHEETS + wanted.ranks)
+
+
+def _split(vectors: FloatArray | Float32Array) -> tuple[FloatArray, FloatArray]:
+    """Return the lengths of vectors, and the same ones of unit length."""
+    wide = vectors.astype(np.float64)
+    lengths = np.sqrt(_dot(wide, wide))
+    return lengths, wide / np.maximum(lengths, 1e-300)[:, None]
+
+
+def _find_seeds(positions: FloatArray, rows: IntArray, cell_of: IntArray) -> IntArray:
+    """Return for each row the point of its cell nearest to the middle of the rows there.
+
+    The rows of a cell stand side by side.
+    """
+    cells = cell_of[rows]
+    starts = np.flatnonzero(np.append(True, cells[1:] != cells[:-1]))
+    group_of = np.repeat(np.arange(len(starts)), np.diff(np.append(starts, len(rows))))
+    middles = _means(positions[rows], group_of, len(starts))
+    arms = positions[rows] - middles[group_of]
+    squares = _dot(arms, arms)
+    nearest = np.minimum.reduceat(squares, starts)
+    candidates = np.flatnonzero(squares == nearest[group_of])
+    _, first = find_first(group_of[candidates])
+    return rows[candidates[first]][group_of]
+
+
+def _describe(
+    names: tuple[IntArray, IntArray],
+    patch_of: IntArray,
+    positions: FloatArray,
+    normals: FloatArray,
+    noise: FloatArray,
+) -> Patches:
+    count = len(names[0])
+    directions = _means(normals, patch_of, count)
+    lengths = np.sqrt(_dot(directions, directions))
+    return Patches(
+        *names,
+        np.bincount(patch_of, minlength=count),
+        _means(positions, patch_of, count),
+        directions / np.maximum(lengths, 1e-300)[:, None],
+        _means(noise[:, None], patch_of, count)[:, 0],
+    )
+
+
+def _means(values: FloatArray, group_of: IntArray, groups: int) -> FloatArray:
+    """Return the mean of each group, summed in the order of the rows."""
+    counts = np.maximum(np.bincount(group_of, minlength=groups), 1)
+    sums = [np.bincount(group_of, column, groups) for column in values.T]
+    return np.stack(sums, axis=1) / counts[:, None]
+
+
+def _dot(first: FloatArray, second: FloatArray) -> FloatArray:
+    dots: FloatArray = np.einsum("ij,ij->i", first, second)
+    return dots

@@ -1,0 +1,146 @@
+"""What is known of the sides of normals: whether they contradict each other, how they came about.
+
+Every job asks; what estimates normals (`normals`) is only imported where it is needed.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from typing import Any
+
+from hpcapp.applications.surface.cloud.cloud_pass import CloudPass, PassT
+from hpcapp.applications.surface.cloud.measure import draw_boxes
+from hpcapp.applications.surface.normals import patches
+from hpcapp.applications.surface.normals.consistency import share_opposed
+from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.progress import StageClock
+
+__all__ = ["Oriented", "is_contradicting", "orient_cloud"]
+
+log = logging.getLogger("hpcapp")
+
+_SAMPLE = 20_000  # points that show whether normals contradict each other
+_CONTRADICTING = 0.12  # share of opposite pairs: 6 in 100 turned round
+_DOUBTFUL = 0.9  # share of points whose side is sure, below which somebody should look
+
+
+@dataclass(frozen=True, slots=True)
+class Oriented:
+    """How the normals of a cloud came about.
+
+    Parameters
+    ----------
+    source : str
+        ``file`` or ``estimated``.
+    sure : float
+        Share of the points whose side is sure, 0 to 1.
+    turned : int
+        How many normals of the file were turned round, patch by patch.
+    contradict : bool
+        Whether they contradict each other, and were taken as they are.
+    """
+
+    source: str
+    sure: float
+    turned: int = 0
+    contradict: bool = False
+
+    @property
+    def warnings(self) -> list[str]:
+        """What should make the user doubt them."""
+        found = []
+        if self.contradict:
+            found.append(
+                "normals of neighbouring points contradict each other, the mesh means little: "
+                "orient them consistently (e.g. in CloudCompare or MeshLab), or leave --normals "
+                "file out"
+            )
+        if self.turned:
+            found.append(
+                f"the normals contradict each other: {self.turned} were turned round, so that all "
+                "are on one side; --normals file takes them as they are"
+            )
+        if self.sure < _DOUBTFUL:
+            found.append(
+                f"the side of {100.0 * (1.0 - self.sure):.1f} % of the normals is unsure: say "
+                "where the scanner stood (--viewpoint)"
+            )
+        return found
+
+    def report(self, shown: str) -> None:
+        """Log how they came about.
+
+        Parameters
+        ----------
+        shown : str
+            The input, for the messages.
+        """
+        if self.source != "file":
+            sure = 100.0 * self.sure
+            log.info("%s: normals: estimated; %.1f %% of the points surely oriented", shown, sure)
+        for warning in self.warnings:
+            log.warning("warning: %s: %s", shown, warning)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the same for the job's report."""
+        return {"source": self.source, "sure": round(self.sure, 4), "turned": self.turned}
+
+
+def orient_cloud(
+    cloud_pass: PassT,
+    spacing: float,
+    wanted: str,
+    scanners: FloatArray | None,
+    clock: StageClock,
+    *,
+    has_normals: bool,
+    is_oriented: bool = True,
+    attribute: str | None = None,
+) -> tuple[PassT, Oriented]:
+    """Give points normals where they have none, or such that contradict each other.
+
+    Parameters
+    ----------
+    cloud_pass : CloudPass
+    spacing : float
+        Of its points, in length units of the input.
+    wanted : str
+        ``file``: they are taken as they are, where there are some.
+    scanners : ndarray of float64, shape (s, 3), or None
+        Where scanners stood, in the file's coordinates.
+    clock : StageClock
+    has_normals, is_oriented : bool
+        Whether the points have normals, and whether the file says that these have a side.
+    attribute : str, optional
+        By which name points in memory keep how sure their side is, 0 to 1.
+
+    Returns
+    -------
+    cloud_pass : CloudPass
+        Through points with unit normals.
+    oriented : Oriented
+    """
+    if has_normals:
+        contradict = is_contradicting(cloud_pass, spacing)
+        if wanted == "file":
+            return cloud_pass, Oriented("file", 1.0, contradict=contradict)
+        if is_oriented and not contradict:
+            return cloud_pass, Oriented("file", 1.0)
+    from hpcapp.applications.surface.normals.drive import turn_normals  # scipy takes its time
+
+    local = None if scanners is None else scanners - cloud_pass.cloud.origin
+    with clock.stage("normals"):
+        turned_pass, sure, turned = turn_normals(
+            cloud_pass, spacing, local, keeps=has_normals, attribute=attribute
+        )
+    if has_normals:
+        return turned_pass, Oriented("file", sure, turned)
+    return turned_pass, Oriented("estimated", sure)
+
+
+def is_contradicting(cloud_pass: CloudPass, spacing: float) -> bool:
+    """Tell whether normals contradict each other: more than one in twenty, or so, is wrong."""
+    edge, points = patches.CELL * spacing, len(cloud_pass.cloud)
+    sample = draw_boxes(cloud_pass, edge, points // _SAMPLE + 1)
+    return share_opposed(*sample, cloud_pass.cloud.low, edge, spacing) > _CONTRADICTING

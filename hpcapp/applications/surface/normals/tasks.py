@@ -1,0 +1,104 @@
+"""The tasks that give a cloud normals, region by region; each is a pure function of its points.
+
+::
+
+    region ── estimate_region ──> normals without a side, as long as the noise
+    region ── group_region ──> patches and links ──> master: their sides
+    region ── turn_region ──> unit normals, each on its side
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hpcapp.applications.surface.cloud.patterns import region_bytes
+from hpcapp.applications.surface.cloud.regions import RegionPoints, Replaced
+from hpcapp.applications.surface.normals.estimation import estimate_normals, keep_directions
+from hpcapp.applications.surface.normals.patches import (
+    Links,
+    Patches,
+    Sides,
+    find_patches,
+    turn_points,
+)
+from hpcapp.applications.surface.normals.patterns import (
+    CONFIDENCE_BINS,
+    estimated_region,
+    grouped_region,
+    turned_region,
+)
+from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpccomponent.runtime.tasks import declare
+
+__all__ = ["CONFIDENCE_BINS", "estimate_region", "group_region", "turn_region"]
+
+
+@declare(result=estimated_region, limit=region_bytes(40))
+def estimate_region(
+    points: RegionPoints, low: FloatArray, spacing: float, keeps: bool
+) -> tuple[Replaced]:
+    """Estimate the normals of a region (a task).
+
+    Parameters
+    ----------
+    points : RegionPoints
+        With a margin of `estimation.MARGIN` spacings.
+    low, spacing
+        As for `estimation.estimate_normals`, whose result the normals are.
+    keeps : bool
+        Whether the directions that are there stay, and only lengths are estimated.
+    """
+    region = points.take()
+    vectors = estimate_normals(region.positions, region.own, low, spacing)
+    if keeps:
+        vectors = keep_directions(vectors, region.normals[region.own])
+    return (region.replace_normals(vectors, {}),)
+
+
+@declare(result=grouped_region, limit=region_bytes(1024))
+def group_region(points: RegionPoints, low: FloatArray, spacing: float) -> tuple[Patches, Links]:
+    """Find the patches of a region (a task).
+
+    Parameters
+    ----------
+    points : RegionPoints
+        With a margin of `patches.MARGIN` spacings, of a cloud with estimated normals.
+    low, spacing
+        As for `patches.find_patches`, whose result this is.
+    """
+    region = points.take()
+    return find_patches(region.positions, region.normals, region.own, low, spacing)
+
+
+@declare(result=turned_region, limit=region_bytes(40))
+def turn_region(
+    points: RegionPoints, low: FloatArray, spacing: float, sides: Sides, attribute: str | None
+) -> tuple[Replaced, int, IntArray]:
+    """Turn the normals of a region to their side (a task).
+
+    Parameters
+    ----------
+    points : RegionPoints
+        With a margin of `patches.MARGIN` spacings, of a cloud with estimated normals.
+    low, spacing, sides
+        As for `patches.turn_points`; the sides of all patches.
+    attribute : str or None
+        By which name points in memory keep how sure their side is, 0 to 1.
+
+    Returns
+    -------
+    replaced : Replaced
+        With unit normals.
+    turned : int
+        How many of these are the opposites of what they were.
+    confidences : ndarray of int64, shape (100,)
+        How many points have a confidence of 0 to 0.01, 0.01 to 0.02 ...
+    """
+    region = points.take()
+    columns = turn_points(region.positions, region.normals, low, spacing, sides)
+    normals, is_turned, confidences = (column[region.own] for column in columns)
+    bins = np.minimum((confidences * CONFIDENCE_BINS).astype(np.int64), CONFIDENCE_BINS - 1)
+    counts = np.bincount(bins, minlength=CONFIDENCE_BINS)
+    attributes = {} if attribute is None else {attribute: confidences}
+    replaced = region.replace_normals(normals.astype(np.float64), attributes)
+    return replaced, int(np.count_nonzero(is_turned)), counts

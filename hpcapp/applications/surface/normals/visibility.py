@@ -1,0 +1,177 @@
+"""Which side of a patch is seen from somewhere: what was scanned was seen from free space.
+
+::
+
+    viewpoints around the object, or where scanners stood
+      each: patches ── six faces of a cube around it ── the nearest in each pixel ──> seen or hidden
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from hpcapp.applications.surface.normals.patches import CELL, Patches
+from hpcapp.applications.surface.types.lattice import find_first
+from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
+
+__all__ = ["find_seen", "poll_views", "stand_inside", "surround"]
+
+_PIXEL = 1.5 * CELL  # spacings: two patches of a sheet are seen in a pixel
+_LEAST_COSINE = 0.25  # of the angle between a normal and the line of sight
+_THICK = 0.5  # spacings that a patch may lie behind the plane of what is seen
+_NOISES = 3.0  # or so many standard deviations of it, where that is more
+_DISTANCE = 2.5  # of the viewpoints around an object, in half diagonals of its box
+_PLACES = 5  # inside an object along each side of its box
+_INSIDE = 27  # of them are looked from
+_CLOSE = 4  # sizes of pixels, each twice the last, for patches near the viewpoint
+
+
+def surround(patches: Patches, count: int) -> FloatArray:
+    """Return viewpoints all around an object.
+
+    Parameters
+    ----------
+    patches : Patches
+    count : int
+
+    Returns
+    -------
+    ndarray of float64, shape (count, 3)
+        On a sphere, evenly, in length units of the input.
+    """
+    low, high = patches.centres.min(axis=0), patches.centres.max(axis=0)
+    radius = _DISTANCE * 0.5 * float(np.sqrt(((high - low) ** 2).sum()))
+    number = np.arange(count) + 0.5
+    up = 1.0 - 2.0 * number / count
+    turn, level = number * np.pi * (3.0 - np.sqrt(5.0)), np.sqrt(1.0 - up**2)
+    sphere = np.stack([level * np.cos(turn), level * np.sin(turn), up], axis=1)
+    viewpoints: FloatArray = 0.5 * (low + high) + radius * sphere
+    return viewpoints
+
+
+def stand_inside(patches: Patches) -> FloatArray:
+    """Return viewpoints inside the box of an object, in its emptiest places.
+
+    Parameters
+    ----------
+    patches : Patches
+
+    Returns
+    -------
+    ndarray of float64, shape (27, 3)
+        In length units of the input.
+    """
+    low, high = patches.centres.min(axis=0), patches.centres.max(axis=0)
+    shares = np.arange(1, _PLACES + 1) / (_PLACES + 1)
+    grid = np.stack(np.meshgrid(shares, shares, shares, indexing="ij"), axis=-1).reshape(-1, 3)
+    places = low + grid * (high - low)
+    free = cKDTree(patches.centres).query(places)[0]
+    emptiest: FloatArray = places[np.argsort(-free, kind="stable")[:_INSIDE]]
+    return emptiest
+
+
+def poll_views(
+    patches: Patches, viewpoints: FloatArray, spacing: float
+) -> tuple[FloatArray, FloatArray]:
+    """Ask viewpoints which side of each patch they see.
+
+    Parameters
+    ----------
+    patches : Patches
+    viewpoints : ndarray of float64, shape (v, 3)
+        In length units of the input.
+    spacing : float
+        Of the cloud, in length units of the input.
+
+    Returns
+    -------
+    front, back : ndarray of float64, shape (p,)
+        Cosines between the normal, or its opposite, and the directions it is seen from, summed.
+    """
+    front, back = np.zeros(len(patches)), np.zeros(len(patches))
+    for viewpoint in viewpoints:
+        cosines, is_seen = find_seen(patches, viewpoint, spacing)
+        front += np.where(is_seen & (cosines > 0.0), cosines, 0.0)
+        back -= np.where(is_seen & (cosines < 0.0), cosines, 0.0)
+    return front, back
+
+
+def find_seen(
+    patches: Patches, viewpoint: FloatArray, spacing: float
+) -> tuple[FloatArray, BoolArray]:
+    """Find the patches that are seen from a viewpoint.
+
+    Parameters
+    ----------
+    patches : Patches
+    viewpoint : ndarray of float64, shape (3,)
+        In length units of the input.
+    spacing : float
+        Of the cloud, in length units of the input.
+
+    Returns
+    -------
+    cosines : ndarray of float64, shape (p,)
+        Of the angle between the normal and the direction to the viewpoint.
+    is_seen : ndarray of bool, shape (p,)
+        Those seen at less than 75 degrees that nothing lies in front of.
+
+    Notes
+    -----
+    In each pixel the nearest patch hides what lies behind its plane. Pixels are as large as one
+    and a half patches at the median distance; a nearer patch fills larger ones.
+    """
+    arms = viewpoint - patches.centres
+    far = np.maximum(np.sqrt(np.einsum("ij,ij->i", arms, arms)), 1e-300)
+    cosines = np.einsum("ij,ij->i", arms, patches.normals) / far
+    thick = np.maximum(_THICK * spacing, _NOISES * patches.noise)
+    places, sides = _project(arms)
+    pixel = _PIXEL * spacing / float(np.median(far))
+    near = np.maximum(_PIXEL * spacing / far / pixel, 1e-300)
+    level_of = np.clip(np.ceil(np.log2(near)), 0, _CLOSE - 1).astype(np.int64)
+    is_seen = np.abs(cosines) > _LEAST_COSINE
+    for level in range(int(level_of.max(initial=0)) + 1):
+        drawn = np.flatnonzero(level_of == level)
+        if len(drawn):
+            pixels = _name_pixels(places, sides, pixel * 2.0**level)
+            is_seen &= ~_find_hidden(patches, cosines, far, thick, pixels, drawn)
+    return cosines, is_seen
+
+
+def _find_hidden(
+    patches: Patches,
+    cosines: FloatArray,
+    far: FloatArray,
+    thick: FloatArray,
+    pixels: IntArray,
+    drawn: IntArray,
+) -> BoolArray:
+    """Tell which patches lie behind the nearest of those drawn in their pixel."""
+    order = drawn[np.lexsort((far[drawn], pixels[drawn]))]
+    names, first = find_first(pixels[order])
+    nearest = order[first]
+    at = np.minimum(np.searchsorted(names, pixels), len(names) - 1)
+    front = nearest[at]
+    arms = patches.centres - patches.centres[front]
+    above = np.einsum("ij,ij->i", arms, patches.normals[front]) * np.sign(cosines[front])
+    is_hidden: BoolArray = (names[at] == pixels) & (above < -thick) & (far > far[front])
+    return is_hidden
+
+
+def _project(arms: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Return where arms meet the faces of a cube of half edge 1, and which of the six faces."""
+    axes = np.argmax(np.abs(arms), axis=1)
+    rows = np.arange(len(arms))
+    depth = arms[rows, axes]
+    scale = np.where(np.abs(depth) > 0.0, depth, 1.0)
+    across = [arms[rows, (axes + step) % 3] / np.abs(scale) for step in (1, 2)]
+    return np.stack(across, axis=1), 2 * axes + (depth > 0.0)
+
+
+def _name_pixels(places: FloatArray, sides: IntArray, pixel: float) -> IntArray:
+    """Return a number for the pixel of each place."""
+    edge = int(np.ceil(2.0 / pixel)) + 1
+    columns = np.floor((places + 1.0) / pixel).astype(np.int64)
+    names: IntArray = (sides * edge + columns[:, 0]) * edge + columns[:, 1]
+    return names

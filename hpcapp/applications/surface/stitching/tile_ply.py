@@ -1,0 +1,138 @@
+"""A part as a PLY of its own: workers write a folder of tiles themselves.
+
+A vertex on a seam is in each of its tiles, at the very same place: those of other parts are read
+where these are kept.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+
+import numpy as np
+
+from hpcapp.applications.surface.extraction.part_places import PartPlaces, place_faces
+from hpcapp.applications.surface.extraction.parts import MeshPart
+from hpcapp.applications.surface.kernels.freed_memory import leave_for_files
+from hpcapp.applications.surface.stitching.shared_ply import face_rows, mesh_header, vertex_rows
+from hpcapp.applications.surface.types.lattice import number_keys, unique_keys
+from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.applications.surface.types.result_patterns import SMALL_BYTES, WRITTEN
+from hpccomponent.errors import OutputError
+from hpccomponent.files.checksum import note_written
+from hpccomponent.runtime.tasks import declare
+from hpccomponent.store.places import hold_store
+
+__all__ = ["cut_tile", "write_kept_tile"]
+
+
+def cut_tile(
+    part: MeshPart, places: PartPlaces, locate: Callable[[IntArray], FloatArray]
+) -> tuple[FloatArray, IntArray]:
+    """Return what a part gives to the mesh as a mesh of its own.
+
+    Parameters
+    ----------
+    part : MeshPart
+    places : PartPlaces
+        From the plan of the weld.
+    locate : callable
+        Returns where foreign vertices are, by their rows among those of the part.
+
+    Returns
+    -------
+    vertices : ndarray of float64, shape (v, 3)
+    faces : ndarray of int64, shape (f, 3)
+    """
+    faces, _, _ = place_faces(part, places, np.flatnonzero(places.face_starts >= 0))
+    used, corners = number_keys(faces.reshape(-1))
+    vertices = np.empty((len(used), 3))
+    own = used >= 0
+    vertices[own] = part.vertices[used[own]]
+    vertices[~own] = locate(~used[~own].astype(np.int64))
+    return vertices, corners.reshape(-1, 3)
+
+
+@declare(result=WRITTEN, limit=SMALL_BYTES, is_verified=False)
+def write_kept_tile(
+    kept: tuple[str, str],
+    places: PartPlaces,
+    foreign: tuple[tuple[str, ...], IntArray, IntArray],
+    ply: tuple[str, str, bool, FloatArray],
+) -> bool:
+    """Write a part that is kept into a folder of tiles (a task).
+
+    Run twice, even at once, it writes the same bytes to the same places.
+
+    Parameters
+    ----------
+    kept : tuple of str
+        The store (see `store.places`) and the name of what `tiles.mesh_tile` put there.
+    places : PartPlaces
+    foreign : tuple
+        Names of other parts, and of each foreign vertex which of them has it, and in which row.
+    ply : tuple
+        The file, in a folder that has another name while it is written; the name that the folder
+        will have; whether coordinates are ``double``; what is to be added to them.
+
+    Returns
+    -------
+    bool
+        Whether it is written, or has no faces: not where this process does not see the parts, or
+        sees no such folder or may not write there.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    JobError, CloudError
+        A part cannot be read.
+    """
+    leave_for_files()  # what tiles have left
+    (place, name), (path, target, is_double, origin) = kept, ply
+    if not os.access(os.path.dirname(path), os.W_OK | os.X_OK):
+        return False
+    store = hold_store(place)
+    if not all(store.has(wanted) for wanted in (name, *foreign[0])):
+        return False
+
+    def load(name: str) -> MeshPart:
+        part: MeshPart = store.get(name)[0]
+        return part
+
+    def locate(wanted: IntArray) -> FloatArray:
+        return _locate(foreign, wanted, load)
+
+    vertices, faces = cut_tile(load(name), places, locate)
+    if not len(faces):
+        return True
+    try:
+        # Not cut to nothing first: who is late must not damage what is done.
+        with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT, 0o666), "wb") as file:
+            for piece in (
+                mesh_header(len(vertices), len(faces), is_double),
+                vertex_rows(vertices, origin, is_double).data,
+                face_rows(faces).data,
+            ):
+                file.write(piece)
+                note_written(piece)
+    except OSError as error:
+        raise OutputError(
+            f"{target}: cannot be written: {error.strerror or error}",
+            "check that its folder has room and lets you write",
+        ) from error
+    return True
+
+
+def _locate(
+    foreign: tuple[tuple[str, ...], IntArray, IntArray],
+    wanted: IntArray,
+    load: Callable[[str], MeshPart],
+) -> FloatArray:
+    """Return where foreign vertices are, from the parts that have them."""
+    names, owners, rows = foreign
+    found = np.empty((len(wanted), 3))
+    for index in unique_keys(owners[wanted]).tolist():
+        there = owners[wanted] == index
+        found[there] = load(names[index]).vertices[rows[wanted[there]]]
+    return found

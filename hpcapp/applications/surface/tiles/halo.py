@@ -1,0 +1,203 @@
+"""What a tile may grow into, and which vertices of the lattices that takes.
+
+::
+
+    own bricks ── 1 further ──> open ones ── 2 further ──> the rim ── a cell further ──> vertices
+
+A brick that holds points belongs to the first tile that has one of them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.types.grid import (
+    BESIDE,
+    BRICK,
+    FOREIGN,
+    OPEN,
+    OUT,
+    OWN,
+    BrickKinds,
+    Grid,
+)
+from hpcapp.applications.surface.types.lattice import find_keys, unpack_keys
+from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
+
+__all__ = [
+    "HALO_STEPS",
+    "cut_slab",
+    "mark_near",
+    "near_bricks",
+    "plan_gap",
+    "plan_tile",
+    "plan_whole",
+]
+
+
+HALO_STEPS = 3 * BRICK
+"""Grid steps from a point of a tile to the farthest node that its bricks and their rim have."""
+
+
+def mark_near(
+    keys: IntArray, cells: IntArray, low: IntArray | int, high: IntArray | int
+) -> BoolArray:
+    """Tell which of some keys lie in boxes around some cells.
+
+    Parameters
+    ----------
+    keys, cells : ndarray of int64, shapes (k,) and (c,)
+        Sorted keys of one lattice.
+    low, high : ndarray of int64, shape (3,), or int
+        How many cells a box reaches down and up along each axis.
+    """
+    sides = (np.ascontiguousarray(np.broadcast_to(side, 3), np.int64) for side in (low, high))
+    return kernels.mark_near(keys, cells, *sides)
+
+
+def plan_whole(grid: Grid, positions: FloatArray) -> BrickKinds:
+    """Let the surface of a whole cloud grow wherever it gets: all bricks are `OWN` or `OPEN`."""
+    kinds = BrickKinds(np.zeros(3, np.int64), np.full(grid.bricks, OPEN, np.uint8))
+    kinds.mark(kernels.seed_bricks(grid, positions), OWN)
+    return kinds
+
+
+def cut_slab(kinds: BrickKinds, first: int, end: int) -> BrickKinds:
+    """Cut a slab out of a tile, with the bricks beside it.
+
+    Parameters
+    ----------
+    kinds : BrickKinds
+        Of the tile.
+    first, end : int
+        The slab has the layers of bricks from `first` to before `end` along x.
+
+    Returns
+    -------
+    BrickKinds
+        A copy: the tile's own bricks beside the slab are `FOREIGN` there, open ones `BESIDE`.
+    """
+    start = int(kinds.first[0])
+    low, high = max(first - 1, start), min(end + 1, start + len(kinds.kinds))
+    cut = kinds.kinds[low - start : high - start].copy()
+    for beside in (cut[: first - low], cut[end - low :]):
+        beside[beside == OWN] = FOREIGN
+        beside[beside == OPEN] = BESIDE
+    return BrickKinds(np.array([low, *kinds.first[1:]]), cut)
+
+
+def plan_tile(grid: Grid, own: IntArray, earlier: IntArray, later: IntArray) -> BrickKinds | None:
+    """Tell how far a tile may grow.
+
+    Parameters
+    ----------
+    own, earlier, later : ndarray of int64
+        Sorted keys of the bricks that hold points of the tile, and points around it that belong to
+        tiles before and after it.
+
+    Returns
+    -------
+    BrickKinds or None
+        None where every brick of the tile belongs to one before it.
+    """
+    own = own[find_keys(earlier, own) == len(earlier)]  # a brick is that of the first tile in it
+    if not len(own):
+        return None
+    places = unpack_keys(own)
+    # A box of bricks, two beyond the tile's own, which are marked in it; what is next to these may
+    # grow, and what is next to that may only be evaluated.
+    first = np.maximum(places.min(axis=0) - 2, 0)
+    end = np.minimum(places.max(axis=0) + 3, grid.bricks)
+    mask = np.zeros(end - first, np.bool_)
+    mask[tuple((places - first).T)] = True
+    beside = _dilate(mask)
+    kinds = BrickKinds(first, np.where(_dilate(beside), BESIDE, OUT).astype(np.uint8))
+    kinds.kinds[beside] = OPEN
+    for foreign in (earlier, later):
+        kinds.mark(foreign[kinds.at(foreign) != OUT], FOREIGN)
+    kinds.kinds[mask] = OWN
+    return kinds
+
+
+def plan_gap(
+    grid: Grid, exits: IntArray, seeds: IntArray, missing: FloatArray, size: float, reach: float
+) -> BrickKinds:
+    """Tell how far the surface may be followed from bricks without points, as over a hole.
+
+    Parameters
+    ----------
+    exits : ndarray of int64, shape (e,)
+        Keys of the bricks to begin with.
+    seeds : ndarray of int64
+        Sorted keys of the bricks that hold points around them.
+    missing : ndarray of float64, shape (c, 3)
+        Low corners of the cells whose points are not known here.
+    size : float
+        Edge of these cells.
+    reach : float
+        How far a point matters, all in length units of the input.
+    """
+    edge = BRICK * grid.step
+    # (x, y, z) of the grid: bricks of which every point that matters is known here.
+    known_all = np.ones(grid.bricks, np.bool_)
+    low = np.floor((missing - reach - grid.origin) / edge).astype(np.int64)
+    high = np.floor((missing + size + reach - grid.origin) / edge).astype(np.int64) + 1
+    for first, end in zip(np.maximum(low, 0), high, strict=True):
+        known_all[first[0] : end[0], first[1] : end[1], first[2] : end[2]] = False
+    inner = ~_dilate(~known_all)
+    kinds = np.where(inner, OPEN, np.where(known_all, BESIDE, OUT)).astype(np.uint8)
+    gap = BrickKinds(np.zeros(3, np.int64), kinds)
+    gap.mark(seeds[gap.at(seeds) != OUT], FOREIGN)
+    gap.mark(exits, OWN)
+    return gap
+
+
+def near_bricks(
+    kinds: BrickKinds,
+    grid: Grid,
+    cells: IntArray,
+    origin: FloatArray,
+    cell_size: float,
+    reach: float,
+) -> BoolArray:
+    """Tell which cells have a brick that may be evaluated within reach of their middle.
+
+    Parameters
+    ----------
+    cells : ndarray of int64, shape (c,)
+        Sorted keys.
+    origin : ndarray of float64, shape (3,)
+        Where corner (0, 0, 0) of the cells lies, in length units of the input.
+    cell_size, reach : float
+        Likewise; the reach along every axis.
+
+    Returns
+    -------
+    ndarray of bool, shape (c,)
+        True also for some beyond, where the reach is longer than half a brick.
+    """
+    edge = BRICK * grid.step
+    wanted = kinds.kinds != OUT
+    far = int(np.ceil(max(0.0, reach / edge - 0.5)))  # bricks, beyond what two lookups see
+    wanted = np.pad(wanted, far + 1)
+    for _ in range(far):
+        wanted = _dilate(wanted)
+    pairs = wanted.astype(np.uint8)  # bit a + 2 b + 4 c: also the next one along x, y, z
+    for axis in range(3):
+        ahead = np.roll(pairs, -1, axis=axis)
+        pairs |= (pairs | ahead) << np.uint8(1 << axis)
+    corner, margin = grid.origin + edge * kinds.first, min(reach, 0.5 * edge)
+    return kernels.look_near(cells, origin, cell_size, pairs, corner, edge, margin, far + 1)
+
+
+def _dilate(mask: BoolArray) -> BoolArray:
+    """Add the 26 neighbours, one axis after the other."""
+    for axis in range(3):
+        grown = mask.copy()
+        ahead, behind = [slice(None)] * 3, [slice(None)] * 3
+        ahead[axis], behind[axis] = slice(1, None), slice(None, -1)
+        grown[tuple(ahead)] |= mask[tuple(behind)]
+        grown[tuple(behind)] |= mask[tuple(ahead)]
+        mask = grown
+    return mask

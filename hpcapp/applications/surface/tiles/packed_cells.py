@@ -1,0 +1,101 @@
+"""Packed points in the order of the finest cells that they lie in, as a tile holds them.
+
+::
+
+    blocks of a cloud ── those in wanted coarse cells, sorted ──> 28 bytes a point
+                            │ some cells of them, when they are asked for
+                            └──> positions and normals: 48 bytes, bit for bit those of the cloud
+
+The functions of arrays are kernels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.cloud.arrangement import (
+    Arrangement,
+    PackedPoints,
+    unpacking_arguments,
+)
+from hpcapp.applications.surface.types.grid import Grid
+from hpcapp.applications.surface.types.points import (
+    BoolArray,
+    ByteArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+)
+
+__all__ = ["PackedRows", "sort_tile"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PackedRows:
+    """Packed points in the order of their cells; see `cell_points.CellRows`.
+
+    Parameters
+    ----------
+    records : ndarray of float32, shape (n, 6)
+        Offset within its block, in blocks, and normal of each point.
+    blocks : ndarray of uint32, shape (n,)
+        Where the corner of each point's block stands.
+    corners : ndarray of float64, shape (b, 3)
+        Of the blocks, in length units of the input.
+    edge : float
+        Of a block, likewise.
+    """
+
+    records: Float32Array
+    blocks: NDArray[np.uint32]
+    corners: FloatArray
+    edge: float
+
+    def __len__(self) -> int:
+        return len(self.records)
+
+    def place(
+        self, rows: slice, origin: FloatArray, cell_size: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """See `cell_points.CellRows`."""
+        given = self.records[rows], self.blocks[rows], self.corners, self.edge, origin, cell_size
+        return kernels.place_packed(*given)
+
+    def seed_bricks(self, grid: Grid, offsets: IntArray, wanted: BoolArray) -> IntArray:
+        """See `cell_points.CellRows`."""
+        packed = self.records, self.blocks, self.corners, self.edge
+        return kernels.seed_packed(*packed, offsets, wanted, grid)
+
+
+def sort_tile(
+    arrangement: Arrangement,
+    packed: PackedPoints,
+    origin: FloatArray,
+    cell_size: float,
+    depth: int,
+    wanted: IntArray,
+    numbers: ByteArray,
+) -> tuple[IntArray, IntArray, PackedRows, ByteArray]:
+    """Sort those of some packed points that lie in some coarse cells by the finest cells.
+
+    Returns
+    -------
+    cells : ndarray of int64, shape (c,)
+        Sorted keys of the occupied finest cells.
+    offsets : ndarray of int64, shape (c + 1,)
+        Cell i holds the points offsets[i] to offsets[i + 1].
+    rows : PackedRows
+        Within a cell the points keep their order.
+    groups : ndarray of uint8, shape (c,)
+        The number of the coarse cell that each lies in.
+    """
+    records, counts, corners, edge = unpacking_arguments(arrangement, packed)
+    lattice = origin, cell_size, depth, wanted, numbers
+    cells, offsets, taken, blocks, groups = kernels.sort_packed(
+        records, counts, corners, edge, *lattice
+    )
+    return cells, offsets, PackedRows(taken, blocks, corners, edge), groups

@@ -1,0 +1,174 @@
+"""What the tasks of a tile are told of the whole cloud.
+
+They travel as records.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hpcapp.applications.surface.cloud.arrangement import Arrangement
+from hpcapp.applications.surface.field.far_field import FarFieldPart, choose_nodes
+from hpcapp.applications.surface.field.pyramid import Parents
+from hpcapp.applications.surface.field.weights import FIELD_LEVELS, Weights, weigh_levels
+from hpcapp.applications.surface.tiles.halo import HALO_STEPS
+from hpcapp.applications.surface.types.field import FieldLevel
+from hpcapp.applications.surface.types.grid import Grid
+from hpcapp.applications.surface.types.points import Float32Array, FloatArray, IntArray
+from hpccomponent.protocol.records import record
+
+__all__ = ["CoarseLattice", "CoarseLevels", "Plan", "Samples"]
+
+
+@record("surface.plan")
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """What all tiles of a cloud have in common.
+
+    Parameters
+    ----------
+    origin : ndarray of float64, shape (3,)
+        Where corner (0, 0, 0) of every lattice lies.
+    cell_size : float
+        Edge of the finest cells, in length units of the input.
+    height : int
+        How many levels the cloud has.
+    coarse : int
+        The level of whose cells tiles are made; `height` where there is but one tile.
+    noise : float
+        Standard deviation of the positions along the normals, in length units of the input.
+    grid_origin : ndarray of float64, shape (3,)
+    block_origin : ndarray of float64, shape (3,)
+    far : int
+        The level whose cells the far field is made of; of tiles, no coarser than theirs.
+    tolerance : float
+        How far off a point may lie until it counts half (see `weights.Weights`); not infinite only
+        where `coarse` is 2 or more.
+    """
+
+    origin: FloatArray
+    cell_size: float
+    height: int
+    coarse: int
+    noise: float
+    grid_origin: FloatArray
+    step: float
+    bricks: tuple[int, int, int]
+    block_origin: FloatArray
+    block_edge: float
+    far: int
+    tolerance: float = np.inf
+
+    @property
+    def coarse_size(self) -> float:
+        """Edge of the coarse cells, in length units of the input."""
+        return self.cell_size * 2.0**self.coarse
+
+    @property
+    def reach(self) -> float:
+        """How far from a node the points may lie that its quadrics depend on.
+
+        Vertices and parents lie up to half a coarse cell away, their points half a coarse cell
+        further on, and cells whose corners exist because of points two finest cells beyond. Where
+        points are weighed, by quadrics of the second level, these add two of its cells.
+        """
+        steps = 2.0 if np.isinf(self.tolerance) else 6.0
+        return self.coarse_size + steps * self.cell_size
+
+    @property
+    def far_nodes(self) -> int:
+        """How many nodes the far field has along a side."""
+        return choose_nodes(*self.grid.box, self.cell_size, self.noise)
+
+    @property
+    def far_box(self) -> tuple[FloatArray, FloatArray]:
+        """The box in which anything asks for the far field.
+
+        The grid, its halo, and beyond it the corners of every level that the field is made of,
+        which lie up to two of their cells from a point.
+        """
+        coarsest = max(self.coarse, FIELD_LEVELS - 1)
+        margin = HALO_STEPS * self.step + 4.0 * self.cell_size * 2.0**coarsest
+        low, high = self.grid.box
+        return low - margin, high + margin
+
+    @property
+    def weights(self) -> list[Weights]:
+        """The weights of every level's fits."""
+        return weigh_levels(self.cell_size, self.height, self.noise, self.tolerance)
+
+    @property
+    def grid(self) -> Grid:
+        """The evaluation grid."""
+        return Grid(self.grid_origin, self.step, self.bricks)
+
+    @property
+    def arrangement(self) -> Arrangement:
+        """The blocks that points are packed by."""
+        return Arrangement(self.block_origin, self.block_edge)
+
+
+@record("surface.coarse_levels")
+@dataclass(frozen=True, slots=True, eq=False)
+class CoarseLevels:
+    """What a tile must know of the levels that the master has fitted.
+
+    Parameters
+    ----------
+    parents : Parents
+        What the finest of them offers to the next finer level.
+    trust : ndarray of float32, shape (v,), or None
+        As of `FieldLevel`: the parents' own; None where they are too coarse for the field.
+    coarser : tuple of FieldLevel
+        What else of them the field is made of, finest first.
+    """
+
+    parents: Parents
+    trust: Float32Array | None
+    coarser: tuple[FieldLevel, ...]
+    far: FarFieldPart
+
+    @property
+    def levels(self) -> tuple[FieldLevel, ...]:
+        """All that the field is made of, finest first."""
+        if self.trust is None:
+            return self.coarser
+        return FieldLevel(self.parents.keys, self.parents.coefficients, self.trust), *self.coarser
+
+
+@record("surface.coarse_lattice")
+@dataclass(frozen=True, slots=True, eq=False)
+class CoarseLattice:
+    """What the points of a tile add to the level of whose cells tiles are made.
+
+    Parameters
+    ----------
+    cells : ndarray of int64, shape (c,)
+    moments : ndarray of float64, shape (c, m)
+    squares : ndarray of float64, shape (c,)
+    vertices : ndarray of int64, shape (v,)
+        That its points lay there (see `ancestors.corners_at`).
+    """
+
+    cells: IntArray
+    moments: FloatArray
+    squares: FloatArray
+    vertices: IntArray
+
+
+@record("surface.samples")
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """What the far field is made of.
+
+    Parameters
+    ----------
+    cells : ndarray of int64, shape (c,)
+    sums : ndarray of float64, shape (c, 7)
+        Of 1, the positions and the normals of the points in each (see `moments`).
+    """
+
+    cells: IntArray
+    sums: FloatArray

@@ -1,0 +1,137 @@
+"""A tile's points in their cells, and the corners that its bricks ask for.
+
+::
+
+    points ──> cells, their moments up to the coarse level    asked for by sum_tile
+                 └──> kinds of bricks ──> corners of the fine levels    by mesh_tile
+
+The corners need nothing that the master has to find first, so they are laid a step at a time,
+whenever there is time for one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from typing import TypeVar
+
+import numpy as np
+
+from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.field.pyramid import lay_vertices, raise_levels
+from hpcapp.applications.surface.kernels.freed_memory import bound_free_memory
+from hpcapp.applications.surface.tiles.halo import near_bricks, plan_tile
+from hpcapp.applications.surface.tiles.plan import Plan
+from hpcapp.applications.surface.tiles.points import CellPoints, TilePoints, take_points
+from hpcapp.applications.surface.types.grid import BrickKinds
+from hpcapp.applications.surface.types.points import IntArray
+
+__all__ = ["PreparedTile", "finish", "lay_corners"]
+
+Found = TypeVar("Found")
+Corners = list[IntArray]
+Laid = tuple[BrickKinds | None, Corners]
+
+
+class PreparedTile:
+    """What both tasks of a tile make of its points.
+
+    Parameters
+    ----------
+    points : tuple
+        `CellPoints` of the tile and its halo.
+
+    Attributes
+    ----------
+    groups : ndarray of uint8, shape (c,)
+        Of the finest cells (see `TilePoints`).
+    levels : list of Level
+        Up to the coarse level; `mesh_tile` asks for those below it.
+    """
+
+    def __init__(self, plan: Plan, points: CellPoints, threads: int) -> None:
+        taken = take_points(points, plan)  # in memory that was touched before, if there is some
+        bound_free_memory()  # what this and tiles before it have left
+        self.groups = taken.groups
+        self.levels = raise_levels(taken.finest, plan.coarse + 1, threads)
+        self._laid: Laid | None = None
+        self._steps = _lay(plan, taken)  # without `self`, which would be a cycle
+
+    def lay_some(self) -> bool:
+        """Do the next step towards the corners; return whether there are more."""
+        if self._laid is None:
+            try:
+                next(self._steps)
+            except StopIteration as end:
+                self._laid = end.value
+        return self._laid is None
+
+    def laid(self) -> Laid:
+        """Do what is left of the steps.
+
+        Returns
+        -------
+        kinds : BrickKinds or None
+        corners : list of ndarray of int64
+            See `lay_corners`; empty where there are no such bricks.
+        """
+        if self._laid is None:
+            self._laid = finish(self._steps)
+        return self._laid
+
+
+def _lay(plan: Plan, taken: TilePoints) -> Generator[str, None, Laid]:
+    kinds = plan_tile(plan.grid, *(taken.seed_bricks(plan.grid, group) for group in range(3)))
+    cells = taken.finest.cells
+    del taken  # the points leave memory with their level
+    yield "kinds"
+    return kinds, [] if kinds is None else (yield from lay_corners(plan, cells, kinds))
+
+
+def lay_corners(plan: Plan, cells: IntArray, kinds: BrickKinds) -> Generator[str, None, Corners]:
+    """Find the corners of each fine level that some bricks ask for, and ancestors, in steps.
+
+    Parameters
+    ----------
+    cells : ndarray of int64, shape (c,)
+        Sorted keys of the finest cells with points.
+
+    Yields
+    ------
+    str
+        What was done in a step.
+
+    Returns
+    -------
+    list of ndarray of int64
+        Of each level below the coarse one.
+
+    Notes
+    -----
+    A node asks for the corners around it, up to a cell of their level away, and these are there
+    because of finest cells whose middle lies as far again, and half a finest cell, from them. On
+    coarser levels, which have few corners, those that the coarsest asks for are laid, and those
+    that points are weighed by.
+    """
+    weighing = 0.0 if np.isinf(plan.tolerance) else 4.0
+    lattice = plan.origin, plan.cell_size
+    is_near, is_wide = (
+        near_bricks(kinds, plan.grid, cells, *lattice, plan.cell_size * reach)
+        for reach in (2.75, 2.0**plan.coarse + 0.75 + weighing)
+    )
+    yield "near bricks"
+    near = kernels.spread_keys(cells[is_near], -1, 2)
+    yield "corners"
+    if plan.coarse == 1:
+        return [near]
+    rest = kernels.spread_keys(cells[is_wide & ~is_near], -1, 2)
+    wide = kernels.unite_keys(kernels.parent_keys(near), kernels.parent_keys(rest))
+    return [near, *lay_vertices(wide, plan.coarse - 1)]
+
+
+def finish(steps: Generator[object, None, Found]) -> Found:
+    """Do all that is left of some steps, and return what the generator does."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            return end.value  # type: ignore[no-any-return]

@@ -1,0 +1,105 @@
+"""The surface inside some bricks, made in slabs: the finest level never lies there as a whole.
+
+::
+
+    bricks ─> slab: finest quadrics ─> the surface in its bricks ─> MeshPart
+               ^        the next one, and again where    │
+               └── the surface goes on in another slab <─┘
+
+A slab has whole layers of bricks along x. What it gives is what all bricks at once would give
+there, bit for bit: to a slab, a brick of another one is what a brick of another tile is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.extraction.parts import MeshPart, cut_part, join_parts
+from hpcapp.applications.surface.extraction.sharpening import sharpen_vertices
+from hpcapp.applications.surface.field.levels import SlabFields
+from hpcapp.applications.surface.tiles.halo import cut_slab
+from hpcapp.applications.surface.types.grid import FOREIGN, OPEN, OWN, BrickKinds
+from hpcapp.applications.surface.types.lattice import unique_keys
+from hpcapp.applications.surface.types.mesh import BrickMesh
+from hpcapp.applications.surface.types.points import IntArray
+
+__all__ = ["SLAB_QUADRICS", "cut_slabs", "grow_slabs", "grow_tile"]
+
+SLAB_QUADRICS = 1_000_000
+"""Of the finest level, in a slab: 0.1 GB with what their fits take."""
+
+
+def cut_slabs(fields: SlabFields, kinds: BrickKinds) -> list[int]:
+    """Return the bounds of the slabs that some bricks are cut into, in layers along x."""
+    first = int(kinds.first[0])
+    return fields.cut(first, first + len(kinds.kinds), SLAB_QUADRICS)
+
+
+def grow_slabs(
+    fields: SlabFields, kinds: BrickKinds, bounds: list[int]
+) -> Iterator[tuple[MeshPart, IntArray]]:
+    """Extract the surface in a tile's own bricks, and in all that it reaches from them.
+
+    Yields
+    ------
+    part : MeshPart
+        Of a slab; one that the surface enters from another slab may get several, no brick twice.
+    exits : ndarray of int64
+        Sorted keys of the bricks where its surface leaves the tile (see `bricks.grow_bricks`).
+    """
+    untaken = BrickKinds(kinds.first, kinds.kinds.copy())  # those that a part has are another's
+    reached = kinds.own()
+    while len(reached):
+        for first, end in pairwise(bounds):
+            slab = cut_slab(untaken, first, end)
+            slab.mark(reached[slab.at(reached) == OPEN], OWN)
+            if not (slab.kinds == OWN).any():
+                continue
+            mesh = _grow_slab(fields, slab, first, end)
+            part, exits = cut_part(mesh, kinds, fields.mark_supported(mesh.vertices)), mesh.exits
+            del mesh  # makes room for what is made of the part
+            untaken.mark(part.bricks, FOREIGN)
+            goes_on = kinds.at(exits) == OPEN
+            reached = np.concatenate([reached, exits[goes_on]])
+            yield part, exits[~goes_on]
+        reached = reached[untaken.at(reached) == OPEN]
+
+
+def _grow_slab(fields: SlabFields, slab: BrickKinds, first: int, end: int) -> BrickMesh:
+    """Extract the surface in a slab, its vertices in their final places."""
+    field, grid = fields.fit(first, end), fields.grid
+    mesh = kernels.grow_surface(field, grid, slab, fields.threads)
+    features, lattice = field.features, (field.origin, field.cell_size)
+    del field  # makes room for what is made of the mesh
+    of_mesh = mesh.vertices, mesh.faces
+    balanced = kernels.balance_vertices(*of_mesh, grid.step)
+    assert features is not None  # noqa: S101 - a field that was fitted here has them
+    return replace(
+        mesh, vertices=sharpen_vertices(*of_mesh, balanced, features, lattice, grid.step)
+    )
+
+
+def grow_tile(fields: SlabFields, kinds: BrickKinds) -> tuple[MeshPart, IntArray]:
+    """Extract the surface in a tile's own bricks, and in all that it reaches from them.
+
+    Parameters
+    ----------
+    fields : SlabFields
+        What it is made of is let go when the last slab is there: the part takes its place.
+
+    Returns
+    -------
+    part : MeshPart
+    exits : ndarray of int64, shape (e,)
+        As of `grow_slabs`.
+    """
+    grown = list(grow_slabs(fields, kinds, cut_slabs(fields, kinds)))
+    fields.let_go()
+    del fields  # with the levels and the far field, where the caller has handed them over
+    exits = unique_keys(np.concatenate([np.empty(0, np.int64), *(exits for _, exits in grown)]))
+    return join_parts([part for part, _ in grown]), exits

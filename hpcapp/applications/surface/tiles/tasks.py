@@ -1,0 +1,366 @@
+"""The tasks of a tile: what its points add to the coarse lattices, and the surface inside it.
+
+::
+
+    sum_tile    points ──> moments of its coarse cells                      ──> master
+    solve_far   what all tiles have sampled ──> far field                   ──> master
+    master      coarse lattices of all tiles ──> coarse quadrics            ──> tiles
+    mesh_tile   points, halo, coarse quadrics, far field ──> fine quadrics ──> bricks ──> MeshPart
+
+A tile is a set of whole cells of one coarse level. Its halo is what surrounds it, so that every
+quadric that its bricks ask for is the one that the whole cloud would give, bit for bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from hpcapp.applications.surface.extraction.parts import MeshPart
+from hpcapp.applications.surface.extraction.summary import PartSummary, summarize_part
+from hpcapp.applications.surface.field.ancestors import corners_at
+from hpcapp.applications.surface.field.far_field import (
+    FarFieldPart,
+    crop_far_field,
+    restore_far_field,
+    solve_far_field,
+)
+from hpcapp.applications.surface.field.levels import SlabFields, fit_above
+from hpcapp.applications.surface.field.pyramid import (
+    Level,
+    Pyramid,
+    raise_levels,
+)
+from hpcapp.applications.surface.field.weights import FIELD_LEVELS
+from hpcapp.applications.surface.kernels import BASIS, mark_ancestors
+from hpcapp.applications.surface.kernels.freed_memory import leave_for_files
+from hpcapp.applications.surface.tiles.cache import TileCache
+from hpcapp.applications.surface.tiles.halo import plan_gap
+from hpcapp.applications.surface.tiles.patterns import (
+    far_field,
+    summed_bytes,
+    summed_tile,
+    surface_bytes,
+    tile_surface,
+)
+from hpcapp.applications.surface.tiles.plan import CoarseLattice, CoarseLevels, Plan, Samples
+from hpcapp.applications.surface.tiles.points import CellPoints, estimate_work, take_points
+from hpcapp.applications.surface.tiles.prepared import PreparedTile, finish, lay_corners
+from hpcapp.applications.surface.tiles.slabs import grow_tile
+from hpcapp.applications.surface.types.field import FarField, FieldLevel
+from hpcapp.applications.surface.types.grid import BrickKinds
+from hpcapp.applications.surface.types.lattice import unpack_keys
+from hpcapp.applications.surface.types.points import IntArray
+from hpcapp.applications.surface.types.result_patterns import SMALL_BYTES
+from hpccomponent.runtime.background import worker_background
+from hpccomponent.runtime.tasks import declare
+from hpccomponent.store.places import hold_store
+
+__all__ = [
+    "KEPT_TILES",
+    "find_far",
+    "mesh_gap",
+    "mesh_tile",
+    "sample_cells",
+    "solve_far",
+    "sum_tile",
+]
+
+_NO_LEVEL = FieldLevel(
+    np.empty(0, np.int64), np.empty((0, BASIS), np.float32), np.empty(0, np.float32)
+)
+
+
+KEPT_TILES = 3
+"""So many tiles that a process has summed wait there to be meshed, some 100 bytes a point
+where it reads them from a folder, and 130 where it is sent them."""
+
+TILES = TileCache(KEPT_TILES)
+"""Of this process."""
+
+
+@declare(
+    cost=lambda _plan, points, *_: estimate_work(points),
+    result=summed_tile,
+    limit=summed_bytes,
+)
+def sum_tile(
+    plan: Plan,
+    points: CellPoints,
+    ticket: str | None = None,
+    keep: tuple[str, str] | None = None,
+    own: tuple[IntArray, IntArray] | None = None,
+    threads: int = 1,
+) -> tuple[CoarseLattice | None, Samples | tuple[str, str], int]:
+    """Sum the moments of a tile's points in the cells of the coarse level (a task).
+
+    Parameters
+    ----------
+    plan : Plan
+    points : tuple
+        `CellPoints` of the tile alone; with a ticket, those that `mesh_tile` will be given.
+    ticket : str, optional
+        A name that nothing else has: what is prepared of the points waits for `mesh_tile` with
+        this ticket, until the process has summed `KEPT_TILES` more. What either task returns
+        does not depend on it.
+    keep : tuple of str, optional
+        A store (see `store.places`) and a name, under which the lattice is put there, and
+        the samples beside it, if nothing has that name: a tile that is summed twice must not
+        replace what is being read.
+    own : tuple of ndarray of int64, optional
+        Keys of the coarse cells that hold the tile's own points, and how many each holds: whoever
+        knows them holds the lattice against these.
+    threads : int
+        The result does not depend on it.
+
+    Returns
+    -------
+    lattice : CoarseLattice or None
+        None where it is kept.
+    samples : Samples or tuple of str
+        What `sample_cells` gives of the level that the far field is made of; the store and the
+        name where it is kept.
+    patches : int
+        The finest cells with points.
+    """
+    del own  # it is for who declares, and checks
+    prepared = PreparedTile(plan, points, threads)
+    if ticket is not None:
+        TILES.put(ticket, prepared)
+        worker_background.add(partial(TILES.advance, ticket))
+    finest, coarse = prepared.levels[0], prepared.levels[-1]
+    held = finest.cells[prepared.groups == 0]
+    marks = mark_ancestors(held, plan.coarse, coarse.cells)
+    at, vertices = np.flatnonzero(marks), corners_at(coarse.cells, marks)
+    moments = coarse.points.sum(slice(0, len(coarse.cells)))[at]
+    sampled = prepared.levels[plan.far]
+    samples = sample_cells(sampled, np.flatnonzero(mark_ancestors(held, plan.far, sampled.cells)))
+    lattice = CoarseLattice(coarse.cells[at], moments, coarse.squares[at], vertices)
+    del prepared.levels[plan.coarse :]  # `mesh_tile` is told what all tiles make of them
+    if keep is None:
+        return lattice, samples, len(held)
+    place, name = keep
+    beside, store = f"{name}-far", hold_store(place)
+    for one, value in ((name, lattice), (beside, samples)):
+        store.put(one, value, replaces=False)
+    return None, (place, beside), len(held)
+
+
+def sample_cells(level: Level, rows: IntArray | None = None) -> Samples:
+    """Return what the far field is made of.
+
+    Parameters
+    ----------
+    level : Level
+    rows : ndarray of int64, optional
+        Of the level's cells; by default all.
+
+    Returns
+    -------
+    Samples
+    """
+    moments = level.points.sum(slice(0, len(level.cells)))
+    sums = np.concatenate([moments[:, :4], moments[:, 35:38]], axis=1)
+    return Samples(level.cells, sums) if rows is None else Samples(level.cells[rows], sums[rows])
+
+
+def find_far(plan: Plan, samples: Samples, threads: int) -> FarField:
+    """Solve for the far field.
+
+    Parameters
+    ----------
+    plan : Plan
+    samples : Samples
+        Of the whole cloud, sorted by key.
+    threads : int
+        The result does not depend on it.
+
+    Returns
+    -------
+    FarField
+    """
+    size = plan.cell_size * 2.0**plan.far
+    sums = samples.sums
+    places = unpack_keys(samples.cells) + 0.5 + sums[:, 1:4] / sums[:, :1]
+    centroids, normals = plan.origin + size * places, sums[:, 4:] / sums[:, :1]
+    return solve_far_field(centroids, normals, plan.grid.box, size, plan.far_nodes, threads)
+
+
+@declare(
+    result=far_field,
+    limit=lambda plan, *_: SMALL_BYTES + 4 * plan.far_nodes**3,
+)
+def solve_far(
+    plan: Plan, samples: Sequence[Samples | tuple[str, str]], threads: int = 1
+) -> FarFieldPart:
+    """Solve for the far field, as far as anything asks for it (a task).
+
+    Parameters
+    ----------
+    plan : Plan
+    samples : sequence of Samples or tuple of str
+        Of all tiles, as `sum_tile` has returned them.
+    threads : int
+        The result does not depend on it.
+
+    Returns
+    -------
+    FarFieldPart
+        See `Plan.far_box`.
+    """
+    found = [
+        some if isinstance(some, Samples) else hold_store(some[0]).get(some[1]) for some in samples
+    ]
+    cells = np.concatenate([some.cells for some in found])
+    sums = np.concatenate([some.sums for some in found])
+    order = np.argsort(cells, kind="stable")  # which merges sorted runs
+    far = find_far(plan, Samples(cells[order], sums[order]), threads)
+    return crop_far_field(far, *plan.far_box)
+
+
+@declare(
+    cost=lambda _plan, points, *_: estimate_work(points),
+    result=lambda plan, _points, _ticket, _coarse, keep=None, *_: tile_surface(plan, keep),
+    limit=lambda plan, _points, _ticket, coarse, keep=None, *_: surface_bytes(plan, coarse, keep),
+)
+def mesh_tile(
+    plan: Plan,
+    points: CellPoints,
+    ticket: str | None,
+    coarse: CoarseLevels,
+    keep: tuple[str, str] | None = None,
+    threads: int = 1,
+) -> tuple[MeshPart | None, PartSummary, IntArray]:
+    """Reconstruct the surface inside a tile (a task).
+
+    Parameters
+    ----------
+    plan : Plan
+    points : tuple
+        `CellPoints` of the tile, and of its halo those that belong to tiles before and after it.
+    ticket : str or None
+        See `sum_tile`.
+    coarse : CoarseLevels
+        Around it.
+    keep : tuple of str, optional
+        A store (see `store.places`) and a name, under which the result is put there.
+    threads : int
+        The result does not depend on it.
+
+    Returns
+    -------
+    part : MeshPart or None
+        None where it is kept.
+    summary : PartSummary
+    exits : ndarray of int64
+        Bricks where the surface leaves the tile and there are no points (see `bricks`).
+    """
+    prepared = TILES.pop(ticket)
+    is_last = ticket is not None and not len(TILES)
+    if prepared is None:
+        prepared = PreparedTile(plan, points, threads)
+    kinds, corners = prepared.laid()
+    if kinds is None:
+        return _give(MeshPart.empty(), np.empty(0, np.int64), keep)
+    levels = prepared.levels[: plan.coarse]
+    del prepared
+    return _give(*_mesh_region(plan, levels, corners, kinds, coarse, threads), keep, is_last)
+
+
+@declare(
+    cost=lambda _plan, exits, points, *_: len(exits) + estimate_work(points),
+    result=lambda plan, _exits, _points, _missing, _coarse, keep=None, *_: tile_surface(plan, keep),
+    limit=lambda plan, _exits, _points, _missing, coarse, keep=None, *_: surface_bytes(
+        plan, coarse, keep, spans_gaps=True
+    ),
+)
+def mesh_gap(
+    plan: Plan,
+    exits: IntArray,
+    points: CellPoints,
+    missing: IntArray,
+    coarse: CoarseLevels,
+    keep: tuple[str, str] | None = None,
+    threads: int = 1,
+) -> tuple[MeshPart | None, PartSummary, IntArray]:
+    """Follow the surface from where it left all tiles, as over a hole (a task).
+
+    Parameters
+    ----------
+    plan : Plan
+    exits : ndarray of int64
+        Keys of the bricks to begin with.
+    points : tuple
+        `CellPoints` of all that lie around them.
+    missing : ndarray of int64
+        Keys of the coarse cells of all other points.
+    coarse : CoarseLevels
+        All.
+    keep : tuple of str, optional
+        As of `mesh_tile`.
+    threads : int
+        The result does not depend on it.
+
+    Returns
+    -------
+    part, summary, exits
+        As those of `mesh_tile`.
+    """
+    taken = take_points(points, plan)
+    seeds = taken.seed_bricks(plan.grid, 0)
+    low = plan.origin + plan.coarse_size * unpack_keys(missing)
+    kinds = plan_gap(plan.grid, exits, seeds, low, plan.coarse_size, plan.reach)
+    levels, corners = [], [_NO_LEVEL.keys]
+    if len(taken.finest.cells):
+        levels = raise_levels(taken.finest, plan.coarse, threads)
+        corners = finish(lay_corners(plan, taken.finest.cells, kinds))
+    del taken  # the points leave memory with their level
+    return _give(*_mesh_region(plan, levels, corners, kinds, coarse, threads), keep)
+
+
+def _mesh_region(
+    plan: Plan,
+    levels: list[Level],
+    corners: list[IntArray],
+    kinds: BrickKinds,
+    coarse: CoarseLevels,
+    threads: int,
+) -> tuple[MeshPart, IntArray]:
+    """Fit the fine levels where bricks may be evaluated, and extract the surface there."""
+    return grow_tile(_fit_fields(plan, levels, corners, coarse, threads), kinds)
+
+
+def _fit_fields(
+    plan: Plan, levels: list[Level], corners: list[IntArray], coarse: CoarseLevels, threads: int
+) -> SlabFields:
+    """Fit the fine levels but the finest one, which is fitted slab by slab.
+
+    A function of its own, so that nobody else holds what is made here: see `grow_tile`.
+    """
+    far = restore_far_field(coarse.far)
+    fine = tuple(_NO_LEVEL for _ in range(1, min(plan.coarse, FIELD_LEVELS)))
+    parents = None
+    pyramid = Pyramid(plan.origin, plan.cell_size, levels, corners, 0, plan.height)
+    if levels:
+        fine, parents = fit_above(pyramid, plan.weights, coarse.parents, far, threads)
+    above = fine + coarse.levels
+    return SlabFields(pyramid, plan.weights, parents, above, far, plan.grid, threads)
+
+
+def _give(
+    part: MeshPart, exits: IntArray, keep: tuple[str, str] | None, is_last: bool = False
+) -> tuple[MeshPart | None, PartSummary, IntArray]:
+    """Return a part with its summary, or put it where it is kept.
+
+    Of the last tile that was prepared here, what it has left goes before that.
+    """
+    summary = summarize_part(part)
+    if keep is None:
+        return part, summary, exits
+    place, name = keep
+    if is_last:
+        leave_for_files()
+    hold_store(place).put(name, (part, summary, exits))
+    return None, summary, exits

@@ -1,1 +1,0 @@
-"""Numeric kernels and value types of surface reconstruction: pure functions of arrays."""

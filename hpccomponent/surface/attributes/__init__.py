@@ -1,1 +1,0 @@
-"""From the points to the mesh's vertices: colours, labels and other numbers."""

@@ -1,1 +1,0 @@
-"""Every task of surface reconstruction (entry points ``hpc.tasks``)."""

@@ -1,0 +1,169 @@
+"""Cleaned region by region, a cloud is the one that is cleaned in one piece, byte by byte."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from passes import alone, in_folder
+
+from hpcapp.applications.simulate.scanner import simulate_scan
+from hpcapp.applications.simulate.settings import ScanSettings
+from hpcapp.applications.simulate.shapes import SHAPES
+from hpcapp.applications.surface.cleaning.drive import Cleaned, clean_cloud
+from hpcapp.applications.surface.cloud.arranged import arrange_cloud
+from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
+from hpcapp.applications.surface.cloud.measure import measure_cloud, measure_spacing
+from hpcapp.applications.surface.cloud.measured import measure_points
+from hpcapp.applications.surface.cloud.point_workers import PointWorkers
+from hpcapp.applications.surface.hierarchical.estimates import choose_scale
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.workforce import Workforce
+
+Random = np.random.Generator
+
+
+def _scan(name: str, **settings: Any) -> PointCloud:
+    return simulate_scan(SHAPES[name], ScanSettings(points=30_000, normals="exact", **settings))
+
+
+def _sphere(random: Random, points: int, radius: float = 1.0) -> FloatArray:
+    arms = random.normal(size=(points, 3))
+    values: FloatArray = radius * arms / np.linalg.norm(arms, axis=1)[:, None]
+    return values
+
+
+def _uneven(random: Random) -> PointCloud:
+    """A sphere whose density falls by a factor of a thousand, and a fog around it."""
+    positions = _sphere(random, 60_000)
+    kept = random.random(len(positions)) < 10.0 ** (-1.5 - 1.5 * positions[:, 2])
+    fog = random.uniform(-2.0, 2.0, (300, 3))
+    return _oriented(np.concatenate([positions[kept], fog]))
+
+
+def _islands(random: Random) -> PointCloud:
+    """A sphere, small pieces far from it, one close by, and sparse patches between."""
+    pieces = [_sphere(random, 40_000)]
+    for place, points in (((2.5, 0, 0), 40), ((0, 3, 0), 25), ((0, 0, 1.06), 30), ((4, 4, 4), 9)):
+        pieces.append(np.array(place) + _sphere(random, points, 0.01))
+    sheet = random.uniform(-0.5, 0.5, (60, 3)) * (1.0, 1.0, 0.001) + (0.0, 0.0, 1.5)
+    return _oriented(np.concatenate([*pieces, sheet]))
+
+
+def _spoilt_islands(random: Random) -> PointCloud:
+    """The same, with some normals that point inwards where no point is dropped."""
+    cloud = _islands(random)
+    assert cloud.normals is not None
+    cloud.normals[np.flatnonzero(cloud.positions[:40_000, 0] > 0.9)[::40]] *= -1.0
+    return cloud
+
+
+def _repeated(random: Random) -> PointCloud:
+    """Each point many times, which is counted once."""
+    return _oriented(np.repeat(_sphere(random, 900), 40, axis=0))
+
+
+def _fog(random: Random) -> PointCloud:
+    """Mostly points above what is the base of the rest."""
+    return _oriented(
+        np.concatenate([_sphere(random, 5_000, 0.1), random.uniform(-1, 1, (4_000, 3))])
+    )
+
+
+def _oriented(positions: FloatArray) -> PointCloud:
+    return PointCloud(positions, positions / np.linalg.norm(positions, axis=1)[:, None])
+
+
+CLOUDS: dict[str, Callable[[Random], PointCloud]] = {
+    "box outliers": lambda _: _scan("box", outliers=0.03, noise=0.001),
+    "frame outliers": lambda _: _scan("frame", outliers=0.1, noise=0.002),
+    "flipped": lambda _: _scan("plate", flipped=0.05),
+    "spoilt": lambda _: _scan("bracket", outliers=0.02, flipped=0.1, noise=0.002),
+    "clean": lambda _: _scan("torus"),
+    "uneven": _uneven,
+    "islands": _islands,
+    "spoilt islands": _spoilt_islands,
+    "repeated": _repeated,
+    "fog": _fog,
+}
+
+
+SPOILT = set(CLOUDS) - {"clean", "repeated", "fog"}
+
+
+def _assert_cleaned_alike(scan: PointCloud, folder: Path, workers: PointWorkers) -> Cleaned:
+    arranged = MemoryPass(arrange_cloud(scan))
+    kept, cleaned, spacing = clean_cloud(arranged, measure_spacing(arranged))
+    kept, expected = measure_cloud(kept, spacing), kept.cloud.points
+    there = in_folder(scan, folder, workers)
+    there, told, same = clean_cloud(there, measure_spacing(there))
+    assert (told, same) == (cleaned, spacing)
+    found = measure_cloud(there, spacing).cloud
+    assert choose_scale(found.measure(), 0.0, 1.0, 1.0) == choose_scale(
+        kept.cloud.measure(), 0.0, 1.0, 1.0
+    )
+    assert choose_scale(measure_points(expected), 0.0, 1.0, 1.0) == choose_scale(
+        kept.cloud.measure(), 0.0, 1.0, 1.0
+    )
+    assert found.low.tolist() == expected.positions.min(axis=0).tolist()
+    assert found.high.tolist() == expected.positions.max(axis=0).tolist()
+    assert len(found) == len(expected)
+    positions, normals = found.take_blocks(found.keys)
+    assert positions.tobytes() == expected.positions.tobytes()
+    assert expected.normals is not None
+    assert normals.tobytes() == expected.normals.tobytes()
+    return cleaned
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CLOUDS)
+@pytest.mark.parametrize("points", [5_000, 100_000])
+def test_regions_of_any_size_are_the_whole(tmp_path: Path, name: str, points: int) -> None:
+    cloud = CLOUDS[name](np.random.default_rng(5))
+    cleaned = _assert_cleaned_alike(cloud, tmp_path, alone(points))
+    if name in SPOILT:
+        assert cleaned.outliers or cleaned.flipped
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_any_mixture_is_cleaned_alike(tmp_path: Path, seed: int) -> None:
+    """Sheets, lumps, lines and single points, of densities that differ by orders of magnitude."""
+    random = np.random.default_rng(seed)
+    pieces = []
+    for _ in range(random.integers(2, 9)):
+        points = int(10.0 ** random.uniform(0.5, 3.7))
+        extent = 10.0 ** random.uniform(-2.0, 0.0, 3) * random.choice([0.0, 1.0, 1.0], 3)
+        pieces.append(random.normal(size=(points, 3)) * extent + random.uniform(-1, 1, 3))
+    positions = np.concatenate([*pieces, random.uniform(-3, 3, (50, 3))])
+    cloud = _oriented(positions[random.permutation(len(positions))])
+    _assert_cleaned_alike(cloud, tmp_path, alone(1_500))
+
+
+@pytest.mark.parametrize("workers_see", [True, False])
+def test_only_regions_that_change_are_written(tmp_path: Path, workers_see: bool) -> None:
+    positions = _sphere(np.random.default_rng(2), 30_000)
+    cloud = _oriented(positions)
+    assert cloud.normals is not None
+    cloud.normals[np.flatnonzero(positions[:, 0] > 0.99)[::40]] *= -1.0  # a few, in one place
+    cleaned = _assert_cleaned_alike(cloud, tmp_path, alone(3_000, sees=workers_see))
+    assert 0 < cleaned.flipped < 100
+    (changed,) = (
+        index.parent for index in tmp_path.glob("*/index") if "../" in index.read_text("latin-1")
+    )
+    written = list(changed.glob("points.*"))
+    assert 1 <= len(written) <= 4  # of ten
+    assert 0 < sum(path.stat().st_size for path in written) < 24 * 15_000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("workers_see", [True, False])
+@pytest.mark.parametrize("name", ["spoilt", "islands", "spoilt islands", "clean"])
+def test_workers_do_not_show(tmp_path: Path, name: str, workers_see: bool) -> None:
+    """Whether they see the folder, and write to it, or are sent points."""
+    with ThreadPoolExecutor(3) as executor:
+        workers = PointWorkers(Workforce(executor, 3, 4), workers_see, 4_000)
+        _assert_cleaned_alike(CLOUDS[name](np.random.default_rng(5)), tmp_path, workers)

@@ -1,0 +1,51 @@
+"""A pass is cut into pieces that share a cloud's blocks, about evenly."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hpcapp.applications.surface.cloud.arranged import arrange_cloud
+from hpcapp.applications.surface.cloud.cutting import cut_even, cut_regions
+from hpcapp.applications.surface.cloud.point_workers import PointWorkers
+from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.backends.serial import SerialExecutor
+from hpcapp.workforce import Workforce
+
+
+@given(st.lists(st.integers(1, 9), min_size=1), st.integers(1, 30))
+def test_runs_of_blocks_are_about_even(counts: list[int], pieces: int) -> None:
+    runs = cut_even(np.array(counts), pieces)
+    assert [count for run in runs for count in counts[run]] == counts
+    assert len(runs) <= pieces
+    assert all(sum(counts[run]) <= sum(counts) / pieces + max(counts) for run in runs)
+
+
+def test_regions_share_the_blocks() -> None:
+    positions = np.random.default_rng(4).normal(size=(9_000, 3))
+    cloud = arrange_cloud(PointCloud(positions, positions))
+    regions = cut_regions(cloud.keys, cloud.counts, 7)
+    assert len(regions) == 7
+    assert np.sort(np.concatenate(regions)).tolist() == cloud.keys.tolist()
+
+
+@pytest.mark.parametrize(
+    ("workers", "in_process", "points", "pieces"),
+    [
+        (1, True, 10_000_000, 7),  # as memory asks for
+        (2, False, 10_000_000, 8),  # and as many for each worker
+        (3, False, 10_000_000, 9),
+        (4, False, 6_000_000, 4),
+        (16, False, 10_000_000, 16),
+        (16, False, 100_000, 16),
+        (16, False, 0, 16),
+        (2, False, 100_000_000, 68),
+    ],
+)
+def test_pieces_follow_workers_and_memory(
+    workers: int, in_process: bool, points: int, pieces: int
+) -> None:
+    workforce = Workforce(SerialExecutor(), workers, 4, in_process)
+    assert PointWorkers(workforce, True, 1_500_000).count_pieces(points) == pieces

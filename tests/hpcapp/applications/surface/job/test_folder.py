@@ -1,0 +1,115 @@
+"""Which clouds go through a folder though memory would hold them, and who works there."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
+
+import numpy as np
+import pytest
+
+from hpcapp.applications.surface.cloud.point_workers import PointWorkers
+from hpcapp.applications.surface.job import folder
+from hpcapp.applications.surface.job.folder import find_point_workers, may_pay_in_folder
+from hpcapp.applications.surface.job.load import PointFolder, load
+from hpcapp.applications.surface.settings import JobSettings
+from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.backends.selection import Backend
+from hpcapp.io import write_points
+from hpcapp.progress import Progress, StageClock
+from hpcapp.workforce import Workforce
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+@pytest.fixture
+def scan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(folder, "FOLDER_FROM_POINTS", 1_000)
+    normals = np.random.default_rng(1).normal(size=(1_500, 3))
+    for suffix in (".ply", ".xyz"):
+        write_points(tmp_path / f"scan{suffix}", PointCloud(normals, normals))
+    return tmp_path / "scan.ply"
+
+
+@pytest.mark.parametrize(
+    ("asked", "pays"),
+    [
+        ({"backend": "zmq"}, True),
+        ({"backend": "processes"}, True),
+        ({"workers": 2}, True),
+        ({"workers": 1}, False),
+        ({"backend": "serial"}, False),
+        ({"backend": "threads"}, False),
+        ({"backend": "zmq", "denoise": True}, False),
+        ({"backend": "loky:ProcessPoolExecutor"}, False),  # who knows where they are
+        ({"backend": "loky:ProcessPoolExecutor", "temp_dir": "/shared"}, True),
+        ({"backend": "loky:ProcessPoolExecutor", "temp_dir": "s3://bucket"}, False),
+        ({"cluster": Path("cluster.json")}, False),
+        ({"cluster": Path("cluster.json"), "temp_dir": "/shared"}, True),
+    ],
+)
+def test_points_go_where_other_processes_read_them(
+    scan: Path, asked: dict[str, Any], pays: bool
+) -> None:
+    assert may_pay_in_folder(JobSettings(scan, "mesh.ply", **asked)) == pays
+    text = JobSettings(scan.with_suffix(".xyz"), "mesh.ply", **asked)
+    assert not may_pay_in_folder(text)
+
+
+def test_few_points_or_no_room_stay_in_memory(scan: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = JobSettings(scan, "mesh.ply", backend="zmq")
+    monkeypatch.setattr(folder, "_BYTES_PER_POINT", 1 << 60)
+    assert not may_pay_in_folder(settings)
+    monkeypatch.undo()
+    assert not may_pay_in_folder(settings)
+    assert not may_pay_in_folder(JobSettings(scan.with_name("none.ply"), "mesh.ply", backend="zmq"))
+
+
+@pytest.mark.parametrize("sees", [True, False])
+@pytest.mark.parametrize("sees_input", [True, False])
+def test_workers_elsewhere_are_asked_what_they_see(
+    scan: Path, tmp_path: Path, sees: bool, sees_input: bool
+) -> None:
+    """Of a machine on which some of the files are not there."""
+    seen = (sees, sees and sees_input)
+
+    class Elsewhere(Workforce):
+        def sees(self, *files: Path) -> bool:
+            return seen[files[-1] == scan]
+
+    with ThreadPoolExecutor(1) as executor:
+        backend = Backend("dask", Elsewhere(executor))
+        workers = find_point_workers(scan, tmp_path / "job" / "points", backend, 1_000)
+    assert (workers.workers_see, workers.workers_see_input) == seen
+    assert list((tmp_path / "job").iterdir()) == []
+
+
+class RunsTwice(ThreadPoolExecutor):
+    """Runs every task again after its result is there, as for a worker that lags."""
+
+    def submit(self, fn: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> Future[R]:
+        first = super().submit(fn, *args, **kwargs)
+        with contextlib.suppress(RuntimeError):  # it is shut down while the last ones come
+            first.add_done_callback(lambda _: super(RunsTwice, self).submit(fn, *args, **kwargs))
+        return first
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("round_", range(5))
+def test_a_task_that_runs_again_late_changes_nothing(
+    scan: Path, tmp_path: Path, round_: int
+) -> None:
+    settings = JobSettings(scan, "mesh.ply")
+    clouds = []
+    for name, kind in (("once", ThreadPoolExecutor), ("twice", RunsTwice)):
+        with kind(2) as executor:
+            workers = PointWorkers(Workforce(executor, 2, 4), True, 100)
+            there = PointFolder(tmp_path / name, workers)
+            loaded = load(settings, StageClock(Progress()), there)
+            clouds.append(loaded.cloud.take_blocks(loaded.cloud.keys))
+    for once, twice in zip(*clouds, strict=True):
+        np.testing.assert_array_equal(once, twice)

@@ -1,0 +1,87 @@
+"""The native kernels of outliers and normals: numpy's results, the same bits, no crash."""
+
+from __future__ import annotations
+
+import contextlib
+from types import ModuleType
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hpcapp.applications.surface.kernels import portable
+
+
+@given(st.integers(0, 2**32), st.integers(1, 300), st.floats(0.05, 5.0))
+@settings(deadline=None, max_examples=40)
+def test_cells_and_their_neighbours(native: ModuleType, seed: int, count: int, edge: float) -> None:
+    random = np.random.default_rng(seed)
+    positions = random.normal(size=(count, 3))
+    low = positions.min(axis=0)
+    expected = portable.count_cells(positions, low, edge)
+    for one, other in zip(native.count_cells(positions, low, edge), expected, strict=True):
+        np.testing.assert_array_equal(one, other)
+    keys = expected[0]
+    values = random.integers(-9, 9, (len(keys), 3))
+    wanted = random.integers(0, len(keys), 20)
+    np.testing.assert_array_equal(
+        native.sum_neighbours(keys, values, wanted),
+        portable.sum_neighbours(keys, values, wanted),
+    )
+
+
+@given(st.integers(0, 2**32), st.floats(0.1, 0.6), st.floats(0.01, 0.3))
+@settings(deadline=None, max_examples=25)
+def test_polls(native: ModuleType, seed: int, reach: float, tolerance: float) -> None:
+    random = np.random.default_rng(seed)
+    directions = random.normal(size=(600, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    positions = directions * (1.0, 0.7, 0.2)
+    given_normals = directions * np.where(random.random(600) < 0.2, -1.0, 1.0)[:, None]
+    keys, _, cell_of = portable.count_cells(positions, positions.min(axis=0), reach)
+    asked = (random.random(600) < 0.9).astype(np.uint8)
+    poll = (positions, given_normals, keys, cell_of, asked, reach, tolerance, 0.5 * tolerance)
+    verdicts = native.poll_normals(*poll, 1)
+    np.testing.assert_array_equal(verdicts, portable.poll_normals(*poll))
+    assert native.poll_normals(*poll, 3).tobytes() == verdicts.tobytes()
+
+
+@given(st.integers(0, 2**32))
+@settings(deadline=None, max_examples=25)
+def test_normals_are_polled_alike_however_they_are_held(native: ModuleType, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    positions = random.normal(size=(600, 3)) * (1.0, 0.7, 0.02)
+    singles = random.normal(size=(600, 3)).astype(np.float32)
+    keys, _, cell_of = portable.count_cells(positions, positions.min(axis=0), 0.4)
+    rest = keys, cell_of, np.ones(600, np.uint8), 0.4, 0.1, 0.05
+    wide = native.poll_normals(positions, singles.astype(np.float64), *rest, 1)
+    assert native.poll_normals(positions, singles, *rest, 1).tobytes() == wide.tobytes()
+    assert len(np.unique(wide)) > 1
+
+
+@given(st.data())
+@settings(deadline=None, max_examples=100)
+def test_contradictory_arguments(native: ModuleType, data: st.DataObject) -> None:
+    random = np.random.default_rng(data.draw(st.integers(0, 2**16)))
+    points = random.normal(size=(9, 3)) * data.draw(st.sampled_from([1.0, 1e300, np.nan]))
+    keys = np.unique(random.integers(0, 2**63 - 1, data.draw(st.integers(0, 9))))
+    rows = random.integers(-1, 9, 9)
+    lengths = [data.draw(st.sampled_from([0.0, 0.1, 1e300, np.nan])) for _ in range(3)]
+    asked = np.ones(data.draw(st.integers(8, 9)), np.uint8)
+    calls = [
+        ("count_cells", points, points[0], lengths[0]),
+        ("sum_neighbours", keys, random.integers(-(2**62), 2**62, (len(keys), 4)), rows),
+        ("poll_normals", points, points, keys, rows, asked, *lengths, 2),
+    ]
+    name, *values = data.draw(st.sampled_from(calls))
+    with contextlib.suppress(ValueError):
+        getattr(native, name)(*values)
+
+
+def test_messages_name_the_argument(native: ModuleType) -> None:
+    keys = np.array([5, 9])
+    with pytest.raises(ValueError, match="wanted: a row is out of range"):
+        native.sum_neighbours(keys, np.ones((2, 1), np.int64), np.array([2]))
+    with pytest.raises(ValueError, match="cells: expected sorted"):
+        native.sum_neighbours(keys[::-1].copy(), np.ones((2, 1), np.int64), np.array([0]))

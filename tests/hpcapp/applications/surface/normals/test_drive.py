@@ -1,0 +1,203 @@
+"""Points without normals get the same ones in memory and in a folder, and on the right side."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from passes import alone, in_folder, in_memory
+
+from hpcapp.applications.simulate.scanner import simulate_scan
+from hpcapp.applications.simulate.settings import ScanSettings
+from hpcapp.applications.simulate.shapes import SHAPES
+from hpcapp.applications.surface.cloud import cloud_pass
+from hpcapp.applications.surface.cloud.arranged import arrange_cloud
+from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
+from hpcapp.applications.surface.cloud.measure import measure_spacing
+from hpcapp.applications.surface.normals.drive import turn_normals
+from hpcapp.applications.surface.normals.orientation import SURE
+from hpcapp.applications.surface.normals.sides import Oriented, is_contradicting, orient_cloud
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.progress import Progress, StageClock
+
+
+def _scan(name: str, **settings: float) -> PointCloud:
+    points = {"points": 12_000, **settings}
+    return simulate_scan(SHAPES[name], ScanSettings(normals="exact", **points))  # type: ignore[arg-type]
+
+
+def orient(
+    points: PointCloud, scanners: FloatArray | None = None, attribute: str | None = None
+) -> tuple[PointCloud, Oriented]:
+    """Orient points in memory, as if they contradicted each other where they have normals."""
+    clock, cloud_pass = StageClock(Progress()), in_memory(points)
+    turned, oriented = orient_cloud(
+        cloud_pass,
+        measure_spacing(cloud_pass),
+        "auto",
+        scanners,
+        clock,
+        has_normals=points.normals is not None,
+        is_oriented=False,
+        attribute=attribute,
+    )
+    return turned.cloud.points, oriented
+
+
+def contradicts(points: PointCloud) -> bool:
+    cloud_pass = in_memory(points)
+    return is_contradicting(cloud_pass, measure_spacing(cloud_pass))
+
+
+def _share_right(found: PointCloud, truth: PointCloud) -> float:
+    assert found.normals is not None
+    assert truth.normals is not None
+    return float(np.mean(np.einsum("ij,ij->i", found.normals, truth.normals) > 0.0))
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "least"),
+    [
+        ("sphere", {}, 1.0),
+        ("torus", {"noise": 0.002}, 0.999),
+        ("box", {}, 0.98),
+        ("knot", {"noise": 0.001, "pose_error": 0.001}, 0.99),
+    ],
+)
+def test_normals_point_out_of_what_was_scanned(
+    name: str, settings: dict[str, float], least: float
+) -> None:
+    scan = _scan(name, **settings)
+    found, oriented = orient(PointCloud(scan.positions))
+    assert _share_right(found, scan) >= least
+    assert oriented.source == "estimated"
+    assert oriented.sure > 0.99
+    assert oriented.warnings == []
+    assert found.attributes == {}
+
+
+def test_how_sure_the_side_is_is_kept_where_it_is_asked_for() -> None:
+    scan = PointCloud(_scan("torus").positions)
+    found, oriented = orient(scan, attribute="confidence")
+    confidence = found.attributes["confidence"]
+    assert confidence.shape == (len(scan),)
+    assert 0.0 <= confidence.min() <= confidence.max() <= 1.0
+    assert np.mean(confidence >= SURE) == pytest.approx(oriented.sure)
+
+
+def test_two_objects_have_their_own_sides() -> None:
+    scan = _scan("torus", noise=0.001)
+    assert scan.normals is not None
+    twice = np.concatenate([scan.positions, scan.positions + np.array([3.0, 0.4, 0.2])])
+    truth = PointCloud(twice, np.concatenate([scan.normals, scan.normals]))
+    found, _ = orient(PointCloud(twice))
+    assert _share_right(found, truth) >= 0.999
+
+
+def test_a_thin_plate_has_two_sides() -> None:
+    random = np.random.default_rng(0)
+    top = random.uniform(-1.0, 1.0, (12_000, 3)) * (1.0, 1.0, 0.0) + (0.0, 0.0, 0.03)
+    sides = np.where(random.random(len(top)) < 0.5, 1.0, -1.0)
+    normals = np.zeros_like(top)
+    normals[:, 2] = sides
+    positions = top * np.stack([np.ones_like(sides), np.ones_like(sides), sides], axis=1)
+    positions += random.normal(0.0, 0.002, positions.shape)
+    found, _ = orient(PointCloud(positions))
+    assert _share_right(found, PointCloud(positions, normals)) >= 0.99
+
+
+def test_who_stood_inside_saw_the_inside() -> None:
+    random = np.random.default_rng(1)
+    normals = random.normal(size=(8_000, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    found, _ = orient(PointCloud(2.0 * normals), np.array([[0.3, 0.0, 0.0]]))
+    assert _share_right(found, PointCloud(2.0 * normals, -normals)) == 1.0
+
+
+def _sheets(random: np.random.Generator) -> FloatArray:
+    """Noise around two sheets, points on a lattice, and some at the same place."""
+    plane = random.uniform(-1.0, 1.0, (9_000, 3)) * (1.0, 1.0, 0.01)
+    steps = np.arange(40) * 0.02
+    lattice = np.stack(np.meshgrid(steps, steps, [0.5]), axis=-1).reshape(-1, 3)
+    return np.concatenate([plane, lattice, lattice[:100], random.uniform(-1, 1, (60, 3))])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("workers_see", [True, False])
+@pytest.mark.parametrize("what", ["knot", "sheets", "given"])
+def test_regions_give_the_normals_of_the_whole(
+    tmp_path: Path, what: str, workers_see: bool
+) -> None:
+    scan = _sheets(np.random.default_rng(2)) if what == "sheets" else _scan("knot").positions
+    given = np.random.default_rng(3).normal(size=scan.shape)
+    given /= np.linalg.norm(given, axis=1, keepdims=True)
+    points = PointCloud(scan, given if what == "given" else None)
+    memory = MemoryPass(arrange_cloud(points))
+    spacing = measure_spacing(memory)
+    keeps = what == "given"
+    whole, sure, turned = turn_normals(memory, spacing, None, keeps=keeps)
+    there = in_folder(points, tmp_path, alone(1_500, sees=workers_see))
+    found, same_sure, same_turned = turn_normals(there, spacing, None, keeps=keeps)
+    assert len(found.cloud.parts) > 3
+    assert found.cloud.take_blocks(found.cloud.keys)[0].tobytes() == (
+        memory.cloud.points.positions.tobytes()
+    )
+    assert whole.cloud.points.normals is not None
+    normals = whole.cloud.points.normals
+    assert found.cloud.take_blocks(found.cloud.keys)[1].tobytes() == normals.tobytes()
+    assert (same_sure, same_turned) == (sure, turned)
+    assert turned > 0
+
+
+def test_large_clouds_in_memory_are_turned_in_boxes(monkeypatch: pytest.MonkeyPatch) -> None:
+    points = PointCloud(_scan("knot", noise=0.001).positions)
+    expected, _ = orient(points, attribute="sure")
+    monkeypatch.setattr(cloud_pass, "POINTS_AT_ONCE", 1_000)
+    found, _ = orient(points, attribute="sure")
+    assert found.normals is not None
+    assert expected.normals is not None
+    assert found.normals.tobytes() == expected.normals.tobytes()
+    assert found.attributes["sure"].tobytes() == expected.attributes["sure"].tobytes()
+
+
+def test_normals_of_a_file_are_warned_of_where_they_are_taken_as_they_are() -> None:
+    scan = _scan("torus")
+    assert scan.normals is not None
+    signs = np.where(np.random.default_rng(4).random(len(scan)) < 0.5, -1.0, 1.0)
+    mixed = in_memory(PointCloud(scan.positions, scan.normals * signs[:, None]))
+    clock = StageClock(Progress())
+    for given, is_wrong in ((in_memory(scan), False), (mixed, True)):
+        spacing = measure_spacing(given)
+        same, oriented = orient_cloud(given, spacing, "file", None, clock, has_normals=True)
+        assert same is given
+        assert ["contradict" in warning for warning in oriented.warnings] == [True] * is_wrong
+
+
+def test_random_sides_are_mended_and_good_ones_left() -> None:
+    scan = _scan("knot", noise=0.001)
+    assert scan.normals is not None
+    assert not contradicts(scan)
+    signs = np.where(np.random.default_rng(4).random(len(scan)) < 0.5, -1.0, 1.0)
+    mixed = PointCloud(scan.positions, scan.normals * signs[:, None])
+    assert contradicts(mixed)
+    found, oriented = orient(mixed)
+    assert _share_right(found, scan) >= 0.99
+    assert oriented.source == "file"
+    assert abs(oriented.turned - np.count_nonzero(signs < 0.0)) < 0.02 * len(scan)
+    assert "were turned round" in oriented.warnings[0]
+    assert found.normals is not None
+    unsigned = np.abs(np.einsum("ij,ij->i", found.normals, scan.normals))
+    assert unsigned.min() > 1.0 - 1e-6
+
+
+def test_a_scan_inside_out_among_others_is_turned() -> None:
+    first, second = (_scan("torus", noise=0.001, seed=seed) for seed in (1, 2))
+    assert first.normals is not None
+    assert second.normals is not None
+    positions = np.concatenate([first.positions, second.positions])
+    truth = PointCloud(positions, np.concatenate([first.normals, second.normals]))
+    mixed = PointCloud(positions, np.concatenate([first.normals, -second.normals]))
+    assert contradicts(mixed)
+    found, _ = orient(mixed)
+    assert _share_right(found, truth) >= 0.999

@@ -1,0 +1,79 @@
+"""Estimated normals are those of the surface, and a region's are those of the whole."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hpcapp.applications.surface.cloud.spacing import estimate_spacing
+from hpcapp.applications.surface.normals.estimation import MARGIN, estimate_normals, keep_directions
+from hpcapp.applications.surface.types.points import Float32Array, FloatArray
+
+
+def _estimate(positions: FloatArray) -> Float32Array:
+    every = np.ones(len(positions), np.bool_)
+    return estimate_normals(positions, every, positions.min(axis=0), estimate_spacing(positions))
+
+
+def _sphere(points: int, seed: int = 0) -> FloatArray:
+    arms = np.random.default_rng(seed).normal(size=(points, 3))
+    units: FloatArray = arms / np.linalg.norm(arms, axis=1, keepdims=True)
+    return units
+
+
+def _angles(vectors: Float32Array, truth: FloatArray) -> FloatArray:
+    """Return the angles between two directions up to their signs, in degrees."""
+    units = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    cosines = np.abs(np.einsum("ij,ij->i", units, truth))
+    angles: FloatArray = np.degrees(np.arccos(np.minimum(cosines, 1.0)))
+    return angles
+
+
+@pytest.mark.parametrize(("noise", "most"), [(0.0, 1.5), (0.01, 6.0), (0.03, 12.0)])
+def test_a_sphere_has_its_radii_as_normals(noise: float, most: float) -> None:
+    truth = _sphere(8_000)
+    radii = 1.0 + noise * np.random.default_rng(1).normal(size=(len(truth), 1))
+    vectors = _estimate(truth * radii)
+    assert _angles(vectors, truth).mean() < most
+    if noise:
+        assert np.median(np.linalg.norm(vectors, axis=1)) == pytest.approx(noise, rel=0.25)
+
+
+def test_faces_of_a_box_are_flat_up_to_their_edges() -> None:
+    random = np.random.default_rng(2)
+    positions = random.uniform(-1.0, 1.0, (20_000, 3))
+    axes = random.integers(0, 3, len(positions))
+    rows = np.arange(len(positions))
+    positions[rows, axes] = np.sign(positions[rows, axes])
+    truth = np.eye(3)[axes]
+    wrong = _angles(_estimate(positions), truth) > 10.0
+    others = np.sort(np.abs(positions), axis=1)[:, 1]  # 1 at an edge
+    assert np.mean(wrong) < 0.08
+    assert not np.any(wrong & (others < 0.92))
+
+
+def test_a_region_has_the_normals_of_the_whole() -> None:
+    positions = np.concatenate([_sphere(6_000), np.repeat(_sphere(20, 5) * 0.5, 60, axis=0)])
+    spacing, low = estimate_spacing(positions), positions.min(axis=0)
+    whole = estimate_normals(positions, np.ones(len(positions), np.bool_), low, spacing)
+    own = positions[:, 2] > 0.8
+    near = np.flatnonzero(positions[:, 2] > 0.8 - MARGIN * spacing)
+    part = estimate_normals(positions[near], own[near], low, spacing)
+    assert part.tobytes() == whole[own].tobytes()
+
+
+def test_points_far_from_all_others_have_some_normal() -> None:
+    positions = np.concatenate([_sphere(2_000), [[90.0, 0.0, 0.0], [0.0, 90.0, 0.0]]])
+    vectors = estimate_normals(
+        positions, np.ones(len(positions), np.bool_), positions.min(axis=0), 0.05
+    )
+    assert np.isfinite(vectors).all()
+    assert (np.linalg.norm(vectors, axis=1) > 0.0).all()
+
+
+def test_known_directions_stay() -> None:
+    truth = _sphere(2_000)
+    vectors = _estimate(truth)
+    kept = keep_directions(vectors, -truth)
+    assert np.linalg.norm(kept, axis=1) == pytest.approx(np.linalg.norm(vectors, axis=1), rel=1e-5)
+    assert _angles(kept, truth).max() < 0.1

@@ -1,0 +1,60 @@
+"""What is seen from a viewpoint is what nothing lies in front of."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hpcapp.applications.surface.normals.patches import Patches
+from hpcapp.applications.surface.normals.visibility import (
+    find_seen,
+    poll_views,
+    stand_inside,
+    surround,
+)
+from hpcapp.applications.surface.types.points import FloatArray
+
+SPACING = 0.02
+
+
+def _patches(centres: FloatArray, normals: FloatArray) -> Patches:
+    count = len(centres)
+    ones = np.ones(count, np.int64)
+    return Patches(np.arange(count), 0 * ones, 16 * ones, centres, normals, np.zeros(count))
+
+
+def _ball(count: int = 3_000) -> Patches:
+    arms = np.random.default_rng(0).normal(size=(count, 3))
+    arms /= np.linalg.norm(arms, axis=1, keepdims=True)
+    return _patches(arms, arms)
+
+
+def test_half_of_a_ball_is_seen() -> None:
+    ball = _ball()
+    cosines, is_seen = find_seen(ball, np.array([0.0, 0.0, 50.0]), SPACING)
+    assert np.allclose(cosines, ball.normals[:, 2], atol=0.05)
+    up = ball.centres[:, 2]
+    assert is_seen[up > 0.4].mean() > 0.3  # others in their pixel bend away from the nearest
+    assert is_seen[up < -0.4].mean() < 0.1
+
+
+def test_all_of_a_ball_is_seen_from_within() -> None:
+    _, is_seen = find_seen(_ball(), np.array([0.1, 0.0, -0.2]), SPACING)
+    assert is_seen.all()
+
+
+def test_the_outside_is_seen_from_all_around() -> None:
+    ball = _ball()
+    front, back = poll_views(ball, surround(ball, 60), SPACING)
+    assert (front > 5.0 * back).mean() > 0.98
+    front, back = poll_views(ball, stand_inside(ball), SPACING)
+    assert (back > 5.0 * front).all()
+
+
+def test_both_sides_of_a_plate_are_told_apart() -> None:
+    random = np.random.default_rng(1)
+    flat = random.uniform(-1.0, 1.0, (4_000, 3)) * (1.0, 1.0, 0.0)
+    signs = np.where(np.arange(len(flat)) % 2 == 0, 1.0, -1.0)
+    flat[:, 2] = 0.02 * signs
+    plate = _patches(flat, np.tile([0.0, 0.0, 1.0], (len(flat), 1)))
+    front, back = poll_views(plate, surround(plate, 60), SPACING)
+    assert ((front > back) == (signs > 0.0)).mean() > 0.97
