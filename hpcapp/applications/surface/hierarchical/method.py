@@ -22,7 +22,6 @@ from hpcapp.applications.surface.boundary.drive import (
 )
 from hpcapp.applications.surface.checkpoint import Keeping
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
-from hpcapp.applications.surface.cloud.arrangement import choose_arrangement
 from hpcapp.applications.surface.field.far_field import FEWEST_NODES, choose_nodes
 from hpcapp.applications.surface.field.pyramid import count_levels
 from hpcapp.applications.surface.hierarchical.coarse import Coarse, far_level, fit_coarse
@@ -170,7 +169,7 @@ class HierarchicalMethod:
         # No lower for a finer far field: the master fits all from there up.
         lowest = far_level(grid, FEWEST_NODES, scale.cell_size, height)
         coarse = max(least, min(lowest, height - 1)) if count else height
-        blocks = choose_arrangement(low, high)
+        blocks = cloud.arrangement
         plan = Plan(
             low, scale.cell_size, height, coarse, noise,
             grid.origin, grid.step, grid.bricks, blocks.origin, blocks.edge, far, tolerance,
