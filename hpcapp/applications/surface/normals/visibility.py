@@ -19,6 +19,7 @@ __all__ = ["find_seen", "poll_views", "stand_inside", "surround"]
 
 _PIXEL = 1.5 * CELL  # spacings: two patches of a sheet are seen in a pixel
 _LEAST_COSINE = 0.25  # of the angle between a normal and the line of sight
+_NEAREST = 1e-12  # spacings
 _THICK = 0.5  # spacings that a patch may lie behind the plane of what is seen
 _NOISES = 3.0  # or so many standard deviations of it, where that is more
 _DISTANCE = 2.5  # of the viewpoints around an object, in half diagonals of its box
@@ -123,7 +124,8 @@ def find_seen(
     and a half patches at the median distance; a nearer patch fills larger ones.
     """
     arms = viewpoint - patches.centres
-    far = np.maximum(np.sqrt(np.einsum("ij,ij->i", arms, arms)), 1e-300)
+    # Whoever stands on a point is a little way off it, or its pixel would be endless.
+    far = np.maximum(np.sqrt(np.einsum("ij,ij->i", arms, arms)), max(_NEAREST * spacing, 1e-300))
     cosines = np.einsum("ij,ij->i", arms, patches.normals) / far
     thick = np.maximum(_THICK * spacing, _NOISES * patches.noise)
     places, sides = _project(arms)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from hpcapp.applications.surface.normals.patches import Patches
 from hpcapp.applications.surface.normals.visibility import (
@@ -58,3 +59,12 @@ def test_both_sides_of_a_plate_are_told_apart() -> None:
     plate = _patches(flat, np.tile([0.0, 0.0, 1.0], (len(flat), 1)))
     front, back = poll_views(plate, surround(plate, 60), SPACING)
     assert ((front > back) == (signs > 0.0)).mean() > 0.97
+
+
+@pytest.mark.parametrize("size", [1e-30, 1.0, 1e33])
+def test_who_stands_on_a_patch_sees_what_there_is_to_see(size: float) -> None:
+    one = np.ones(1, np.int64)
+    patches = Patches(one, 0 * one, one, size * np.ones((1, 3)), np.eye(3)[:1], size * np.ones(1))
+    cosines, is_seen = find_seen(patches, size * np.ones(3), size)
+    assert cosines.tolist() == [0.0]
+    assert is_seen.tolist() == [False]
