@@ -140,10 +140,11 @@ class MemoryPass:
         points, count = self.cloud.points, len(self.cloud)
         kept = [(some.rows, some.kept) for some in changes if some.kept is not None]
         normals = [(some.rows, some.normals) for some in changes if some.normals is not None]
-        attributes = dict(points.attributes)
-        for name in changes[0].attributes:
+        attributes = {}
+        for name in changes[0].attributes:  # what is added comes first
             columns = [(some.rows, some.attributes[name]) for some in changes]
             attributes[name] = _place(columns, np.zeros(count, columns[0][1].dtype))
+        attributes |= points.attributes
         if normals:
             points = replace(points, normals=_place(normals, points.normals))
         cloud = replace(self.cloud, points=replace(points, attributes=attributes))

@@ -35,7 +35,9 @@ def carry_columns(
     at_once = min(choose_tile(settings, outcome.backend) or _MOST_AT_ONCE, _MOST_AT_ONCE)
     threads = choose_threads(outcome.backend.workforce, len(cloud))
     with clock.stage("attributes"):
-        spacing = float(outcome.result.facts.get("spacing") or cloud.measure().spacing)
+        spacing = float(outcome.result.facts.get("spacing", 0.0))
+        if not spacing and choice.has_support:
+            spacing = cloud.measure().spacing
         evaluate = loaded.columns.open(cloud, spacing, threads, at_once)
     support = spacing if choice.has_support else None
     return Carrying(layout, evaluate, support, choice.has_normals)

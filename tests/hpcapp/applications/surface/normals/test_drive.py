@@ -78,8 +78,10 @@ def test_normals_point_out_of_what_was_scanned(
 
 
 def test_how_sure_the_side_is_is_kept_where_it_is_asked_for() -> None:
-    scan = PointCloud(_scan("torus").positions)
+    positions = _scan("torus").positions
+    scan = PointCloud(positions, attributes={"height": positions[:, 2]})
     found, oriented = orient(scan, attribute="confidence")
+    assert list(found.attributes) == ["confidence", "height"]
     confidence = found.attributes["confidence"]
     assert confidence.shape == (len(scan),)
     assert 0.0 <= confidence.min() <= confidence.max() <= 1.0
