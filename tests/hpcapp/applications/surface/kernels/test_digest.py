@@ -9,9 +9,12 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 import hpcapp.applications.surface
-from hpcapp.applications.surface.kernels.digest import digest_code, strip_prose
+from hpcapp.applications.surface.kernels.digest import SUBJECTS, digest_code, strip_prose
 
-FILES = {"a.py": '"""One."""\nX = 1  # of something\n', "deep/er/b.py": "def f():\n    return 2\n"}
+FILES = {
+    "types/a.py": '"""One."""\nX = 1  # of something\n',
+    "kernels/deep/er/b.py": "def f():\n    return 2\n",
+}
 
 
 @pytest.fixture
@@ -39,10 +42,24 @@ def test_it_does_not_change_with_prose(folder: Path, name: str) -> None:
 
 def test_it_changes_with_a_name_and_with_a_new_file(folder: Path) -> None:
     before = digest_code(folder)
-    (folder / "a.py").rename(folder / "c.py")
+    (folder / "types/a.py").rename(folder / "types/c.py")
     renamed = digest_code(folder)
-    (folder / "d.py").touch()
+    (folder / "types/d.py").touch()
     assert len({before, renamed, digest_code(folder)}) == 3
+
+
+def test_what_only_the_master_runs_does_not_count(folder: Path) -> None:
+    before = digest_code(folder)
+    (folder / "job").mkdir()
+    (folder / "job/run.py").write_text("X = 1\n")
+    (folder / "api.py").write_text("X = 1\n")
+    assert digest_code(folder) == before
+
+
+def test_all_subjects_are_there() -> None:
+    surface = Path(hpcapp.applications.surface.__file__ or "").parent
+    found = {path.parent.name for path in surface.glob("*/__init__.py")}
+    assert found == {*SUBJECTS, "hierarchical", "job"}
 
 
 @example("#n")

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 HERE = Path(__file__).parent
-ROOT = HERE.parents[4]
+ROOT = HERE.parents[5]
 INSIDE = "HPCAPP_SANITIZED"  # set in the run under the sanitizers, which must not start another
 
 # Puts the sanitized extension in the place of the installed one, then runs the tests.
