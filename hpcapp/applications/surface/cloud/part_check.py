@@ -29,7 +29,7 @@ def with_check(pieces: Iterable[memoryview], path: Path) -> Iterator[memoryview 
     Parameters
     ----------
     pieces : iterable of memoryview of bytes
-        Of whole pages each (see `stored_value.PAGE`), but for the last.
+        Of whole pages each (see `hpccomponent.files.checksum.PAGE`), but for the last.
     path : Path
         Of the file.
 

@@ -129,8 +129,8 @@ class VertexQuadrics:
         Points in the eight cells around each vertex; above the finest level, as far as the
         quadric agrees with their normals.
     inherited : ndarray of float32, shape (v,)
-        The mean count of its parents, 0 for those that points do not surround (see `crowding`),
-        plus a quarter of what these inherited.
+        The mean count of its parents, 0 for those that points do not surround (see
+        `crowd_vertices`), plus a quarter of what these inherited.
     variances : ndarray of float32, shape (v, 3)
         What the fits leave over (see `hermite.residual_variances`), in cells squared: its own, the
         mean of its parents' and of theirs. Where points are few, its own is the parents'.

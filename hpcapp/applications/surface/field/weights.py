@@ -201,7 +201,7 @@ def trust_vertices(
     counts, inherited : ndarray of float32, shape (v,)
         Points around each vertex, and around its ancestors (see `VertexQuadrics`).
     crowds : float, or ndarray of float64, shape (v,)
-        Other points in the cell of a point of the next finer level (see `crowding`); 0 at the
+        Other points in the cell of a point of the next finer level (see `crowd_vertices`); 0 at the
         finest level.
     depth : int
         The level, 0 for the finest.

@@ -3,7 +3,7 @@
 ::
 
     partition ─── kd-tree, by the normal cone and max_points, or by count     kdtree.py
-    fit ───────── one quadric for each patch, in equal batches, on workers    patch_quadrics.py
+    fit ───────── one quadric for each patch, in equal batches, on workers    tasks.py
     extract ───── indicator blend on a grid of nodes, marching cubes          indicator_blend.py
                                                                               iso_surface.py
 

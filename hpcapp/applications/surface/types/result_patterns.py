@@ -2,7 +2,7 @@
 
 What sizes anything in the master is held against what a task was assigned: counts against the
 points in its blocks, boxes and keys against where these lie. Here is what several kinds of tasks
-need; `file_patterns`, `cloud_patterns` and `surface_patterns` have those of each.
+need; the `patterns` of each subject have those of its tasks.
 """
 
 from __future__ import annotations
