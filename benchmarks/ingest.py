@@ -18,11 +18,11 @@ from typing import TypeVar
 
 from hpcapp.applications.surface.cleaning.drive import clean_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import FolderPass, make_cloud_folder
-from hpcapp.applications.surface.cloud.ingest import ingest_file
 from hpcapp.applications.surface.cloud.measure import measure_cloud, measure_spacing
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.hierarchical.estimates import choose_scale
 from hpcapp.applications.surface.method import TILE_POINTS
+from hpcapp.applications.surface.reading.drive import ingest_file
 from hpcapp.backends.selection import open_executor
 from hpcapp.io import open_points
 

@@ -22,7 +22,7 @@ from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.attributes.labels import find_labels
 from hpcapp.applications.surface.job.backend_choice import approach_workers
 from hpcapp.applications.surface.job.carry import carry_columns
-from hpcapp.applications.surface.job.load import prepare, take_points
+from hpcapp.applications.surface.job.load import arrange_points, prepare
 from hpcapp.applications.surface.job.steps import run_steps
 from hpcapp.applications.surface.method import MAX_GRID, MIN_GRID, MethodSettings
 from hpcapp.applications.surface.methods import DEFAULT_METHOD, find_method
@@ -157,7 +157,7 @@ def reconstruct(
     given = None if isinstance(executor, str) else executor
     verification = _choose_verification(given, verify)
     with approach_workers(settings, verification=verification) as opener:
-        read = take_points(settings, checked, labels, clock)
+        read = arrange_points(settings, checked, labels, clock)
         del checked  # makes room
         refuse_too_few(len(read.cloud_pass.cloud), Dropped(0, 0), "points")
         loaded = prepare(settings, read, clock)

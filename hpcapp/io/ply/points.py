@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hpcapp.applications.surface.cloud.point_records import Column, PointRecords
+from hpcapp.applications.surface.reading.point_records import Column, PointRecords
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io.batches import cut_points, join_points
 from hpcapp.io.columns import Ragged, Rows

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
-from hpcapp.applications.surface.cloud.point_records import PointRecords
+from hpcapp.applications.surface.reading.point_records import PointRecords
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io.batches import cut_points, join_points
 from hpcapp.io.frame import to_local

@@ -31,8 +31,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.cloud.point_records import PointRecords
 from hpcapp.applications.surface.kernels import bound_points
+from hpcapp.applications.surface.reading.point_records import PointRecords
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, PointCloud
 from hpcapp.io.batches import join_points
 from hpcapp.io.columns import Numbers

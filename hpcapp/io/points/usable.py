@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hpcapp.applications.surface.cloud.validity import Dropped, select_usable
 from hpcapp.applications.surface.kernels import bound_points
+from hpcapp.applications.surface.reading.validity import Dropped, select_usable
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, PointCloud
 from hpccomponent.errors import InputError, OutputError
 

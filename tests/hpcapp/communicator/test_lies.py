@@ -13,7 +13,7 @@ import zmq
 from fixture_types import StartComponent
 
 from hpcapp.applications.quadrature.application import estimate
-from hpcapp.applications.surface.paper.tasks import fit_patches
+from hpcapp.applications.surface.paper.patch_quadrics import fit_patches
 from hpcapp.communicator.executor import CommunicatorExecutor
 from hpccomponent.protocol.codec import encode_values
 from hpccomponent.protocol.frames import LARGEST_FRAME, Buffer, split_buffers

@@ -44,7 +44,7 @@ def opened_bytes(taken: TakenBricks, keep: tuple[str, str] | None) -> int:
 
 
 def open_surface(taken: TakenBricks, keep: tuple[str, str] | None) -> Declared:
-    """Return the pattern of what `opening.open_part` returns, or keeps.
+    """Return the pattern of what `tasks.open_part` returns, or keeps.
 
     Parameters
     ----------
@@ -64,14 +64,14 @@ def open_surface(taken: TakenBricks, keep: tuple[str, str] | None) -> Declared:
 
 
 def judged_support(_part: Any, taken: TakenBricks, *_: Any) -> Declared:
-    """Return the pattern of what `opening.judge_support` counts."""
+    """Return the pattern of what `tasks.judge_support` counts."""
     return Fixed(Whole(0, taken.vertices), Exactly(taken.vertices))
 
 
 def opening_seams(
     _part: Any, taken: TakenBricks, _places: FloatArray, rim: IntArray, *_: Any
 ) -> Declared:
-    """Return the pattern of what `opening.survey_support` finds."""
+    """Return the pattern of what `tasks.survey_support` finds."""
 
     def agrees(seams: OpeningSeams) -> bool:
         patches, ends = len(seams.loops), seams.edges

@@ -29,7 +29,7 @@ def without_points(points: StoredBlocks, *_: Any) -> Declared:
 
 
 def ranked_region(points: StoredBlocks, low: FloatArray, spacing: float) -> Declared:
-    """Return the pattern of what `cleaning.rank_region` returns."""
+    """Return the pattern of what `tasks.rank_region` returns."""
     own, size = AssignedPoints.of(points), EDGE * spacing
 
     def agrees(ranks: tuple[Any, ...]) -> bool:
@@ -51,7 +51,7 @@ def ranked_region(points: StoredBlocks, low: FloatArray, spacing: float) -> Decl
 
 
 def stray_cells(points: StoredBlocks, low: FloatArray, spacing: float, _base: int) -> Declared:
-    """Return the pattern of what `cleaning.judge_region` finds."""
+    """Return the pattern of what `tasks.judge_region` finds."""
     own = AssignedPoints.of(points)
     return Where(
         own.cells("s", low, EDGE * spacing),
@@ -61,7 +61,7 @@ def stray_cells(points: StoredBlocks, low: FloatArray, spacing: float, _base: in
 
 
 def mended_region(points: StoredBlocks, *_: Any) -> Declared:
-    """Return the pattern of what `cleaning.mend_region` returns."""
+    """Return the pattern of what `tasks.mend_region` returns."""
     own = AssignedPoints.of(points)
     replaced = own.replaced(points.target, UNIT, are_units)
     return Where(

@@ -205,24 +205,7 @@ def pack_points(
 def pack_snapped(
     arrangement: Arrangement, snapped: FloatArray, normals: FloatArray
 ) -> PackedPoints:
-    """Pack points that have been snapped; see `pack_points`.
-
-    Parameters
-    ----------
-    arrangement : Arrangement
-    snapped, normals : ndarray of float64, shape (n, 3)
-        At least one point; the positions in length units of the input.
-
-    Returns
-    -------
-    PackedPoints
-        Within a block the points keep their order.
-
-    Raises
-    ------
-    InputError, ValueError
-        A point lies more than 2^20 blocks away.
-    """
+    """Pack points that have been snapped; as `pack_points` else."""
     points = np.ascontiguousarray(snapped, np.float64), np.ascontiguousarray(normals, np.float64)
     return PackedPoints.from_records(
         *kernels.pack_records(*points, arrangement.origin, arrangement.edge)

@@ -218,7 +218,7 @@ def run_bytes(each: int) -> Callable[..., int]:
 
 
 def bounded_region(points: StoredBlocks) -> Declared:
-    """Return the pattern of what `blocks.bound_region` finds."""
+    """Return the pattern of what `tasks.bound_region` finds."""
     own = AssignedPoints.of(points)
     low, high = own.box
     edge = own.arrangement.edge
@@ -235,7 +235,7 @@ def bounded_region(points: StoredBlocks) -> Declared:
 def counted_boxes(
     points: StoredBlocks, low: FloatArray, edge: float, one_in: int, is_distinct: bool
 ) -> Declared:
-    """Return the pattern of what `blocks.count_boxes` counts."""
+    """Return the pattern of what `tasks.count_boxes` counts."""
     own = AssignedPoints.of(points)
     return Where(
         sampled_boxes(own.points, own.cells("c", low, edge)),
@@ -245,7 +245,7 @@ def counted_boxes(
 
 
 def sampled_region(points: StoredBlocks, *_: Any) -> Declared:
-    """Return the pattern of what `blocks.sample_region` takes."""
+    """Return the pattern of what `tasks.sample_region` takes."""
     own = AssignedPoints.of(points)
     low, high = own.box
     return Where(
@@ -256,7 +256,7 @@ def sampled_region(points: StoredBlocks, *_: Any) -> Declared:
 
 
 def counted_cells(place: Place, blocks: IntArray, origin: FloatArray, size: float) -> Declared:
-    """Return the pattern of what `blocks.count_block_cells` counts."""
+    """Return the pattern of what `tasks.count_block_cells` counts."""
     cloud = open_place(place)
     own = AssignedPoints.among(cloud.arrangement, cloud, blocks)
     return Fixed(own.cells("c", origin, size), Array("<i8", "c", low=1, total=own.total))

@@ -24,12 +24,12 @@ from hpcapp.applications.surface.cloud.cloud_pass import (
     make_cloud_folder,
 )
 from hpcapp.applications.surface.cloud.disk import open_disk_cloud
-from hpcapp.applications.surface.cloud.ingest import ingest_file
 from hpcapp.applications.surface.cloud.measure import measure_cloud, measure_spacing
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
-from hpcapp.applications.surface.cloud.reach import drop_far
 from hpcapp.applications.surface.job.columns import Columns, FileColumns, MemoryColumns
 from hpcapp.applications.surface.normals.sides import Oriented, orient_cloud
+from hpcapp.applications.surface.reading.drive import ingest_file
+from hpcapp.applications.surface.reading.reach import drop_far
 from hpcapp.applications.surface.settings import JobSettings, Settings
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io import PointSource, drop_unusable, open_points, read_whole
@@ -41,7 +41,7 @@ from hpccomponent.files.private_files import remove_path
 from hpccomponent.store.base import FolderStore
 from hpccomponent.store.value import DamagedError
 
-__all__ = ["Loaded", "PointFolder", "Read", "load", "prepare", "take_points"]
+__all__ = ["Loaded", "PointFolder", "Read", "arrange_points", "load", "prepare"]
 
 log = logging.getLogger("hpcapp")
 
@@ -179,7 +179,7 @@ def _read_into_memory(settings: JobSettings, source: PointSource, clock: StageCl
         labels = find_labels(columns.attributes)
         points, dropped = drop_unusable(columns, str(settings.points))
         del columns
-    read = take_points(settings, points, labels, clock)
+    read = arrange_points(settings, points, labels, clock)
     return replace(
         read,
         dropped=dropped,
@@ -188,7 +188,7 @@ def _read_into_memory(settings: JobSettings, source: PointSource, clock: StageCl
     )
 
 
-def take_points(
+def arrange_points(
     settings: Settings, points: PointCloud, labels: frozenset[str], clock: StageClock
 ) -> Read:
     """Drop points that lie far away, arrange the rest, and drop those at the place of another.

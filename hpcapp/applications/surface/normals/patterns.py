@@ -35,13 +35,13 @@ _ROUNDED = 1.0 + 1e-6  # what is a mean may lie as much further out
 def estimated_region(
     points: StoredBlocks, _low: FloatArray, spacing: float, _keeps: bool
 ) -> Declared:
-    """Return the pattern of what `normals.estimate_region` returns."""
+    """Return the pattern of what `tasks.estimate_region` returns."""
     own = AssignedPoints.of(points)
     return Fixed(own.replaced(points.target, _MOST_NOISE * spacing, is_all=True))
 
 
 def turned_region(points: StoredBlocks, *_: Any) -> Declared:
-    """Return the pattern of what `normals.turn_region` returns."""
+    """Return the pattern of what `tasks.turn_region` returns."""
     own = AssignedPoints.of(points)
     replaced = own.replaced(points.target, UNIT, are_units, is_all=True)
     bins = Array("<i8", CONFIDENCE_BINS, low=0, total=own.total)
@@ -49,7 +49,7 @@ def turned_region(points: StoredBlocks, *_: Any) -> Declared:
 
 
 def grouped_region(points: StoredBlocks, low: FloatArray, spacing: float) -> Declared:
-    """Return the pattern of what `normals.group_region` finds."""
+    """Return the pattern of what `tasks.group_region` finds."""
     own, reach = AssignedPoints.of(points), 1.01 * MARGIN * spacing
     box = own.box[0] - reach, own.box[1] + reach
     patches = Record(

@@ -3,7 +3,7 @@
 ::
 
     partition ─── kd-tree, by the normal cone and max_points, or by count     kdtree.py
-    fit ───────── one quadric for each patch, in equal batches, on workers    tasks.py
+    fit ───────── one quadric for each patch, in equal batches, on workers    patch_quadrics.py
     extract ───── indicator blend on a grid of nodes, marching cubes          indicator_blend.py
                                                                               iso_surface.py
 
@@ -32,12 +32,12 @@ from hpcapp.applications.surface.paper.kdtree import (
     partition_by_count,
     partition_by_rule,
 )
-from hpcapp.applications.surface.paper.split_rule import SplitRule
-from hpcapp.applications.surface.paper.tasks import (
+from hpcapp.applications.surface.paper.patch_quadrics import (
     evaluate_quadrics,
     fit_patches,
     gradient_quadrics,
 )
+from hpcapp.applications.surface.paper.split_rule import SplitRule
 from hpcapp.applications.surface.surface import WholeSurface
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.workforce import Workforce, map_batches

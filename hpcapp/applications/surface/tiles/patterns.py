@@ -83,7 +83,7 @@ def surface_box(plan: Plan) -> tuple[FloatArray, FloatArray]:
 
 
 def far_field(plan: Plan, *_: Any) -> Declared:
-    """Return the pattern of what `tiles.solve_far` finds."""
+    """Return the pattern of what `tasks.solve_far` finds."""
     origin, step = lay_far_field(*plan.grid.box, plan.far_nodes)
     first, end = crop_nodes(origin, step, plan.far_nodes, *plan.far_box)
     most = FAR_REACH * step * _ROUNDED
@@ -105,7 +105,7 @@ def summed_tile(
     own: tuple[IntArray, IntArray] | None = None,
     *_: Any,
 ) -> Declared:
-    """Return the pattern of what `tiles.sum_tile` returns, or keeps."""
+    """Return the pattern of what `tasks.sum_tile` returns, or keeps."""
     total = _MOST if own is None else int(own[1].sum())
     if keep is not None:
         place, name = keep
@@ -139,7 +139,7 @@ def coarse_lattice(plan: Plan, own: tuple[IntArray, IntArray] | None) -> Declare
     ----------
     plan : Plan
     own : tuple of ndarray, or None
-        See `tiles.sum_tile`.
+        See `tasks.sum_tile`.
 
     Returns
     -------
@@ -177,7 +177,7 @@ def _count_and(others: int) -> FloatArray:
 def summed_bytes(
     _plan: Plan, points: Any, _ticket: Any = None, keep: tuple[str, str] | None = None, *_: Any
 ) -> int:
-    """Return how large what `tiles.sum_tile` returns may be, in bytes."""
+    """Return how large what `tasks.sum_tile` returns may be, in bytes."""
     return SMALL_BYTES + (0 if keep is not None else _SUMMED_POINT * int(estimate_work(points)))
 
 
@@ -203,7 +203,7 @@ def surface_bytes(
 
 
 def tile_surface(plan: Plan, keep: tuple[str, str] | None) -> Declared:
-    """Return the pattern of what `tiles.mesh_tile` returns, or keeps.
+    """Return the pattern of what `tasks.mesh_tile` returns, or keeps.
 
     Parameters
     ----------

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.cloud.file_tasks import FileRange
+from hpcapp.applications.surface.reading.tasks import FileRange
 from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io.ply.points import open_ply
 from hpcapp.io.points.point_source import PointSource

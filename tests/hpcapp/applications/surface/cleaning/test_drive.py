@@ -18,8 +18,8 @@ from hpcapp.applications.surface.cleaning.drive import Cleaned, clean_cloud
 from hpcapp.applications.surface.cloud import arranged as arranged_cloud
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.cloud.arrangement import choose_arrangement, snap_points
-from hpcapp.applications.surface.cloud.reach import drop_far
 from hpcapp.applications.surface.cloud.spacing import estimate_spacing
+from hpcapp.applications.surface.reading.reach import drop_far
 from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import drop_unusable, read_points
 

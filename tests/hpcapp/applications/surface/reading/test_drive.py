@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from passes import alone
 
-from hpcapp.applications.surface.cloud import file_tasks as file_ranges
-from hpcapp.applications.surface.cloud import ingest
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud
-from hpcapp.applications.surface.cloud.ingest import ingest_file
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
-from hpcapp.applications.surface.cloud.reach import EvenSample, drop_far
+from hpcapp.applications.surface.reading import drive as ingest
+from hpcapp.applications.surface.reading import tasks
+from hpcapp.applications.surface.reading.drive import ingest_file
+from hpcapp.applications.surface.reading.reach import EvenSample, drop_far
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io import drop_unusable, open_points, read_points, write_points
 from hpcapp.workforce import Workforce
@@ -77,7 +77,7 @@ def test_workers_read_their_ranges(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, workers_see: bool, at_once: int
 ) -> None:
     """Many of them, none of which knows how many unusable points lie before its own."""
-    monkeypatch.setattr(file_ranges, "_AT_ONCE", at_once)
+    monkeypatch.setattr(tasks, "_AT_ONCE", at_once)
     path = tmp_path / "a.ply"
     write_points(path, _spoil(_scan(60_000)))
     expected = arrange_cloud(drop_far(drop_unusable(read_points(path))[0]))
@@ -99,7 +99,7 @@ def test_the_sample_of_ranges_is_that_of_parts(
     """As the far points and lines that are looked for in it."""
     write_points(tmp_path / "a.ply", _spoil(_scan(90_000)))
     source = open_points(tmp_path / "a.ply")
-    monkeypatch.setattr(file_ranges, "_AT_ONCE", at_once)
+    monkeypatch.setattr(tasks, "_AT_ONCE", at_once)
     ranges = ingest._survey_records(source, alone(11_000))
     parts = ingest._survey_parts(replace(source, records=None), alone(11_000))
     assert ranges.sample.tobytes() == parts.sample.tobytes()

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpcapp.applications.surface.cloud.validity import Reach
 from hpcapp.applications.surface.kernels import bound_points
+from hpcapp.applications.surface.reading.validity import Reach
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 
 __all__ = ["EvenSample", "drop_far", "even_step", "find_reach"]

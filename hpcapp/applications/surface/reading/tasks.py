@@ -18,15 +18,15 @@ import numpy as np
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.cloud.arrangement import Arrangement, PackedPoints, pack_points
 from hpcapp.applications.surface.cloud.disk import write_part
-from hpcapp.applications.surface.cloud.file_patterns import (
+from hpcapp.applications.surface.kernels import bound_points
+from hpcapp.applications.surface.reading.patterns import (
     arranged_range,
     bounded_range,
     range_bytes,
     surveyed_range,
 )
-from hpcapp.applications.surface.cloud.point_records import PointRecords
-from hpcapp.applications.surface.cloud.validity import Dropped, Reach, are_usable, select_usable
-from hpcapp.applications.surface.kernels import bound_points
+from hpcapp.applications.surface.reading.point_records import PointRecords
+from hpcapp.applications.surface.reading.validity import Dropped, Reach, are_usable, select_usable
 from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
 from hpcapp.applications.surface.types.result_patterns import SMALL_BYTES
 from hpccomponent.protocol.records import record

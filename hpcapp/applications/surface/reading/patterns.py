@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from hpcapp.applications.surface.cloud.validity import Reach
+from hpcapp.applications.surface.reading.validity import Reach
 from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.applications.surface.types.result_patterns import (
     BOX,
@@ -29,7 +29,7 @@ def range_bytes(points: Any, *_: Any) -> int:
 
 
 def surveyed_range(points: Any, before: int, step: int) -> Declared:
-    """Return the pattern of what `file_ranges.survey_range` finds."""
+    """Return the pattern of what `tasks.survey_range` finds."""
     some = Whole(0, len(points))
 
     def agrees(found: tuple[Any, ...]) -> bool:
@@ -48,7 +48,7 @@ def surveyed_range(points: Any, before: int, step: int) -> Declared:
 
 
 def bounded_range(points: Any, _origin: FloatArray, reach: Reach) -> Declared:
-    """Return the pattern of what `file_ranges.bound_range` finds."""
+    """Return the pattern of what `tasks.bound_range` finds."""
     return Where(
         Fixed(Whole(0, len(points)), BOX),
         lambda found: bounds_some(found[1], found[0]) and (not found[0] or reach.holds(*found[1])),
@@ -57,7 +57,7 @@ def bounded_range(points: Any, _origin: FloatArray, reach: Reach) -> Declared:
 
 
 def arranged_range(points: Any, *_: Any) -> Declared:
-    """Return the pattern of what `file_ranges.arrange_range` writes."""
+    """Return the pattern of what `tasks.arrange_range` writes."""
     first, last = (np.full(3, place) for place in (-_SPARE, _BLOCKS + _SPARE))
     counts = Array("<i8", "b", low=1, total=(0, len(points)))
     return Fixed(keys_within("b", first, last), counts)

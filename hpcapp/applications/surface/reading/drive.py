@@ -22,7 +22,9 @@ import numpy as np
 
 from hpcapp.applications.surface.cloud.arrangement import choose_arrangement, snap_points
 from hpcapp.applications.surface.cloud.disk import DiskCloud, Part, write_index
-from hpcapp.applications.surface.cloud.file_tasks import (
+from hpcapp.applications.surface.cloud.point_workers import PointWorkers
+from hpcapp.applications.surface.reading.reach import EvenSample, even_step, find_reach
+from hpcapp.applications.surface.reading.tasks import (
     FileRange,
     SentRange,
     arrange_range,
@@ -30,9 +32,7 @@ from hpcapp.applications.surface.cloud.file_tasks import (
     survey_range,
     unite_boxes,
 )
-from hpcapp.applications.surface.cloud.point_workers import PointWorkers
-from hpcapp.applications.surface.cloud.reach import EvenSample, even_step, find_reach
-from hpcapp.applications.surface.cloud.validity import (
+from hpcapp.applications.surface.reading.validity import (
     Dropped,
     select_usable,
 )

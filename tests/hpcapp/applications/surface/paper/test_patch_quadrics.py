@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from hpcapp.applications.surface.paper import tasks as patch_quadrics
-from hpcapp.applications.surface.paper.tasks import (
+from hpcapp.applications.surface.paper import patch_quadrics
+from hpcapp.applications.surface.paper.patch_quadrics import (
     evaluate_quadrics,
     fit_patches,
     gradient_quadrics,
