@@ -14,6 +14,7 @@ depends on the place and the cloud alone.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -42,7 +43,7 @@ _LEAST, _MOST = 0.85, 1.4  # clearances are clamped to these: only those around 
 _NEIGHBOURS = 6  # which one's distance tells a point's own spacing
 _DENSITY = np.sqrt(np.pi / _NEIGHBOURS)  # times that distance
 _CLASS = 1.25  # points whose radii differ by less are searched together
-_PLACES_AT_ONCE = 1 << 12
+_PLACES_AT_ONCE = 1 << 10
 
 
 @record("surface.support_rule")
@@ -135,11 +136,12 @@ def measure_clearance(
 
 def find_bare(places: FloatArray, cloud: PointCloud, rule: SupportRule) -> BoolArray:
     """Tell which of a few places on a surface no points support, by one radius for all points."""
-    least = np.full((len(places), _AGREEING), _MOST * _MOST)
+    supporting = np.zeros(len(places), np.int64)
     if len(places) and len(cloud):
         radii = np.full(len(cloud), rule.radius)
-        _lower(least, places, cloud, radii, _FLATNESS * rule.radius)
-    bare: BoolArray = least[:, -1] >= 1.0
+        for run, at, squares in _near_places(places, cloud, radii, _FLATNESS * rule.radius):
+            supporting[run] = np.bincount(at[squares < 1.0], minlength=run.stop - run.start)
+    bare: BoolArray = supporting < _AGREEING
     return bare
 
 
@@ -153,6 +155,32 @@ def _lower(
     least: FloatArray, places: FloatArray, cloud: PointCloud, radii: FloatArray, thickness: float
 ) -> None:
     """Put what some points give among the least squared clearances of each place."""
+    for run, at, squares in _near_places(places, cloud, radii, thickness):
+        # Sorted by place and clearance: the first three of each go into its row.
+        order = np.lexsort((squares, at))
+        at, squares = at[order], squares[order]
+        turn = np.arange(len(at)) - np.searchsorted(at, at)
+        first = turn < _AGREEING
+        here = np.full((run.stop - run.start, _AGREEING), _MOST * _MOST)
+        here[at[first], turn[first]] = squares[first]
+        both = np.concatenate([least[run], here], axis=1)
+        least[run] = np.sort(both, axis=1)[:, :_AGREEING]
+
+
+def _near_places(
+    places: FloatArray, cloud: PointCloud, radii: FloatArray, thickness: float
+) -> Iterator[tuple[slice, IntArray, FloatArray]]:
+    """Pair some places at a time with the points near them.
+
+    Yields
+    ------
+    run : slice
+        Of the places.
+    at : ndarray of int64, shape (q,)
+        The place of each pair, in the run.
+    squares : ndarray of float64, shape (q,)
+        Squared clearances.
+    """
     assert cloud.normals is not None  # noqa: S101 - the points of a surface have normals
     size, origin = _MOST * float(radii.max()), cloud.positions[0]
     sorted_points = kernels.sort_points(cloud.positions, origin, size)
@@ -170,16 +198,7 @@ def _lower(
         off *= off
         squares = (along - off) / (radii[point] * radii[point]) + off / (thickness * thickness)
         is_near = squares < _MOST * _MOST
-        at, squares = at[is_near], squares[is_near]
-        # Sorted by place and clearance: the first three of each go into its row.
-        order = np.lexsort((squares, at))
-        at, squares = at[order], squares[order]
-        turn = np.arange(len(at)) - np.searchsorted(at, at)
-        first = turn < _AGREEING
-        here = np.full((len(batch), _AGREEING), _MOST * _MOST)
-        here[at[first], turn[first]] = squares[first]
-        both = np.concatenate([least[start : start + len(batch)], here], axis=1)
-        least[start : start + len(batch)] = np.sort(both, axis=1)[:, :_AGREEING]
+        yield slice(start, start + len(batch)), at[is_near], squares[is_near]
 
 
 def _pair(
