@@ -29,9 +29,7 @@ from hpccomponent.protocol.records import record
 
 __all__ = [
     "FAR_REACH",
-    "FEWEST_NODES",
     "FarFieldPart",
-    "choose_nodes",
     "crop_far_field",
     "crop_nodes",
     "far_step",
@@ -41,11 +39,6 @@ __all__ = [
     "spread_samples",
 ]
 
-FEWEST_NODES = 128
-"""Along a side."""
-
-_MOST_NODES = 256
-_BLURRED = 4.0  # standard deviations of the noise: shape that is smaller is not told from it
 _PADDING = 1.5
 
 FAR_REACH = 1.5
@@ -106,27 +99,6 @@ def restore_far_field(part: FarFieldPart) -> FarField:
     box = tuple(slice(a, a + side) for a, side in zip(part.first, part.values.shape, strict=True))
     values[box] = part.values
     return FarField(values, part.origin, part.step)
-
-
-def choose_nodes(low: FloatArray, high: FloatArray, cell_size: float, noise: float) -> int:
-    """Choose how fine a far field is: no finer than what the points resolve.
-
-    Parameters
-    ----------
-    low, high : ndarray of float64, shape (3,)
-        Of the box that it covers, in length units of the input.
-    cell_size : float
-        Edge of the finest cells, in the same units.
-    noise : float
-        Standard deviation of the positions along the normals, in the same units.
-
-    Returns
-    -------
-    int
-        A power of two.
-    """
-    resolved = max(cell_size, _BLURRED * noise)
-    return _MOST_NODES if resolved < far_step(low, high, FEWEST_NODES) else FEWEST_NODES
 
 
 def far_step(low: FloatArray, high: FloatArray, nodes: int) -> float:
@@ -243,13 +215,13 @@ def _find_areas(places: FloatArray, axes: FloatArray) -> FloatArray:
     areas, open_rows = np.ones(len(places)), np.arange(len(places))
     # (c, 6): of each normal n, the entries of n n^T: their sum tells the mean cos^2 to any axis.
     products = np.stack([axes[:, i] * axes[:, j] for i, j in _PAIRS], axis=1)
+    # (k + 1, 10): how many, their normals and these products, in each cell; 0 of a missing one.
+    cells, sums = keys, np.column_stack([np.ones(len(places)), axes, products])
     for level in range(1, _WIDEST + 1):
-        cells, number = number_keys(ancestor_keys(keys, level))
-        # (k + 1, 10): how many, their normals and these products, in each cell; 0 of a missing one.
-        sums = np.zeros((len(cells) + 1, 10))
-        sums[:-1, 0] = np.bincount(number)
-        for column, values in enumerate((*axes.T, *products.T), start=1):
-            sums[:-1, column] = np.bincount(number, values)
+        cells, number = number_keys(ancestor_keys(cells, 1))
+        sums = np.stack(
+            [np.bincount(number, of[: len(number)], len(cells) + 1) for of in sums.T], 1
+        )
         lower = np.floor(shifted[open_rows] / 2.0**level - 0.5).astype(np.int64)
         around = np.zeros((len(open_rows), 10))
         for octant in OCTANTS:
