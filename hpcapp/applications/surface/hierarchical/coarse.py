@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hpcapp.applications.surface.cloud.measured import SAMPLED_BOX, Measured
 from hpcapp.applications.surface.field.cell_points import PartMoments
 from hpcapp.applications.surface.field.far_field import (
     crop_far_field,
@@ -27,12 +28,26 @@ from hpcapp.applications.surface.tiles.plan import CoarseLattice, CoarseLevels, 
 from hpcapp.applications.surface.tiles.tasks import solve_far
 from hpcapp.applications.surface.types.field import FarField, FieldLevel
 from hpcapp.applications.surface.types.grid import BRICK, Grid
-from hpcapp.applications.surface.types.lattice import ancestor_keys, unique_keys, unpack_keys
-from hpcapp.applications.surface.types.points import IntArray
+from hpcapp.applications.surface.types.lattice import (
+    ancestor_keys,
+    number_keys,
+    pack_places,
+    unique_keys,
+    unpack_keys,
+)
+from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
 from hpcapp.workforce import Workforce, begin_batch
 
-__all__ = ["Coarse", "far_level", "fit_coarse"]
+__all__ = ["FEWEST_NODES", "Coarse", "choose_nodes", "far_level", "fit_coarse"]
 
+FEWEST_NODES = 128
+"""Of a far field, along a side."""
+
+_MOST_NODES = 256
+_BLURRED = 4.0  # standard deviations of the noise: shape that is smaller is not told from it
+_FOLD = 3.0  # steps of the coarser far field: how near sheets lie that it confuses
+_CANCELLED = 0.5  # length of a mean normal
+_FOLDED = 0.03  # share of the points from which on a finer far field pays
 _FAR_CELLS = 0.5  # steps of the far field, which samples no smaller cells than these
 
 
@@ -97,6 +112,49 @@ class Coarse:
         far = crop_far_field(self.far, low, high)
         trust = self.levels[0].trust if self.levels else None
         return CoarseLevels(self.parents, trust, self.levels[1:], far)
+
+
+def choose_nodes(
+    box: tuple[FloatArray, FloatArray], cell_size: float, noise: float, measured: Measured
+) -> int:
+    """Choose how fine a far field is: no finer than what the points resolve, and than it pays.
+
+    Where sheets lie back to back within a few steps, as drapery and thin walls do, a finer one
+    keeps them apart. Elsewhere it tells nothing that a coarse one does not.
+
+    Parameters
+    ----------
+    box : tuple of two ndarray of float64, shape (3,)
+        Low and high corner of what it covers, in length units of the input.
+    cell_size : float
+        Edge of the finest cells, in the same units.
+    noise : float
+        Standard deviation of the positions along the normals, in the same units.
+    measured : Measured
+        Of the cloud. Where the boxes of its sample are too small to tell, it is taken for folded.
+
+    Returns
+    -------
+    int
+        A power of two.
+    """
+    step = far_step(*box, FEWEST_NODES)
+    if max(cell_size, _BLURRED * noise) >= step:
+        return FEWEST_NODES
+    edge = _FOLD * step
+    tells = SAMPLED_BOX * measured.spacing >= 2.0 * edge
+    return FEWEST_NODES if tells and _find_folded(measured.sample, edge) < _FOLDED else _MOST_NODES
+
+
+def _find_folded(sample: PointCloud, edge: float) -> float:
+    """Return the share of some points that lie in cubes where normals cancel each other."""
+    assert sample.normals is not None  # noqa: S101 - they were measured
+    places = np.floor((sample.positions - sample.positions.min(axis=0)) / edge).astype(np.int64)
+    cubes, number = number_keys(pack_places(places))
+    counts = np.bincount(number)
+    sums = [np.bincount(number, normals, len(cubes)) for normals in sample.normals.T]
+    lengths = np.sqrt(sum(of * of for of in sums))
+    return float(counts[lengths < _CANCELLED * counts].sum() / len(number))
 
 
 def far_level(grid: Grid, nodes: int, cell_size: float, height: int) -> int:

@@ -22,9 +22,14 @@ from hpcapp.applications.surface.boundary.drive import (
 )
 from hpcapp.applications.surface.checkpoint import Keeping
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
-from hpcapp.applications.surface.field.far_field import FEWEST_NODES, choose_nodes
 from hpcapp.applications.surface.field.pyramid import count_levels
-from hpcapp.applications.surface.hierarchical.coarse import Coarse, far_level, fit_coarse
+from hpcapp.applications.surface.hierarchical.coarse import (
+    FEWEST_NODES,
+    Coarse,
+    choose_nodes,
+    far_level,
+    fit_coarse,
+)
 from hpcapp.applications.surface.hierarchical.estimates import Scale, choose_scale
 from hpcapp.applications.surface.hierarchical.growth import mesh_regions
 from hpcapp.applications.surface.hierarchical.slabs import mesh_slabs
@@ -161,7 +166,7 @@ class HierarchicalMethod:
         scale = choose_scale(cloud.measure(), grid.step, self.smoothness, self.detail, self.threads)
         height = count_levels(float((high - low).max()), scale.cell_size)
         noise = scale.noise * self.smoothness
-        nodes = choose_nodes(*grid.box, scale.cell_size, noise)
+        nodes = choose_nodes(grid.box, scale.cell_size, noise, cloud.measure())
         far = far_level(grid, nodes, scale.cell_size, height)
         count = self._count_tiles(cloud, height, workforce)
         tolerance = scale.tolerance if height > _ROBUST_LEVELS else np.inf
@@ -172,7 +177,7 @@ class HierarchicalMethod:
         blocks = cloud.arrangement
         plan = Plan(
             low, scale.cell_size, height, coarse, noise,
-            grid.origin, grid.step, grid.bricks, blocks.origin, blocks.edge, far, tolerance,
+            grid.origin, grid.step, grid.bricks, blocks.origin, blocks.edge, far, nodes, tolerance,
         )  # fmt: skip
         if not count:
             return HierarchicalPartition(cloud, scale, plan, None)

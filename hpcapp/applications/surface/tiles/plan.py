@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpcapp.applications.surface.cloud.arrangement import Arrangement
-from hpcapp.applications.surface.field.far_field import FarFieldPart, choose_nodes
+from hpcapp.applications.surface.field.far_field import FarFieldPart
 from hpcapp.applications.surface.field.pyramid import Parents
 from hpcapp.applications.surface.field.weights import FIELD_LEVELS, Weights, weigh_levels
 from hpcapp.applications.surface.tiles.halo import HALO_STEPS
@@ -43,6 +43,8 @@ class Plan:
     block_origin : ndarray of float64, shape (3,)
     far : int
         The level whose cells the far field is made of; of tiles, no coarser than theirs.
+    far_nodes : int
+        How many nodes the far field has along a side.
     tolerance : float
         How far off a point may lie until it counts half (see `weights.Weights`); not infinite only
         where `coarse` is 2 or more.
@@ -59,6 +61,7 @@ class Plan:
     block_origin: FloatArray
     block_edge: float
     far: int
+    far_nodes: int
     tolerance: float = np.inf
 
     @property
@@ -76,11 +79,6 @@ class Plan:
         """
         steps = 2.0 if np.isinf(self.tolerance) else 6.0
         return self.coarse_size + steps * self.cell_size
-
-    @property
-    def far_nodes(self) -> int:
-        """How many nodes the far field has along a side."""
-        return choose_nodes(*self.grid.box, self.cell_size, self.noise)
 
     @property
     def far_box(self) -> tuple[FloatArray, FloatArray]:
