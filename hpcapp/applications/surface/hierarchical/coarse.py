@@ -142,7 +142,7 @@ def choose_nodes(
     if max(cell_size, _BLURRED * noise) >= step:
         return FEWEST_NODES
     edge = _FOLD * step
-    tells = SAMPLED_BOX * measured.spacing >= 2.0 * edge
+    tells = SAMPLED_BOX * measured.spacing >= edge
     return FEWEST_NODES if tells and _find_folded(measured.sample, edge) < _FOLDED else _MOST_NODES
 
 

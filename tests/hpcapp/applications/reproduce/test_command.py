@@ -28,6 +28,7 @@ def run(*words: str | Path) -> str:
     return done.output
 
 
+@pytest.mark.slow  # matplotlib draws each patch
 def test_patches_are_counted_and_drawn(sphere: Path, tmp_path: Path) -> None:
     out = tmp_path / "new" / "out"
     table = run("fig2", sphere, "--out", out)

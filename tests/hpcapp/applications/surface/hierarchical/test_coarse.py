@@ -21,10 +21,10 @@ def sphere(radius: float, points: int = POINTS) -> tuple[FloatArray, FloatArray]
     return radius * normals, normals
 
 
-def shell(thickness: float) -> tuple[FloatArray, FloatArray]:
+def shell(thickness: float, points: int = POINTS) -> tuple[FloatArray, FloatArray]:
     """A hollow ball: the inner side looks to its middle."""
-    outer, normals = sphere(1.0)
-    inner, inwards = sphere(1.0 - thickness)
+    outer, normals = sphere(1.0, points)
+    inner, inwards = sphere(1.0 - thickness, points)
     return np.concatenate([outer, inner]), np.concatenate([normals, -inwards])
 
 
@@ -33,13 +33,15 @@ def nodes(points: tuple[FloatArray, FloatArray], noise: float = 0.0) -> int:
     return choose_nodes(BOX, 0.5 * STEP, noise, measure_points(PointCloud(*points)))
 
 
-def test_a_ball_asks_for_no_fine_far_field() -> None:
-    assert nodes(sphere(1.0)) == 128
+@pytest.mark.parametrize("points", [POINTS, 20 * POINTS])
+def test_a_ball_asks_for_no_fine_far_field(points: int) -> None:
+    assert nodes(sphere(1.0, points)) == 128
 
 
+@pytest.mark.parametrize("points", [POINTS, 10 * POINTS])
 @pytest.mark.parametrize("steps", [0.5, 1.0])
-def test_sheets_back_to_back_ask_for_a_fine_one(steps: float) -> None:
-    assert nodes(shell(steps * STEP)) == 256
+def test_sheets_back_to_back_ask_for_a_fine_one(steps: float, points: int) -> None:
+    assert nodes(shell(steps * STEP, points)) == 256
 
 
 def test_sheets_far_apart_ask_for_none() -> None:
@@ -51,4 +53,4 @@ def test_noise_that_hides_folds_asks_for_none() -> None:
 
 
 def test_a_sample_too_small_to_tell_is_taken_for_folded() -> None:
-    assert nodes(sphere(1.0, 40 * POINTS)) == 256
+    assert nodes(sphere(1.0, 80 * POINTS)) == 256
