@@ -21,7 +21,7 @@ from hpccomponent.protocol.declared import Declared, check_result
 from hpccomponent.store.base import Store
 from hpccomponent.store.places import open_store
 
-__all__ = ["POINTS_NOTE", "SUMS", "Keeping", "digest"]
+__all__ = ["POINTS_NOTE", "SUMS", "Checkpoint", "digest"]
 
 log = logging.getLogger("hpcapp")
 
@@ -58,7 +58,7 @@ def digest(*values: Any) -> str:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Keeping:
+class Checkpoint:
     """Where the tiles of a job are kept.
 
     Parameters

@@ -12,7 +12,7 @@ from dataclasses import Field, dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar
 
 if TYPE_CHECKING:
-    from hpcapp.applications.surface.checkpoint import Keeping
+    from hpcapp.applications.surface.checkpoint import Checkpoint
     from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
     from hpcapp.applications.surface.surface import Surface
     from hpcapp.applications.surface.types.points import PointCloud
@@ -75,7 +75,7 @@ class Resources:
         Of this process; no mesh depends on it.
     tile_points : int, optional
         Of a tile at most, about.
-    keeping : Keeping, optional
+    checkpoint : Checkpoint, optional
         Where finished tiles are kept.
     show_part : callable
         Told of each `MeshPart` as it comes, by what returns it (see `Progress.show_part`).
@@ -83,7 +83,7 @@ class Resources:
 
     threads: int = 1
     tile_points: int | None = None
-    keeping: Keeping | None = None
+    checkpoint: Checkpoint | None = None
     show_part: ShowPart = show_nothing
 
 

@@ -12,7 +12,7 @@ from typing import Any, Protocol, cast
 import numpy as np
 
 from hpcapp.applications.surface.attributes.carrying import NOTHING, Carrying
-from hpcapp.applications.surface.checkpoint import Keeping
+from hpcapp.applications.surface.checkpoint import Checkpoint
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.extraction.summary import PartSummary
 from hpcapp.applications.surface.stitching.assemble import (
@@ -22,7 +22,7 @@ from hpcapp.applications.surface.stitching.assemble import (
     stream_tiles,
     take_tile,
 )
-from hpcapp.applications.surface.stitching.plan import WeldPlan, plan_weld
+from hpcapp.applications.surface.stitching.plan import StitchingPlan, plan_stitching
 from hpcapp.applications.surface.stitching.shared_ply import write_kept, write_part
 from hpcapp.applications.surface.stitching.tile_ply import write_kept_tile
 from hpcapp.applications.surface.stitching.topology import Topology, check_mesh
@@ -198,29 +198,29 @@ class PartSurface:
         Of the parts.
     origin : ndarray of float64, shape (3,)
         Of the local frame that the parts' vertices are in.
-    keeping : Keeping, optional
+    checkpoint : Checkpoint, optional
         Where parts are kept.
     workers : list of str or None
         Who made each part, where that is known.
     crumb : int, optional
-        See `plan_weld`.
+        See `plan_stitching`.
     """
 
     parts: list[MeshPart | str]
     summaries: list[PartSummary]
     origin: FloatArray
-    keeping: Keeping | None = None
+    checkpoint: Checkpoint | None = None
     workers: list[str | None] = field(default_factory=list)
     crumb: int | None = None
-    _plan: WeldPlan | None = None
+    _plan: StitchingPlan | None = None
     _topology: Deferred[Topology] | None = None
     _checked: set[int] = field(default_factory=set)
 
     @property
-    def plan(self) -> WeldPlan:
+    def plan(self) -> StitchingPlan:
         """How the parts become one mesh."""
         if self._plan is None:
-            self._plan = plan_weld(self.summaries, self.crumb)
+            self._plan = plan_stitching(self.summaries, self.crumb)
         return self._plan
 
     def load(self, index: int) -> MeshPart:
@@ -243,11 +243,11 @@ class PartSurface:
         part = self.parts[index]
         if isinstance(part, MeshPart):
             return part
-        assert self.keeping is not None  # noqa: S101 - or there would be no names
+        assert self.checkpoint is not None  # noqa: S101 - or there would be no names
         if index in self._checked:
-            return cast(MeshPart, self.keeping.store.get(part)[0])
+            return cast(MeshPart, self.checkpoint.store.get(part)[0])
         declared = Fixed(kept_part(self.summaries[index]), ANYTHING, ANYTHING)
-        kept: MeshPart = self.keeping.get(part, declared)[0]
+        kept: MeshPart = self.checkpoint.get(part, declared)[0]
         self._checked.add(index)
         return kept
 
@@ -320,12 +320,12 @@ class PartSurface:
             See `Surface.write`.
         """
         suffix = path.suffix.lower()
-        is_shared = self.keeping is not None and self.keeping.is_shared
+        is_shared = self.checkpoint is not None and self.checkpoint.is_shared
         if suffix in (".ply", TILES_SUFFIX) and is_shared and not carrying.is_something:
-            assert self.keeping is not None  # noqa: S101 - it is shared
+            assert self.checkpoint is not None  # noqa: S101 - it is shared
             self._topology = self._topology or workforce.defer(self.plan.judge)
             write = self._share_ply if suffix == ".ply" else self._share_tiles
-            write(path, workforce, self.keeping.place)
+            write(path, workforce, self.checkpoint.place)
             return
         with self._fetched() as load:
             if suffix == TILES_SUFFIX:
@@ -344,7 +344,7 @@ class PartSurface:
 
         A block of the mesh needs a little of many parts.
         """
-        if self.keeping is None or self.keeping.is_folder:
+        if self.checkpoint is None or self.checkpoint.is_folder:
             yield self.load
             return
         with temporary_folder() as folder:

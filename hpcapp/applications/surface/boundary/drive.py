@@ -28,7 +28,7 @@ from hpcapp.applications.surface.boundary.tasks import (
     open_part,
     survey_support,
 )
-from hpcapp.applications.surface.checkpoint import Keeping
+from hpcapp.applications.surface.checkpoint import Checkpoint
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.extraction.taken_bricks import TakenBricks
@@ -131,7 +131,7 @@ class _Parts:
     cloud : ArrangedCloud
     plan : Plan
     workforce : Workforce
-    shared : Keeping or None
+    shared : Checkpoint or None
         Where workers see both the parts and the points; None where tasks run here.
     threads : int
         Of this process.
@@ -141,7 +141,7 @@ class _Parts:
     cloud: ArrangedCloud
     plan: Plan
     workforce: Workforce
-    shared: Keeping | None
+    shared: Checkpoint | None
     threads: int
 
     def __len__(self) -> int:
@@ -208,7 +208,7 @@ def close_surface(
     spacing: float,
     asked: OpeningSettings,
     workforce: Workforce,
-    shared: Keeping | None,
+    shared: Checkpoint | None,
     threads: int,
     advance: Advance,
 ) -> tuple[PartSurface, Closure]:
@@ -224,7 +224,7 @@ def close_surface(
         Of the points, in length units of the input.
     asked : OpeningSettings
     workforce : Workforce
-    shared : Keeping or None
+    shared : Checkpoint or None
         Where workers see both the parts and the points; None where this process does the work.
     threads : int
         The result does not depend on it.
@@ -289,7 +289,7 @@ def _cut(
     parts: _Parts, rule: SupportRule, fill: float, advance: Advance
 ) -> tuple[PartSurface, int]:
     """Cut all parts; return the open surface, and how many holes of it are filled."""
-    surface, keeping = parts.surface, parts.surface.keeping
+    surface, checkpoint = parts.surface, parts.surface.checkpoint
     places = place_foreign(surface.plan)
     surveys: dict[int, OpeningSurvey | None] = {}
     seams: dict[int, OpeningSeams] = {}
@@ -319,8 +319,8 @@ def _cut(
         name = surface.parts[index]
         if isinstance(name, str):
             kept = f"{name}-open"
-            if part is not None and keeping is not None:
-                keeping.store.put(kept, (part, summary, exits))
+            if part is not None and checkpoint is not None:
+                checkpoint.store.put(kept, (part, summary, exits))
         else:
             surface.parts[index] = MeshPart.empty()
         opened[index] = kept, summary
@@ -328,7 +328,7 @@ def _cut(
     cuts, summaries = zip(*(opened[index] for index in range(len(parts))), strict=True)
     crumb = int(_FACES * (_CRUMB * rule.radius / parts.plan.step) ** 2)
     opened_surface = PartSurface(
-        [*cuts], [*summaries], surface.origin, keeping, surface.workers, crumb
+        [*cuts], [*summaries], surface.origin, checkpoint, surface.workers, crumb
     )
     return opened_surface, matched.holes
 

@@ -17,7 +17,7 @@ import numpy as np
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.boundary.opening import OpeningSeams
 from hpcapp.applications.surface.extraction.part_places import starts_of
-from hpcapp.applications.surface.stitching.plan import WeldPlan
+from hpcapp.applications.surface.stitching.plan import StitchingPlan
 from hpcapp.applications.surface.types.lattice import find_keys
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, Int32Array, IntArray
 from hpccomponent.errors import JobError
@@ -47,7 +47,7 @@ class MatchedSeams:
 class _Rims:
     """The vertices that parts may name of one another, in one row."""
 
-    def __init__(self, plan: WeldPlan) -> None:
+    def __init__(self, plan: StitchingPlan) -> None:
         self._bricks = plan.bricks
         rims = [summary.rim for summary in plan.summaries]
         self.starts = starts_of(np.array([len(rim) for rim in rims], np.int64))
@@ -77,12 +77,12 @@ def _refuse_unknown() -> JobError:
     )
 
 
-def place_foreign(plan: WeldPlan) -> list[FloatArray]:
+def place_foreign(plan: StitchingPlan) -> list[FloatArray]:
     """Return where the foreign vertices of each part are.
 
     Parameters
     ----------
-    plan : WeldPlan
+    plan : StitchingPlan
 
     Returns
     -------
@@ -96,12 +96,12 @@ def place_foreign(plan: WeldPlan) -> list[FloatArray]:
     ]
 
 
-def match_seams(plan: WeldPlan, seams: Sequence[OpeningSeams], fill: float) -> MatchedSeams:
+def match_seams(plan: StitchingPlan, seams: Sequence[OpeningSeams], fill: float) -> MatchedSeams:
     """Join the bare patches of all parts, and match what they cut along their seams.
 
     Parameters
     ----------
-    plan : WeldPlan
+    plan : StitchingPlan
         Of the closed parts.
     seams : sequence of OpeningSeams
         Of the parts.

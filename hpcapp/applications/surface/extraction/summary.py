@@ -95,7 +95,7 @@ class _Nodes:
 
 
 def summarize_part(part: MeshPart) -> PartSummary:
-    """Sum up a part for `plan_weld`.
+    """Sum up a part for `plan_stitching`.
 
     Returns
     -------

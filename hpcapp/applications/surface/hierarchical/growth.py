@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from hpcapp.applications.surface.checkpoint import Keeping
+from hpcapp.applications.surface.checkpoint import Checkpoint
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.extraction.summary import PartSummary
 from hpcapp.applications.surface.hierarchical.coarse import Coarse
@@ -49,14 +49,14 @@ class _Regions:
         self,
         workforce: Workforce,
         origin: FloatArray,
-        keeping: Keeping | None,
+        checkpoint: Checkpoint | None,
         show_part: ShowPart,
     ) -> None:
         self._workforce = workforce
         self._show_part = show_part
-        self._keeping = keeping
+        self._checkpoint = checkpoint
         self._exits: list[IntArray] = []
-        self.surface = PartSurface([], [], origin, keeping)
+        self.surface = PartSurface([], [], origin, checkpoint)
 
     def run(
         self,
@@ -85,7 +85,7 @@ class _Regions:
             for index, (name, arguments) in enumerate(tiles):
                 names.append(name)
                 declared = tile_surface(arguments[0], None)
-                kept = self._keeping.find(name, declared) if self._keeping else None
+                kept = self._checkpoint.find(name, declared) if self._checkpoint else None
                 if kept is not None:
                     found[index] = (None, *kept[1:])
                     self._show(name, None)
@@ -114,22 +114,22 @@ class _Regions:
 
     def _keep(self, name: str) -> tuple[str, str] | None:
         """Return where a worker is to put its tile, if it can."""
-        keeping = self._keeping
-        return (keeping.place, name) if keeping is not None and keeping.is_shared else None
+        checkpoint = self._checkpoint
+        return (checkpoint.place, name) if checkpoint is not None and checkpoint.is_shared else None
 
     def _put(self, name: str, result: Found) -> Found:
         """Put a tile that came back where it is kept."""
-        if self._keeping is None or result[0] is None:
+        if self._checkpoint is None or result[0] is None:
             return result
-        self._keeping.store.put(name, result)
+        self._checkpoint.store.put(name, result)
         return None, *result[1:]
 
     def _show(self, name: str, part: MeshPart | None) -> None:
         """Announce a part, which is here or kept under its name."""
         if part is not None:
             self._show_part(lambda: part)
-        elif self._keeping is not None:
-            store = self._keeping.store
+        elif self._checkpoint is not None:
+            store = self._checkpoint.store
             self._show_part(lambda: store.get(name)[0])
 
     def _take(self, name: str, result: Found, worker: str | None) -> None:
@@ -146,7 +146,7 @@ def mesh_regions(
     workforce: Workforce,
     advance: Advance,
     origin: FloatArray,
-    keeping: Keeping | None = None,
+    checkpoint: Checkpoint | None = None,
     show_part: ShowPart = show_nothing,
 ) -> PartSurface:
     """Reconstruct the surface inside all tiles.
@@ -160,7 +160,7 @@ def mesh_regions(
         Told (tiles done, tiles in all).
     origin : ndarray of float64, shape (3,)
         Of the cloud's local frame.
-    keeping : Keeping, optional
+    checkpoint : Checkpoint, optional
         Where finished tiles are kept; by default they come back to this process.
     show_part : callable
         Told of each part as it comes; see `Resources`.
@@ -176,11 +176,11 @@ def mesh_regions(
         The surface still grows after more rounds than any needs.
     """
     plan = coarse.plan
-    regions = _Regions(workforce, origin, keeping, show_part)
+    regions = _Regions(workforce, origin, checkpoint, show_part)
 
     def tiles() -> Iterator[tuple[str, tuple[Any, ...]]]:
         for index in range(len(tiling)):
-            name = "" if keeping is None else keeping.name(plan, *tiling.groups(index))
+            name = "" if checkpoint is None else checkpoint.name(plan, *tiling.groups(index))
             around = coarse.around(tiling.own(index))
             points = tiling.tile(index)
             yield name, (plan, points, tiling.tickets[index], around)
@@ -192,7 +192,7 @@ def mesh_regions(
             return regions.surface
         near = tiling.near(_cells_around(plan, left))
         missing = tiling.cells[~near]
-        name = "" if keeping is None else keeping.name(plan, left, missing)
+        name = "" if checkpoint is None else checkpoint.name(plan, left, missing)
         points = tiling.around(tiling.cells[near])
         gap = (plan, left, points, missing, coarse.whole())
         regions.run(mesh_gap, [(name, gap)], 1, lambda _done, _all: None)

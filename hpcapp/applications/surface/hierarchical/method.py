@@ -20,7 +20,7 @@ from hpcapp.applications.surface.boundary.drive import (
     OpeningSettings,
     close_surface,
 )
-from hpcapp.applications.surface.checkpoint import Keeping
+from hpcapp.applications.surface.checkpoint import Checkpoint
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.field.pyramid import count_levels
 from hpcapp.applications.surface.hierarchical.coarse import (
@@ -103,7 +103,7 @@ class HierarchicalMethod:
     tile_points : int, optional
         Of a tile at most, about; the mesh does not depend on it. By default a cloud in memory is
         one tile where tasks run in this process.
-    keeping : Keeping, optional
+    checkpoint : Checkpoint, optional
         Where finished tiles are kept; by default they come back to this process.
     show_part : callable
         Told of each part of the mesh as it comes; see `Resources`.
@@ -123,7 +123,7 @@ class HierarchicalMethod:
         detail: float = 1.0,
         threads: int = 1,
         tile_points: int | None = None,
-        keeping: Keeping | None = None,
+        checkpoint: Checkpoint | None = None,
         show_part: ShowPart = show_nothing,
         opening: OpeningSettings | None = None,
     ) -> None:
@@ -139,7 +139,7 @@ class HierarchicalMethod:
         self.detail = detail
         self.threads = threads
         self.tile_points = tile_points
-        self.keeping = keeping
+        self.checkpoint = checkpoint
         self.show_part = show_part
         self.opening = OpeningSettings() if opening is None else opening
 
@@ -205,7 +205,7 @@ class HierarchicalMethod:
         tiling, plan = partition.tiling, partition.plan
         if tiling is None:
             return None
-        keeping = None if workforce.in_process else self._find_shared(partition.cloud)
+        checkpoint = None if workforce.in_process else self._find_shared(partition.cloud)
         run = secrets.token_hex(8)  # nothing that an earlier one has left is taken
 
         def own(index: int) -> tuple[IntArray, IntArray]:
@@ -213,16 +213,20 @@ class HierarchicalMethod:
 
         def batches() -> Iterator[tuple[Any, ...]]:
             for index, ticket in enumerate(tiling.tickets):
-                keep = None if keeping is None else (keeping.place, keeping.name_sums(run, index))
+                keep = (
+                    None
+                    if checkpoint is None
+                    else (checkpoint.place, checkpoint.name_sums(run, index))
+                )
                 yield plan, tiling.core(index), ticket, keep, own(index)
 
         lattices: list[CoarseLattice] = []
         samples: list[Samples | tuple[str, str]] = []
         for index, found in stream_batches(workforce, sum_tile, batches(), 2 * workforce.workers):
             lattice, sampled, patches = found
-            if keeping is not None:
-                name = keeping.name_sums(run, index)
-                lattice = keeping.get(name, coarse_lattice(plan, own(index)))
+            if checkpoint is not None:
+                name = checkpoint.name_sums(run, index)
+                lattice = checkpoint.get(name, coarse_lattice(plan, own(index)))
             assert lattice is not None  # noqa: S101 - it comes back where it is not kept
             lattices.append(lattice)
             samples.append(sampled)
@@ -273,7 +277,7 @@ class HierarchicalMethod:
                 workforce,
                 advance,
                 origin,
-                self.keeping,
+                self.checkpoint,
                 self.show_part,
             )
         if not surface.plan.face_count:
@@ -289,10 +293,10 @@ class HierarchicalMethod:
         )  # fmt: skip
         return surface
 
-    def _find_shared(self, cloud: ArrangedCloud) -> Keeping | None:
+    def _find_shared(self, cloud: ArrangedCloud) -> Checkpoint | None:
         """Return the folder that workers read the points from, if they do."""
-        if cloud.points is None and self.keeping is not None and self.keeping.holds_files:
-            return self.keeping
+        if cloud.points is None and self.checkpoint is not None and self.checkpoint.holds_files:
+            return self.checkpoint
         return None
 
     def _read_points(self, cloud: ArrangedCloud) -> PointCloud:
@@ -310,7 +314,7 @@ class HierarchicalMethod:
     def _count_tiles(self, cloud: ArrangedCloud, height: int, workforce: Workforce) -> int:
         """Return into how many tiles a cloud is cut; 0 where it is made into a mesh right here."""
         needed = -(-len(cloud) // (self.tile_points or TILE_POINTS))
-        is_one = self.keeping is None and (needed == 1 or self.tile_points is None)
+        is_one = self.checkpoint is None and (needed == 1 or self.tile_points is None)
         if height == 1 or (cloud.points is not None and workforce.in_process and is_one):
             return 0  # of one level none is left that tiles could be made of
         if workforce.in_process:

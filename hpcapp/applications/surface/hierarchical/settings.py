@@ -154,7 +154,7 @@ class Hierarchical:
             self.detail,
             resources.threads,
             resources.tile_points,
-            resources.keeping,
+            resources.checkpoint,
             resources.show_part,
             OpeningSettings(
                 self.close,

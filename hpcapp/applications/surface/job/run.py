@@ -19,7 +19,7 @@ from hpcapp.applications.surface.job.folder import choose_tile, find_point_worke
 from hpcapp.applications.surface.job.load import Loaded, PointFolder, load
 from hpcapp.applications.surface.job.recognised import describe_input
 from hpcapp.applications.surface.job.resolution import guess_grid
-from hpcapp.applications.surface.job.room import Room, open_room
+from hpcapp.applications.surface.job.storage import JobStorage, open_storage
 from hpcapp.applications.surface.kernels.build import kernel_id
 from hpcapp.applications.surface.kernels.freed_memory import keep_memory
 from hpcapp.applications.surface.memory import count_most_points
@@ -99,20 +99,20 @@ def _run_once(
         keep_memory()
     with (
         open_output(settings.output, settings.files) as target,
-        open_room(settings) as room,
+        open_storage(settings) as storage,
         attempt(verification),
     ):
-        report = _run_in(settings, room, target, clock, machines, verification)
+        report = _run_in(settings, storage, target, clock, machines, verification)
         if settings.details:
             report["timeline"] = clock.timeline.to_json()
-        clock.progress.wait_for_viewers()  # what is kept goes with the room
+        clock.progress.wait_for_viewers()  # what is kept goes with the storage
     report["stages"] = {name: round(seconds, 6) for name, seconds in clock.seconds.items()}
     return report
 
 
 def _run_in(
     settings: JobSettings,
-    room: Room,
+    storage: JobStorage,
     target: Path,
     clock: StageClock,
     machines: LocalMachines | None,
@@ -122,22 +122,22 @@ def _run_in(
 
     Where they lie in a folder, workers are there before them, to go through them.
     """
-    guess, keeping = _guess_job(settings), room.keeping
+    guess, checkpoint = _guess_job(settings), storage.checkpoint
     with approach_workers(settings, guess, machines, verification) as opener, ExitStack() as stack:
         opened = folder = None
-        if room.folder is not None:
+        if storage.folder is not None:
             backend, choice = stack.enter_context(opener.open(guess))
             opened = backend.record(clock.timeline), choice
-            if backend.workforce.in_process and not room.is_needed:
-                keeping = None if settings.temp_dir is None else keeping
+            if backend.workforce.in_process and not storage.is_needed:
+                checkpoint = None if settings.temp_dir is None else checkpoint
             else:
-                folder = _open_folder(settings, room.folder, opened[0])
+                folder = _open_folder(settings, storage.folder, opened[0])
         loaded = load(settings, clock, folder)
         loaded.report(settings.shown)
         # Half of what a job imports: where workers went through the points, that is done by now.
         from hpcapp.applications.surface.job.steps import run_steps
 
-        with run_steps(settings, loaded, opener, clock, keeping, opened=opened) as outcome:
+        with run_steps(settings, loaded, opener, clock, checkpoint, opened=opened) as outcome:
             return _write(settings, loaded, outcome, target, clock, verification)
 
 

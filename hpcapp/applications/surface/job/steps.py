@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hpcapp.applications.surface.checkpoint import Keeping
+from hpcapp.applications.surface.checkpoint import Checkpoint
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.job.backend_choice import Choice, Job, Opener
 from hpcapp.applications.surface.job.diagnostics import (
@@ -76,7 +76,7 @@ def run_steps(
     loaded: Loaded,
     opener: Opener,
     clock: StageClock,
-    keeping: Keeping | None = None,
+    checkpoint: Checkpoint | None = None,
     *,
     opened: tuple[Backend, Choice] | None = None,
     executor: Executor | Client | None = None,
@@ -89,7 +89,7 @@ def run_steps(
     loaded : Loaded
     opener : Opener
     clock : StageClock
-    keeping : Keeping, optional
+    checkpoint : Checkpoint, optional
         Where finished tiles are kept.
     opened : tuple of (Backend, Choice), optional
         Where it is reconstructed, if that is open and recorded already.
@@ -100,9 +100,13 @@ def run_steps(
     job = Job(len(loaded.cloud), grid)
     with nullcontext(opened) if opened else opener.open(job, executor) as (backend, choice):
         recorded = backend if opened else backend.record(clock.timeline)
-        if keeping and keeping.holds_files and not all_see_folder(Path(keeping.where), recorded):
-            keeping = replace(keeping, is_shared=False)
-        yield _run(settings, loaded, grid, recorded, choice, clock, keeping)
+        if (
+            checkpoint
+            and checkpoint.holds_files
+            and not all_see_folder(Path(checkpoint.where), recorded)
+        ):
+            checkpoint = replace(checkpoint, is_shared=False)
+        yield _run(settings, loaded, grid, recorded, choice, clock, checkpoint)
 
 
 def _run(
@@ -112,14 +116,14 @@ def _run(
     backend: Backend,
     choice: Choice,
     clock: StageClock,
-    keeping: Keeping | None,
+    checkpoint: Checkpoint | None,
 ) -> Outcome:
     """Reconstruct a cloud on an open backend."""
     workforce, cloud = backend.workforce, loaded.cloud
     threads = choose_threads(workforce, len(cloud))
     tile_points = choose_tile(settings, backend)
     method = settings.method.open(
-        grid, Resources(threads, tile_points, keeping, clock.progress.show_part)
+        grid, Resources(threads, tile_points, checkpoint, clock.progress.show_part)
     )
     log.info(
         "method %s, grid %d, backend %s, workers %d, policy %s, kernels %s",

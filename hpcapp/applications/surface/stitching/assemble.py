@@ -16,7 +16,7 @@ from hpcapp.applications.surface.extraction.part_places import (
     place_vertices,
 )
 from hpcapp.applications.surface.extraction.parts import Int32Array, MeshPart
-from hpcapp.applications.surface.stitching.plan import WeldPlan
+from hpcapp.applications.surface.stitching.plan import StitchingPlan
 from hpcapp.applications.surface.stitching.tile_ply import cut_tile
 from hpcapp.applications.surface.types.lattice import unique_keys
 from hpcapp.applications.surface.types.mesh import Mesh
@@ -30,12 +30,12 @@ LoadPart = Callable[[int], MeshPart]
 _ROWS_AT_ONCE = 1 << 17
 
 
-def assemble_mesh(plan: WeldPlan, load: LoadPart, origin: FloatArray) -> Mesh:
+def assemble_mesh(plan: StitchingPlan, load: LoadPart, origin: FloatArray) -> Mesh:
     """Put the whole mesh together in memory.
 
     Parameters
     ----------
-    plan : WeldPlan
+    plan : StitchingPlan
     load : callable
         Returns the part of an index.
     origin : ndarray of float64, shape (3,)
@@ -57,12 +57,12 @@ def assemble_mesh(plan: WeldPlan, load: LoadPart, origin: FloatArray) -> Mesh:
     return Mesh(vertices, faces, origin)
 
 
-def stream_mesh(plan: WeldPlan, load: LoadPart, origin: FloatArray) -> MeshStream:
+def stream_mesh(plan: StitchingPlan, load: LoadPart, origin: FloatArray) -> MeshStream:
     """Return the mesh as blocks in the order of the bricks.
 
     Parameters
     ----------
-    plan : WeldPlan
+    plan : StitchingPlan
     load : callable
         Returns the part of an index; is called again for every block.
     origin : ndarray of float64, shape (3,)
@@ -86,13 +86,13 @@ def stream_mesh(plan: WeldPlan, load: LoadPart, origin: FloatArray) -> MeshStrea
 
 
 def stream_tiles(
-    plan: WeldPlan, load: LoadPart, origin: FloatArray
+    plan: StitchingPlan, load: LoadPart, origin: FloatArray
 ) -> Iterator[tuple[int, MeshStream]]:
     """Return the mesh tile by tile: what each part gives to it, as a mesh of its own.
 
     Parameters
     ----------
-    plan : WeldPlan
+    plan : StitchingPlan
     load : callable
         Returns the part of an index.
     origin : ndarray of float64, shape (3,)
@@ -111,12 +111,12 @@ def stream_tiles(
             yield index, tile
 
 
-def take_tile(plan: WeldPlan, load: LoadPart, origin: FloatArray, index: int) -> MeshStream:
+def take_tile(plan: StitchingPlan, load: LoadPart, origin: FloatArray, index: int) -> MeshStream:
     """Return one of the tiles of `stream_tiles`, which may have no faces.
 
     Parameters
     ----------
-    plan : WeldPlan
+    plan : StitchingPlan
     load : callable
         Returns the part of an index.
     origin : ndarray of float64, shape (3,)
@@ -150,7 +150,7 @@ def _whole(mesh: Mesh, box: FloatArray) -> MeshStream:
 
 
 def _positions(
-    plan: WeldPlan, load: LoadPart, index: int, vertices: IntArray | Int32Array
+    plan: StitchingPlan, load: LoadPart, index: int, vertices: IntArray | Int32Array
 ) -> FloatArray:
     """Return where vertices of a part are, as `MeshPart.faces` names them; foreign ones, too."""
     positions = np.empty((len(vertices), 3))
@@ -167,7 +167,7 @@ def _positions(
 class _Blocks:
     """Walks through the bricks of all parts in the order of their keys."""
 
-    def __init__(self, plan: WeldPlan, load: LoadPart) -> None:
+    def __init__(self, plan: StitchingPlan, load: LoadPart) -> None:
         self._plan = plan
         self._load = load
         self._places: dict[int, PartPlaces] = {}  # grows with the bricks, like the plan

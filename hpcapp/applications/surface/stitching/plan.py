@@ -26,7 +26,7 @@ from hpcapp.applications.surface.stitching.topology import Topology
 from hpcapp.applications.surface.types.lattice import unique_keys
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
 
-__all__ = ["WeldPlan", "missing_bricks", "plan_weld"]
+__all__ = ["StitchingPlan", "missing_bricks", "plan_stitching"]
 
 SMALL_SIZES = ((0.02, 0.0), (0.002, 0.5), (0.0005, 0.75))
 """A component stays that has so many faces, by those of the largest one, and of whose vertices so
@@ -34,7 +34,7 @@ many are supported, by the share of the largest one's that are."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class WeldPlan:
+class StitchingPlan:
     """How parts become one mesh; B bricks in all.
 
     Parameters
@@ -156,7 +156,7 @@ class WeldPlan:
         return np.flatnonzero(~self.kept[self.bricks.labels_in(index)]).astype(np.int32)
 
 
-def plan_weld(summaries: Sequence[PartSummary], crumb: int | None = None) -> WeldPlan:
+def plan_stitching(summaries: Sequence[PartSummary], crumb: int | None = None) -> StitchingPlan:
     """Plan the weld of all the parts of a mesh.
 
     Parameters
@@ -168,7 +168,7 @@ def plan_weld(summaries: Sequence[PartSummary], crumb: int | None = None) -> Wel
 
     Returns
     -------
-    WeldPlan
+    StitchingPlan
 
     Raises
     ------
@@ -192,7 +192,7 @@ def plan_weld(summaries: Sequence[PartSummary], crumb: int | None = None) -> Wel
         for counts in (components.vertices, components.faces)
     )
     box = _bound(np.concatenate([s.bounds for s in summaries])[kept])
-    return WeldPlan(
+    return StitchingPlan(
         tuple(summaries),
         bricks,
         kept,

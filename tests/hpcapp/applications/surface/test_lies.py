@@ -14,7 +14,7 @@ import recorded_tasks
 from lies import LIES
 from recorded_tasks import Answer, RecordedTasks
 
-from hpcapp.applications.surface.job import room, run, steps
+from hpcapp.applications.surface.job import run, steps, storage
 from hpcapp.applications.surface.job.run import run_job
 from hpcapp.applications.surface.paper.settings import Paper
 from hpcapp.applications.surface.settings import JobSettings
@@ -156,7 +156,7 @@ def run_small(
         patch.setattr(recorded_tasks, "make", lambda: recorder, raising=False)
         if sees is not None:  # so many points are too many for memory, and tiles are small
             settings["temp_dir"] = str(folder / "room")
-            patch.setattr(room, "fits_memory", lambda *_: False)
+            patch.setattr(storage, "fits_memory", lambda *_: False)
             for module in (run, steps):
                 patch.setattr(module, "choose_tile", lambda *_: 3_000)
         backend = "recorded_tasks:make"

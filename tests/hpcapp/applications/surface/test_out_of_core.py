@@ -19,7 +19,7 @@ from hpcapp.applications.surface.api import reconstruct
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.hierarchical import growth as regions
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
-from hpcapp.applications.surface.job import folder, load, room, run, steps
+from hpcapp.applications.surface.job import folder, load, run, steps, storage
 from hpcapp.applications.surface.job.run import run_job
 from hpcapp.applications.surface.memory import fitting_tile, parse_limit
 from hpcapp.applications.surface.settings import JobSettings
@@ -78,7 +78,7 @@ def whole(scan: Path) -> bytes:
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let so many points be too many for memory, and tiles be small."""
-    monkeypatch.setattr(room, "fits_memory", lambda *_: False)
+    monkeypatch.setattr(storage, "fits_memory", lambda *_: False)
     for module in (run, steps):
         monkeypatch.setattr(module, "choose_tile", lambda *_: 6_000)
 
@@ -133,7 +133,7 @@ def test_a_cloud_of_one_level_is_one_tile(
     scan, output = tmp_path / "scan.ply", tmp_path / "mesh.ply"
     write_points(scan, PointCloud(1.5 * arms + (7.0, 0.0, 0.0), arms))
     run_job(JobSettings(scan, str(tmp_path / "whole.ply"), grid=grid), SILENT)
-    monkeypatch.setattr(room, "fits_memory", lambda *_: False)
+    monkeypatch.setattr(storage, "fits_memory", lambda *_: False)
     report = run_job(JobSettings(scan, str(output), grid=grid, backend=backend), SILENT)
     assert report["tiles"] == report["levels"] == 1
     assert output.read_bytes() == (tmp_path / "whole.ply").read_bytes()

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from hpcapp.applications.surface.api import reconstruct
-from hpcapp.applications.surface.job import room, run, steps
+from hpcapp.applications.surface.job import run, steps, storage
 from hpcapp.applications.surface.job.run import run_job
 from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.applications.surface.types.points import PointCloud
@@ -42,7 +42,7 @@ def test_points_on_disk_and_tiles_give_the_same_light_mesh(
     assert (report["tiles"], report["watertight"]) == (1, True)
     assert 1000 < report["faces"] <= 1500
     assert "simplify" in report["stages"]
-    monkeypatch.setattr(room, "fits_memory", lambda *_: False)
+    monkeypatch.setattr(storage, "fits_memory", lambda *_: False)
     for module in (run, steps):
         monkeypatch.setattr(module, "choose_tile", lambda *_: 2000)
     settings = JobSettings(scan, str(outputs[1]), grid=48, faces=1500, backend="threads", workers=2)

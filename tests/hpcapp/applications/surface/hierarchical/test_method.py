@@ -11,7 +11,7 @@ import pytest
 from disk_clouds import DiskCloudWriter
 from recorder import Recorder
 
-from hpcapp.applications.surface.checkpoint import Keeping
+from hpcapp.applications.surface.checkpoint import Checkpoint
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.field import levels as field_levels
@@ -299,9 +299,9 @@ def test_moments_of_tiles_go_through_the_folder_that_points_are_read_from(
     writer = DiskCloudWriter(points, cloud.arrangement, cloud.origin)
     assert cloud.points.normals is not None
     writer.add(cloud.points.positions, cloud.points.normals)
-    keeping = Keeping(str(tmp_path / "kept"), "job", is_shared=is_shared)
-    keeping.make_folders()
-    method = HierarchicalMethod(48, keeping=keeping)
+    checkpoint = Checkpoint(str(tmp_path / "kept"), "job", is_shared=is_shared)
+    checkpoint.make_folders()
+    method = HierarchicalMethod(48, checkpoint=checkpoint)
     fitted, sums = [], []
     for given in (writer.finish(), cloud):
         with Recorder(2) as executor:
@@ -313,11 +313,11 @@ def test_moments_of_tiles_go_through_the_folder_that_points_are_read_from(
     assert [len(of_cloud) for of_cloud in sums] == [3, 3]
     assert all((lattice is None) == is_shared for lattice in sums[0])
     assert all(lattice is not None for lattice in sums[1])
-    assert bool(keeping.store.list("job/sums/")) == is_shared
+    assert bool(checkpoint.store.list("job/sums/")) == is_shared
     first, second = (coarse.parents.coefficients for coarse in fitted if coarse is not None)
     np.testing.assert_array_equal(first, second)
-    keeping.clear()
-    assert keeping.store.list() == []
+    checkpoint.clear()
+    assert checkpoint.store.list() == []
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.001, 0.003])  # with heavy tails: points are weighed

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import hpcapp
 from hpcapp.applications.surface import surface
 from hpcapp.applications.surface.attributes.choice import parse_attributes
-from hpcapp.applications.surface.job import room, run, steps
+from hpcapp.applications.surface.job import run, steps, storage
 from hpcapp.applications.surface.job.run import run_job
 from hpcapp.applications.surface.normals.orientation import SURE
 from hpcapp.applications.surface.settings import JobSettings
@@ -163,7 +163,7 @@ def test_estimated_normals_carry_their_confidence_only_where_it_is_named(
     given = tmp_path / "given.ply"
     write_points(given, cloud)
     assert "--attributes confidence: left out" in run("given-mesh.ply", "confidence", given)[1]
-    monkeypatch.setattr(room, "fits_memory", lambda *_: False)
+    monkeypatch.setattr(storage, "fits_memory", lambda *_: False)
     names, text = run("folder.ply", "auto,confidence")
     assert names == ["colours"]
     assert text.count("--attributes confidence: left out") == 1
@@ -222,7 +222,7 @@ def test_tiles_and_workers_give_the_bytes_of_memory(
     chosen = parse_attributes("auto,normals,support")
     whole, tiled = tmp_path / f"whole-{name}", tmp_path / f"tiled-{name}"
     run_job(JobSettings(painted_file, str(whole), grid=64, attributes=chosen), SILENT)
-    monkeypatch.setattr(room, "fits_memory", lambda *_: False)
+    monkeypatch.setattr(storage, "fits_memory", lambda *_: False)
     for module in (run, steps):
         monkeypatch.setattr(module, "choose_tile", lambda *_: 6_000)
     settings = JobSettings(
@@ -254,13 +254,13 @@ def test_a_column_that_is_not_there_is_refused_before_the_work(
             UsageError, match=r"painted.ply has colours, intensity, classification, row;"
         ):
             run_job(settings, SILENT)
-        monkeypatch.setattr(room, "fits_memory", lambda *_: False)
+        monkeypatch.setattr(storage, "fits_memory", lambda *_: False)
 
 
 def test_tiles_carry_what_needs_no_other_tile(
     painted_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(room, "fits_memory", lambda *_: False)
+    monkeypatch.setattr(storage, "fits_memory", lambda *_: False)
     for module in (run, steps):
         monkeypatch.setattr(module, "choose_tile", lambda *_: 6_000)
     chosen = parse_attributes("auto,normals")
@@ -282,7 +282,7 @@ def test_a_job_that_is_resumed_carries_the_same(
 ) -> None:
     whole, again = tmp_path / "whole.ply", tmp_path / "again.ply"
     run_job(JobSettings(painted_file, str(whole), grid=48), SILENT)
-    monkeypatch.setattr(room, "fits_memory", lambda *_: False)
+    monkeypatch.setattr(storage, "fits_memory", lambda *_: False)
     for module in (run, steps):
         monkeypatch.setattr(module, "choose_tile", lambda *_: 6_000)
     settings = JobSettings(

@@ -10,7 +10,7 @@ from typing import ParamSpec, TypeVar, cast
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.checkpoint import Keeping
+from hpcapp.applications.surface.checkpoint import Checkpoint
 from hpcapp.applications.surface.job.backend_choice import approach_workers
 from hpcapp.applications.surface.job.load import load
 from hpcapp.applications.surface.job.steps import run_steps
@@ -65,15 +65,15 @@ def test_tiles_are_kept_by_who_sees_the_folder(tmp_path: Path, sees: bool) -> No
     settings = JobSettings(tmp_path / "ball.ply", "-", grid=48, workers=2, temp_dir=str(here))
     clock = StageClock(Progress())
     loaded = load(settings, clock)
-    keeping, machine = Keeping(str(here), "job"), OtherMachine(here, here if sees else there)
-    keeping.make_folders()
+    checkpoint, machine = Checkpoint(str(here), "job"), OtherMachine(here, here if sees else there)
+    checkpoint.make_folders()
     with (
         approach_workers(settings) as opener,
-        run_steps(settings, loaded, opener, clock, keeping, executor=machine) as outcome,
+        run_steps(settings, loaded, opener, clock, checkpoint, executor=machine) as outcome,
     ):
         mesh = outcome.result.surface.mesh()
         assert list(there.iterdir()) == []
-        kept = keeping.store.list("job/")
+        kept = checkpoint.store.list("job/")
     assert len(kept) >= 2
     np.testing.assert_allclose(np.linalg.norm(mesh.vertices, axis=1), 1.0, atol=0.01)
     assert len(mesh.vertices) - len(mesh.faces) // 2 == 2  # closed, of genus 0

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.extraction.summary import summarize_part
 from hpcapp.applications.surface.stitching import assemble as welded
-from hpcapp.applications.surface.stitching.plan import WeldPlan, plan_weld
+from hpcapp.applications.surface.stitching.plan import StitchingPlan, plan_stitching
 from hpcapp.applications.surface.stitching.shared_ply import write_part
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.applications.surface.types.mesh import Mesh
@@ -23,7 +23,7 @@ from hpcapp.io import read_mesh, write_mesh
 from hpcapp.io.meshes.tiles import write_tiles
 from hpcapp.io.ply.format import shared_ply
 
-Weld = tuple[WeldPlan, list[MeshPart], Mesh]
+Weld = tuple[StitchingPlan, list[MeshPart], Mesh]
 
 extracted = cache(extract_shape)
 ORIGINS = {"near": np.zeros(3), "far": np.array([4.5e5, 0.0, -12.0])}
@@ -40,7 +40,7 @@ def welds(draw: st.DrawFn) -> Weld:
     parts = cut_mesh(mesh, of_vertex, of_face, *draw(cuts(of_vertex, of_face)))
     origin = ORIGINS[draw(st.sampled_from(sorted(ORIGINS)))]
     whole = drop_small_components(mesh)
-    plan = plan_weld([summarize_part(part) for part in parts])
+    plan = plan_stitching([summarize_part(part) for part in parts])
     return plan, parts, Mesh(whole.vertices, whole.faces, origin)
 
 
@@ -90,11 +90,11 @@ def test_tiles_are_the_faces_of_their_parts_and_meet_exactly(
     assert sorted(map(bytes, together)) == sorted(map(bytes, expected))
 
 
-def torus_in_two() -> tuple[Mesh, list[MeshPart], WeldPlan]:
+def torus_in_two() -> tuple[Mesh, list[MeshPart], StitchingPlan]:
     mesh, of_vertex, of_face = extracted(SHAPES["torus"])
     keys = np.unique(np.concatenate([of_vertex, of_face])).tolist()
     parts = cut_mesh(mesh, of_vertex, of_face, {k: int(k > keys[len(keys) // 2]) for k in keys})
-    return mesh, parts, plan_weld([summarize_part(part) for part in parts])
+    return mesh, parts, plan_stitching([summarize_part(part) for part in parts])
 
 
 def test_blocks_are_bounded_and_mapped_parts_do(tmp_path: Path) -> None:

@@ -23,10 +23,10 @@ from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.extraction.summary import summarize_part
 from hpcapp.applications.surface.stitching.assemble import assemble_mesh
 from hpcapp.applications.surface.stitching.plan import (
-    WeldPlan,
+    StitchingPlan,
     find_large,
     missing_bricks,
-    plan_weld,
+    plan_stitching,
 )
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.applications.surface.types.lattice import unpack_keys
@@ -43,13 +43,13 @@ def bricks_of(*keys: IntArray) -> list[int]:
     return values
 
 
-def weld(parts: list[MeshPart]) -> tuple[WeldPlan, Mesh]:
+def weld(parts: list[MeshPart]) -> tuple[StitchingPlan, Mesh]:
     summaries = [summarize_part(part) for part in parts]
-    plan = plan_weld(summaries)
+    plan = plan_stitching(summaries)
     return plan, assemble_mesh(plan, parts.__getitem__, ORIGIN)
 
 
-def assert_same(plan: WeldPlan, welded: Mesh, whole: Mesh) -> None:
+def assert_same(plan: StitchingPlan, welded: Mesh, whole: Mesh) -> None:
     assert welded.vertices.tobytes() == whole.vertices.tobytes()
     assert welded.faces.dtype == np.int64
     assert welded.faces.tobytes() == whole.faces.astype(np.int64).tobytes()
@@ -190,7 +190,7 @@ def test_a_brick_that_no_part_has_is_named() -> None:
     assert np.array_equal(missing, np.unique(summary.foreign_bricks))
     x, y, z = unpack_keys(missing[:1])[0]
     with pytest.raises(JobError, match=rf"brick \({x}, {y}, {z}\)"):
-        plan_weld([summary])
+        plan_stitching([summary])
 
 
 def test_a_vertex_that_its_brick_does_not_have_is_refused() -> None:
@@ -198,13 +198,13 @@ def test_a_vertex_that_its_brick_does_not_have_is_refused() -> None:
     numbers = np.full(len(first.foreign_numbers), 9999, np.int32)
     parts = [replace(first, foreign_numbers=numbers), second]
     with pytest.raises(JobError, match="no tile has the vertices"):
-        plan_weld([summarize_part(part) for part in parts])
+        plan_stitching([summarize_part(part) for part in parts])
 
 
 def test_two_owners_of_a_brick_are_refused() -> None:
     first, _ = halves()
     with pytest.raises(JobError, match="disagree"):
-        plan_weld([summarize_part(first)] * 2)
+        plan_stitching([summarize_part(first)] * 2)
 
 
 def test_a_summary_is_small_beside_its_part() -> None:
@@ -246,5 +246,5 @@ def test_where_nothing_is_small_what_no_face_uses_stays() -> None:
 def test_what_supports_a_mesh_is_counted_once_however_it_is_cut(data: st.DataObject) -> None:
     mesh, of_vertex, of_face = extracted(SHAPES["torus"])
     parts = cut_mesh(mesh, of_vertex, of_face, *data.draw(cuts(of_vertex, of_face)))
-    plan = plan_weld([summarize_part(part) for part in parts])
+    plan = plan_stitching([summarize_part(part) for part in parts])
     assert plan.entries.supports.sum() == is_supported(mesh.vertices).sum()

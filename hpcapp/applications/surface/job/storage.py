@@ -23,7 +23,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from hpcapp.applications.surface.checkpoint import SUMS, Keeping, digest
+from hpcapp.applications.surface.checkpoint import SUMS, Checkpoint, digest
 from hpcapp.applications.surface.job.folder import may_pay_in_folder
 from hpcapp.applications.surface.kernels.build import kernel_id
 from hpcapp.applications.surface.memory import fits_memory
@@ -42,18 +42,18 @@ from hpccomponent.files.private_files import remove_path
 from hpccomponent.store.places import open_store
 from hpccomponent.terminal import visible_text
 
-__all__ = ["Room", "open_room"]
+__all__ = ["JobStorage", "open_storage"]
 
 log = logging.getLogger("hpcapp")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Room:
+class JobStorage:
     """Where a job has its points and tiles besides memory.
 
     Parameters
     ----------
-    keeping : Keeping or None
+    checkpoint : Checkpoint or None
         Where finished tiles are kept.
     folder : Path or None
         Where the points lie; None where they are in memory.
@@ -61,14 +61,14 @@ class Room:
         Whether memory is too small for them; else they lie there for other processes only.
     """
 
-    keeping: Keeping | None
+    checkpoint: Checkpoint | None
     folder: Path | None
     is_needed: bool = True
 
 
 @contextmanager
-def open_room(settings: JobSettings) -> Iterator[Room]:
-    """Find room for a job.
+def open_storage(settings: JobSettings) -> Iterator[JobStorage]:
+    """Find where a job can store what it does not hold in memory.
 
     What lies there is taken away when the block ends, however it ends; but a job that resumes and
     fails leaves what it has finished.
@@ -79,7 +79,7 @@ def open_room(settings: JobSettings) -> Iterator[Room]:
 
     Yields
     ------
-    Room
+    JobStorage
 
     Raises
     ------
@@ -93,7 +93,7 @@ def open_room(settings: JobSettings) -> Iterator[Room]:
     is_needed = not fits_memory(settings.points, settings.max_memory)
     in_memory = settings.method.needs_whole_cloud or not (is_needed or may_pay_in_folder(settings))
     if settings.method.needs_whole_cloud or (in_memory and settings.temp_dir is None):
-        yield Room(None, None)
+        yield JobStorage(None, None)
         return
     job, place = _name_job(settings), settings.temp_dir
     if place is None or "://" in place:
@@ -101,21 +101,21 @@ def open_room(settings: JobSettings) -> Iterator[Room]:
         with temporary_folder() as near:
             points = None if in_memory else near / job / "points"
             if place is None:
-                keeping = Keeping(str(near), job, is_shared=is_here)
-                keeping.make_folders()
-                yield Room(keeping, points, is_needed)
+                checkpoint = Checkpoint(str(near), job, is_shared=is_here)
+                checkpoint.make_folders()
+                yield JobStorage(checkpoint, points, is_needed)
                 return
             prefix = _choose_prefix(place, job, settings.resume)
-            keeping = Keeping(place, prefix, settings.resume)
-            keeping.check()
-            with _taken_away(keeping):
-                yield Room(keeping, points, is_needed)
+            checkpoint = Checkpoint(place, prefix, settings.resume)
+            checkpoint.check()
+            with _taken_away(checkpoint):
+                yield JobStorage(checkpoint, points, is_needed)
         return
     held = _hold_folder(_find_folder(place), job, settings.resume)
-    keeping = Keeping(str(held.path.parent), held.path.name, settings.resume)
-    with _taken_away(keeping, held):
-        keeping.make_folders()
-        yield Room(keeping, None if in_memory else held.path / "points", is_needed)
+    checkpoint = Checkpoint(str(held.path.parent), held.path.name, settings.resume)
+    with _taken_away(checkpoint, held):
+        checkpoint.make_folders()
+        yield JobStorage(checkpoint, None if in_memory else held.path / "points", is_needed)
 
 
 def _find_folder(place: str) -> Path:
@@ -161,47 +161,47 @@ def _identify(file: Path) -> str:
 
 
 @contextmanager
-def _taken_away(keeping: Keeping, held: HeldFolder | None = None) -> Iterator[None]:
-    """Take away what a job has kept, when it is done or has failed; see `open_room`."""
+def _taken_away(checkpoint: Checkpoint, held: HeldFolder | None = None) -> Iterator[None]:
+    """Take away what a job has kept, when it is done or has failed; see `open_storage`."""
     is_left = False
     try:
         yield
     except DistrustError:  # nothing of it is to be believed
         raise
     except BaseException:
-        is_left = _leave_work(keeping)
+        is_left = _leave_work(checkpoint)
         raise
     finally:
         if held is None:
             if not is_left:
-                _clear_bucket(keeping)
+                _clear_bucket(checkpoint)
         elif is_left:
             held.let_go()
         else:
             held.remove()
 
 
-def _leave_work(keeping: Keeping) -> bool:
+def _leave_work(checkpoint: Checkpoint) -> bool:
     """Tell whether what a failed job has finished is left, and say what becomes of it."""
     try:
-        is_something = keeping.holds_work()
+        is_something = checkpoint.holds_work()
     except HpcError:  # the bucket is out of reach
-        is_something = keeping.resumes
-    if is_something and keeping.resumes:
+        is_something = checkpoint.resumes
+    if is_something and checkpoint.resumes:
         log.warning(
             "what is finished is kept in %s: the same command with --resume goes on from there",
-            keeping.where,
+            checkpoint.where,
         )
     elif is_something:
         log.warning("what was finished is removed: a job that is started with --resume keeps it")
-    return is_something and keeping.resumes
+    return is_something and checkpoint.resumes
 
 
-def _clear_bucket(keeping: Keeping) -> None:
+def _clear_bucket(checkpoint: Checkpoint) -> None:
     try:
-        keeping.clear()
+        checkpoint.clear()
     except HpcError as error:
-        log.warning("warning: some of %s is left: %s", keeping.where, error)
+        log.warning("warning: some of %s is left: %s", checkpoint.where, error)
 
 
 def _hold_folder(folder: Path, job: str, resumes: bool) -> HeldFolder:
@@ -223,7 +223,7 @@ def _hold_left(folder: Path, job: str) -> HeldFolder | None:
             held = hold(path)
             if held is None:
                 busy = _name_busy(path) or busy
-            elif Keeping(str(folder), path.name).holds_work():
+            elif Checkpoint(str(folder), path.name).holds_work():
                 remove_path(path / SUMS)  # they are of one run
                 return held
             else:

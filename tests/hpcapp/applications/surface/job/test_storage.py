@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.surface.hierarchical import growth as regions
-from hpcapp.applications.surface.job import room, run, steps
+from hpcapp.applications.surface.job import run, steps, storage
 from hpcapp.applications.surface.job.run import run_job
 from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.applications.surface.tiles import tasks as region
@@ -295,7 +295,7 @@ def _settings(scan: Path, place: Path) -> JobSettings:
 
 
 def _let_tiles_be_small(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(room, "fits_memory", lambda *_: False)
+    patch.setattr(storage, "fits_memory", lambda *_: False)
     for module in (run, steps):
         patch.setattr(module, "choose_tile", lambda *_: 5_000)
 
@@ -467,9 +467,9 @@ def test_whatever_decides_the_mesh_is_part_of_the_name_of_a_job(scan: Path, tmp_
     ]  # fmt: skip
     found = []
     for other in [{}, *others, {"backend": "threads", "workers": 2}]:
-        with room.open_room(replace(settings, **other)) as opened:
-            assert opened.keeping is not None
-            found.append(opened.keeping.job.rpartition("-")[0])
+        with storage.open_storage(replace(settings, **other)) as opened:
+            assert opened.checkpoint is not None
+            found.append(opened.checkpoint.job.rpartition("-")[0])
     assert len(set(found)) == 1 + len(others)
     assert found[0] == found[-1]
 
