@@ -86,6 +86,8 @@ class MachineSeen:
         Their ids; empty where the cloud lists none.
     made_as : str
         By what it was launched, as its tag says; see `drift.made_as`.
+    set_up_by : str
+        Who has begun to set it up without having launched it: user and host; empty where nobody.
     """
 
     id: str
@@ -106,6 +108,7 @@ class MachineSeen:
     image: str = ""
     subnet: str = ""
     made_as: str = ""
+    set_up_by: str = ""
 
     def address(self, kind: str = "auto") -> str:
         """Return where the machine is reached; empty while it is nowhere.
@@ -308,6 +311,7 @@ class Tags:
     owner: Owner | None = None
     desired: Desired | None = None
     lease_until: datetime | None = None
+    set_up_by: str | None = None
 
 
 class Bucket(Protocol):

@@ -5,7 +5,7 @@ Used by `converge` only.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import replace
 from datetime import timedelta
@@ -195,18 +195,24 @@ class Reconciler:
         own_machines = ours(seen, ownership)
         if not self._spec.provider.is_shared:
             own_machines = frozenset(machine.id for machine in seen.machines)
-        asked, now_asked = self._journal.launched(), self._journal.launched(since_opened=True)
+        launched = self._launched(seen.machines, since_opened=True)
+        return Proof(own_machines, self._launched(seen.machines) - self._journal.used, launched)
 
-        def among(machines: frozenset[tuple[str, NodeName]]) -> frozenset[str]:
-            # Who shares our key may have launched the very same node: it bears their name.
-            users = (ownership.owner.user, "")
-            return frozenset(
-                m.id
-                for m in seen.machines
-                if (m.incarnation, m.name) in machines and m.owner.user in users
-            )
+    def _launched(
+        self, machines: Iterable[MachineSeen], *, since_opened: bool = False
+    ) -> frozenset[str]:
+        """Return the ids of the machines that were launched from here and that nobody else uses.
 
-        return Proof(own_machines, among(asked) - self._journal.used, among(now_asked))
+        Who shares our key may have launched the very same node: it bears their name. Or they have
+        begun to set up what we have launched, which our journal cannot tell.
+        """
+        users = (self._cluster.access.ownership().owner.user, "")
+        asked = self._journal.launched(since_opened=since_opened)
+        return frozenset(
+            m.id
+            for m in machines
+            if (m.incarnation, m.name) in asked and m.owner.user in users and not m.set_up_by
+        )
 
     def _observe(self) -> Observed:
         """Look at the cloud; what was launched and was never listed is pending.
@@ -363,6 +369,10 @@ class Reconciler:
         from hpcdeploy.install.bootstrap import set_up  # it imports paramiko, which is slow
 
         self._journal.note_set_up((m.id for m in running), is_done=False)
+        launched = self._launched(running)
+        others = [m for m in running if m.id not in launched and not m.set_up_by]
+        if others:  # so that who has launched them does not take them for unused
+            self._provider.tag(others, Tags(set_up_by=self._cluster.access.ownership().owner.user))
         with self._journal.step("set up " + ", ".join(m.name.node for m in running)):
             failures = set_up(self._spec, running, self._cluster.access, self._report)
         failed = {failure.machine.id for failure in failures}

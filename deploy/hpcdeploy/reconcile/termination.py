@@ -44,9 +44,10 @@ class Proof:
     ours : frozenset of str
         Ids of machines that bear our key, see `ownership.ours`.
     unused : frozenset of str
-        Ids of machines that our journal has launched in this life and that were never set up.
+        Ids of machines that our journal has launched in this life and that nobody has set
+        up.
     launched : frozenset of str
-        Ids of machines that this very command has launched.
+        Ids of machines that this very command has launched, and that nobody else sets up.
     lives : frozenset of str
         Incarnations that were there when the user asked for the whole cluster to go: ours, or
         another's whose name the user has typed.

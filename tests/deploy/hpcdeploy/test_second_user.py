@@ -64,10 +64,11 @@ class Lab:
         self.home, self.time = home, SimulatedTime()
         self.cloud = WatchedCloud(self.time.now)
         self.cloud.hook = self.strike
-        self.unreachable: set[str] = set()
+        self.unreachable: set[tuple[str, str]] = set()  # a user, and a node that gives no answer
         self.healthy: dict[str, str] = {}  # machines that were set up, and the key that was used
         self.fault, self.countdown, self.is_dead = "none", 0, False
         self.guest: tuple[str, str] | None = None
+        self.struck = ""  # the call that the last fault came about at
         patch.setattr("hpcdeploy.install.bootstrap.set_up", self.set_up)
         patch.setattr("hpcdeploy.install.user_data.user_data", lambda *about: "#!")
 
@@ -87,7 +88,7 @@ class Lab:
             )
             if launched.key != key:
                 failures.append(Failure(machine, "permission denied"))
-            elif machine.name.node in self.unreachable:
+            elif (self.cloud.user, machine.name.node) in self.unreachable:
                 failures.append(Failure(machine, "no answer"))
             else:
                 self.healthy[machine.id] = key
@@ -104,7 +105,7 @@ class Lab:
         self.countdown -= 1
         if self.countdown or threading.current_thread() is not threading.main_thread():
             return
-        fault, self.fault = self.fault, "none"
+        fault, self.fault, self.struck = self.fault, "none", call
         if fault == "guest":
             assert self.guest is not None
             guest, self.guest = self.guest, None
@@ -154,6 +155,20 @@ class Lab:
             case _:
                 bring_up(cluster, say, polling=polling)
 
+    def needed(self) -> set[str]:
+        """Return the machines that work, and have their node's name to themselves."""
+        machines = [self.cloud._seen(machine) for machine in self.cloud._machines.values()]
+        live = [machine for machine in machines if machine.state in LIVE]
+        lives = {group.incarnation for group in self.cloud.observe("bunny").lives}
+        names = Counter(machine.name.node for machine in live)
+        return {
+            machine.id
+            for machine in live
+            if machine.id in self.healthy
+            and machine.incarnation in lives
+            and names[machine.name.node] == 1
+        }
+
     def check(self) -> None:
         """Nobody has ended another's machine that was in its lease; nobody an own one in use."""
         for user, machine in self.cloud.ended:
@@ -166,6 +181,11 @@ class Lab:
         self.cloud.ended.clear()
 
 
+def folder_in_memory() -> tempfile.TemporaryDirectory[str]:
+    shm = "/dev/shm"  # noqa: S108 - the journal syncs every line
+    return tempfile.TemporaryDirectory(dir=shm if os.path.isdir(shm) else None)
+
+
 class TwoUsers(RuleBasedStateMachine):
     """Commands of three users in any order, and inside one another."""
 
@@ -173,9 +193,7 @@ class TwoUsers(RuleBasedStateMachine):
     def begin(self, first: str) -> None:
         self.patch = pytest.MonkeyPatch()
         self.patch.setenv("XDG_STATE_HOME", "/nowhere")
-        shm = "/dev/shm"  # noqa: S108 - the journal syncs every line
-        memory = shm if os.path.isdir(shm) else None
-        self.home = tempfile.TemporaryDirectory(dir=memory)
+        self.home = folder_in_memory()
         self.lab = Lab(self.patch, Path(self.home.name))
         self.lab.run(first, "up", count=2)
 
@@ -203,17 +221,8 @@ class TwoUsers(RuleBasedStateMachine):
           nodes=st.sets(st.sampled_from(["head", "worker-1"]), min_size=1))  # fmt: skip
     def command_without_an_answer(self, user: str, verb: str, nodes: set[str]) -> None:
         """A machine that has worked and does not let us in now is never ended for it."""
-        live = [machine for machine in self.machines() if machine.state in LIVE]
-        lives = {group.incarnation for group in self.lab.cloud.observe("bunny").lives}
-        names = Counter(machine.name.node for machine in live)
-        needed = {
-            machine.id
-            for machine in live
-            if machine.id in self.lab.healthy
-            and machine.incarnation in lives
-            and names[machine.name.node] == 1
-        }
-        self.lab.unreachable = nodes
+        needed = self.lab.needed()
+        self.lab.unreachable = {(user, node) for node in nodes}
         self.lab.run(user, verb, count=2)
         self.lab.unreachable = set()
         assert needed.isdisjoint(machine.id for _, machine in self.lab.cloud.ended)
@@ -221,9 +230,6 @@ class TwoUsers(RuleBasedStateMachine):
     @rule(seconds=st.sampled_from([1, 10, 600, 3600]))
     def wait(self, seconds: int) -> None:
         self.lab.time.sleep(seconds)
-
-    def machines(self) -> tuple[MachineSeen, ...]:
-        return tuple(self.lab.cloud._seen(m) for m in self.lab.cloud._machines.values())
 
     @invariant()
     def nobodys_healthy_machine_is_lost(self) -> None:
@@ -259,6 +265,56 @@ def test_the_last_number_of_workers_holds_whatever_runs_inside_what(
             assert lab.run("clara", "replace_lost", count=3) == "done"
             assert lab.healthy.keys() >= {m.id for m in seen.machines if m.state in LIVE}
     assert at > 3
+
+
+def lose_a_worker(lab: Lab) -> None:
+    """Have Clara make a cluster and lose a worker, and get no answer of the next one."""
+    lab.run("clara", "up", count=2)
+    lab.cloud.interrupt("worker-1")
+    lab.time.sleep(60)
+    lab.unreachable = {("clara", "worker-1")}
+
+
+@pytest.mark.parametrize("annas", [4, 99], ids=["she is killed when it is set up", "she lives"])
+def test_a_machine_that_another_has_set_up_is_not_ended_by_who_launched_it(
+    monkeypatch: pytest.MonkeyPatch, annas: int
+) -> None:
+    """Clara launches it, gets no answer and is killed at any call; Anna gets one."""
+    monkeypatch.setenv("XDG_STATE_HOME", "/nowhere")
+    for at in itertools.count(1):
+        with folder_in_memory() as home:
+            lab = Lab(monkeypatch, Path(home))
+            lose_a_worker(lab)
+            lab.run("clara", "replace_lost", "killed", at, count=2)
+            if lab.countdown > 0:  # there are no more calls
+                break
+            lab.run("anna", "up", "killed", annas, count=2)
+            needed = lab.needed()
+            lab.cloud.ended.clear()
+            lab.run("clara", "up", count=2)
+            assert needed.isdisjoint(machine.id for _, machine in lab.cloud.ended), at
+    assert at > 10
+
+
+def test_a_machine_that_another_sets_up_meanwhile_is_not_ended_by_who_launched_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Anna's command runs at each of Clara's calls, and gets the answer that Clara does not."""
+    monkeypatch.setenv("XDG_STATE_HOME", "/nowhere")
+    calls: set[str] = set()
+    for at in itertools.count(1):
+        with folder_in_memory() as home:
+            lab = Lab(monkeypatch, Path(home))
+            lose_a_worker(lab)
+            lab.guest = ("anna", "up")
+            lab.run("clara", "replace_lost", "guest", at, count=2)
+            if lab.guest is not None and lab.countdown > 0:
+                break
+            if lab.guest is None and lab.struck != "terminate":  # by then it is decided
+                calls.add(lab.struck)
+                ended = {machine.id for user, machine in lab.cloud.ended if user == "clara"}
+                assert ended.isdisjoint(lab.healthy), at
+    assert calls >= {"observe", "set_up"}
 
 
 class ManySchedules(TwoUsers):

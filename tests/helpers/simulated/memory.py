@@ -143,6 +143,7 @@ class MemoryProvider(Provider):
                     owner=tags.owner or seen.owner,
                     desired=tags.desired or seen.desired,
                     lease_until=tags.lease_until or seen.lease_until,
+                    set_up_by=tags.set_up_by or seen.set_up_by,
                 )
             for group in resources if tags.owner else ():
                 self._change(group, owner=tags.owner)

@@ -20,6 +20,7 @@ __all__ = [
     "NODE_TAG",
     "OWNER_TAG",
     "PREFIX",
+    "SET_UP_TAG",
     "WORKERS_TAG",
     "client_token",
     "group_name",
@@ -36,6 +37,7 @@ LEASE_TAG = "hpcapp:lease-until"
 OWNER_TAG = "hpcapp:owner"
 WORKERS_TAG = "hpcapp:workers"
 MADE_TAG = "hpcapp:made-as"
+SET_UP_TAG = "hpcapp:set-up-by"
 
 
 def group_name(cluster: str) -> str:

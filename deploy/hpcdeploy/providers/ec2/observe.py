@@ -24,6 +24,7 @@ from hpcdeploy.providers.ec2.names import (
     NODE_TAG,
     OWNER_TAG,
     PREFIX,
+    SET_UP_TAG,
     WORKERS_TAG,
     key_pair_name,
     read_client_token,
@@ -134,6 +135,7 @@ def as_machine(described: Described, cluster: str, incarnation: str, name: NodeN
         image=described.get("ImageId", ""),
         subnet=described.get("SubnetId", ""),
         made_as=tags.get(MADE_TAG, ""),
+        set_up_by=tags.get(SET_UP_TAG, ""),
     )
 
 

@@ -48,6 +48,7 @@ from hpcdeploy.providers.ec2.names import (
     LEASE_TAG,
     OWNER_TAG,
     PREFIX,
+    SET_UP_TAG,
     WORKERS_TAG,
     client_token,
     group_name,
@@ -177,6 +178,8 @@ class Ec2Provider(Provider):
             texts[OWNER_TAG] = str(tags.owner)
         if tags.desired is not None:
             texts[WORKERS_TAG] = str(tags.desired)
+        if tags.set_up_by is not None:
+            texts[SET_UP_TAG] = tags.set_up_by
         nameless: list[MachineSeen] = []
         if tags.lease_until is not None:
             texts[LEASE_TAG] = lease_text(tags.lease_until)

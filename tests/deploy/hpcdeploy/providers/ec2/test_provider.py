@@ -189,6 +189,19 @@ def test_the_head_bears_how_many_workers_are_wanted(open_desk: OpenDesk, profile
 
 
 @each_kind
+def test_a_machine_tells_who_sets_it_up_beside_who_launched_it(
+    open_desk: OpenDesk, profile: str
+) -> None:
+    desk = open_desk(profile, lag=2)
+    desk.prepare()
+    head = desk.launch("head")
+    assert head.set_up_by == ""
+    desk.provider.tag([head], Tags(set_up_by="clara@lab"))
+    (seen,) = desk.provider.observe("bunny").machines
+    assert (seen.set_up_by, seen.owner) == ("clara@lab", head.owner)
+
+
+@each_kind
 def test_a_machine_tells_by_what_it_was_launched(open_desk: OpenDesk, profile: str) -> None:
     desk = open_desk(profile, lag=0, vpc=True)
     desk.prepare()
