@@ -47,10 +47,6 @@ def create_private(path: Path, buffering: int = -1) -> BinaryIO:
     path : Path
         Nothing may be there.
 
-    Returns
-    -------
-    file
-
     Raises
     ------
     OSError

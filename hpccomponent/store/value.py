@@ -39,10 +39,6 @@ class DamagedError(ValueError):
 def to_buffers(value: Any, name: str = "") -> list[Buffer]:
     """Encode a value as buffers, to be written in order; large arrays are not copied.
 
-    Parameters
-    ----------
-    value : ndarray, int, float, bool, str, bytes, None, or tuple, list, dict of these
-
     Raises
     ------
     UsageError

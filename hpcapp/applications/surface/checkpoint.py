@@ -124,10 +124,6 @@ class Checkpoint:
         ----------
         *values : object
             See `digest`.
-
-        Returns
-        -------
-        str
         """
         return f"{self.job}/{digest(*values)}"
 
@@ -140,10 +136,6 @@ class Checkpoint:
             Differs from that of any other run.
         tile : int
             Index of the tile.
-
-        Returns
-        -------
-        str
         """
         return f"{self.job}/{SUMS}/{run}-{tile}"
 
@@ -182,10 +174,6 @@ class Checkpoint:
             See `name`.
         declared : Declared
             What it must be.
-
-        Returns
-        -------
-        object or None
         """
         if not self.resumes:
             return None

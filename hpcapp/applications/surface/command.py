@@ -125,10 +125,6 @@ class GridSize(click.ParamType[int | None]):
         param : click.Parameter or None
         ctx : click.Context or None
 
-        Returns
-        -------
-        int or None
-
         Raises
         ------
         click.BadParameter

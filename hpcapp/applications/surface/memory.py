@@ -49,10 +49,6 @@ def parse_limit(text: str) -> float:
     text : str
         See `hpccomponent.units.parse_size`.
 
-    Returns
-    -------
-    float
-
     Raises
     ------
     UsageError
@@ -83,10 +79,6 @@ def fits_memory(path: Path, limit: float | None) -> bool:
     path : Path
     limit : float or None
         In bytes; what is available where it is None.
-
-    Returns
-    -------
-    bool
     """
     available = available_memory() if limit is None else limit
     points = count_most_points(path)
@@ -100,10 +92,6 @@ def count_most_points(path: Path) -> int:
     ----------
     path : Path
         None are in one that cannot be read: who reads it says what is wrong.
-
-    Returns
-    -------
-    int
     """
     if not path.is_file():  # looking into a pipe would wait for ever
         return 0

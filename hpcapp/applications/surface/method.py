@@ -53,12 +53,7 @@ ShowPart = Callable[[Callable[[], Any]], None]
 
 
 def show_nothing(load: Callable[[], Any]) -> None:
-    """Leave a part unseen.
-
-    Parameters
-    ----------
-    load : callable
-    """
+    """Leave a part unseen."""
 
 
 PartitionT = TypeVar("PartitionT")
@@ -133,10 +128,6 @@ class MethodSettings(Protocol):
             Cells along the longest side.
         cloud : PointCloud
             The points of the job, in memory.
-
-        Returns
-        -------
-        float
         """
         ...
 
@@ -147,10 +138,6 @@ class MethodSettings(Protocol):
         ----------
         cloud : ArrangedCloud
             With unit normals.
-
-        Returns
-        -------
-        Resolution
 
         Raises
         ------
@@ -167,10 +154,6 @@ class MethodSettings(Protocol):
         grid : int
             Cells along the longest side, margins included.
         resources : Resources
-
-        Returns
-        -------
-        Method
 
         Raises
         ------
@@ -237,10 +220,6 @@ class Method(Protocol[PartitionT, QuadricsT]):
         workforce : Workforce
         advance : callable
             Told (parts done, parts in all).
-
-        Returns
-        -------
-        Surface
         """
         ...
 
@@ -253,9 +232,5 @@ class Method(Protocol[PartitionT, QuadricsT]):
         ----------
         partition : object
             After `extract`.
-
-        Returns
-        -------
-        dict of str to object
         """
         ...

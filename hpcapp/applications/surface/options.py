@@ -71,10 +71,6 @@ def option(
         The words that may be given.
     replaces : tuple of str
         Options that it takes the place of, so that they exclude each other.
-
-    Returns
-    -------
-    dataclasses.Field
     """
     return field(default=default, metadata={_KEY: _Option(help, low, high, choices, replaces)})
 
@@ -97,10 +93,6 @@ def option_names(settings: type[Options]) -> tuple[str, ...]:
 
 def check_options(settings: Options) -> None:
     """Hold the options of a method to their ranges.
-
-    Parameters
-    ----------
-    settings : Options
 
     Raises
     ------
@@ -158,10 +150,6 @@ def make_click_options(settings: type[Options], prefix: str) -> Iterator[click.O
     settings : type
     prefix : str
         Stands before each help text.
-
-    Yields
-    ------
-    click.Option
     """
     for name, asked, kind in _options(settings):
         default = settings.__dataclass_fields__[name].default

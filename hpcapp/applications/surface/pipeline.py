@@ -71,10 +71,6 @@ def reconstruct(
     background : callable, optional
         Left for `Workforce.defer` once the cloud is cut: short passes before would wait for it.
 
-    Returns
-    -------
-    Reconstruction
-
     Raises
     ------
     HpcError

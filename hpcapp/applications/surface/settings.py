@@ -138,10 +138,6 @@ class JobSettings(Settings):
 def choose_steps(settings: Settings) -> tuple[tuple[str, Preprocess], ...]:
     """Return the preprocessing steps that are switched on, in the paper's order.
 
-    Parameters
-    ----------
-    settings : Settings
-
     Returns
     -------
     tuple of (str, callable)
@@ -167,11 +163,6 @@ def choose_local(settings: Settings, points: int) -> tuple[str, int]:
     settings : Settings
         Whose `workers` are the most that may be used.
     points : int
-
-    Returns
-    -------
-    backend : str
-    workers : int
     """
     threads = min(settings.workers or available_cores(), available_cores())
     if points < THREADS_FROM_POINTS or threads == 1:
@@ -181,10 +172,6 @@ def choose_local(settings: Settings, points: int) -> tuple[str, int]:
 
 def name_backend(settings: Settings) -> str | None:
     """Return the backend that the user names; None where it is to be chosen.
-
-    Parameters
-    ----------
-    settings : Settings
 
     Returns
     -------
@@ -204,10 +191,6 @@ def choose_threads(workforce: Workforce, points: int) -> int:
     workforce : Workforce
         Where tasks run.
     points : int
-
-    Returns
-    -------
-    int
     """
     if points < THREADS_FROM_POINTS:
         return 1

@@ -64,10 +64,6 @@ class Surface(Protocol):
         ----------
         low, high : ndarray of float64, shape (3,)
             Corners of the box, in length units of the input, in the local frame.
-
-        Returns
-        -------
-        float
         """
         ...
 
@@ -90,10 +86,6 @@ class Surface(Protocol):
         ----------
         carrying : Carrying
             What its vertices carry.
-
-        Returns
-        -------
-        Mesh
         """
         ...
 
@@ -118,12 +110,7 @@ class Surface(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WholeSurface:
-    """A mesh in memory.
-
-    Parameters
-    ----------
-    whole : Mesh
-    """
+    """A mesh in memory."""
 
     whole: Mesh
 
@@ -143,10 +130,6 @@ class WholeSurface:
         ----------
         low, high : ndarray of float64, shape (3,)
             Corners of the box, in length units of the input, in the local frame.
-
-        Returns
-        -------
-        float
         """
         return _count_outside(self.whole.vertices, low, high) / max(1, len(self.whole.vertices))
 
@@ -231,10 +214,6 @@ class PartSurface:
         index : int
             Of the part.
 
-        Returns
-        -------
-        MeshPart
-
         Raises
         ------
         JobError
@@ -270,10 +249,6 @@ class PartSurface:
         ----------
         low, high : ndarray of float64, shape (3,)
             Corners of the box, in length units of the input, in the local frame.
-
-        Returns
-        -------
-        float
         """
         if (self.plan.box[0] >= low).all() and (self.plan.box[1] <= high).all():
             return 0.0

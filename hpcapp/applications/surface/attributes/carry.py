@@ -73,10 +73,6 @@ class AttributeField:
         ----------
         places : ndarray of float64, shape (n, 3)
             In the frame of the points.
-
-        Returns
-        -------
-        Carried
         """
         points, count = self._points, len(places)
         colours = None if points.colours is None else np.empty((count, 3), points.colours.dtype)

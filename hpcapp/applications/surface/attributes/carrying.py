@@ -76,10 +76,6 @@ class Carrying:
     def to_stream(self, stream: MeshStream) -> MeshStream:
         """Return a mesh whose vertices carry it.
 
-        Parameters
-        ----------
-        stream : MeshStream
-
         Returns
         -------
         MeshStream
@@ -93,23 +89,11 @@ class Carrying:
         """Return a tile of a mesh whose vertices carry it, but for normals.
 
         A vertex on a seam has faces in other tiles, too.
-
-        Parameters
-        ----------
-        tile : MeshStream
-
-        Returns
-        -------
-        MeshStream
         """
         return replace(self, has_normals=False).to_stream(tile)
 
     def to_mesh(self, mesh: Mesh) -> Mesh:
         """Return a mesh in memory whose vertices carry it.
-
-        Parameters
-        ----------
-        mesh : Mesh
 
         Returns
         -------

@@ -96,10 +96,6 @@ def parse_attributes(text: str) -> AttributeChoice:
         ``normals`` and ``support`` what is made for the vertices, and ``confidence`` what is
         found with the points' normals.
 
-    Returns
-    -------
-    AttributeChoice
-
     Raises
     ------
     UsageError

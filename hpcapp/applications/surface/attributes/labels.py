@@ -70,10 +70,6 @@ def find_labels(attributes: Mapping[str, NDArray[Any]]) -> frozenset[str]:
     Parameters
     ----------
     attributes : dict of str to ndarray, shape (n,)
-
-    Returns
-    -------
-    frozenset of str
     """
     search = LabelSearch()
     search.add(attributes)

@@ -231,11 +231,6 @@ def close_surface(
     advance : callable
         Told (parts done, parts in all).
 
-    Returns
-    -------
-    surface : PartSurface
-    closure : Closure
-
     Raises
     ------
     InputError

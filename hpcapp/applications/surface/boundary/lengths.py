@@ -31,10 +31,6 @@ class Length:
         ----------
         spacing : float
             Of the points, in length units of the input.
-
-        Returns
-        -------
-        float
         """
         return self.value * spacing if self.in_spacings else self.value
 

@@ -52,10 +52,6 @@ def open_surface(taken: TakenBricks, keep: tuple[str, str] | None) -> Declared:
         What the part gives.
     keep : tuple of str or None
         A store and a name, where it is kept.
-
-    Returns
-    -------
-    Declared
     """
     bricks = Where(Array("<i8", "b", low=0, rises=True), taken.holds, "bricks are the part's own")
     foreign = Array("<i8", "g", low=0)

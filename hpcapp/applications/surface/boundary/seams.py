@@ -80,10 +80,6 @@ def _refuse_unknown() -> JobError:
 def place_foreign(plan: StitchingPlan) -> list[FloatArray]:
     """Return where the foreign vertices of each part are.
 
-    Parameters
-    ----------
-    plan : StitchingPlan
-
     Returns
     -------
     list of ndarray of float64, shape (g, 3)
@@ -108,10 +104,6 @@ def match_seams(plan: StitchingPlan, seams: Sequence[OpeningSeams], fill: float)
     fill : float
         Patches whose boundary is no larger than this stay, in length units of the input: the
         diagonal of the box around it.
-
-    Returns
-    -------
-    MatchedSeams
     """
     rims = _Rims(plan)
     label_starts = starts_of(np.array([len(some.loops) for some in seams], np.int64))

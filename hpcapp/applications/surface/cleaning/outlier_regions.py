@@ -152,10 +152,6 @@ def judge_sparse(regions: list[RegionRanks]) -> Judgement:
     ----------
     regions : list
         What `rank_region` returned for each.
-
-    Returns
-    -------
-    Judgement
     """
     columns = list(zip(*regions, strict=True))
     coarse = merge_counts(np.concatenate(columns[1]), np.concatenate(columns[2]))

@@ -133,10 +133,6 @@ def find_base(points_by_rank: IntArray) -> int:
     Parameters
     ----------
     points_by_rank : ndarray of int64, shape (r,)
-
-    Returns
-    -------
-    int
     """
     summed = np.cumsum(points_by_rank)
     return int(np.searchsorted(summed, 0.5 * summed[-1]))

@@ -117,10 +117,6 @@ class ArrangedCloud(Protocol):
     def measure(self) -> Measured:
         """Return the spacing and a sample: what has been found before, or by a pass through all.
 
-        Returns
-        -------
-        Measured
-
         Raises
         ------
         InputError
@@ -134,10 +130,6 @@ class ArrangedCloud(Protocol):
         ----------
         points : int
             About so many, where there are; all of them where that costs nothing.
-
-        Returns
-        -------
-        PointCloud
         """
 
 
@@ -267,10 +259,6 @@ def arrange_cloud(cloud: PointCloud) -> MemoryCloud:
     cloud : PointCloud
         Finite positions.
 
-    Returns
-    -------
-    MemoryCloud
-
     Raises
     ------
     InputError
@@ -300,10 +288,6 @@ def replace_points(cloud: ArrangedCloud, points: PointCloud) -> MemoryCloud:
     points : PointCloud
         Finite positions.
 
-    Returns
-    -------
-    MemoryCloud
-
     Raises
     ------
     InputError
@@ -328,10 +312,6 @@ def find_runs(rows: IntArray) -> list[slice]:
     Parameters
     ----------
     rows : ndarray of int64, shape (k,)
-
-    Returns
-    -------
-    list of slice
     """
     if not len(rows):
         return []

@@ -215,11 +215,6 @@ def pack_snapped(
 def unpack_points(arrangement: Arrangement, packed: PackedPoints) -> tuple[FloatArray, FloatArray]:
     """Return the points that were packed, bit for bit as `snap_points` rounded them.
 
-    Parameters
-    ----------
-    arrangement : Arrangement
-    packed : PackedPoints
-
     Returns
     -------
     positions : ndarray of float64, shape (n, 3)
@@ -255,11 +250,6 @@ def unpacking_arguments(
     arrangement: Arrangement, packed: PackedPoints
 ) -> tuple[Float32Array, IntArray, FloatArray, float]:
     """Return what the kernels take that unpack points.
-
-    Parameters
-    ----------
-    arrangement : Arrangement
-    packed : PackedPoints
 
     Returns
     -------

@@ -90,10 +90,6 @@ class Part:
         number : int
         keys, counts : ndarray of int64, shape (b,)
             Sorted keys of the blocks, and the points in each.
-
-        Returns
-        -------
-        Part
         """
         return cls(_name_part(number), keys, counts, np.cumsum(counts) - counts)
 
@@ -110,10 +106,6 @@ class Part:
             Sorted keys of the blocks that go.
         folder : str
             The path of its folder from that of the index.
-
-        Returns
-        -------
-        Part
         """
         kept = np.flatnonzero(find_keys(keys, self.keys) == len(keys))
         return self._take(kept, os.path.normpath(os.path.join(folder, self.file)))
@@ -161,16 +153,7 @@ class DiskCloud:
         return str(self.folder)
 
     def uses(self, folder: Path) -> bool:
-        """Tell whether parts of it lie in some folder.
-
-        Parameters
-        ----------
-        folder : Path
-
-        Returns
-        -------
-        bool
-        """
+        """Tell whether parts of it lie in some folder."""
         names = {os.path.normpath((self.folder / part.file).parent) for part in self.parts}
         return os.path.normpath(folder) in names
 
@@ -197,10 +180,6 @@ class DiskCloud:
         ----------
         keys : ndarray of int64, shape (k,)
             Sorted, unique; those of blocks without points are passed over.
-
-        Returns
-        -------
-        PackedPoints
 
         Raises
         ------
@@ -238,10 +217,6 @@ class DiskCloud:
         ----------
         points : int
             About so many, where there are.
-
-        Returns
-        -------
-        PointCloud
 
         Raises
         ------
@@ -388,10 +363,6 @@ def write_index(
     measured : Measured, optional
         What is known of the cloud.
 
-    Returns
-    -------
-    DiskCloud
-
     Raises
     ------
     OutputError
@@ -415,10 +386,6 @@ def write_index(
 
 def open_disk_cloud(folder: Path) -> DiskCloud:
     """Open a cloud whose index has been written.
-
-    Parameters
-    ----------
-    folder : Path
 
     Returns
     -------
@@ -447,10 +414,6 @@ def open_place(place: Place) -> ArrangedCloud:
     ----------
     place : Place
         See `ArrangedCloud`.
-
-    Returns
-    -------
-    ArrangedCloud
 
     Raises
     ------

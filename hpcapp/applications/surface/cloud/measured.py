@@ -45,10 +45,6 @@ def measure_points(points: PointCloud) -> Measured:
     points : PointCloud
         With normals.
 
-    Returns
-    -------
-    Measured
-
     Raises
     ------
     InputError

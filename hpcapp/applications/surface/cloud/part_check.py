@@ -32,10 +32,6 @@ def with_check(pieces: Iterable[memoryview], path: Path) -> Iterator[memoryview 
         Of whole pages each (see `hpccomponent.files.checksum.PAGE`), but for the last.
     path : Path
         Of the file.
-
-    Yields
-    ------
-    memoryview or bytes
     """
     length = check = 0
     for piece in pieces:

@@ -189,10 +189,6 @@ def region_bytes(each: int) -> Callable[..., int]:
     ----------
     each : int
         Bytes of each point, at most.
-
-    Returns
-    -------
-    callable
     """
     return lambda points, *_: SMALL_BYTES + each * AssignedPoints.of(points).points
 
@@ -204,10 +200,6 @@ def run_bytes(each: int) -> Callable[..., int]:
     ----------
     each : int
         Bytes of each point, at most.
-
-    Returns
-    -------
-    callable
     """
 
     def limit(place: Place, blocks: IntArray, *_: Any) -> int:

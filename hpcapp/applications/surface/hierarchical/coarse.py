@@ -206,10 +206,6 @@ def fit_coarse(
     threads : int
         That the tasks of this process may take, and the fits.
         The result does not depend on it.
-
-    Returns
-    -------
-    Coarse
     """
     task = plan, samples, threads if workforce.in_process else 1
     with begin_batch(workforce, solve_far, task) as solved:

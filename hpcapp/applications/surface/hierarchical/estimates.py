@@ -167,10 +167,6 @@ def choose_scale(
         Divides the cell size, dimensionless.
     threads : int
         The result does not depend on it.
-
-    Returns
-    -------
-    Scale
     """
     spacing = measured.spacing
     noise = _probe(measured.sample, spacing, threads)

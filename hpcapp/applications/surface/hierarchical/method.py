@@ -152,10 +152,6 @@ class HierarchicalMethod:
             With normals.
         workforce : Workforce
 
-        Returns
-        -------
-        HierarchicalPartition
-
         Raises
         ------
         InputError
@@ -197,10 +193,6 @@ class HierarchicalMethod:
         workforce : Workforce
         advance : callable
             Told (tiles done, tiles in all).
-
-        Returns
-        -------
-        Coarse or None
         """
         tiling, plan = partition.tiling, partition.plan
         if tiling is None:

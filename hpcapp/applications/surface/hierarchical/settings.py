@@ -96,10 +96,6 @@ class Hierarchical:
         grid : int
             Cells along the longest side.
         cloud : PointCloud
-
-        Returns
-        -------
-        float
         """
         from hpcapp.applications.surface.memory import estimate_surface
 
@@ -112,10 +108,6 @@ class Hierarchical:
         ----------
         cloud : ArrangedCloud
             With unit normals.
-
-        Returns
-        -------
-        Resolution
 
         Raises
         ------
@@ -135,10 +127,6 @@ class Hierarchical:
         grid : int
             Cells along the longest side.
         resources : Resources
-
-        Returns
-        -------
-        HierarchicalMethod
 
         Raises
         ------

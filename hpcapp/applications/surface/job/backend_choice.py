@@ -152,10 +152,6 @@ def approach_workers(
         What `backends.selection.start_early` has started.
     verification : Verification, optional
         What is known of the honesty of machines from earlier attempts.
-
-    Yields
-    ------
-    Opener
     """
     opener = Opener(settings, machines, verification)
     with opener.standing:
@@ -204,11 +200,6 @@ class Opener:
         job : Job
         executor : concurrent.futures.Executor or distributed.Client, optional
             What the user has opened, which is used.
-
-        Yields
-        ------
-        backend : Backend
-        choice : Choice
         """
         settings, asked = self._settings, self._settings.workers
         name = name_backend(settings)

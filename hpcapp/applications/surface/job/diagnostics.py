@@ -42,10 +42,6 @@ def check_resolution(cloud: PointCloud, step: float) -> list[str]:
         Finite positions.
     step : float
         Edge of a cell, in length units of the input.
-
-    Returns
-    -------
-    list of str
     """
     low, high = bound_points(cloud.positions)
     along = float((high - low).max()) / step
@@ -72,10 +68,6 @@ def check_closure(low: FloatArray, high: FloatArray, surface: Surface, step: flo
         With vertices.
     step : float
         Edge of a cell, in length units of the input.
-
-    Returns
-    -------
-    list of str
     """
     share = surface.share_outside(low - 2.0 * step, high + 2.0 * step)
     if share <= OUTSIDE:

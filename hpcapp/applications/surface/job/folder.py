@@ -27,14 +27,6 @@ def may_pay_in_folder(settings: JobSettings) -> bool:
 
     That is where workers may be processes that will see the folder: those of this machine see any,
     others one that was named, and where they can read the input from the middle.
-
-    Parameters
-    ----------
-    settings : JobSettings
-
-    Returns
-    -------
-    bool
     """
     points = count_most_points(settings.points)
     name, place = name_backend(settings), settings.temp_dir
@@ -53,11 +45,6 @@ def may_pay_in_folder(settings: JobSettings) -> bool:
 
 def choose_tile(settings: Settings, backend: Backend) -> int | None:
     """Return how many points a tile may have so that a process keeps to its memory.
-
-    Parameters
-    ----------
-    settings : Settings
-    backend : Backend
 
     Returns
     -------
@@ -78,10 +65,6 @@ def all_see_folder(folder: Path, backend: Backend) -> bool:
     folder : Path
         This process can write to it.
     backend : Backend
-
-    Returns
-    -------
-    bool
     """
     if backend.is_here:
         return True
@@ -101,10 +84,6 @@ def find_point_workers(path: Path, folder: Path, backend: Backend, points: int) 
     backend : Backend
     points : int
         How many a task may hold at most, about.
-
-    Returns
-    -------
-    PointWorkers
     """
     if backend.is_here:
         return PointWorkers(backend.workforce, True, points)

@@ -14,10 +14,6 @@ __all__ = ["describe_input"]
 def describe_input(settings: JobSettings) -> dict[str, Any]:
     """Return what the input is, and what its columns were taken for.
 
-    Parameters
-    ----------
-    settings : JobSettings
-
     Returns
     -------
     dict

@@ -73,14 +73,6 @@ def open_storage(settings: JobSettings) -> Iterator[JobStorage]:
     What lies there is taken away when the block ends, however it ends; but a job that resumes and
     fails leaves what it has finished.
 
-    Parameters
-    ----------
-    settings : JobSettings
-
-    Yields
-    ------
-    JobStorage
-
     Raises
     ------
     UsageError, OutputError, CloudError

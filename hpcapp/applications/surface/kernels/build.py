@@ -39,10 +39,6 @@ def load_native(build: str | None = None) -> ModuleType | None:
         ``portable``, or ``native`` to insist on the extension; any other name takes what loads.
         By default what ``HPCAPP_BUILD`` says.
 
-    Returns
-    -------
-    module or None
-
     Raises
     ------
     UsageError

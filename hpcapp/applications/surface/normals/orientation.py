@@ -77,10 +77,6 @@ def orient_patches(
         Where scanners stood, in the frame of the patches. They are not believed where they would
         not have seen half of the object.
 
-    Returns
-    -------
-    Sides
-
     Notes
     -----
     Without scanners the object is seen from all around. A sheet that is seen from both sides alike

@@ -93,10 +93,6 @@ class Patches:
         Parameters
         ----------
         rows : ndarray of int64, shape (q,)
-
-        Returns
-        -------
-        Patches
         """
         return Patches(
             self.keys[rows],

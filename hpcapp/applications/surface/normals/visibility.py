@@ -31,11 +31,6 @@ _CLOSE = 4  # sizes of pixels, each twice the last, for patches near the viewpoi
 def surround(patches: Patches, count: int) -> FloatArray:
     """Return viewpoints all around an object.
 
-    Parameters
-    ----------
-    patches : Patches
-    count : int
-
     Returns
     -------
     ndarray of float64, shape (count, 3)
@@ -53,10 +48,6 @@ def surround(patches: Patches, count: int) -> FloatArray:
 
 def stand_inside(patches: Patches) -> FloatArray:
     """Return viewpoints inside the box of an object, in its emptiest places.
-
-    Parameters
-    ----------
-    patches : Patches
 
     Returns
     -------

@@ -100,10 +100,6 @@ def find_reach(sample: FloatArray) -> Reach:
     ----------
     sample : ndarray of float64, shape (s, 3)
         See `EvenSample`; at least one point.
-
-    Returns
-    -------
-    Reach
     """
     low, high = np.sort(sample, axis=0)[np.rint(np.multiply(_CORE, len(sample) - 1)).astype(int)]
     distance = _CORES * float((high - low).max())

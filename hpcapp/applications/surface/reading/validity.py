@@ -63,10 +63,6 @@ class Reach:
         ----------
         low, high : ndarray of float64, shape (3,)
             Its corners, in length units of the input.
-
-        Returns
-        -------
-        bool
         """
         return bool((np.abs(np.stack([low, high]) - self.middle) <= self.distance).all())
 
@@ -137,16 +133,7 @@ def _normalize_rows(normals: FloatArray) -> tuple[FloatArray, BoolArray]:
 
 
 def are_usable(cloud: PointCloud) -> bool:
-    """Tell whether all points are surely usable; where it does not, `select_usable` finds out.
-
-    Parameters
-    ----------
-    cloud : PointCloud
-
-    Returns
-    -------
-    bool
-    """
+    """Tell whether all points are surely usable; where it does not, `select_usable` finds out."""
     if not np.isfinite(cloud.positions.sum()):
         return False
     if cloud.normals is None:

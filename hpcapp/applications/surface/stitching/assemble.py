@@ -40,10 +40,6 @@ def assemble_mesh(plan: StitchingPlan, load: LoadPart, origin: FloatArray) -> Me
         Returns the part of an index.
     origin : ndarray of float64, shape (3,)
         Of the local frame that the parts' vertices are in.
-
-    Returns
-    -------
-    Mesh
     """
     vertices = np.empty((plan.vertex_count, 3))
     faces = np.empty((plan.face_count, 3), np.int64)
@@ -123,10 +119,6 @@ def take_tile(plan: StitchingPlan, load: LoadPart, origin: FloatArray, index: in
         Of the local frame that the parts' vertices are in.
     index : int
         Of the part.
-
-    Returns
-    -------
-    MeshStream
     """
     vertices, faces = cut_tile(
         load(index),

@@ -71,10 +71,6 @@ class PartBricks:
         ----------
         index : int
             Of the part.
-
-        Returns
-        -------
-        slice
         """
         return slice(int(self.parts[index]), int(self.parts[index + 1]))
 
@@ -157,14 +153,6 @@ class PartBricks:
 def collect_bricks(summaries: Sequence[PartSummary]) -> PartBricks:
     """Find out which part gives each brick.
 
-    Parameters
-    ----------
-    summaries : sequence of PartSummary
-
-    Returns
-    -------
-    PartBricks
-
     Raises
     ------
     JobError
@@ -210,10 +198,6 @@ def collect_bricks(summaries: Sequence[PartSummary]) -> PartBricks:
 
 def missing_bricks(summaries: Sequence[PartSummary]) -> IntArray:
     """Return the bricks that foreign vertices belong to, and that no part has.
-
-    Parameters
-    ----------
-    summaries : sequence of PartSummary
 
     Returns
     -------

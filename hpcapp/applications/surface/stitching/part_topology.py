@@ -54,10 +54,6 @@ class Components:
         Parameters
         ----------
         chosen : ndarray of bool, shape (e,)
-
-        Returns
-        -------
-        Components
         """
         return Components(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
@@ -127,10 +123,6 @@ def judge_parts(
         Which labels stay.
     entries : Components
         Of components that stay, in bricks that are taken.
-
-    Returns
-    -------
-    Topology
 
     Notes
     -----

@@ -130,10 +130,6 @@ class StitchingPlan:
         ----------
         index : int
             Of the part.
-
-        Returns
-        -------
-        PartPlaces
         """
         bricks, summary = self.bricks, self.summaries[index]
         mine = bricks.of_part(index)
@@ -165,10 +161,6 @@ def plan_stitching(summaries: Sequence[PartSummary], crumb: int | None = None) -
         At least one; of guests that no part owns the first part's copy is taken.
     crumb : int, optional
         Components with fewer faces are dropped; by default those with few beside the largest.
-
-    Returns
-    -------
-    StitchingPlan
 
     Raises
     ------

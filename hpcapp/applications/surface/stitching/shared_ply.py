@@ -88,10 +88,6 @@ def ply_header(element_lines: list[str]) -> bytes:
     ----------
     element_lines : list of str
         What its elements are.
-
-    Returns
-    -------
-    bytes
     """
     start = ["ply", "format binary_little_endian 1.0", "comment hpcapp"]
     return "\n".join([*start, *element_lines, "end_header", ""]).encode("utf-8")
@@ -109,10 +105,6 @@ def mesh_header(
         Whether coordinates are float64, not float32.
     property_lines : sequence of str
         Further properties of the vertices.
-
-    Returns
-    -------
-    bytes
     """
     return ply_header(
         [
@@ -132,10 +124,6 @@ def coordinate_lines(vertex_count: int, is_double: bool) -> list[str]:
     vertex_count : int
     is_double : bool
         Whether coordinates are float64, not float32.
-
-    Returns
-    -------
-    list of str
     """
     kind = "double" if is_double else "float"
     return [f"element vertex {vertex_count}", *(f"property {kind} {name}" for name in "xyz")]
@@ -148,10 +136,6 @@ def vertex_size(is_double: bool) -> int:
     ----------
     is_double : bool
         Whether coordinates are float64, not float32.
-
-    Returns
-    -------
-    int
     """
     return 24 if is_double else 12
 

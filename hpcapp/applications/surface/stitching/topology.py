@@ -119,10 +119,6 @@ def check_mesh(mesh: Mesh) -> Topology:
 def signed_volume(mesh: Mesh) -> float:
     """Return the volume inside a closed mesh, negative if its faces look inwards.
 
-    Parameters
-    ----------
-    mesh : Mesh
-
     Returns
     -------
     float

@@ -140,10 +140,6 @@ def coarse_lattice(plan: Plan, own: tuple[IntArray, IntArray] | None) -> Declare
     plan : Plan
     own : tuple of ndarray, or None
         See `tasks.sum_tile`.
-
-    Returns
-    -------
-    Declared
     """
     box, size = plan.grid.box, plan.coarse_size
 
@@ -210,10 +206,6 @@ def tile_surface(plan: Plan, keep: tuple[str, str] | None) -> Declared:
     plan : Plan
     keep : tuple of str or None
         A store and a name, where it is kept.
-
-    Returns
-    -------
-    Declared
     """
     first = np.zeros(3, np.int64)
     last = np.array(plan.bricks) - 1

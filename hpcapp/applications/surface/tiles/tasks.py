@@ -156,10 +156,6 @@ def sample_cells(level: Level, rows: IntArray | None = None) -> Samples:
     level : Level
     rows : ndarray of int64, optional
         Of the level's cells; by default all.
-
-    Returns
-    -------
-    Samples
     """
     moments = level.points.sum(slice(0, len(level.cells)))
     sums = np.concatenate([moments[:, :4], moments[:, 35:38]], axis=1)
@@ -176,10 +172,6 @@ def find_far(plan: Plan, samples: Samples, threads: int) -> FarField:
         Of the whole cloud, sorted by key.
     threads : int
         The result does not depend on it.
-
-    Returns
-    -------
-    FarField
     """
     size = plan.cell_size * 2.0**plan.far
     sums = samples.sums

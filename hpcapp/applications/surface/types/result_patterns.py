@@ -57,10 +57,6 @@ def keys_within(extent: str, first: IntArray, last: IntArray, rises: bool = True
         The lowest place and the highest.
     rises : bool
         Whether they are sorted, and each is there once.
-
-    Returns
-    -------
-    Declared
     """
     low, high = (int(pack_places(corner)) for corner in (first, last))
     return Where(
@@ -88,10 +84,6 @@ def cells_in(
         So many cells further: 1 is for rounding.
     rises : bool
         Whether they are sorted, and each is there once.
-
-    Returns
-    -------
-    Declared
     """
     first, last = (np.floor((corner - origin) / size) for corner in box)
     return keys_within(extent, shift_within(first, -halo), shift_within(last, halo), rises)
