@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import select
 import socket
 import struct
 import sys
@@ -239,6 +240,32 @@ def send_to_all(senders: list[Callable[[], None]]) -> None:
                 senders.remove(send)
 
 
+def send_in_waves(connection: Connection) -> None:
+    """Send 64 MiB of frames without end, without a key, again whenever the master has ended most.
+
+    So it has as much to hold at most, however fast they come and however late it looks.
+    """
+    open_ones: list[socket.socket] = []
+    for most in (50, 50, 50, 0):
+        wave = [connect(connection) for _ in range(100)]
+        for own in wave:
+            with suppress(OSError):
+                own.sendall(bytes([COMMAND | LONG]) + struct.pack(">Q", 8 << 20))
+                own.sendall(bytes((64 << 20) // len(wave)))
+        open_ones += wave
+        while len(open_ones) > most:
+            open_ones = wait_for_an_end(open_ones)
+
+
+def wait_for_an_end(sockets: list[socket.socket]) -> list[socket.socket]:
+    """Wait until the other end closes some connections; return those that are still open."""
+    poll = select.poll()
+    for own in sockets:
+        poll.register(own, select.POLLRDHUP)
+    ended = {descriptor for descriptor, _ in poll.poll()}
+    return [own for own in sockets if own.fileno() not in ended]
+
+
 def say(word: str) -> None:
     sys.stdout.write(f"{word}\n")
     sys.stdout.flush()
@@ -256,11 +283,8 @@ def main() -> None:
         say("ready")
         send_to_all([partial(p.send, [bytes(LARGEST_FRAME)], is_last=False) for p in peers])
     elif flood == "without a key":
-        sockets = [connect(connection) for _ in range(100)]
-        for own in sockets:
-            own.sendall(bytes([COMMAND | LONG]) + struct.pack(">Q", 8 << 20))
         say("ready")
-        send_to_all([partial(own.sendall, bytes(1 << 17)) for own in sockets])
+        send_in_waves(connection)
     else:
         peer = RawPeer(connection, connection.worker)
         session = peer.register(connection.worker)

@@ -21,7 +21,7 @@ HELPERS = Path(__file__).parents[2] / "helpers"
 WAIT = 60.0
 MOST_MEMORY = 200 << 20  # that a flood may cost the master
 WITHOUT_END = ["large frames", "frames of a byte", "frames of 34 bytes", "a drip"]
-OTHERS = ["before it registers", "many connections", "without a key"]
+OTHERS = ["before it registers", "many connections"]
 WHOLE_MESSAGES = ["heartbeats", "heads", "results", "pieces"]
 
 Flood = Callable[..., "subprocess.Popen[str]"]
@@ -96,6 +96,28 @@ def test_what_never_ends_is_ended(
     do_work(executor)
     assert flooder.communicate(timeout=WAIT)[0] == "closed\n"
     assert read_memory("VmHWM") - before < MOST_MEMORY
+    do_work(executor)
+
+
+@pytest.mark.slow
+def test_who_sends_without_end_and_without_a_key_is_cut_off(
+    executor: CommunicatorExecutor,
+    start_component: StartComponent,
+    flood: Flood,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """Not by the end of the handshake's time: 256 MiB come, of which few are held at once."""
+    start_component()
+    executor.wait_for_workers(1, WAIT)
+    do_work(executor)
+    forget_peak()
+    before = read_memory("VmRSS")
+    flooder = flood("without a key")
+    assert is_ready(flooder)
+    do_work(executor)
+    assert flooder.communicate(timeout=WAIT)[0] == "closed\n"
+    assert read_memory("VmHWM") - before < MOST_MEMORY
+    assert "a connection that sent without end was closed; its key is not known" in caplog.text
     do_work(executor)
 
 
