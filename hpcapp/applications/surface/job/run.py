@@ -42,9 +42,6 @@ __all__ = ["JobSettings", "run_job"]
 
 log = logging.getLogger("hpcapp")
 
-LARGE_CLOUD = 2_500_000
-"""Points from which on this process keeps memory: time matters more than some of it then."""
-
 
 def run_job(
     settings: JobSettings,
@@ -95,7 +92,7 @@ def _run_once(
     verification: Verification,
 ) -> dict[str, Any]:
     """Run a job, or one more attempt at it without those who have lied."""
-    if count_most_points(settings.points) >= LARGE_CLOUD:
+    if settings.max_memory is None:
         keep_memory()
     with (
         open_output(settings.output, settings.files) as target,
