@@ -241,12 +241,12 @@ def send_to_all(senders: list[Callable[[], None]]) -> None:
 
 
 def send_in_waves(connection: Connection) -> None:
-    """Send 64 MiB of frames without end, without a key, again whenever the master has ended most.
+    """Send 64 MiB of frames without end, without a key, and again when the master has ended most.
 
-    So it has as much to hold at most, however fast they come and however late it looks.
+    So it has twice as much to hold at most, however late it looks.
     """
     open_ones: list[socket.socket] = []
-    for most in (50, 50, 50, 0):
+    for most in (50, 0):
         wave = [connect(connection) for _ in range(100)]
         for own in wave:
             with suppress(OSError):

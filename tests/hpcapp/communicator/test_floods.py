@@ -106,7 +106,7 @@ def test_who_sends_without_end_and_without_a_key_is_cut_off(
     flood: Flood,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    """Not by the end of the handshake's time: 256 MiB come, of which few are held at once."""
+    """By what it sends, not by the end of the handshake's time: 128 MiB come of 1.6 GB to come."""
     start_component()
     executor.wait_for_workers(1, WAIT)
     do_work(executor)

@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 import logging
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -92,9 +92,8 @@ def _run_once(
     verification: Verification,
 ) -> dict[str, Any]:
     """Run a job, or one more attempt at it without those who have lied."""
-    if settings.max_memory is None:
-        keep_memory()
     with (
+        keep_memory() if settings.max_memory is None else nullcontext(),
         open_output(settings.output, settings.files) as target,
         open_storage(settings) as storage,
         attempt(verification),

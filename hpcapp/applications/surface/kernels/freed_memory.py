@@ -5,6 +5,9 @@ See `docs/explanation/kernels.md` for what it saves.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 from hpcapp.applications.surface import kernels
 
 __all__ = ["bound_free_memory", "keep_memory", "leave_for_files"]
@@ -13,9 +16,15 @@ _MOST = 1 << 28  # that waits for the next task
 _PAGES = 1 << 25  # that a file is made of, at least
 
 
-def keep_memory() -> None:
-    """Have this process use memory that it has freed again, instead of giving it back."""
-    kernels.keep_memory()
+@contextmanager
+def keep_memory() -> Iterator[None]:
+    """Have this process use memory that it has freed again; give all back in the end."""
+    kernels.keep_memory(True)
+    try:
+        yield
+    finally:
+        kernels.keep_memory(False)
+        kernels.bound_free_memory(0)
 
 
 def bound_free_memory() -> None:

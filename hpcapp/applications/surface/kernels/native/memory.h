@@ -22,28 +22,28 @@ constexpr size_t HUGE_PAGE = size_t{1} << 21;
 
 inline bool is_kept = false;  // memory that was freed, for what is asked for next
 
-// Keep what is freed, and use it again. The first touch of fresh memory may cost twenty times what
-// it is filled with, above all on a virtual machine; but what was the most stays the most.
-inline void keep_memory() {
-  is_kept = true;
-#if defined(__GLIBC__)
-  mallopt(M_MMAP_MAX, 0);
-  mallopt(M_TRIM_THRESHOLD, INT_MAX);
-#endif
-}
-
 // Have large arrays, numpy's too, given back to the system when they are freed, unless who started
 // the process says otherwise. By itself glibc keeps arrays of up to 32 MB once one of that size was
 // freed, in pieces, for each thread. Smaller ones are used again, by whichever thread asks next.
 inline void give_back_large_arrays() {
+  is_kept = std::getenv("MALLOC_TRIM_THRESHOLD_");
 #if defined(__GLIBC__)
   mallopt(M_ARENA_MAX, 1);
-  if (std::getenv("MALLOC_TRIM_THRESHOLD_")) {
-    is_kept = true;
-    return;
-  }
+  if (is_kept) return;
+  mallopt(M_MMAP_MAX, 1 << 16);
   mallopt(M_MMAP_THRESHOLD, 1 << 22);
   mallopt(M_TRIM_THRESHOLD, 1 << 23);
+#endif
+}
+
+// Keep what is freed, and use it again, or no more. The first touch of fresh memory may cost twenty
+// times what it is filled with, above all on a virtual machine; but what was the most stays the most.
+inline void keep_memory(bool is_on) {
+  if (!is_on) return give_back_large_arrays();
+  is_kept = true;
+#if defined(__GLIBC__)
+  mallopt(M_MMAP_MAX, 0);
+  mallopt(M_TRIM_THRESHOLD, INT_MAX);
 #endif
 }
 

@@ -7,7 +7,7 @@ namespace nb = nanobind;
 NB_MODULE(_native, module) {
   hpc::give_back_large_arrays();
   module.attr("KERNEL_HASH") = HPC_KERNEL_HASH;
-  module.def("keep_memory", &hpc::keep_memory);
+  module.def("keep_memory", &hpc::keep_memory, nb::arg("is_on"));
   module.def("bound_free_memory", &hpc::bound_free_memory, nb::arg("most_bytes"));
   hpc::bind_points(module);
   hpc::bind_packing(module);

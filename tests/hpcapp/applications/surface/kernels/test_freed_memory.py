@@ -20,6 +20,7 @@ pytestmark = [
 LITTLE, MEGABYTES = 100, 400
 
 PROGRAM = f"""
+from contextlib import nullcontext
 import numpy as np
 from hpcapp.applications.surface.kernels.freed_memory import (
     bound_free_memory,
@@ -27,33 +28,37 @@ from hpcapp.applications.surface.kernels.freed_memory import (
     leave_for_files,
 )
 
-def held():
+def print_held():
     with open("/proc/self/statm") as file:
-        return int(file.read().split()[1]) * {os.sysconf("SC_PAGE_SIZE")} / 2**20
+        print(int(file.read().split()[1]) * {os.sysconf("SC_PAGE_SIZE")} / 2**20)
 
-if %r:
-    keep_memory()
-before = held()
-for give_back in bound_free_memory, leave_for_files:
-    rows = np.ones({LITTLE} << 17)
-    del rows
-    give_back()
-    print(held() - before)
-for _ in range(2):
-    rows = np.ones({MEGABYTES} << 17)
-    del rows
-print(held() - before)
-bound_free_memory()
-print(held() - before)
+def take(megabytes):
+    np.ones(megabytes << 17)
+
+print_held()
+with keep_memory() if %r else nullcontext():
+    for give_back in bound_free_memory, leave_for_files:
+        take({LITTLE})
+        give_back()
+        print_held()
+    take({MEGABYTES})
+    take({MEGABYTES})
+    print_held()
+    bound_free_memory()
+    print_held()
+    take({LITTLE})
+take({LITTLE})
+print_held()
 """
 
 
 def grow(keep: bool, variables: dict[str, str]) -> list[float]:
-    """Return the MB that a process holds more: with little free, less, much, and bounded."""
+    """Return the MB that a process holds more: with little free, less, much, bounded, and after."""
     command = [sys.executable, "-P", "-c", PROGRAM % keep]
     variables = {k: v for k, v in os.environ.items() if not k.startswith("MALLOC_")} | variables
     done = subprocess.run(command, env=variables, capture_output=True, text=True, check=True)
-    return [float(line) for line in done.stdout.split()]
+    before, *rest = (float(line) for line in done.stdout.split())
+    return [held - before for held in rest]
 
 
 def test_by_default_it_is_given_back() -> None:
@@ -62,8 +67,9 @@ def test_by_default_it_is_given_back() -> None:
 
 @pytest.mark.parametrize(("keep", "variables"), [(True, {}), (False, KEPT_MEMORY)])
 def test_it_is_kept_until_it_is_much(keep: bool, variables: dict[str, str]) -> None:
-    little, less, freed, bounded = grow(keep, variables)
+    little, less, freed, bounded, end = grow(keep, variables)
     assert LITTLE * 0.9 < little < LITTLE * 1.1
     assert less < LITTLE / 10
     assert MEGABYTES * 0.9 < freed < MEGABYTES * 1.1  # the second array lay where the first did
     assert bounded < MEGABYTES / 10
+    assert end < LITTLE / 10 if keep else LITTLE * 0.9 < end < LITTLE * 1.1
