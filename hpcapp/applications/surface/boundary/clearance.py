@@ -5,8 +5,9 @@
     vertex ── offset to each point near it ──> along the surface there, and off it
                                                └──> clearance: 1 where support ends
 
-A point supports the surface in a flat ellipsoid around it: as far as its radius along the plane
-that its normal stands on, and half the least radius off that plane. So a sheet that bends back
+A point supports the surface in a flat ellipsoid around it: as far as its radius, some spacings of
+the points there, along the plane that its normal stands on, and half of that off that plane, or of
+the radius by the whole cloud's spacing where that is less. So a sheet that bends back
 behind the rim of the points, or runs behind them, is not theirs. Three points must agree: a lone
 one has no surface, and the line where support ends does not follow single points. What is found
 depends on the place and the cloud alone.
@@ -16,12 +17,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.applications.surface.types.lattice import find_keys, pack_places
 from hpcapp.applications.surface.types.points import (
     BoolArray,
@@ -32,61 +33,51 @@ from hpcapp.applications.surface.types.points import (
 )
 from hpccomponent.protocol.records import record
 
-if TYPE_CHECKING:
-    from scipy.spatial import cKDTree
-
 __all__ = ["SupportRule", "find_bare", "measure_clearance"]
 
-_FLATNESS = 0.5  # of the ellipsoids of the least radius
+_FLATNESS = 0.5  # of the ellipsoids, where points are as dense as those of the whole cloud
 _AGREEING = 3  # points, of which the one that supports least counts
 _LEAST, _MOST = 0.85, 1.4  # clearances are clamped to these: only those around 1 are asked for
-_NEIGHBOURS = 6  # which one's distance tells a point's own spacing
-_DENSITY = np.sqrt(np.pi / _NEIGHBOURS)  # times that distance
 _CLASS = 1.25  # points whose radii differ by less are searched together
 _PLACES_AT_ONCE = 1 << 10
 
 
 @record("surface.support_rule")
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class SupportRule:
     """How far the points support the surface.
 
     Parameters
     ----------
-    radius : float
-        Of a point, in length units of the input.
-    most : float
-        Of a point whose neighbours are far away: their spacing counts then.
+    least : float
+        The radius of a point, in length units of the input.
     spacings : float
-        The radius in spacings of those.
+        The radius in spacings, where that is more.
+    scale : LocalScale
+        Of the points.
     """
 
-    radius: float
-    most: float
+    least: float
     spacings: float
+    scale: LocalScale
+
+    @property
+    def typical(self) -> float:
+        """The radius by the spacing of the whole cloud."""
+        return max(self.least, self.spacings * self.scale.spacing)
 
     @property
     def reach(self) -> float:
         """How far from a place points may lie that its clearance depends on."""
-        return _MOST * self.most + self._farthest
+        return _MOST * max(self.typical, self.spacings * self.scale.range[1])
 
-    @property
-    def _farthest(self) -> float:
-        """Neighbours that are farther away do not make a radius larger."""
-        return self.most / (self.spacings * _DENSITY) if self.most > self.radius else 0.0
+    def radii(self, places: FloatArray) -> FloatArray:
+        """Return the radius of points at some places, in length units of the input."""
+        return np.maximum(self.least, self.spacings * self.scale.at(places))
 
-    def radii(self, tree: cKDTree, rows: IntArray, threads: int) -> FloatArray:
-        """Return the radii of some rows of the points that a tree holds, with all around them."""
-        if self.most <= self.radius:
-            return np.full(len(rows), self.radius)
-        distances, _ = tree.query(
-            tree.data[rows],
-            [_NEIGHBOURS + 1],
-            distance_upper_bound=self._farthest * (1.0 + 1e-9),
-            workers=threads,
-        )
-        radii: FloatArray = self.spacings * _DENSITY * distances[:, 0]
-        return radii.clip(self.radius, self.most)
+    def thickness(self, radii: FloatArray) -> FloatArray:
+        """Return how far off their plane points of some radii support."""
+        return _FLATNESS * np.minimum(radii, self.typical)
 
 
 def measure_clearance(
@@ -104,71 +95,74 @@ def measure_clearance(
     Returns
     -------
     ndarray of float32, shape (v,)
-        In radii: below 1 where points support the surface. Clamped to 0.85 and 1.4.
+        In radii of the points: below 1 where points support the surface. Clamped to 0.85 and 1.4.
     """
     if not len(places) or not len(cloud):
         return np.full(len(places), _MOST, np.float32)
     from scipy.spatial import cKDTree  # heavy, and of no use where nothing is cut
 
     tree = cKDTree(cloud.positions, balanced_tree=False, compact_nodes=False)
-    bound = _MOST * rule.most
-    # (v,): the distance of the third nearest point bounds a place's clearance on both sides: most
-    # places are sure of theirs by that.
-    distances, _ = tree.query(places, [_AGREEING], distance_upper_bound=bound, workers=threads)
-    nearest = distances[:, 0]
-    clearance = np.where(nearest < bound, _LEAST, _MOST)
-    unsure = np.flatnonzero((nearest > _LEAST * _FLATNESS * rule.radius) & (nearest < bound))
+    bound, radii = rule.reach, rule.radii(cloud.positions)
+    # (v, 3): the nearest points bound a place's clearance on both sides: most places are sure of
+    # theirs by that.
+    distances, nearest = tree.query(places, _AGREEING, distance_upper_bound=bound, workers=threads)
+    inner = np.append(_LEAST * rule.thickness(radii), 0.0)  # no point is nearer than nothing
+    is_supported = (distances <= inner[nearest]).all(axis=1)
+    is_near = distances[:, -1] < bound
+    clearance = np.where(is_near, _LEAST, _MOST)
+    unsure = np.flatnonzero(is_near & ~is_supported)
     if not len(unsure):
         return clearance.astype(np.float32)
     from_places, _ = cKDTree(places[unsure]).query(
         cloud.positions, distance_upper_bound=bound, workers=threads
     )
-    rows = np.flatnonzero(from_places < bound)  # points that may matter to one that is unsure
-    radii = rule.radii(tree, rows, threads)
+    rows = np.flatnonzero(from_places < _MOST * radii)  # points that may matter to one
     # (u, 3): the least squared clearances of each, of which the third counts.
     least = np.full((len(unsure), _AGREEING), _MOST * _MOST)
-    for alike in _by_radius(radii, rule.radius):
-        points = cloud.take(rows[alike])
-        _lower(least, places[unsure], points, radii[alike], _FLATNESS * rule.radius)
+    for alike in _by_radius(radii[rows]):
+        some = rows[alike]
+        for run, at, squares in _near_places(places[unsure], cloud.take(some), radii[some], rule):
+            _lower(least[run], at, squares)
     clearance[unsure] = np.clip(np.sqrt(least[:, -1]), _LEAST, _MOST)
     return clearance.astype(np.float32)
 
 
 def find_bare(places: FloatArray, cloud: PointCloud, rule: SupportRule) -> BoolArray:
-    """Tell which of a few places on a surface no points support, by one radius for all points."""
+    """Tell which of a few places on a surface no points support."""
     supporting = np.zeros(len(places), np.int64)
     if len(places) and len(cloud):
-        radii = np.full(len(cloud), rule.radius)
-        for run, at, squares in _near_places(places, cloud, radii, _FLATNESS * rule.radius):
-            supporting[run] = np.bincount(at[squares < 1.0], minlength=run.stop - run.start)
+        radii = rule.radii(cloud.positions)
+        for alike in _by_radius(radii):
+            points = cloud.take(alike)
+            for run, at, squares in _near_places(places, points, radii[alike], rule):
+                supporting[run] += np.bincount(at[squares < 1.0], minlength=run.stop - run.start)
     bare: BoolArray = supporting < _AGREEING
     return bare
 
 
-def _by_radius(radii: FloatArray, least: float) -> list[IntArray]:
+def _by_radius(radii: FloatArray) -> list[IntArray]:
     """Return the rows of points whose radii are about the same."""
-    classes = np.floor(np.log(radii / least) / np.log(_CLASS) + 1e-6).astype(np.int64)
+    if not len(radii):
+        return []
+    classes = np.floor(np.log(radii / radii.min()) / np.log(_CLASS) + 1e-6).astype(np.int64)
     return [np.flatnonzero(classes == one) for one in np.unique(classes)]
 
 
-def _lower(
-    least: FloatArray, places: FloatArray, cloud: PointCloud, radii: FloatArray, thickness: float
-) -> None:
-    """Put what some points give among the least squared clearances of each place."""
-    for run, at, squares in _near_places(places, cloud, radii, thickness):
-        # Sorted by place and clearance: the first three of each go into its row.
-        order = np.lexsort((squares, at))
-        at, squares = at[order], squares[order]
-        turn = np.arange(len(at)) - np.searchsorted(at, at)
-        first = turn < _AGREEING
-        here = np.full((run.stop - run.start, _AGREEING), _MOST * _MOST)
-        here[at[first], turn[first]] = squares[first]
-        both = np.concatenate([least[run], here], axis=1)
-        least[run] = np.sort(both, axis=1)[:, :_AGREEING]
+def _lower(least: FloatArray, at: IntArray, squares: FloatArray) -> None:
+    """Put some squared clearances among the least ones of the places that they are of."""
+    # Sorted by place and clearance: the first three of each go into its row.
+    order = np.lexsort((squares, at))
+    at, squares = at[order], squares[order]
+    turn = np.arange(len(at)) - np.searchsorted(at, at)
+    first = turn < _AGREEING
+    here = np.full((len(least), _AGREEING), _MOST * _MOST)
+    here[at[first], turn[first]] = squares[first]
+    both = np.concatenate([least, here], axis=1)
+    least[:] = np.sort(both, axis=1)[:, :_AGREEING]
 
 
 def _near_places(
-    places: FloatArray, cloud: PointCloud, radii: FloatArray, thickness: float
+    places: FloatArray, cloud: PointCloud, radii: FloatArray, rule: SupportRule
 ) -> Iterator[tuple[slice, IntArray, FloatArray]]:
     """Pair some places at a time with the points near them.
 
@@ -183,6 +177,7 @@ def _near_places(
     """
     assert cloud.normals is not None  # noqa: S101 - the points of a surface have normals
     size, origin = _MOST * float(radii.max()), cloud.positions[0]
+    thickness = rule.thickness(radii)
     sorted_points = kernels.sort_points(cloud.positions, origin, size)
     for start in range(0, len(places), _PLACES_AT_ONCE):
         batch = places[start : start + _PLACES_AT_ONCE]
@@ -196,7 +191,9 @@ def _near_places(
             off += offsets[:, axis] * cloud.normals[point, axis]
             along += offsets[:, axis] * offsets[:, axis]
         off *= off
-        squares = (along - off) / (radii[point] * radii[point]) + off / (thickness * thickness)
+        squares = (along - off) / (radii[point] * radii[point]) + off / (thickness * thickness)[
+            point
+        ]
         is_near = squares < _MOST * _MOST
         yield slice(start, start + len(batch)), at[is_near], squares[is_near]
 

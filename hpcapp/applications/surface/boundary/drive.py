@@ -34,6 +34,7 @@ from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.extraction.taken_bricks import TakenBricks
 from hpcapp.applications.surface.method import Advance
 from hpcapp.applications.surface.normals.consistency import faces_inwards
+from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.applications.surface.surface import PartSurface
 from hpcapp.applications.surface.tiles.patterns import surface_box
 from hpcapp.applications.surface.tiles.plan import Plan
@@ -53,7 +54,6 @@ where the normals face one way, as those of no closed surface do. Objects scanne
 have less than a tenth, views, terrains and rooms most often more than a third."""
 
 _SPACINGS, _NOISES, _STEPS = 3.0, 4.0, 1.5  # of the trim distance that is chosen
-_SPARSEST = 1.5  # times that, where points are few
 _FILL = 4.0  # times the trim distance: loops that are filled
 _CRUMB = 3.0  # times the trim distance: pieces smaller than a square of this are dropped
 _FACES = 2.0  # of a piece as large as the side of a cell
@@ -205,7 +205,6 @@ def close_surface(
     surface: PartSurface,
     cloud: ArrangedCloud,
     plan: Plan,
-    spacing: float,
     asked: OpeningSettings,
     workforce: Workforce,
     shared: Checkpoint | None,
@@ -220,8 +219,6 @@ def close_surface(
         Closed. The parts that it holds in memory are let go where it is cut.
     cloud : ArrangedCloud
     plan : Plan
-    spacing : float
-        Of the points, in length units of the input.
     asked : OpeningSettings
     workforce : Workforce
     shared : Checkpoint or None
@@ -241,10 +238,11 @@ def close_surface(
     if not all(isinstance(part, str) for part in surface.parts):
         shared = None  # a cloud that is one tile is made into a mesh here
     parts = _Parts(surface, cloud, plan, workforce, shared, threads)
-    chosen = max(_SPACINGS * spacing, _NOISES * plan.noise, _STEPS * plan.step)
+    scale = cloud.measure().scale
+    chosen = SupportRule(max(_NOISES * plan.noise, _STEPS * plan.step), _SPACINGS, scale)
     reason, is_room = "open, as asked", False
     if not asked.is_asked:
-        share = _find_bare_share(parts, SupportRule(chosen, chosen, _SPACINGS))
+        share = _find_bare_share(parts, chosen)
         is_one_way = share > ONE_WAY_SHARE and _faces_one_way(cloud.measure().sample)
         if share <= (ONE_WAY_SHARE if is_one_way else BARE_SHARE):
             return surface, Closure(False, f"closed: points support {_percent(1.0 - share)} of it")
@@ -252,19 +250,21 @@ def close_surface(
         seen = "from inside, as a room" if is_room else "in part"
         seen = "from one side, as a view or a terrain" if is_one_way else seen
         reason = f"open: seen {seen}; no point supports {_percent(share)} of the closed surface"
-    radius = chosen if asked.trim is None else asked.trim.of(spacing)
-    rule = SupportRule(radius, _SPARSEST * radius if asked.trim is None else radius, _SPACINGS)
-    fill = _FILL * radius if asked.fill_holes is None else asked.fill_holes.of(spacing)
+    rule = chosen if asked.trim is None else _support_by(asked.trim, scale)
+    fill = (
+        _multiply(rule, _FILL) if asked.fill_holes is None else _support_by(asked.fill_holes, scale)
+    )
+    radius = rule.typical
     opened, holes = _cut(parts, rule, fill, advance)
     if not opened.plan.face_count:
         raise InputError(
             f"no piece of the surface within {radius:g} of the points is larger than a crumb",
             "give a longer --trim: some spacings of the points, as 3s",
         )
-    closure = Closure(True, reason, radius, fill, holes, opened.plan.dropped, is_room)
+    closure = Closure(True, reason, radius, fill.typical, holes, opened.plan.dropped, is_room)
     log.info(
         "%s; cut %g from the points, %d hole(s) up to %g filled, %d crumb(s) dropped",
-        reason, radius, holes, fill, closure.crumbs,
+        reason, radius, holes, fill.typical, closure.crumbs,
     )  # fmt: skip
     return opened, closure
 
@@ -281,7 +281,7 @@ def _find_bare_share(parts: _Parts, rule: SupportRule) -> float:
 
 
 def _cut(
-    parts: _Parts, rule: SupportRule, fill: float, advance: Advance
+    parts: _Parts, rule: SupportRule, fill: SupportRule, advance: Advance
 ) -> tuple[PartSurface, int]:
     """Cut all parts; return the open surface, and how many holes of it are filled."""
     surface, checkpoint = parts.surface, parts.surface.checkpoint
@@ -298,7 +298,7 @@ def _cut(
     for index, found in parts.run(survey_support, survey):
         surveys[index], seams[index] = found
         advance(len(seams), 2 * len(parts))
-    matched = match_seams(surface.plan, [seams[index] for index in range(len(parts))], fill)
+    matched = match_seams(surface.plan, [seams[index] for index in range(len(parts))], fill.radii)
 
     def cut(index: int) -> tuple[Any, ...]:
         decided = matched.stays[index], matched.foreign_numbers[index], matched.seam_cuts[index]
@@ -321,11 +321,23 @@ def _cut(
         opened[index] = kept, summary
         advance(len(parts) + len(opened), 2 * len(parts))
     cuts, summaries = zip(*(opened[index] for index in range(len(parts))), strict=True)
-    crumb = int(_FACES * (_CRUMB * rule.radius / parts.plan.step) ** 2)
+    crumb = int(_FACES * (_CRUMB * rule.typical / parts.plan.step) ** 2)
     opened_surface = PartSurface(
         [*cuts], [*summaries], surface.origin, checkpoint, surface.workers, crumb
     )
     return opened_surface, matched.holes
+
+
+def _support_by(length: Length, scale: LocalScale) -> SupportRule:
+    """Return the rule by a length that was asked for."""
+    if length.in_spacings:
+        return SupportRule(0.0, length.value, scale)
+    return SupportRule(length.value, 0.0, scale)
+
+
+def _multiply(rule: SupportRule, factor: float) -> SupportRule:
+    """Return a rule with larger radii."""
+    return SupportRule(factor * rule.least, factor * rule.spacings, rule.scale)
 
 
 def _percent(share: float) -> str:

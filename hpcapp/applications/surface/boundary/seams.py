@@ -9,7 +9,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,7 +92,9 @@ def place_foreign(plan: StitchingPlan) -> list[FloatArray]:
     ]
 
 
-def match_seams(plan: StitchingPlan, seams: Sequence[OpeningSeams], fill: float) -> MatchedSeams:
+def match_seams(
+    plan: StitchingPlan, seams: Sequence[OpeningSeams], fill: Callable[[FloatArray], FloatArray]
+) -> MatchedSeams:
     """Join the bare patches of all parts, and match what they cut along their seams.
 
     Parameters
@@ -101,9 +103,9 @@ def match_seams(plan: StitchingPlan, seams: Sequence[OpeningSeams], fill: float)
         Of the closed parts.
     seams : sequence of OpeningSeams
         Of the parts.
-    fill : float
-        Patches whose boundary is no larger than this stay, in length units of the input: the
-        diagonal of the box around it.
+    fill : callable
+        Given places, returns how large the boundaries of patches there may be that stay, in length
+        units of the input: the diagonal of the box around one.
     """
     rims = _Rims(plan)
     label_starts = starts_of(np.array([len(some.loops) for some in seams], np.int64))
@@ -128,7 +130,7 @@ def match_seams(plan: StitchingPlan, seams: Sequence[OpeningSeams], fill: float)
 
 
 def _choose_small(
-    loops: FloatArray, left: IntArray, right: IntArray, fill: float
+    loops: FloatArray, left: IntArray, right: IntArray, fill: Callable[[FloatArray], FloatArray]
 ) -> tuple[BoolArray, int]:
     """Tell which labels are of patches with a small boundary, and how many these patches are."""
     if not len(loops):
@@ -138,8 +140,9 @@ def _choose_small(
     low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
     np.minimum.at(low, patch, loops[:, :3])
     np.maximum.at(high, patch, loops[:, 3:])
-    size = np.maximum(high - low, 0.0)
-    is_small = (high >= low).all(axis=1) & ((size * size).sum(axis=1) <= fill * fill)
+    is_small = (high >= low).all(axis=1)  # others have no boundary
+    size, middle = high[is_small] - low[is_small], 0.5 * (high[is_small] + low[is_small])
+    is_small[is_small] = (size * size).sum(axis=1) <= fill(middle) ** 2
     return is_small[patch], int(is_small.sum())
 
 

@@ -21,7 +21,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -40,6 +40,7 @@ from hpcapp.applications.surface.cloud.arrangement import (
 )
 from hpcapp.applications.surface.cloud.measured import Measured, Points, measure_points
 from hpcapp.applications.surface.cloud.part_check import check_part, with_check
+from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.applications.surface.types.lattice import find_keys, merge_counts
 from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
 from hpccomponent.errors import JobError, OutputError
@@ -378,7 +379,7 @@ def write_index(
     }
     if measured is not None:
         columns = (measured.sample.positions, measured.sample.normals)
-        told["measured"] = (float(measured.spacing), *columns)
+        told["measured"] = (astuple(measured.scale), *columns)
     with _translated(folder):
         write_whole(folder / _INDEX, to_buffers(told, folder.name))
     return _put_together(folder, arrangement, origin, box, parts, measured)
@@ -430,8 +431,8 @@ def _open(folder: Path, *_version: int) -> DiskCloud:
     parts = [Part(*part) for part in told["parts"]]
     measured = None
     if told["measured"] is not None:
-        spacing, positions, normals = told["measured"]
-        measured = Measured(spacing, PointCloud(positions, normals))
+        scale, positions, normals = told["measured"]
+        measured = Measured(LocalScale(*scale), PointCloud(positions, normals))
     arrangement = Arrangement(told["corner"], told["edge"])
     return _put_together(folder, arrangement, told["origin"], told["box"], parts, measured)
 

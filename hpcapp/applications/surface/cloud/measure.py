@@ -7,11 +7,21 @@ import numpy as np
 from hpcapp.applications.surface.cloud.cloud_pass import CloudPass, PassT
 from hpcapp.applications.surface.cloud.measured import SAMPLED_BOX, Measured, Points, draw_sample
 from hpcapp.applications.surface.cloud.spacing import search_spacing
-from hpcapp.applications.surface.cloud.tasks import count_boxes, sample_region
+from hpcapp.applications.surface.cloud.tasks import (
+    count_boxes,
+    count_region_scale,
+    sample_region,
+)
+from hpcapp.applications.surface.scale.local_scale import (
+    HALVINGS,
+    LocalScale,
+    count_depth,
+    make_scale,
+)
 from hpcapp.applications.surface.types.lattice import unique_keys
 from hpcapp.applications.surface.types.points import PointCloud
 
-__all__ = ["draw_boxes", "measure_cloud", "measure_spacing"]
+__all__ = ["draw_boxes", "measure_cloud", "measure_scale", "measure_spacing"]
 
 
 def measure_spacing(cloud_pass: CloudPass) -> float:
@@ -32,6 +42,21 @@ def measure_spacing(cloud_pass: CloudPass) -> float:
     return search_spacing(count, len(cloud), cloud.low, cloud.high)
 
 
+def measure_scale(cloud_pass: CloudPass, spacing: float) -> LocalScale:
+    """Find how the spacing of an arranged cloud changes from place to place.
+
+    Parameters
+    ----------
+    cloud_pass : CloudPass
+    spacing : float
+        Of the whole cloud, in length units of the input.
+    """
+    lattice = cloud_pass.cloud.arrangement
+    edge = lattice.edge * 2.0**-HALVINGS
+    counted = cloud_pass.each(count_region_scale, lattice.origin, edge, count_depth(edge, spacing))
+    return make_scale(spacing, lattice.origin, edge, counted)
+
+
 def measure_cloud(cloud_pass: PassT, spacing: float) -> PassT:
     """Keep with a cloud what methods ask of it."""
 
@@ -39,7 +64,8 @@ def measure_cloud(cloud_pass: PassT, spacing: float) -> PassT:
         return draw_boxes(cloud_pass, SAMPLED_BOX * spacing, one_in)
 
     sample = draw_sample(draw, len(cloud_pass.cloud))
-    return cloud_pass.note(Measured(spacing, PointCloud(*sample)))
+    scale = measure_scale(cloud_pass, spacing)
+    return cloud_pass.note(Measured(scale, PointCloud(*sample)))
 
 
 def draw_boxes(cloud_pass: CloudPass, edge: float, one_in: int) -> Points:

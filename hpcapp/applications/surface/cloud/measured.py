@@ -1,4 +1,4 @@
-"""What a method asks of a cloud before it chooses its scale: the spacing, and a sample."""
+"""What a method asks of a cloud before it chooses its cells: the spacing, and a sample."""
 
 from __future__ import annotations
 
@@ -6,8 +6,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.cloud.arrangement import choose_arrangement
 from hpcapp.applications.surface.cloud.spacing import estimate_spacing
 from hpcapp.applications.surface.kernels import bound_points
+from hpcapp.applications.surface.scale.local_scale import (
+    HALVINGS,
+    LocalScale,
+    count_depth,
+    count_scale,
+    make_scale,
+)
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpccomponent.errors import InputError
 
@@ -27,14 +35,18 @@ class Measured:
 
     Parameters
     ----------
-    spacing : float
-        In length units of the input.
+    scale : LocalScale
     sample : PointCloud
         Points by which the noise is judged, in the cloud's order.
     """
 
-    spacing: float
+    scale: LocalScale
     sample: PointCloud
+
+    @property
+    def spacing(self) -> float:
+        """Of the whole cloud, in length units of the input."""
+        return self.scale.spacing
 
 
 def measure_points(points: PointCloud) -> Measured:
@@ -62,7 +74,11 @@ def measure_points(points: PointCloud) -> Measured:
         rows = kernels.sample_boxes(positions, low, SAMPLED_BOX * spacing, one_in)
         return positions[rows], normals[rows]
 
-    return Measured(spacing, PointCloud(*draw_sample(draw, len(points))))
+    lattice = choose_arrangement(*bound_points(positions))
+    edge = lattice.edge * 2.0**-HALVINGS
+    counted = count_scale(positions, lattice.origin, edge, count_depth(edge, spacing))
+    scale = make_scale(spacing, lattice.origin, edge, [counted])
+    return Measured(scale, PointCloud(*draw_sample(draw, len(points))))
 
 
 def first_share(points: int) -> int:

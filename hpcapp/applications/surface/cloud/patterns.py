@@ -17,6 +17,7 @@ from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, Place
 from hpcapp.applications.surface.cloud.arrangement import Arrangement, PackedPoints
 from hpcapp.applications.surface.cloud.disk import open_disk_cloud, open_place
 from hpcapp.applications.surface.cloud.regions import SentBlocks, StoredBlocks
+from hpcapp.applications.surface.scale.local_scale import ScaleCounts
 from hpcapp.applications.surface.types.lattice import find_keys, pack_places, unpack_keys
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpcapp.applications.surface.types.result_patterns import (
@@ -45,6 +46,7 @@ __all__ = [
     "bounded_region",
     "counted_boxes",
     "counted_cells",
+    "counted_scale",
     "region_bytes",
     "run_bytes",
     "sampled_region",
@@ -234,6 +236,28 @@ def counted_boxes(
         lambda counted: is_share(own.points, 0 if is_distinct else one_in, counted[0]),
         "the boxes hold points of the blocks",
     )
+
+
+def counted_scale(points: StoredBlocks, origin: FloatArray, edge: float, depth: int) -> Declared:
+    """Return the pattern of what `tasks.count_region_scale` counts."""
+    own = AssignedPoints.of(points)
+
+    def agrees(counted: ScaleCounts) -> bool:
+        boxes = counted.boxes
+        is_nested = (boxes[:, 1:] >= boxes[:, :-1]) & (boxes[:, 1:] <= 8 * boxes[:, :-1])
+        return (
+            bool((boxes[:, 0] == 1).all())
+            and bool(is_nested.all())
+            and bool((boxes[:, -1] <= counted.points).all())
+        )
+
+    counts = Record(
+        ScaleCounts,
+        keys=own.cells("c", origin, edge),
+        points=Array("<i8", "c", low=1, total=own.total),
+        boxes=Array("<i8", "c", depth + 1, low=1),
+    )
+    return Where(counts, agrees, "a box holds up to eight of half its edge")
 
 
 def sampled_region(points: StoredBlocks, *_: Any) -> Declared:

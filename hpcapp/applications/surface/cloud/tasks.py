@@ -12,18 +12,27 @@ from hpcapp.applications.surface.cloud.patterns import (
     bounded_region,
     counted_boxes,
     counted_cells,
+    counted_scale,
     region_bytes,
     run_bytes,
     sampled_region,
 )
 from hpcapp.applications.surface.cloud.regions import RegionPoints
 from hpcapp.applications.surface.cloud.spacing import sample_box_keys
+from hpcapp.applications.surface.scale.local_scale import ScaleCounts, count_scale
 from hpcapp.applications.surface.types.lattice import merge_counts
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpcapp.applications.surface.types.result_patterns import SMALL_BYTES
 from hpccomponent.runtime.tasks import declare
 
-__all__ = ["bound_region", "count_block_cells", "count_boxes", "merge_cells", "sample_region"]
+__all__ = [
+    "bound_region",
+    "count_block_cells",
+    "count_boxes",
+    "count_region_scale",
+    "merge_cells",
+    "sample_region",
+]
 
 
 @declare(result=bounded_region, limit=SMALL_BYTES)
@@ -54,6 +63,17 @@ def count_boxes(
     if is_distinct:
         positions = np.unique(positions, axis=0)
     return sample_box_keys(positions, low, edge, one_in)
+
+
+@declare(
+    result=counted_scale,
+    limit=lambda points, _origin, _edge, depth: region_bytes(8 * (depth + 3))(points),
+)
+def count_region_scale(
+    points: RegionPoints, origin: FloatArray, cell_edge: float, depth: int
+) -> ScaleCounts:
+    """Count a region's points in cells and smaller boxes (a task); see `count_scale`."""
+    return count_scale(points.take().positions, origin, cell_edge, depth)
 
 
 @declare(result=sampled_region, limit=region_bytes(48))

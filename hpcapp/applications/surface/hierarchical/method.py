@@ -280,7 +280,7 @@ class HierarchicalMethod:
         cloud = partition.cloud
         shared = None if workforce.in_process else self._find_shared(cloud)
         surface, partition.closure = close_surface(
-            surface, cloud, partition.plan, partition.scale.spacing, self.opening, workforce,
+            surface, cloud, partition.plan, self.opening, workforce,
             shared, self.threads, advance,
         )  # fmt: skip
         return surface
@@ -332,6 +332,7 @@ class HierarchicalMethod:
         return {
             "patches": partition.patches,
             "spacing": partition.scale.spacing,
+            "spacing_range": list(partition.cloud.measure().scale.range),
             "noise": partition.scale.noise,
             "cell_size": plan.cell_size,
             "lam": plan.weights[0].lam,

@@ -16,7 +16,7 @@ __all__ = ["SUBJECTS", "digest_code", "strip_prose"]
 
 SUBJECTS = (
     "attributes", "boundary", "cleaning", "cloud", "extraction", "field", "kernels", "normals",
-    "paper", "reading", "stitching", "tiles", "types",
+    "paper", "reading", "scale", "stitching", "tiles", "types",
 )  # fmt: skip
 """The folders of the surface with what workers run; all other code is the master's alone."""
 

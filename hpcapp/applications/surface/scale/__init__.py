@@ -1,0 +1,1 @@
+"""How the spacing of a cloud's points changes from place to place."""

@@ -1,0 +1,254 @@
+"""The spacing of a cloud's points, from place to place: a small field over dyadic cells.
+
+::
+
+    region ── count_scale ──> counts of its finest cells ──┐
+    region ── count_scale ──> counts of its finest cells ──┴─ merge ── make_scale ──> LocalScale
+
+The finest cells are a quarter of a block of the arrangement, so each lies in one region: what is
+counted of regions is what is counted of the whole. A cell of 64 points or more tells a spacing, by
+the formula that tells the whole cloud's (see `spacing`); the points of poorer cells are counted in
+the next larger cell, and so on. They take its spacing, or their own where that is twice as large:
+where a dense scan ends, what is beside it keeps its spacing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.types.lattice import (
+    BITS,
+    NEIGHBOURS,
+    ancestor_keys,
+    cells_of,
+    number_keys,
+    pack_places,
+    step_keys,
+    unique_keys,
+    unpack_keys,
+)
+from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpccomponent.protocol.records import record
+
+__all__ = ["LocalScale", "ScaleCounts", "count_depth", "count_scale", "make_scale"]
+
+HALVINGS = 2
+"""So often a block is halved for the finest cells."""
+
+_LEAST = 64  # points that tell a spacing
+_BEST = 5.0  # points in a box, of the 3 to 20 of the whole cloud's
+_NARROW = 2.0  # likewise, where the points of a line must not pass for those of a sparse surface
+_APART = 2.0  # times as far as all points in a cell: those that no smaller cell speaks for
+_FINEST = 0.25  # spacings of the whole cloud: edge of the finest boxes, at most
+_MOST = 16.0  # spacings of the whole cloud: beyond that points are strays
+
+
+@record("surface.scale_counts")
+@dataclass(frozen=True, slots=True, eq=False)
+class ScaleCounts:
+    """What is counted of some points; c finest cells, d halvings.
+
+    Parameters
+    ----------
+    keys : ndarray of int64, shape (c,)
+        Of the occupied cells, sorted.
+    points : ndarray of int64, shape (c,)
+        In each.
+    boxes : ndarray of int64, shape (c, d + 1)
+        How many boxes of the cell's edge, halved so often, hold points.
+    """
+
+    keys: IntArray
+    points: IntArray
+    boxes: IntArray
+
+
+@record("surface.local_scale")
+@dataclass(frozen=True, slots=True, eq=False)
+class LocalScale:
+    """The spacing of a cloud's points, from place to place; c cells.
+
+    Parameters
+    ----------
+    spacing : float
+        Of the whole cloud, in length units of the input, as all spacings here.
+    origin : ndarray of float64, shape (3,)
+        Corner of a cell of any size.
+    edge : float
+        Of the finest cells.
+    levels : ndarray of int64, shape (c,)
+        Of each cell, how often its edge is doubled; rising.
+    keys : ndarray of int64, shape (c,)
+        Sorted within each level.
+    spacings : ndarray of float64, shape (c,)
+    """
+
+    spacing: float
+    origin: FloatArray
+    edge: float
+    levels: IntArray
+    keys: IntArray
+    spacings: FloatArray
+
+    @classmethod
+    def uniform(cls, spacing: float) -> LocalScale:
+        """Return the scale of points of one spacing."""
+        none = np.empty(0, np.int64)
+        return cls(spacing, np.zeros(3), spacing, none, none, np.empty(0))
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """The least and the largest spacing."""
+        if not len(self.spacings):
+            return self.spacing, self.spacing
+        return float(self.spacings.min()), float(self.spacings.max())
+
+    def at(self, places: FloatArray) -> FloatArray:
+        """Return the spacing of the points around some places.
+
+        Parameters
+        ----------
+        places : ndarray of float64, shape (n, 3)
+            In length units of the input, anywhere.
+
+        Returns
+        -------
+        ndarray of float64, shape (n,)
+            That of the smallest cell around each, or beside it; else of the whole cloud.
+        """
+        # Whole numbers below 2^20: places beyond lie in no cell.
+        finest = np.floor(cells_of(places, self.origin, self.edge)).clip(-(2.0**19), 2.0**19)
+        spacings, cells = np.zeros(len(places)), finest.astype(np.int64)
+        for steps in (np.zeros((1, 3), np.int64), NEIGHBOURS):  # their own cells first
+            for level in unique_keys(self.levels):
+                pending = np.flatnonzero(spacings == 0.0)
+                keys = pack_places(cells[pending] >> level)
+                for step in steps:
+                    found = self._find(level, step_keys(keys, step))
+                    spacings[pending] = np.maximum(spacings[pending], found)
+        return np.where(spacings == 0.0, self.spacing, spacings)
+
+    def boxes(self) -> tuple[FloatArray, FloatArray]:
+        """Return the low corner and the edge of each cell, of shapes (c, 3) and (c,)."""
+        edges = self.edge * 2.0**self.levels
+        return self.origin + unpack_keys(self.keys) * edges[:, None], edges
+
+    def _find(self, level: int, keys: IntArray) -> FloatArray:
+        """Return the spacing in some cells of a level, 0 where they tell none."""
+        run = slice(*np.searchsorted(self.levels, (level, level + 1)).tolist())
+        rows = kernels.find_keys(self.keys[run], keys)
+        return np.append(self.spacings[run], 0.0)[rows]
+
+
+def count_depth(cell_edge: float, spacing: float) -> int:
+    """Return how often finest cells are halved for the smallest boxes that are counted.
+
+    Parameters
+    ----------
+    cell_edge : float
+        Of the finest cells, in length units of the input.
+    spacing : float
+        Of the whole cloud: the smallest boxes are a quarter of it, and where points are denser they
+        hold more of them.
+    """
+    return max(0, int(np.ceil(np.log2(cell_edge / (_FINEST * spacing)))))
+
+
+def count_scale(
+    positions: FloatArray, origin: FloatArray, cell_edge: float, depth: int
+) -> ScaleCounts:
+    """Count points, and the boxes that hold some, in each of the finest cells.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+        In length units of the input.
+    origin : ndarray of float64, shape (3,)
+        Corner of a cell.
+    cell_edge : float
+        Of the cells, in length units of the input.
+    depth : int
+        So often they are halved.
+    """
+    if not len(positions):
+        none = np.empty(0, np.int64)
+        return ScaleCounts(none, none, np.empty((0, depth + 1), np.int64))
+    boxes, offsets, _ = kernels.sort_points(positions, origin, cell_edge * 2.0**-depth)
+    ancestors = ancestor_keys(boxes, depth)
+    keys = unique_keys(ancestors)
+    cell = kernels.find_keys(keys, ancestors)
+    points = np.bincount(cell, np.diff(offsets), len(keys)).astype(np.int64)
+    counts = [np.bincount(cell, minlength=len(keys))]
+    for left in range(depth - 1, -1, -1):  # boxes of twice the edge, up to the cells themselves
+        boxes = unique_keys(ancestor_keys(boxes))
+        cell = kernels.find_keys(keys, ancestor_keys(boxes, left))
+        counts.append(np.bincount(cell, minlength=len(keys)))
+    return ScaleCounts(keys, points, np.stack(counts[::-1], axis=1))
+
+
+def make_scale(
+    spacing: float, origin: FloatArray, cell_edge: float, counted: Sequence[ScaleCounts]
+) -> LocalScale:
+    """Put together what was counted of all regions, and tell the spacing of each cell.
+
+    Parameters
+    ----------
+    spacing : float
+        Of the whole cloud, in length units of the input.
+    origin, cell_edge
+        See `count_scale`.
+    counted : sequence of ScaleCounts
+        In any order; no two have a cell in common.
+
+    Notes
+    -----
+    Boxes of a surface hold points in proportion to their faces: with n points in b boxes of edge
+    H the spacing is H / sqrt(n / b). Of all H that with some five points in a box is taken.
+    """
+    keys = np.concatenate([some.keys for some in counted])
+    order = np.argsort(keys, kind="stable")
+    # Of each cell its points and boxes: all, and those that no smaller cell speaks for.
+    points = np.concatenate([some.points for some in counted])[order]
+    boxes = np.concatenate([some.boxes for some in counted])[order]
+    keys, every = keys[order], np.column_stack([points, boxes])
+    rest, levels, cells, spacings = every, [], [], []
+    for level in range(BITS):
+        edges = cell_edge * 2.0 ** (level - np.arange(every.shape[1] - 1))
+        tells = rest[:, 0] >= _LEAST
+        told = _tell_spacings(every[tells], edges, _BEST)
+        is_apart = _tell_spacings(rest[tells], edges, _NARROW) > _APART * told
+        told[is_apart] = _tell_spacings(rest[tells][is_apart], edges, _BEST)
+        levels.append(np.full(len(told), level))
+        cells.append(keys[tells])
+        spacings.append(told)
+        if len(keys) <= 1:
+            break
+        keys, parent = number_keys(ancestor_keys(keys))
+        rest = np.where(tells[:, None], 0, rest)
+        every, rest = (_double_cells(counts, parent, len(keys)) for counts in (every, rest))
+    return LocalScale(
+        spacing,
+        origin,
+        cell_edge,
+        np.concatenate(levels),
+        np.concatenate(cells),
+        np.concatenate(spacings).clip(spacing / _MOST, spacing * _MOST),
+    )
+
+
+def _double_cells(counts: IntArray, parent: IntArray, parents: int) -> IntArray:
+    """Sum the counts of cells to those of their parents, which are boxes themselves."""
+    points, *boxes = (np.bincount(parent, column, parents).astype(np.int64) for column in counts.T)
+    return np.column_stack([points, np.minimum(points, 1), *boxes])
+
+
+def _tell_spacings(counts: IntArray, edges: FloatArray, wanted: float) -> FloatArray:
+    """Return the spacing in each cell, by boxes that hold about so many points."""
+    held = counts[:, :1] / counts[:, 1:]  # (c, d): points in an occupied box
+    best = np.abs(np.log(held / wanted)).argmin(axis=1)
+    spacings: FloatArray = edges[best] / np.sqrt(held[np.arange(len(best)), best])
+    return spacings
