@@ -140,7 +140,7 @@ def _choose_small(
     low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
     np.minimum.at(low, patch, loops[:, :3])
     np.maximum.at(high, patch, loops[:, 3:])
-    is_small = (high >= low).all(axis=1)  # others have no boundary
+    is_small: BoolArray = np.logical_and.reduce(high >= low, axis=1)  # others have no boundary
     size, middle = high[is_small] - low[is_small], 0.5 * (high[is_small] + low[is_small])
     is_small[is_small] = (size * size).sum(axis=1) <= fill(middle) ** 2
     return is_small[patch], int(is_small.sum())

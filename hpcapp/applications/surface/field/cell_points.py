@@ -18,7 +18,12 @@ from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.kernels import COLUMNS
 from hpcapp.applications.surface.kernels.parallel import run_batches
 from hpcapp.applications.surface.types.grid import Grid
-from hpcapp.applications.surface.types.lattice import BITS, unique_keys
+from hpcapp.applications.surface.types.lattice import (
+    BITS,
+    ancestor_keys,
+    number_keys,
+    unique_keys,
+)
 from hpcapp.applications.surface.types.points import (
     BoolArray,
     Float32Array,
@@ -122,6 +127,9 @@ class CellRows(Protocol):
     ) -> tuple[FloatArray, FloatArray]:
         """Return positions relative to the centres of their cells, in cells, and normals."""
 
+    def take(self, rows: IntArray) -> CellRows:
+        """Return some of the points, in another order."""
+
     def seed_bricks(self, grid: Grid, offsets: IntArray, wanted: BoolArray) -> IntArray:
         """Return the bricks that hold a point of some cells.
 
@@ -163,6 +171,10 @@ class CloudRows:
         positions, normals = self.cloud.positions, self.cloud.normals
         assert normals is not None  # noqa: S101 - checked by the method, at its border
         return kernels.gather_points(positions, normals, self.rows[rows], origin, cell_size)
+
+    def take(self, rows: IntArray) -> CellRows:
+        """See `CellRows`."""
+        return CloudRows(self.cloud, self.rows[rows])
 
     def seed_bricks(self, grid: Grid, offsets: IntArray, wanted: BoolArray) -> IntArray:
         """See `CellRows`."""
@@ -209,6 +221,36 @@ class SortedPoints:
     def run(self, cells: slice) -> SortedPoints:
         """Return the points in a run of cells alone; nothing is copied."""
         return replace(self, offsets=self.offsets[cells.start : cells.stop + 1])
+
+    def gather(self, rows: IntArray, cells: IntArray, depth: int) -> tuple[IntArray, SortedPoints]:
+        """Sort the points of some cells by larger ones that these lie in.
+
+        Parameters
+        ----------
+        rows : ndarray of int64, shape (k,)
+            Of the cells.
+        cells : ndarray of int64, shape (c,)
+            The keys of all.
+        depth : int
+            So often the larger ones are halved.
+
+        Returns
+        -------
+        cells : ndarray of int64, shape (p,)
+            Sorted keys of the larger ones.
+        points : SortedPoints
+            In these.
+        """
+        larger, number = number_keys(ancestor_keys(cells[rows], depth))
+        order = np.argsort(number, kind="stable")
+        starts, counts = self.offsets[rows][order], np.diff(self.offsets)[rows][order]
+        ends = np.cumsum(counts)
+        # (m,): each point's row, cell after cell
+        held = np.arange(int(counts.sum())) + np.repeat(starts - (ends - counts), counts)
+        of_larger = np.bincount(number[order], counts, len(larger)).astype(np.int64)
+        offsets = np.append(0, np.cumsum(of_larger))
+        size = self.cell_size * 2.0**depth
+        return larger, SortedPoints(self.held.take(held), self.origin, size, offsets)
 
     def place(self, cells: slice) -> tuple[FloatArray, FloatArray, IntArray]:
         """Return the points in a run of cells, relative to these.

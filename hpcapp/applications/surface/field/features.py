@@ -1,4 +1,4 @@
-"""Edges and corners: vertices of the finest lattice around which the points fall into pieces.
+"""Edges and corners: vertices that no finer ones lie around, and whose points fall into pieces.
 
 They are few: what is known of them stands beside the level. Where one quadric agrees with its
 points' normals, nothing is asked.
@@ -12,10 +12,10 @@ from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.field.cell_points import SortedPoints
 from hpcapp.applications.surface.kernels import BASIS
 from hpcapp.applications.surface.types.field import PIECES, Features
-from hpcapp.applications.surface.types.lattice import find_layers, unpack_keys
+from hpcapp.applications.surface.types.lattice import ancestor_keys, find_layers, unpack_keys
 from hpcapp.applications.surface.types.points import Float32Array, IntArray
 
-__all__ = ["find_features", "join_features"]
+__all__ = ["find_features", "find_features_above", "join_features"]
 
 _REACH = 3  # cells on each side of a vertex that the fits look at (see `fit_features`)
 _ROUND = 0.04  # misfit of a quadric (see `hermite.evaluate_misfits`), some 11 degrees
@@ -35,7 +35,7 @@ def find_features(
     Parameters
     ----------
     vertices : ndarray of int64, shape (v,)
-        Sorted keys of the finest lattice, one or more.
+        Sorted keys of the cells' corners, one or more.
     misfits : ndarray of float32, shape (v,)
         How far the gradients of their quadrics are off the points' normals (see
         `hermite.evaluate_misfits`): where they agree, one quadric does.
@@ -55,6 +55,35 @@ def find_features(
     pieces, joints = kernels.fit_features(*given, threads)
     is_joined = joints < _NONE
     return Features(asked[is_joined], pieces[is_joined], joints[is_joined])
+
+
+def find_features_above(
+    vertices: IntArray,
+    misfits: Float32Array,
+    noise: float,
+    depth: int,
+    cells: IntArray,
+    points: SortedPoints,
+    threads: int = 1,
+) -> Features:
+    """Do the same on a coarser level than that by whose cells the points are sorted.
+
+    Parameters
+    ----------
+    vertices, misfits, noise
+        Of the level; see `find_features`.
+    depth : int
+        So often its cells are halved for those of the points.
+    cells : ndarray of int64, shape (c,)
+        Sorted keys of these.
+    """
+    asked = misfits > _ROUND
+    if not asked.any():
+        return join_features([])
+    near = kernels.spread_keys(vertices[asked], -_REACH, _REACH - 1)
+    is_near = kernels.find_keys(near, ancestor_keys(cells, depth)) < len(near)
+    above = points.gather(np.flatnonzero(is_near), cells, depth)
+    return find_features(vertices[asked], misfits[asked], noise, *above, threads)
 
 
 def join_features(parts: list[Features]) -> Features:

@@ -21,7 +21,11 @@ import numpy as np
 
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.field.cell_points import SortedPoints
-from hpcapp.applications.surface.field.features import find_features, join_features
+from hpcapp.applications.surface.field.features import (
+    find_features,
+    find_features_above,
+    join_features,
+)
 from hpcapp.applications.surface.field.pyramid import (
     Level,
     Parents,
@@ -36,6 +40,7 @@ from hpcapp.applications.surface.kernels.parallel import run_batches
 from hpcapp.applications.surface.types.field import FarField, Features, Field, FieldLevel
 from hpcapp.applications.surface.types.grid import BRICK, Grid
 from hpcapp.applications.surface.types.lattice import (
+    ancestor_keys,
     find_keys,
     find_layers,
     pack_places,
@@ -59,7 +64,7 @@ def fit_above(
     parents: Parents | None,
     far: FarField,
     threads: int = 1,
-) -> tuple[tuple[FieldLevel, ...], Parents | None]:
+) -> tuple[tuple[FieldLevel, ...], tuple[Features, ...], Parents | None]:
     """Fit every level but the finest, and tell how far each quadric is to be trusted.
 
     Parameters
@@ -71,6 +76,8 @@ def fit_above(
     -------
     levels : tuple of FieldLevel
         Finest first.
+    features : tuple of Features
+        Of those that are somewhere the finest.
     parents : Parents or None
         What level 0 asks for.
     """
@@ -78,8 +85,25 @@ def fit_above(
     levels, vertices = pyramid.levels, pyramid.vertices
     above = replace(pyramid, levels=levels[1:], vertices=vertices[1:], first=1)
     coarser = find_trust(above, quadrics, far, threads)
+    features = _find_features_above(pyramid, quadrics, weights, threads)
     del levels[1:], vertices[1:]
-    return coarser, parents
+    return coarser, features, parents
+
+
+def _find_features_above(
+    pyramid: Pyramid, quadrics: list[VertexQuadrics], weights: list[Weights], threads: int
+) -> tuple[Features, ...]:
+    """Find the edges and corners of those levels above the finest that have leaves."""
+    finest, features = pyramid.levels[0], []
+    for depth in range(1, pyramid.refinement.levels + 1):
+        vertices, cells = pyramid.vertices[depth], pyramid.levels[depth].cells
+        rows = np.flatnonzero(pyramid.refinement.mark_finest(vertices, cells, depth))
+        assert isinstance(finest.points, SortedPoints)  # noqa: S101 - the finest level has points
+        of_leaves = vertices[rows], quadrics[depth - 1].misfits[rows], weights[depth].noise
+        features.append(
+            find_features_above(*of_leaves, depth, finest.cells, finest.points, threads)
+        )
+    return tuple(features)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,12 +120,15 @@ class SlabFields:
         Of level 1, where there is one.
     above : tuple of FieldLevel
         All coarser levels, finest first.
+    features_above : tuple of Features
+        Of the first of these.
     """
 
     pyramid: Pyramid
     weights: list[Weights]
     parents: Parents | None
     above: tuple[FieldLevel, ...]
+    features_above: tuple[Features, ...]
     far: FarField
     grid: Grid
     threads: int = 1
@@ -112,7 +139,7 @@ class SlabFields:
         self.pyramid.vertices.clear()
 
     def mark_supported(self, places: FloatArray) -> BoolArray:
-        """Tell which places have points in their finest cell.
+        """Tell which places have points in their cell of the base.
 
         Parameters
         ----------
@@ -125,8 +152,12 @@ class SlabFields:
         """
         if not self.pyramid.levels:
             return np.zeros(len(places), np.bool_)
+        below = self.pyramid.refinement.levels
         cells = self.pyramid.levels[0].cells
-        inside = np.floor((places - self.pyramid.origin) / self.pyramid.cell_size)
+        if below:
+            cells = unique_keys(ancestor_keys(cells, below))
+        size = self.pyramid.cell_size * 2.0**below
+        inside = np.floor((places - self.pyramid.origin) / size)
         supported: BoolArray = find_keys(cells, pack_places(inside.astype(np.int64))) < len(cells)
         return supported
 
@@ -164,7 +195,8 @@ class SlabFields:
         part = replace(pyramid, vertices=[vertices[find_layers(vertices, low, high)]])
         finest, features = _fit_finest(part, self.weights, self.parents, self.far, self.threads)
         levels = (finest, *self.above)
-        return Field(pyramid.origin, pyramid.cell_size, levels, self.far, features)
+        all_features = (features, *self.features_above)
+        return Field(pyramid.origin, pyramid.cell_size, levels, self.far, all_features)
 
 
 def _fit_finest(
@@ -208,14 +240,14 @@ def find_trust(
     levels = []
     for index, of_level in enumerate(quadrics):
         level, keys, depth = pyramid.levels[index], pyramid.vertices[index], pyramid.first + index
-        crowds = (
-            crowd_vertices(keys, of_level.counts, level.cells, level.squares)
-            if depth
-            else np.zeros(len(keys))
-        )
+        is_finest = pyramid.refinement.mark_finest(keys, level.cells, depth)
+        crowds = np.zeros(len(keys))
+        if depth:
+            of_all = crowd_vertices(keys, of_level.counts, level.cells, level.squares)
+            crowds = np.where(is_finest, 0.0, of_all)
         origin = (pyramid.origin - far.origin) / far.step
         spacing = pyramid.cell_size * 2.0**depth / far.step
-        given = depth, keys, of_level, crowds, (far.values, origin, spacing, far.step)
+        given = keys, of_level, crowds, is_finest, (far.values, origin, spacing, far.step)
         rows = cut_equal(len(keys), -(-len(keys) // _TRUST_ROWS))
         parts = run_batches(partial(_trust_rows, *given), rows, threads)
         trust = np.concatenate([np.empty(0, np.float32), *parts])
@@ -224,10 +256,10 @@ def find_trust(
 
 
 def _trust_rows(
-    depth: int,
     keys: IntArray,
     quadrics: VertexQuadrics,
     crowds: FloatArray,
+    is_finest: BoolArray,
     far: tuple[Float32Array, FloatArray, float, float],
     rows: slice,
 ) -> Float32Array:
@@ -236,7 +268,7 @@ def _trust_rows(
     distances = kernels.sample_corners(values, keys[rows], origin, spacing) / step
     return trust_vertices(
         quadrics.coefficients[rows, 0], distances, quadrics.counts[rows],
-        quadrics.inherited[rows], crowds[rows], depth,
+        quadrics.inherited[rows], crowds[rows], is_finest[rows],
     )  # fmt: skip
 
 

@@ -9,7 +9,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from hpcapp.applications.surface.field.cell_points import (
     merge_parents,
     sort_cloud,
 )
+from hpcapp.applications.surface.field.refinement import Refinement
 from hpcapp.applications.surface.field.robust import weigh_points
 from hpcapp.applications.surface.field.support import sum_squares, surrounded_vertices
 from hpcapp.applications.surface.field.weights import (
@@ -38,7 +39,13 @@ from hpcapp.applications.surface.types.lattice import (
     find_layers,
     step_keys,
 )
-from hpcapp.applications.surface.types.points import Float32Array, FloatArray, IntArray, PointCloud
+from hpcapp.applications.surface.types.points import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    PointCloud,
+)
 from hpccomponent.cutting import cut_equal
 from hpccomponent.protocol.records import record
 
@@ -84,11 +91,6 @@ class Level:
     points: SortedPoints | CellMoments | PartMoments
     squares: FloatArray
 
-    @property
-    def is_finest(self) -> bool:
-        """Whether the level holds the points themselves."""
-        return isinstance(self.points, SortedPoints)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pyramid:
@@ -108,6 +110,8 @@ class Pyramid:
         The level that is first in the list.
     height : int
         How many levels the whole cloud has, from level 0 on.
+    refinement : Refinement
+        Of the whole cloud's lattice.
     """
 
     origin: FloatArray
@@ -116,6 +120,7 @@ class Pyramid:
     vertices: list[IntArray]
     first: int
     height: int
+    refinement: Refinement = field(default_factory=Refinement.none)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,7 +131,7 @@ class VertexQuadrics:
     ----------
     coefficients : ndarray of float32, shape (v, 10)
     counts : ndarray of float32, shape (v,)
-        Points in the eight cells around each vertex; above the finest level, as far as the
+        Points in the eight cells around each vertex; where there are finer ones, as far as the
         quadric agrees with their normals.
     inherited : ndarray of float32, shape (v,)
         The mean count of its parents, 0 for those that points do not surround (see
@@ -196,7 +201,12 @@ def count_levels(longest: float, cell_size: float) -> int:
 
 
 def build_pyramid(
-    cloud: PointCloud, origin: FloatArray, cell_size: float, height: int, threads: int = 1
+    cloud: PointCloud,
+    origin: FloatArray,
+    cell_size: float,
+    height: int,
+    threads: int = 1,
+    refinement: Refinement | None = None,
 ) -> Pyramid:
     """Sort the points into the finest cells, and sum their moments over all coarser ones.
 
@@ -210,11 +220,17 @@ def build_pyramid(
         Edge of the finest cells, in length units of the input.
     height : int
         How many levels there are (see `count_levels`).
+    refinement : Refinement, optional
+        None by default.
     """
+    refinement = Refinement.none() if refinement is None else refinement
     finest = Level(*sort_cloud(cloud, origin, cell_size), np.empty(0))
     levels = raise_levels(finest, height, threads)
-    vertices = lay_vertices(kernels.spread_keys(levels[0].cells, -1, 2), height)
-    return Pyramid(origin, cell_size, levels, vertices, 0, height)
+    below = refinement.levels
+    base = kernels.spread_keys(levels[below].cells, -1, 2)
+    *finer, base = refinement.lay([level.cells for level in levels[:below]], base)
+    vertices = [*finer, *lay_vertices(base, height - below)]
+    return Pyramid(origin, cell_size, levels, vertices, 0, height, refinement)
 
 
 def raise_levels(finest: Level, levels: int, threads: int = 1) -> list[Level]:
@@ -300,14 +316,15 @@ def fit_levels(
         # prior is only by chance.
         local = depth < pyramid.height - _LOCAL_FROM
         noise = _find_noise(CHANCE_SHARE * weights[depth].noise, quadrics.variances[rows], local)
-        arguments = touched, rows, quadrics, noise, weights[depth], threads
+        is_finest = pyramid.refinement.mark_finest(touched, cells, depth)
+        arguments = touched, rows, quadrics, noise, weights[depth], is_finest, threads
         if depth == 1 and index == 1 and np.isfinite(weights[1].tolerance):
             _fit_weighed(pyramid, *arguments)
         else:
             _fit_level(pyramid.levels[index], *arguments)
         _drop_points(pyramid, index)
         parents = _offer_level(vertices, cells, quadrics) if depth else None
-        if depth < FIELD_LEVELS:
+        if depth < pyramid.refinement.levels + FIELD_LEVELS:
             kept.insert(0, quadrics)
     return kept, parents
 
@@ -352,6 +369,7 @@ def _fit_level(
     quadrics: VertexQuadrics,
     noise: Float32Array,
     weights: Weights,
+    is_finest: BoolArray,
     threads: int,
 ) -> None:
     """Fit the corners of a level's cells; `rows` says where they stand in `quadrics`."""
@@ -369,7 +387,8 @@ def _fit_level(
         )  # fmt: skip
         quadrics.coefficients[at] = coefficients
         quadrics.misfits[at] = misfits
-        quadrics.counts[at] = counts if level.is_finest else counts * find_agreement(misfits)
+        agreeing = np.where(is_finest[cut], counts, counts * find_agreement(misfits))
+        quadrics.counts[at] = agreeing
         known = ~np.isnan(variances)  # where points are many; elsewhere the parents' stand
         quadrics.variances[at[known], 0] = variances[known]
 
@@ -384,6 +403,7 @@ def _fit_weighed(
     quadrics: VertexQuadrics,
     noise: Float32Array,
     weights: Weights,
+    is_finest: BoolArray,
     threads: int,
 ) -> None:
     """Fit the level above the finest, weigh the points of both by that, and fit it again.
@@ -394,7 +414,7 @@ def _fit_weighed(
     assert isinstance(finest.points, SortedPoints)  # noqa: S101 - the finest level has points
     # A first fit, over the parents' quadrics, which stay the prior of the second one.
     first = replace(quadrics, coefficients=quadrics.coefficients.copy())
-    _fit_level(pyramid.levels[1], corners, rows, first, noise, weights, threads)
+    _fit_level(pyramid.levels[1], corners, rows, first, noise, weights, is_finest, threads)
     _drop_points(pyramid, 1)  # before they are summed anew
     counts, variances = first.counts.copy(), first.variances.copy()
     # (t,): what a point may be off, of which a part is the noise, and a part missed detail.
@@ -404,7 +424,7 @@ def _fit_weighed(
     pyramid.levels[0] = replace(finest, points=points)
     moments = merge_parents(finest.cells, points, threads)[1]
     weighed = replace(pyramid.levels[1], points=moments)
-    _fit_level(weighed, corners, rows, quadrics, noise, weights, threads)
+    _fit_level(weighed, corners, rows, quadrics, noise, weights, is_finest, threads)
     quadrics.counts[:], quadrics.variances[:] = counts, variances
 
 

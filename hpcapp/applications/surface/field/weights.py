@@ -10,7 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from hpcapp.applications.surface.types.points import Float32Array, FloatArray
+from hpcapp.applications.surface.types.points import BoolArray, Float32Array, FloatArray
 
 __all__ = [
     "CHANCE_SHARE",
@@ -27,7 +27,8 @@ __all__ = [
 Variances = TypeVar("Variances", FloatArray, Float32Array)
 
 FIELD_LEVELS = 4
-"""So many levels, finest first, lie above the far field; coarser ones only serve as priors."""
+"""So many levels, from the base of the lattice up, lie above the far field, and what is finer;
+coarser ones only serve as priors."""
 
 CHANCE_SHARE = 0.5
 """Of the noise's variance, what excuses that a prior misses few points: where shape is rich, the
@@ -78,7 +79,7 @@ class Weights:
 
 
 def weigh_levels(
-    cell_size: float, levels: int, noise: float, tolerance: float = np.inf
+    cell_size: float, levels: int, noise: float, tolerance: float = np.inf, base: int = 0
 ) -> list[Weights]:
     """Choose the weights of every level's fits.
 
@@ -88,6 +89,8 @@ def weigh_levels(
         Edge of the finest cells, in length units of the input.
     noise : float
         Standard deviation of the positions along the normals, in length units of the input.
+    base : int
+        The coarsest level that is anywhere the finest.
 
     Returns
     -------
@@ -102,7 +105,7 @@ def weigh_levels(
     weights = []
     for depth in range(levels):
         variance = (noise / (cell_size * 2.0**depth)) ** 2
-        least = _LEAST_COARSE_LAM if depth else _LEAST_LAM
+        least = _LEAST_COARSE_LAM if depth > base else _LEAST_LAM
         lam = min(max(_LAM_PER_NOISE * variance, least), _MOST_LAM)
         most_mu = _MOST_MU if depth < levels - 1 else LEAST_MU
         weights.append(Weights(lam, variance, LEAST_MU, most_mu, tolerance))
@@ -188,7 +191,7 @@ def trust_vertices(
     counts: Float32Array,
     inherited: Float32Array,
     crowds: FloatArray | float,
-    depth: int,
+    is_finest: BoolArray,
 ) -> Float32Array:
     """Tell how much the quadrics of a level count against what lies behind them.
 
@@ -201,10 +204,10 @@ def trust_vertices(
     counts, inherited : ndarray of float32, shape (v,)
         Points around each vertex, and around its ancestors (see `VertexQuadrics`).
     crowds : float, or ndarray of float64, shape (v,)
-        Other points in the cell of a point of the next finer level (see `crowd_vertices`); 0 at the
-        finest level.
-    depth : int
-        The level, 0 for the finest.
+        Other points in the cell of a point of the next finer level (see `crowd_vertices`); 0 where
+        none is finer.
+    is_finest : ndarray of bool, shape (v,)
+        Where no finer quadrics are.
 
     Returns
     -------
@@ -215,7 +218,7 @@ def trust_vertices(
     -----
     Quadrics go on where the surface ends, and sheets would grow there. Where the far field is
     sure of its sign and the quadric has the other one, it is overruled, unless points of its own
-    support it. At coarser levels points support it only as a whole, from all around.
+    support it. Where there are finer ones points support it only as a whole, from all around.
 
     Coarse quadrics fill in where finer cells hold too few points; where these hold enough, the
     space between them is empty because the surface does not pass there.
@@ -226,6 +229,6 @@ def trust_vertices(
     # (v,): how far the far field overrules a quadric of the other sign, unless points support it.
     sure = (np.abs(far) - _OVERRULED_FROM) / (_OVERRULED_AT - _OVERRULED_FROM)
     overruled = np.clip(sure, 0.0, 1.0) * (np.sign(values) != np.sign(far))
-    own = 0.0 if depth else np.clip(counts / _OWN_COUNT, 0.0, 1.0)
+    own = np.where(is_finest, np.clip(counts / _OWN_COUNT, 0.0, 1.0), 0.0)
     result: Float32Array = (trust * (1.0 - overruled * (1.0 - own))).astype(np.float32)
     return result

@@ -157,7 +157,7 @@ def _find_folded(sample: PointCloud, edge: float) -> float:
     return float(counts[lengths < _CANCELLED * counts].sum() / len(number))
 
 
-def far_level(grid: Grid, nodes: int, cell_size: float, height: int) -> int:
+def far_level(grid: Grid, nodes: int, cell_size: float, base: int, height: int) -> int:
     """Return the finest level whose cells a far field may sample.
 
     Cells count, not points: so a scan's uneven density is left alone where all cells have some.
@@ -170,15 +170,17 @@ def far_level(grid: Grid, nodes: int, cell_size: float, height: int) -> int:
         Of the far field, along a side.
     cell_size : float
         Edge of the finest cells, in length units of the input.
+    base : int
+        The finest level that covers the whole cloud.
     height : int
         How many levels there are.
 
     Returns
     -------
     int
-        0 for the finest cells, `height` - 1 at most.
+        `base` at least, `height` - 1 at most.
     """
-    level = 0
+    level = base
     least = _FAR_CELLS * far_step(*grid.box, nodes)
     while level < height - 1 and cell_size * 2.0**level < least:
         level += 1
@@ -229,7 +231,9 @@ def _fit(
     height = plan.height - plan.coarse
     levels = raise_levels(level, height, threads)
     laid = lay_vertices(vertices, height)
-    pyramid = Pyramid(plan.origin, plan.cell_size, levels, laid, plan.coarse, plan.height)
+    lattice = plan.origin, plan.cell_size
+    whole = plan.height, plan.refinement
+    pyramid = Pyramid(*lattice, levels, laid, plan.coarse, *whole)
     quadrics, parents = fit_levels(pyramid, plan.weights, None, threads)
     moments.clear()  # no level has them any more
     assert parents is not None  # noqa: S101 - tiles have finer levels

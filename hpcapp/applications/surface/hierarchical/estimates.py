@@ -26,6 +26,8 @@ __all__ = ["Scale", "choose_scale", "suggest_grid"]
 
 _LEAST_AUTO, _SIXTEEN = 256, 16  # cells along the longest side
 _SPACINGS = 1.5  # across a cell
+_MOST_LEVELS = 3  # that the lattice is refined by
+_DENSE_SHARE = 0.02  # of the local scale's cells: what fewer of them hold is worth no level
 _NOISE_CELLS = 2.5  # standard deviations across a cell: its quadric has its prior to average with
 _PROBE_SPACINGS = 2.0
 _PROBE_LAM = 0.3
@@ -39,7 +41,7 @@ _NOISE_SHARE = 0.5  # of residuals: what remains is detail, and no point of it i
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """The cell size and what led to it.
+    """The cell size at the base of the lattice, and what led to it.
 
     Parameters
     ----------
@@ -47,12 +49,23 @@ class Scale:
         In length units of the input; the noise is a standard deviation along the normal.
     tolerance : float
         How far off a point may lie until it counts half, in variances of the noise.
+    levels : int
+        So often cells are halved where points are dense enough for it.
+    spacings : float
+        Of dense points, across such a cell.
     """
 
     spacing: float
     noise: float
     cell_size: float
     tolerance: float
+    levels: int
+    spacings: float
+
+    @property
+    def finest(self) -> float:
+        """Edge of the finest cells, in length units of the input."""
+        return self.cell_size * 2.0**-self.levels
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,9 +183,14 @@ def choose_scale(
     """
     spacing = measured.spacing
     noise = _probe(measured.sample, spacing, threads)
-    wanted = max(_SPACINGS * spacing, _NOISE_CELLS * noise.deviation * smoothness) / detail
-    cell_size = max(wanted, step)
-    return Scale(spacing, noise.deviation, cell_size, noise.tolerance)
+    spacings, least = _SPACINGS / detail, _NOISE_CELLS * noise.deviation * smoothness / detail
+    cell_size = max(spacings * spacing, least, step)
+    levels = 0
+    if np.isinf(noise.tolerance):  # else the points of the finest cells are weighed, of one level
+        dense = measured.scale.quantile(_DENSE_SHARE)
+        finest = max(spacings * dense, least, step)
+        levels = int(np.clip(np.floor(np.log2(cell_size / finest)), 0, _MOST_LEVELS))
+    return Scale(spacing, noise.deviation, cell_size, noise.tolerance, levels, spacings)
 
 
 def suggest_grid(
@@ -201,7 +219,7 @@ def suggest_grid(
     the same quadrics by more triangles.
     """
     scale = choose_scale(measured, 0.0, smoothness, detail, threads)
-    step = scale.cell_size / _SPACINGS
+    step = scale.finest / _SPACINGS
     if step * MAX_GRID < longest:
         return Resolution(MAX_GRID, f"the most; the points lie {scale.spacing:.3g} apart")
     cells = _SIXTEEN * int(np.ceil((longest / step + 2 * MARGIN) / _SIXTEEN))

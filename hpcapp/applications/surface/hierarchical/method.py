@@ -23,6 +23,7 @@ from hpcapp.applications.surface.boundary.drive import (
 from hpcapp.applications.surface.checkpoint import Checkpoint
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.field.pyramid import count_levels
+from hpcapp.applications.surface.field.refinement import Refinement
 from hpcapp.applications.surface.hierarchical.coarse import (
     FEWEST_NODES,
     Coarse,
@@ -160,20 +161,22 @@ class HierarchicalMethod:
         low, high = cloud.low, cloud.high
         grid = plan_grid(low, high, self.grid)
         scale = choose_scale(cloud.measure(), grid.step, self.smoothness, self.detail, self.threads)
-        height = count_levels(float((high - low).max()), scale.cell_size)
+        below, measured = scale.levels, cloud.measure()
+        height = below + count_levels(float((high - low).max()), scale.cell_size)
         noise = scale.noise * self.smoothness
-        nodes = choose_nodes(grid.box, scale.cell_size, noise, cloud.measure())
-        far = far_level(grid, nodes, scale.cell_size, height)
-        count = self._count_tiles(cloud, height, workforce)
+        nodes = choose_nodes(grid.box, scale.finest, noise, measured)
+        far = far_level(grid, nodes, scale.finest, below, height)
+        count = self._count_tiles(cloud, height - below, workforce)
         tolerance = scale.tolerance if height > _ROBUST_LEVELS else np.inf
-        least = 1 if np.isinf(tolerance) else _ROBUST_LEVELS
+        least = below + 1 if np.isinf(tolerance) else _ROBUST_LEVELS
         # No lower for a finer far field: the master fits all from there up.
-        lowest = far_level(grid, FEWEST_NODES, scale.cell_size, height)
+        lowest = far_level(grid, FEWEST_NODES, scale.finest, below, height)
         coarse = max(least, min(lowest, height - 1)) if count else height
         blocks = cloud.arrangement
         plan = Plan(
-            low, scale.cell_size, height, coarse, noise,
+            low, scale.finest, height, coarse, noise,
             grid.origin, grid.step, grid.bricks, blocks.origin, blocks.edge, far, nodes, tolerance,
+            Refinement(below, scale.spacings, measured.scale, low, scale.finest),
         )  # fmt: skip
         if not count:
             return HierarchicalPartition(cloud, scale, plan, None)
@@ -332,10 +335,11 @@ class HierarchicalMethod:
         return {
             "patches": partition.patches,
             "spacing": partition.scale.spacing,
-            "spacing_range": list(partition.cloud.measure().scale.range),
+            "spacing_range": list(plan.refinement.scale.range),
             "noise": partition.scale.noise,
-            "cell_size": plan.cell_size,
-            "lam": plan.weights[0].lam,
+            "cell_size": plan.base_size,
+            "refined_levels": plan.refinement.levels,
+            "lam": plan.weights[plan.refinement.levels].lam,
             "levels": plan.height,
             "tiles": 1 if partition.tiling is None else len(partition.tiling),
             **({} if partition.closure is None else partition.closure.facts()),

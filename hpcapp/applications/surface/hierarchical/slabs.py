@@ -51,12 +51,14 @@ def mesh_slabs(
     patches : int
         Finest cells with points.
     """
-    pyramid = build_pyramid(cloud, plan.origin, plan.cell_size, plan.height, threads)
+    pyramid = build_pyramid(
+        cloud, plan.origin, plan.cell_size, plan.height, threads, plan.refinement
+    )
     kinds = plan_whole(plan.grid, cloud.positions)
     patches = len(pyramid.levels[0].cells)
     far = find_far(plan, sample_cells(pyramid.levels[plan.far]), threads)
-    above, parents = fit_above(pyramid, plan.weights, None, far, threads)
-    fields = SlabFields(pyramid, plan.weights, parents, above, far, plan.grid, threads)
+    above, features, parents = fit_above(pyramid, plan.weights, None, far, threads)
+    fields = SlabFields(pyramid, plan.weights, parents, above, features, far, plan.grid, threads)
     surface = PartSurface([], [], cloud.origin)
     bounds = cut_slabs(fields, kinds)
     slabs = len(bounds) - 1

@@ -107,6 +107,10 @@ class LocalScale:
             return self.spacing, self.spacing
         return float(self.spacings.min()), float(self.spacings.max())
 
+    def quantile(self, share: float) -> float:
+        """Return the spacing that so large a share of the cells do not exceed."""
+        return float(np.quantile(self.spacings, share)) if len(self.spacings) else self.spacing
+
     def at(self, places: FloatArray) -> FloatArray:
         """Return the spacing of the points around some places.
 
@@ -134,7 +138,7 @@ class LocalScale:
 
     def boxes(self) -> tuple[FloatArray, FloatArray]:
         """Return the low corner and the edge of each cell, of shapes (c, 3) and (c,)."""
-        edges = self.edge * 2.0**self.levels
+        edges: FloatArray = np.ldexp(self.edge, self.levels)
         return self.origin + unpack_keys(self.keys) * edges[:, None], edges
 
     def _find(self, level: int, keys: IntArray) -> FloatArray:

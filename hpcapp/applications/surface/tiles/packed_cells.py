@@ -65,6 +65,10 @@ class PackedRows:
         given = self.records[rows], self.blocks[rows], self.corners, self.edge, origin, cell_size
         return kernels.place_packed(*given)
 
+    def take(self, rows: IntArray) -> PackedRows:
+        """See `cell_points.CellRows`."""
+        return PackedRows(self.records[rows], self.blocks[rows], self.corners, self.edge)
+
     def seed_bricks(self, grid: Grid, offsets: IntArray, wanted: BoolArray) -> IntArray:
         """See `cell_points.CellRows`."""
         packed = self.records, self.blocks, self.corners, self.edge

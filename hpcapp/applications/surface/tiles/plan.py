@@ -5,13 +5,14 @@ They travel as records.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from hpcapp.applications.surface.cloud.arrangement import Arrangement
 from hpcapp.applications.surface.field.far_field import FarFieldPart
 from hpcapp.applications.surface.field.pyramid import Parents
+from hpcapp.applications.surface.field.refinement import Refinement
 from hpcapp.applications.surface.field.weights import FIELD_LEVELS, Weights, weigh_levels
 from hpcapp.applications.surface.tiles.halo import HALO_STEPS
 from hpcapp.applications.surface.types.field import FieldLevel
@@ -48,6 +49,8 @@ class Plan:
     tolerance : float
         How far off a point may lie until it counts half (see `weights.Weights`); not infinite only
         where `coarse` is 2 or more.
+    refinement : Refinement
+        Its base has the level of its number of levels; the tiles' one is coarser than that.
     """
 
     origin: FloatArray
@@ -63,6 +66,12 @@ class Plan:
     far: int
     far_nodes: int
     tolerance: float = np.inf
+    refinement: Refinement = field(default_factory=Refinement.none)
+
+    @property
+    def base_size(self) -> float:
+        """Edge of the cells at the base of the lattice, in length units of the input."""
+        return self.cell_size * 2.0**self.refinement.levels
 
     @property
     def coarse_size(self) -> float:
@@ -74,11 +83,11 @@ class Plan:
         """How far from a node the points may lie that its quadrics depend on.
 
         Vertices and parents lie up to half a coarse cell away, their points half a coarse cell
-        further on, and cells whose corners exist because of points two finest cells beyond. Where
+        further on, and cells whose corners exist because of points two base cells beyond. Where
         points are weighed, by quadrics of the second level, these add two of its cells.
         """
         steps = 2.0 if np.isinf(self.tolerance) else 6.0
-        return self.coarse_size + steps * self.cell_size
+        return self.coarse_size + steps * self.base_size
 
     @property
     def far_box(self) -> tuple[FloatArray, FloatArray]:
@@ -87,7 +96,7 @@ class Plan:
         The grid, its halo, and beyond it the corners of every level that the field is made of,
         which lie up to two of their cells from a point.
         """
-        coarsest = max(self.coarse, FIELD_LEVELS - 1)
+        coarsest = max(self.coarse, self.refinement.levels + FIELD_LEVELS - 1)
         margin = HALO_STEPS * self.step + 4.0 * self.cell_size * 2.0**coarsest
         low, high = self.grid.box
         return low - margin, high + margin
@@ -95,7 +104,8 @@ class Plan:
     @property
     def weights(self) -> list[Weights]:
         """The weights of every level's fits."""
-        return weigh_levels(self.cell_size, self.height, self.noise, self.tolerance)
+        base = self.refinement.levels
+        return weigh_levels(self.cell_size, self.height, self.noise, self.tolerance, base)
 
     @property
     def grid(self) -> Grid:

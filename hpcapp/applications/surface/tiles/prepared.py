@@ -23,7 +23,7 @@ from hpcapp.applications.surface.tiles.halo import near_bricks, plan_tile
 from hpcapp.applications.surface.tiles.plan import Plan
 from hpcapp.applications.surface.tiles.points import CellPoints, TilePoints, take_points
 from hpcapp.applications.surface.types.grid import BrickKinds
-from hpcapp.applications.surface.types.points import IntArray
+from hpcapp.applications.surface.types.points import BoolArray, IntArray
 
 __all__ = ["PreparedTile", "finish", "lay_corners"]
 
@@ -108,24 +108,38 @@ def lay_corners(plan: Plan, cells: IntArray, kinds: BrickKinds) -> Generator[str
     Notes
     -----
     A node asks for the corners around it, up to a cell of their level away, and these are there
-    because of finest cells whose middle lies as far again, and half a finest cell, from them. On
-    coarser levels, which have few corners, those that the coarsest asks for are laid, and those
-    that points are weighed by.
+    because of cells whose middle lies as far again, and half a cell, from them. On levels above
+    the base, which have few corners, those that the coarsest asks for are laid, and those that
+    points are weighed by.
     """
     weighing = 0.0 if np.isinf(plan.tolerance) else 4.0
-    lattice = plan.origin, plan.cell_size
+    below = plan.refinement.levels
+    height = plan.coarse - below  # from the base up
+    *finer, base = plan.refinement.cells_above(cells)
+    near_finer = [
+        of_level[_mark_near(plan, kinds, of_level, plan.cell_size * 2.0**depth, 2.75)]
+        for depth, of_level in enumerate(finer)
+    ]
     is_near, is_wide = (
-        near_bricks(kinds, plan.grid, cells, *lattice, plan.cell_size * reach)
-        for reach in (2.75, 2.0**plan.coarse + 0.75 + weighing)
+        _mark_near(plan, kinds, base, plan.base_size, reach)
+        for reach in (2.75, 2.0**height + 0.75 + weighing)
     )
     yield "near bricks"
-    near = kernels.spread_keys(cells[is_near], -1, 2)
+    near = kernels.spread_keys(base[is_near], -1, 2)
+    *laid, near = plan.refinement.lay(near_finer, near)
     yield "corners"
-    if plan.coarse == 1:
-        return [near]
-    rest = kernels.spread_keys(cells[is_wide & ~is_near], -1, 2)
+    if height == 1:
+        return [*laid, near]
+    rest = kernels.spread_keys(base[is_wide & ~is_near], -1, 2)
     wide = kernels.unite_keys(kernels.parent_keys(near), kernels.parent_keys(rest))
-    return [near, *lay_vertices(wide, plan.coarse - 1)]
+    return [*laid, near, *lay_vertices(wide, height - 1)]
+
+
+def _mark_near(
+    plan: Plan, kinds: BrickKinds, cells: IntArray, size: float, reach: float
+) -> BoolArray:
+    """Tell which cells of a level lie within so many cells of bricks that may be evaluated."""
+    return near_bricks(kinds, plan.grid, cells, plan.origin, size, reach * size)
 
 
 def finish(steps: Generator[object, None, Found]) -> Found:

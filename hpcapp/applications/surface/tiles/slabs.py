@@ -74,14 +74,14 @@ def _grow_slab(fields: SlabFields, slab: BrickKinds, first: int, end: int) -> Br
     """Extract the surface in a slab, its vertices in their final places."""
     field, grid = fields.fit(first, end), fields.grid
     mesh = kernels.grow_surface(field, grid, slab, fields.threads)
-    features, lattice = field.features, (field.origin, field.cell_size)
+    of_levels, origin, cell_size = field.features, field.origin, field.cell_size
     del field  # makes room for what is made of the mesh
     of_mesh = mesh.vertices, mesh.faces
-    balanced = kernels.balance_vertices(*of_mesh, grid.step)
-    assert features is not None  # noqa: S101 - a field that was fitted here has them
-    return replace(
-        mesh, vertices=sharpen_vertices(*of_mesh, balanced, features, lattice, grid.step)
-    )
+    moved = kernels.balance_vertices(*of_mesh, grid.step)
+    for depth, features in enumerate(of_levels):
+        lattice = origin, cell_size * 2.0**depth
+        moved = sharpen_vertices(*of_mesh, moved, features, lattice, grid.step)
+    return replace(mesh, vertices=moved)
 
 
 def grow_tile(fields: SlabFields, kinds: BrickKinds) -> tuple[MeshPart, IntArray]:

@@ -49,9 +49,9 @@ from hpcapp.applications.surface.tiles.plan import CoarseLattice, CoarseLevels, 
 from hpcapp.applications.surface.tiles.points import CellPoints, estimate_work, take_points
 from hpcapp.applications.surface.tiles.prepared import PreparedTile, finish, lay_corners
 from hpcapp.applications.surface.tiles.slabs import grow_tile
-from hpcapp.applications.surface.types.field import FarField, FieldLevel
+from hpcapp.applications.surface.types.field import FarField, Features, FieldLevel
 from hpcapp.applications.surface.types.grid import BrickKinds
-from hpcapp.applications.surface.types.lattice import unpack_keys
+from hpcapp.applications.surface.types.lattice import ancestor_keys, unique_keys, unpack_keys
 from hpcapp.applications.surface.types.points import IntArray
 from hpcapp.applications.surface.types.result_patterns import SMALL_BYTES
 from hpccomponent.runtime.background import worker_background
@@ -132,7 +132,9 @@ def sum_tile(
         worker_background.add(partial(TILES.advance, ticket))
     finest, coarse = prepared.levels[0], prepared.levels[-1]
     held = finest.cells[prepared.groups == 0]
-    marks = mark_ancestors(held, plan.coarse, coarse.cells)
+    below = plan.refinement.levels
+    of_base = unique_keys(ancestor_keys(held, below)) if below else held
+    marks = mark_ancestors(of_base, plan.coarse - below, coarse.cells)
     at, vertices = np.flatnonzero(marks), corners_at(coarse.cells, marks)
     moments = coarse.points.sum(slice(0, len(coarse.cells)))[at]
     sampled = prepared.levels[plan.far]
@@ -332,13 +334,16 @@ def _fit_fields(
     A function of its own, so that nobody else holds what is made here: see `grow_tile`.
     """
     far = restore_far_field(coarse.far)
-    fine = tuple(_NO_LEVEL for _ in range(1, min(plan.coarse, FIELD_LEVELS)))
+    in_field = plan.refinement.levels + FIELD_LEVELS
+    fine = tuple(_NO_LEVEL for _ in range(1, min(plan.coarse, in_field)))
+    features: tuple[Features, ...] = ()
     parents = None
-    pyramid = Pyramid(plan.origin, plan.cell_size, levels, corners, 0, plan.height)
+    lattice = plan.origin, plan.cell_size
+    pyramid = Pyramid(*lattice, levels, corners, 0, plan.height, plan.refinement)
     if levels:
-        fine, parents = fit_above(pyramid, plan.weights, coarse.parents, far, threads)
+        fine, features, parents = fit_above(pyramid, plan.weights, coarse.parents, far, threads)
     above = fine + coarse.levels
-    return SlabFields(pyramid, plan.weights, parents, above, far, plan.grid, threads)
+    return SlabFields(pyramid, plan.weights, parents, above, features, far, plan.grid, threads)
 
 
 def _give(

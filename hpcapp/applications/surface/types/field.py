@@ -52,7 +52,7 @@ class FieldLevel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Features:
-    """Those vertices of the finest lattice around which the surface has an edge or a corner.
+    """Those vertices of a lattice around which the surface has an edge or a corner.
 
     Parameters
     ----------
@@ -82,15 +82,15 @@ class Field:
         Edge of a cell of the finest lattice, in length units of the input.
     levels : tuple of FieldLevel
         Finest first; the cells of each are twice as large as those of the one before.
-    features : Features, optional
-        Vertices of the finest level whose joined quadrics take the place of their own one.
+    features : tuple of Features
+        Of the first levels: vertices whose joined quadrics take the place of their own one.
     """
 
     origin: FloatArray
     cell_size: float
     levels: tuple[FieldLevel, ...]
     far: FarField
-    features: Features | None = None
+    features: tuple[Features, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -30,8 +30,8 @@ bool FeatureBlend::find(const Axis* axes) {
   return !found_.empty();
 }
 
-void FeatureBlend::add(const Axis* axes, const Real* raw, int64_t plane, int64_t lanes, Real* total, const Real* rest,
-                       int64_t stride) const {
+void FeatureBlend::add(const Axis* axes, const Real* raw, int64_t plane, int64_t lanes, Real scale, Real* total,
+                       const Real* before, const Real* rest, int64_t stride) const {
   const int64_t channel = axes[2].count * plane;
   for (const Found& found : found_) {
     const float* pieces = features_.pieces + found.row * PIECES * QUADRIC;
@@ -72,7 +72,7 @@ void FeatureBlend::add(const Axis* axes, const Real* raw, int64_t plane, int64_t
           }
           const Real share = weight[0][i] * weight[1][j] * weight[2][k] / (presence > 0 ? presence : 1);
           const int64_t node = i * stride + j * NODES + k;
-          total[node] += (1 - rest[node]) * share * (joined - quadric_at(smooth, x, y, z));
+          total[node] += (before[node] - rest[node]) * share * scale * (joined - quadric_at(smooth, x, y, z));
         }
   }
 }

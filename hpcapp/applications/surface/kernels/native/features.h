@@ -1,4 +1,4 @@
-// Vertices of the finest lattice with more than one quadric (see features.py).
+// Vertices of a lattice with more than one quadric (see features.py).
 #pragma once
 
 #include <cstdint>
@@ -20,9 +20,10 @@ class FeatureBlend {
   // Find the features around a brick, given the layers of the lattice there; return whether there are any.
   bool find(const Axis* axes);
 
-  // Add at the nodes of a brick, [x][plane]; `raw` has the quadrics around it (see field.cpp).
-  void add(const Axis* axes, const Real* raw, int64_t plane, int64_t lanes, Real* total, const Real* rest,
-           int64_t stride) const;
+  // Add at the nodes of a brick, [x][plane]; `raw` has the quadrics around it (see field.cpp), `scale` is the size of
+  // the lattice's cells, and `before` and `rest` are what is left to the level, and to those behind it.
+  void add(const Axis* axes, const Real* raw, int64_t plane, int64_t lanes, Real scale, Real* total,
+           const Real* before, const Real* rest, int64_t stride) const;
 
  private:
   struct Found {

@@ -260,14 +260,16 @@ void take_levels(nb::handle given, Field& field) {
 }
 
 void take_features(nb::handle given, Field& field) {
-  const auto features = field_of<nb::object>(given, "features");
-  if (features.is_none()) return;
-  const Input keys = field.hold<Input>(features, "keys");
-  const int64_t* sorted = check_keys(keys, "keys");
-  const int64_t count = rows_of(keys);
-  field.features = {sorted, count,
-                    check<float>(field.hold<Input>(features, "pieces"), "pieces", {count, PIECES, QUADRIC}),
-                    check<uint8_t>(field.hold<Input>(features, "joints"), "joints", {count})};
+  const auto levels = field_of<nb::tuple>(given, "features");
+  if (levels.size() > field.levels.size()) refuse("features: of more levels than there are");
+  for (const nb::handle features : levels) {
+    const Input keys = field.hold<Input>(features, "keys");
+    const int64_t* sorted = check_keys(keys, "keys");
+    const int64_t count = rows_of(keys);
+    field.features.push_back(
+        {sorted, count, check<float>(field.hold<Input>(features, "pieces"), "pieces", {count, PIECES, QUADRIC}),
+         check<uint8_t>(field.hold<Input>(features, "joints"), "joints", {count})});
+  }
 }
 
 void take_far(nb::handle given, Field& field) {
@@ -324,7 +326,8 @@ Field take_field(nb::handle given, const Grid& grid) {
 }
 
 BrickEvaluator::BrickEvaluator(const Field& field, const Grid& grid)
-    : field_(field), grid_(grid), features_(new FeatureBlend(field.features)), scratch_(2 * NODES * PLANE) {
+    : field_(field), grid_(grid), scratch_(3 * NODES * PLANE) {
+  for (const Features& features : field.features) features_.emplace_back(features);
   for (const FieldLevel& level : field.levels) fingers_.emplace_back(level.keys, level.vertices);
 }
 
@@ -341,14 +344,18 @@ bool BrickEvaluator::add_level(const Place& brick, size_t depth) {
   const size_t others = static_cast<size_t>(AFTER_Z * shape.y * NODES * lanes + AFTER_Y * NODES * NODES * lanes +
                                             AFTER_Y * lanes * PLANE);
   // Zeros also where a plane is padded: those lanes are computed and thrown away.
-  const size_t needed = 2 * NODES * PLANE + raw + others;
+  const size_t needed = 3 * NODES * PLANE + raw + others;
   if (scratch_.size() < needed) scratch_.resize(needed, Real{0});
   const Composite composite{scratch_.data(), scratch_.data() + NODES * PLANE};
-  Real* vertices = scratch_.data() + 2 * NODES * PLANE;
+  Real* before = scratch_.data() + 2 * NODES * PLANE;  // what was left to this level
+  Real* vertices = before + NODES * PLANE;
   if (!load_vertices(field_.levels[depth], fingers_[depth], axes, shape, vertices)) return true;
+  const bool has_features = depth < features_.size() && features_[depth].find(axes);
+  if (has_features) std::copy_n(composite.rest, NODES * PLANE, before);
   collapse(vertices, vertices + raw, shape, axes, static_cast<Real>(scale), composite);
-  if (depth == 0 && features_->find(axes))
-    features_->add(axes, vertices, int64_t{1} * shape.y * lanes, lanes, composite.total, composite.rest, PLANE);
+  if (has_features)
+    features_[depth].add(axes, vertices, int64_t{1} * shape.y * lanes, lanes, static_cast<Real>(scale), composite.total,
+                         before, composite.rest, PLANE);
   for (int x = 0; x < NODES; ++x)
     for (int i = 0; i < NODES * NODES; ++i)
       if (composite.rest[x * PLANE + i] > 0) return true;

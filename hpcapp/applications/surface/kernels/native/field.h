@@ -29,7 +29,7 @@ struct FieldLevel {
   const float *coefficients, *trust;
 };
 
-// Those vertices of the finest lattice that have three quadrics, joined by max or min.
+// Those vertices of a lattice that have three quadrics, joined by max or min.
 struct Features {
   const int64_t* keys = nullptr;
   int64_t count = 0;
@@ -43,7 +43,7 @@ struct Field {
   const float* far_values;
   int64_t far_nodes;
   double far_origin[3], far_step;
-  Features features;
+  std::vector<Features> features;  // of the first levels
   std::vector<Input> arrays;  // what the pointers above point into
 
   // Return an array of a record, and hold it.
@@ -75,7 +75,7 @@ class BrickEvaluator {
   const Field& field_;
   Grid grid_;
   std::vector<Finger> fingers_;
-  std::unique_ptr<FeatureBlend> features_;
+  std::vector<FeatureBlend> features_;
   std::vector<Real> scratch_;
 };
 

@@ -81,9 +81,9 @@ def _evaluate_chunk(
         keys = pack_places(corners)
         rows = find_keys(level.keys, keys)
         quadric, presence, trust = blend_quadrics(channels[depth], rows, lower, local)
-        if depth == 0 and field.features is not None:
+        if depth < len(field.features):
             given = channels[depth], rows, keys, lower, local
-            quadric += blend_features(field.features, *given)
+            quadric += blend_features(field.features[depth], *given)
         # Weights add up to `presence` where vertices are missing; in cells of the finest lattice.
         near = scale * quadric / np.where(presence > 0.0, presence, 1.0)
         total += rest * trust * near

@@ -58,10 +58,10 @@ def test_runs_of_vertices_do_not_show(
     layers = int(np.ptp(pyramid.vertices[0] >> 42)) + 1
     assert runs == {1: layers, 1 << 30: 1}.get(at_once, runs)
     assert at_once != 3_000 or 3 < runs < layers
-    above, parents = fit_above(pyramid, weights, None, far)
+    above, features, parents = fit_above(pyramid, weights, None, far)
     assert len(pyramid.levels) == 1  # nobody needs the others any more
     grid = Grid(np.full(3, -1.3), 0.05, (7, 7, 7))
-    fields = SlabFields(pyramid, weights, parents, above, far, grid)
+    fields = SlabFields(pyramid, weights, parents, above, features, far, grid)
     found = fields.fit(0, 7).levels
     assert len(found) == len(expected) > 1
     for one, other in zip(found, expected, strict=True):
@@ -75,9 +75,9 @@ def test_runs_of_vertices_do_not_show(
 def test_slabs_have_the_quadrics_around_their_bricks(quadrics: int) -> None:
     pyramid, far = build(), far_field()
     weights = weigh_levels(CELL_SIZE, pyramid.height, 0.005, np.inf)
-    above, parents = fit_above(pyramid, weights, None, far)
+    above, features, parents = fit_above(pyramid, weights, None, far)
     grid = Grid(np.full(3, -1.3), 0.0125, (26, 26, 26))
-    fields = SlabFields(pyramid, weights, parents, above, far, grid)
+    fields = SlabFields(pyramid, weights, parents, above, features, far, grid)
     whole = fields.fit(0, 26).levels[0]
     bounds = fields.cut(0, 26, quadrics)
     assert len(bounds) == {1: 4, 4_000: 4, 10_000: 3, 1 << 30: 2}[quadrics]
@@ -96,7 +96,7 @@ def test_a_field_without_points_is_one_slab() -> None:
     none = np.empty(0, np.int64)
     pyramid = Pyramid(np.zeros(3), CELL_SIZE, [], [none], 0, 3)
     grid = Grid(np.full(3, -1.3), 0.05, (7, 7, 7))
-    fields = SlabFields(pyramid, [], None, (), far_field(), grid)
+    fields = SlabFields(pyramid, [], None, (), (), far_field(), grid)
     assert fields.cut(2, 5, 1000) == [2, 5]
     (finest,) = fields.fit(2, 5).levels
     assert finest.coefficients.shape == (0, 10)

@@ -15,7 +15,8 @@ def trusted(
     value: float, far: float, count: float, inherited: float, crowd: float = 0.0, depth: int = 0
 ) -> float:
     values, counts, parents = (np.array([x], np.float32) for x in (value, count, inherited))
-    return float(trust_vertices(values, np.array([far]), counts, parents, crowd, depth)[0])
+    is_finest = np.array([depth == 0])
+    return float(trust_vertices(values, np.array([far]), counts, parents, crowd, is_finest)[0])
 
 
 def test_noise_counts_in_cells_of_each_level() -> None:

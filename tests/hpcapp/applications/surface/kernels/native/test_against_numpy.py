@@ -270,13 +270,20 @@ def test_bricks_with_edges(native: ModuleType, any_ball: tuple[Field, Grid]) -> 
     keys = function.levels[0].keys[::3].copy()
     pieces = rng.normal(size=(len(keys), PIECES, 10)).astype(np.float32)
     joints = (np.arange(len(keys)) % 4).astype(np.uint8)
-    edged = replace(function, features=Features(keys, pieces, joints))
+    every = [Features(keys, pieces, joints)]
+    for level in function.levels[1:]:
+        some = level.keys[::2].copy()
+        more = rng.normal(size=(len(some), PIECES, 10)).astype(np.float32)
+        every.append(Features(some, more, (np.arange(len(some)) % 4).astype(np.uint8)))
+    edged = replace(function, features=tuple(every))
     places = np.array([[1, 1, 1], [0, 1, 1], [1, 0, 0]])
     found = native.evaluate_bricks(edged, grid, places, 1)
     expected = portable.evaluate_bricks(edged, grid, places)
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5)
     plain = native.evaluate_bricks(function, grid, places, 1)
     assert np.abs(found - plain).max() > 0.1
+    finest = native.evaluate_bricks(replace(function, features=tuple(every[:1])), grid, places, 1)
+    assert len(every) == 1 or np.abs(found - finest).max() > 0.1
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-4])

@@ -55,7 +55,7 @@ cubes = st.one_of(anything, st.just(np.ones((4, 4, 4), np.float32)))
 fields = st.builds(
     Field, origins, numbers, st.lists(levels, max_size=2).map(tuple),
     st.one_of(anything, st.builds(FarField, cubes, origins, numbers)),
-    st.one_of(st.none(), features),
+    st.one_of(anything, st.lists(st.one_of(anything, features), max_size=3).map(tuple)),
 )  # fmt: skip
 grids = st.builds(Grid, origins, numbers, st.one_of(anything, sides))
 brick_kinds = st.builds(BrickKinds, origins, hostile_arrays())

@@ -1,0 +1,127 @@
+"""Where the lattice under a cloud is finer than at its base: where points are denser than usual.
+
+::
+
+    level 0          divided cells of level 1 only     their corners, and ancestors of these
+      ...
+    level `levels`   the base: all cells with points
+
+A cell that is not divided is a leaf. Its points speak through the quadrics at its corners, and no
+finer ones: these are the finest there, whatever level they are on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.scale.local_scale import LocalScale
+from hpcapp.applications.surface.types.lattice import ancestor_keys, unique_keys, unpack_keys
+from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
+from hpccomponent.protocol.records import record
+
+__all__ = ["Refinement"]
+
+
+@record("surface.refinement")
+@dataclass(frozen=True, slots=True, eq=False)
+class Refinement:
+    """Which cells of a lattice are divided.
+
+    Parameters
+    ----------
+    levels : int
+        Below the base.
+    spacings : float
+        Across a cell that points are dense enough for, at least.
+    scale : LocalScale
+        Of the points.
+    origin : ndarray of float64, shape (3,)
+        Where corner (0, 0, 0) of every level lies.
+    cell_size : float
+        Edge of the finest cells, in length units of the input.
+    """
+
+    levels: int
+    spacings: float
+    scale: LocalScale
+    origin: FloatArray
+    cell_size: float
+
+    @classmethod
+    def none(cls) -> Refinement:
+        """Return that of a lattice that is nowhere finer than at its base."""
+        return cls(0, 1.0, LocalScale.uniform(1.0), np.zeros(3), 1.0)
+
+    def divides(self, cells: IntArray, depth: int) -> BoolArray:
+        """Tell which cells with points are divided.
+
+        Parameters
+        ----------
+        cells : ndarray of int64, shape (c,)
+            Keys of a level.
+        depth : int
+            The level, 0 for the finest.
+        """
+        if not 0 < depth <= self.levels:
+            return np.zeros(len(cells), np.bool_)
+        size = self.cell_size * 2.0**depth
+        spacings = self.scale.at(self.origin + size * (unpack_keys(cells) + 0.5))
+        divided: BoolArray = self.spacings * spacings <= 0.5 * size
+        return divided
+
+    def mark_finest(self, corners: IntArray, cells: IntArray, depth: int) -> BoolArray:
+        """Tell at which corners of a level no finer quadrics are: those of its leaves.
+
+        Parameters
+        ----------
+        corners : ndarray of int64, shape (v,)
+            Sorted keys.
+        cells : ndarray of int64, shape (c,)
+            Sorted keys of the cells with points, all around the corners.
+        depth : int
+            The level, 0 for the finest.
+        """
+        if depth > self.levels:
+            return np.zeros(len(corners), np.bool_)
+        if not depth:
+            return np.ones(len(corners), np.bool_)
+        of_leaves = kernels.spread_keys(cells[~self.divides(cells, depth)], 0, 1)
+        finest: BoolArray = kernels.find_keys(of_leaves, corners) < len(of_leaves)
+        return finest
+
+    def lay(self, cells: list[IntArray], base: IntArray) -> list[IntArray]:
+        """Return the corners that carry quadrics from the finest level to the base.
+
+        Parameters
+        ----------
+        cells : list of ndarray of int64
+            Sorted keys of cells with points, of each level below the base.
+        base : ndarray of int64, shape (v,)
+            Sorted keys of corners of the base.
+
+        Returns
+        -------
+        list of ndarray of int64
+            The corners of the children of divided cells and of their neighbours; and ancestors.
+        """
+        laid: list[IntArray] = []
+        for depth, of_level in enumerate(cells):
+            is_child = self.divides(ancestor_keys(of_level), depth + 1)
+            corners = kernels.spread_keys(of_level[is_child], -1, 2)
+            laid.append(_with_parents(corners, laid))
+        return [*laid, _with_parents(base, laid)]
+
+    def cells_above(self, finest: IntArray) -> list[IntArray]:
+        """Return some of the finest cells, and their ancestors up to the base."""
+        cells = [finest]
+        for _ in range(self.levels):
+            cells.append(unique_keys(ancestor_keys(cells[-1])))
+        return cells
+
+
+def _with_parents(corners: IntArray, finer: list[IntArray]) -> IntArray:
+    """Return corners, and the parents of those of the next finer level."""
+    return kernels.unite_keys(corners, kernels.parent_keys(finer[-1])) if finer else corners
