@@ -171,7 +171,7 @@ def far_level(grid: Grid, nodes: int, cell_size: float, base: int, height: int) 
     cell_size : float
         Edge of the finest cells, in length units of the input.
     base : int
-        The finest level that covers the whole cloud.
+        The finest level whose cells are as large as the points of the whole cloud ask for.
     height : int
         How many levels there are.
 

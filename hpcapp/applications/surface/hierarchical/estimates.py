@@ -26,8 +26,9 @@ __all__ = ["Scale", "choose_scale", "suggest_grid"]
 
 _LEAST_AUTO, _SIXTEEN = 256, 16  # cells along the longest side
 _SPACINGS = 1.5  # across a cell
-_MOST_LEVELS = 3  # that the lattice is refined by
-_DENSE_SHARE = 0.02  # of the local scale's cells: what fewer of them hold is worth no level
+_FEWEST = 1.25  # likewise, by the spacing there: from these to twice as many
+_MOST_LEVELS = 3  # that cells are halved or doubled for
+_SHARES = 0.02, 0.95  # of the local scale's cells: what fewer of them hold is worth no level
 _NOISE_CELLS = 2.5  # standard deviations across a cell: its quadric has its prior to average with
 _PROBE_SPACINGS = 2.0
 _PROBE_LAM = 0.3
@@ -41,31 +42,38 @@ _NOISE_SHARE = 0.5  # of residuals: what remains is detail, and no point of it i
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """The cell size at the base of the lattice, and what led to it.
+    """The cell size, and what led to it.
 
     Parameters
     ----------
     spacing, noise, cell_size : float
-        In length units of the input; the noise is a standard deviation along the normal.
+        In length units of the input, by the whole cloud; the noise is a standard deviation along
+        the normal.
     tolerance : float
         How far off a point may lie until it counts half, in variances of the noise.
-    levels : int
-        So often cells are halved where points are dense enough for it.
+    finer, coarser : int
+        So often cells are halved where points are dense, and doubled where they are sparse.
     spacings : float
-        Of dense points, across such a cell.
+        Of the points around it, across a cell, at least.
     """
 
     spacing: float
     noise: float
     cell_size: float
     tolerance: float
-    levels: int
+    finer: int
+    coarser: int
     spacings: float
 
     @property
     def finest(self) -> float:
         """Edge of the finest cells, in length units of the input."""
-        return self.cell_size * 2.0**-self.levels
+        return self.cell_size * 2.0**-self.finer
+
+    @property
+    def levels(self) -> int:
+        """From the finest cells up to those of the base, which cover the whole cloud."""
+        return self.finer + self.coarser
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,14 +191,20 @@ def choose_scale(
     """
     spacing = measured.spacing
     noise = _probe(measured.sample, spacing, threads)
-    spacings, least = _SPACINGS / detail, _NOISE_CELLS * noise.deviation * smoothness / detail
-    cell_size = max(spacings * spacing, least, step)
-    levels = 0
-    if np.isinf(noise.tolerance):  # else the points of the finest cells are weighed, of one level
-        dense = measured.scale.quantile(_DENSE_SHARE)
-        finest = max(spacings * dense, least, step)
-        levels = int(np.clip(np.floor(np.log2(cell_size / finest)), 0, _MOST_LEVELS))
-    return Scale(spacing, noise.deviation, cell_size, noise.tolerance, levels, spacings)
+    averaged, spacings = _NOISE_CELLS * noise.deviation * smoothness / detail, _FEWEST / detail
+    cell_size = max(_SPACINGS / detail * spacing, averaged, step)
+    finer = coarser = 0
+    if np.isinf(noise.tolerance):  # else points are weighed by two levels that cover all of them
+        dense, sparse = (measured.scale.quantile(share) for share in _SHARES)
+        finest = max(spacings * dense, averaged, step)
+        finer = _count_halvings(np.floor(np.log2(cell_size / finest)))
+        coarser = _count_halvings(np.round(np.log2(_SPACINGS / detail * sparse / cell_size)))
+    scale = spacing, noise.deviation, cell_size, noise.tolerance
+    return Scale(*scale, finer, coarser, spacings)
+
+
+def _count_halvings(levels: float) -> int:
+    return int(np.clip(levels, 0, _MOST_LEVELS))
 
 
 def suggest_grid(

@@ -162,10 +162,11 @@ class HierarchicalMethod:
         grid = plan_grid(low, high, self.grid)
         scale = choose_scale(cloud.measure(), grid.step, self.smoothness, self.detail, self.threads)
         below, measured = scale.levels, cloud.measure()
-        height = below + count_levels(float((high - low).max()), scale.cell_size)
+        height = scale.finer + count_levels(float((high - low).max()), scale.cell_size)
+        height = max(height, below + 1)
         noise = scale.noise * self.smoothness
         nodes = choose_nodes(grid.box, scale.finest, noise, measured)
-        far = far_level(grid, nodes, scale.finest, below, height)
+        far = far_level(grid, nodes, scale.finest, scale.finer, height)
         count = self._count_tiles(cloud, height - below, workforce)
         tolerance = scale.tolerance if height > _ROBUST_LEVELS else np.inf
         least = below + 1 if np.isinf(tolerance) else _ROBUST_LEVELS
@@ -337,9 +338,9 @@ class HierarchicalMethod:
             "spacing": partition.scale.spacing,
             "spacing_range": list(plan.refinement.scale.range),
             "noise": partition.scale.noise,
-            "cell_size": plan.base_size,
+            "cell_size": partition.scale.cell_size,
             "refined_levels": plan.refinement.levels,
-            "lam": plan.weights[plan.refinement.levels].lam,
+            "lam": plan.weights[partition.scale.finer].lam,
             "levels": plan.height,
             "tiles": 1 if partition.tiling is None else len(partition.tiling),
             **({} if partition.closure is None else partition.closure.facts()),

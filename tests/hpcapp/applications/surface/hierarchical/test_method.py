@@ -175,6 +175,83 @@ def tailed_torus(count: int) -> PointCloud:
     return PointCloud(cloud.positions + shifts * cloud.normals, cloud.normals)
 
 
+def uneven_torus(count: int) -> PointCloud:
+    """Half of the points on a sixtieth of the torus, as where a second scanner stood close."""
+    everywhere, close = torus(count // 2), torus(30 * count)
+    angles = np.arctan2(close.positions[:, 1], close.positions[:, 0])
+    rows = np.flatnonzero(np.abs(angles) < np.pi / 60.0)[: count // 2]
+    close = close.take(rows)
+    assert everywhere.normals is not None
+    assert close.normals is not None
+    return PointCloud(
+        np.concatenate([everywhere.positions, close.positions]),
+        np.concatenate([everywhere.normals, close.normals]),
+    )
+
+
+def rippled_ball(count: int, is_even: bool) -> PointCloud:
+    """A ball with ripples around its pole, where half of the points are unless it is even."""
+    rng = np.random.default_rng(7)
+    z = rng.uniform(-1.0, 1.0, count)
+    if not is_even:
+        z[: count // 2] = rng.uniform(0.96, 1.0, count // 2)
+    turn, ring = rng.uniform(0.0, 2.0 * np.pi, count), np.sqrt(1.0 - z * z)
+    units = np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1)
+    angle = np.arctan2(ring, z)
+    heights = ripple_height(angle)
+    along = np.stack([z * np.cos(turn), z * np.sin(turn), -ring], axis=1)
+    slope = (ripple_height(angle + 1e-6) - ripple_height(angle - 1e-6)) / 2e-6
+    normals = (1.0 + heights)[:, None] * units - slope[:, None] * along
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return PointCloud((1.0 + heights)[:, None] * units, normals)
+
+
+def ripple_height(angle: FloatArray) -> FloatArray:
+    height: FloatArray = 0.004 * np.exp(-((angle / 0.2) ** 4)) * np.cos(60.0 * angle)
+    return height
+
+
+def test_ripples_come_out_where_points_are_dense_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    cloud = rippled_ball(12_000, is_even=False)
+    errors = []
+    for levels in (3, 0):
+        monkeypatch.setattr(estimates, "_MOST_LEVELS", levels)
+        mesh, facts = reconstruct(cloud, HierarchicalMethod(320))
+        assert_closed(mesh, genus=0)
+        assert (facts["refined_levels"] > 0) == (levels > 0)
+        radius = np.linalg.norm(mesh.vertices, axis=1)
+        angle = np.arccos(mesh.vertices[:, 2] / radius)
+        off = np.abs(radius - 1.0 - ripple_height(angle))
+        errors.append((off[angle < 0.2].mean(), off[angle > 0.4].mean()))
+    assert errors[0][0] < 0.6 * errors[1][0]
+    assert max(errors[0][1], errors[1][1]) < 2e-5  # where nothing ripples
+
+
+def test_an_even_cloud_is_not_refined() -> None:
+    cloud = rippled_ball(12_000, is_even=True)
+    _, facts = reconstruct(cloud, HierarchicalMethod(320))
+    assert facts["refined_levels"] == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tiles", [2, 5])
+def test_a_refined_lattice_gives_the_same_bits_in_tiles_and_slabs(
+    tiles: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cloud = uneven_torus(6000)
+    whole, facts = reconstruct(cloud, HierarchicalMethod(256))
+    assert facts["refined_levels"] >= 2
+    assert_closed(whole, genus=1)
+    mesh, _ = reconstruct(cloud, HierarchicalMethod(256), tiles)
+    assert mesh.vertices.tobytes() == whole.vertices.tobytes()
+    assert mesh.faces.tobytes() == whole.faces.tobytes()
+    monkeypatch.setattr(field_levels, "_LEAST_LAYERS", 1)
+    monkeypatch.setattr(slab_growth, "SLAB_QUADRICS", facts["patches"] // 10)
+    mesh, _ = reconstruct(cloud, HierarchicalMethod(256))
+    assert np.array_equal(mesh.vertices, whole.vertices)
+    assert np.array_equal(mesh.faces, whole.faces)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("grid", [40, 96])
 @pytest.mark.parametrize("shape", [torus, rough_torus, tailed_torus, half_torus, sheet])
