@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from hpccomponent.errors import UsageError
 from hpccomponent.terminal import echo, echo_json, visible_line
 
 if TYPE_CHECKING:
@@ -40,9 +41,17 @@ SAMPLE = click.option(
     metavar="FILE",
     help="Draw the points into a picture.",
 )
-def info(points: tuple[str, ...], sample: int | None, as_json: bool, png: Path | None) -> None:
+@click.option(
+    "--by-spacing",
+    is_flag=True,
+    help="In the picture, colour the points by their spacing: dense ones blue, sparse ones yellow.",
+)
+def info(
+    points: tuple[str, ...], sample: int | None, as_json: bool, png: Path | None, by_spacing: bool
+) -> None:
     """Print what the point clouds POINTS hold, and what of it was taken for what."""
     from hpcapp.applications.points.info import describe_file
+    from hpcapp.applications.points.spacing_colours import colour_by_spacing
     from hpcapp.io import open_points
     from hpcapp.io.points.inputs import gather_points
     from hpcapp.pages.thumbnail import write_thumbnail
@@ -53,9 +62,11 @@ def info(points: tuple[str, ...], sample: int | None, as_json: bool, png: Path |
     shown = points[0] if len(points) == 1 else f"{points[0]} and others"
     for line in findings.lines():
         log.warning("warning: %s: %s", shown, line)
+    if by_spacing and png is None:
+        raise UsageError("--by-spacing is for the picture", "add --png FILE, or leave it out")
     if png is not None:
         scanner = source.scans[0].scanner if len(source.scans) == 1 else None
-        write_thumbnail(png, cloud, scanner)
+        write_thumbnail(png, colour_by_spacing(cloud) if by_spacing else cloud, scanner)
     if as_json:
         echo_json(facts)
         return

@@ -19,7 +19,15 @@ from hpcapp.applications.surface.scale.local_scale import (
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpccomponent.errors import InputError
 
-__all__ = ["SAMPLED_BOX", "Measured", "Points", "draw_sample", "first_share", "measure_points"]
+__all__ = [
+    "SAMPLED_BOX",
+    "Measured",
+    "Points",
+    "draw_sample",
+    "find_scale",
+    "first_share",
+    "measure_points",
+]
 
 Points = tuple[FloatArray, FloatArray]
 """Positions in length units of the input and unit normals, each of shape (n, 3)."""
@@ -65,20 +73,35 @@ def measure_points(points: PointCloud) -> Measured:
     positions, normals = points.positions, points.normals
     if normals is None:
         raise InputError("the cloud has no normals", "give oriented points")
-    spacing = estimate_spacing(positions)
+    scale = find_scale(positions)
     low, _ = bound_points(positions)
 
     def draw(one_in: int) -> Points:
         if one_in == 1:
             return positions, normals
-        rows = kernels.sample_boxes(positions, low, SAMPLED_BOX * spacing, one_in)
+        rows = kernels.sample_boxes(positions, low, SAMPLED_BOX * scale.spacing, one_in)
         return positions[rows], normals[rows]
 
-    lattice = choose_arrangement(*bound_points(positions))
+    return Measured(scale, PointCloud(*draw_sample(draw, len(points))))
+
+
+def find_scale(positions: FloatArray) -> LocalScale:
+    """Find how the spacing of points in memory changes from place to place.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+        In length units of the input.
+
+    Raises
+    ------
+    InputError
+        All points are the same.
+    """
+    spacing, lattice = estimate_spacing(positions), choose_arrangement(*bound_points(positions))
     edge = lattice.edge * 2.0**-HALVINGS
     counted = count_scale(positions, lattice.origin, edge, count_depth(edge, spacing))
-    scale = make_scale(spacing, lattice.origin, edge, [counted])
-    return Measured(scale, PointCloud(*draw_sample(draw, len(points))))
+    return make_scale(spacing, lattice.origin, edge, [counted])
 
 
 def first_share(points: int) -> int:
