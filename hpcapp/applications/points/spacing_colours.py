@@ -23,7 +23,7 @@ def colour_by_spacing(cloud: PointCloud) -> PointCloud:
     InputError
         All points are the same.
     """
-    finite = cloud.take(np.isfinite(cloud.positions).all(axis=1))
+    finite = cloud.take(np.flatnonzero(np.isfinite(cloud.positions).all(axis=1)))
     scale = find_scale(finite.positions)
     doublings = np.log2(scale.at(finite.positions) / scale.spacing)
     at = (doublings / _DOUBLINGS + 1.0).clip(0.0, 2.0) * (len(_COLOURS) - 1) / 2.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -203,7 +204,7 @@ def choose_scale(
     return Scale(*scale, finer, coarser, spacings)
 
 
-def _count_halvings(levels: float) -> int:
+def _count_halvings(levels: np.floating[Any]) -> int:
     return int(np.clip(levels, 0, _MOST_LEVELS))
 
 
