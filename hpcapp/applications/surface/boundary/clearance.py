@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,9 +34,14 @@ from hpcapp.applications.surface.types.points import (
 )
 from hpccomponent.protocol.records import record
 
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
+
 __all__ = ["SupportRule", "find_bare", "measure_clearance"]
 
 _FLATNESS = 0.5  # of the ellipsoids, where points are as dense as those of the whole cloud
+_NEIGHBOURS = 6  # which one's distance tells a point's own spacing
+_DENSITY = np.sqrt(np.pi / _NEIGHBOURS)  # times that distance
 _AGREEING = 3  # points, of which the one that supports least counts
 _LEAST, _MOST = 0.85, 1.4  # clearances are clamped to these: only those around 1 are asked for
 _CLASS = 1.25  # points whose radii differ by less are searched together
@@ -69,11 +75,47 @@ class SupportRule:
     @property
     def reach(self) -> float:
         """How far from a place points may lie that its clearance depends on."""
-        return _MOST * max(self.typical, self.spacings * self.scale.range[1])
+        return _MOST * self.most + self._farthest
+
+    @property
+    def most(self) -> float:
+        """The largest radius."""
+        return max(self.typical, self.spacings * self.scale.range[1])
+
+    @property
+    def _farthest(self) -> float:
+        """Neighbours that are farther away do not make a radius larger."""
+        return self.most / (self.spacings * _DENSITY) if self.spacings else 0.0
 
     def radii(self, places: FloatArray) -> FloatArray:
         """Return the radius of points at some places, in length units of the input."""
         return np.maximum(self.least, self.spacings * self.scale.at(places))
+
+    def own_radii(self, tree: cKDTree, rows: IntArray, radii: FloatArray) -> FloatArray:
+        """Return the radii of some points by their own neighbours.
+
+        They lie between those by the spacing around and by that of the whole cloud: few points in
+        a corner that is hardly seen make no sparse surface.
+
+        Parameters
+        ----------
+        tree : cKDTree
+            Of all points around.
+        rows : ndarray of int64, shape (k,)
+            Of these.
+        radii : ndarray of float64, shape (k,)
+            By the spacing around.
+        """
+        if not self.spacings:
+            return radii
+        distances, _ = tree.query(
+            tree.data[rows],
+            [_NEIGHBOURS + 1],
+            distance_upper_bound=self._farthest * (1.0 + 1e-9),
+        )
+        bounds = np.minimum(radii, self.typical), np.maximum(radii, self.typical)
+        own: FloatArray = (self.spacings * _DENSITY * distances[:, 0]).clip(*bounds)
+        return own
 
     def thickness(self, radii: FloatArray) -> FloatArray:
         """Return how far off their plane points of some radii support."""
@@ -102,7 +144,7 @@ def measure_clearance(
     from scipy.spatial import cKDTree  # heavy, and of no use where nothing is cut
 
     tree = cKDTree(cloud.positions, balanced_tree=False, compact_nodes=False)
-    bound, radii = rule.reach, rule.radii(cloud.positions)
+    bound, radii = _MOST * rule.most, rule.radii(cloud.positions)
     # (v, 3): the nearest points bound a place's clearance on both sides: most places are sure of
     # theirs by that.
     distances, nearest = tree.query(places, _AGREEING, distance_upper_bound=bound, workers=threads)
@@ -116,12 +158,14 @@ def measure_clearance(
     from_places, _ = cKDTree(places[unsure]).query(
         cloud.positions, distance_upper_bound=bound, workers=threads
     )
-    rows = np.flatnonzero(from_places < _MOST * radii)  # points that may matter to one
+    # (k,): points that may matter to one, and their radii
+    rows = np.flatnonzero(from_places < _MOST * np.maximum(radii, rule.typical))
+    radii = rule.own_radii(tree, rows, radii[rows])
     # (u, 3): the least squared clearances of each, of which the third counts.
     least = np.full((len(unsure), _AGREEING), _MOST * _MOST)
-    for alike in _by_radius(radii[rows]):
-        some = rows[alike]
-        for run, at, squares in _near_places(places[unsure], cloud.take(some), radii[some], rule):
+    for alike in _by_radius(radii):
+        points = cloud.take(rows[alike])
+        for run, at, squares in _near_places(places[unsure], points, radii[alike], rule):
             _lower(least[run], at, squares)
     clearance[unsure] = np.clip(np.sqrt(least[:, -1]), _LEAST, _MOST)
     return clearance.astype(np.float32)
