@@ -61,6 +61,7 @@ def reconstruct(
     close: str | None = None,
     trim: str | None = None,
     fill_holes: str | None = None,
+    uniform: bool | None = None,
     attributes: str = "auto",
     faces: int | None = None,
     tolerance: float | None = None,
@@ -80,12 +81,12 @@ def reconstruct(
         Pointing out of the object, of any length but zero; not beside a cloud. Estimated where
         there are none.
     grid : int, optional
-        Cells along the longest side, 16 to 4096; by default what the points resolve, 256 or more.
+        Cells along the longest side, 16 to 4096; by default what the points resolve.
     voxel_size : float, optional
         Edge of a cell in the unit of the points; takes the place of `grid`.
     method : str, Hierarchical or Paper
         ``hierarchical``, ``paper``, or a method with its options: ``hpcapp.Paper(delta=0.2)``.
-    smoothness, detail, clean, close, trim, fill_holes : float, bool and str, optional
+    smoothness, detail, clean, close, trim, fill_holes, uniform : float, bool and str, optional
         Options of the default method, where `method` is a name; see `hpcapp.Hierarchical`.
     attributes : str
         What the mesh's vertices carry: ``auto`` (all that the cloud has), ``none``, or names with
@@ -137,6 +138,7 @@ def reconstruct(
         "close": close,
         "trim": trim,
         "fill_holes": fill_holes,
+        "uniform": uniform,
     }
     settings = Settings(
         method=_choose_method(method, options),

@@ -210,7 +210,7 @@ def _add_method_options(command: click.Command) -> click.Command:
     "--grid",
     type=GridSize(),
     metavar="N",
-    help="Cells along the longest side, 16 to 4096, or auto: what the scan resolves, 256 or more, "
+    help="Cells along the longest side, 16 to 4096, or auto: what the scan resolves, "
     "as far as memory allows.  [default: auto]",
 )
 @click.option("--depth", type=click.IntRange(4, 12), metavar="D", help="The same as --grid 2^D.")

@@ -30,6 +30,7 @@ from hpcapp.applications.surface.boundary.tasks import (
 )
 from hpcapp.applications.surface.checkpoint import Checkpoint
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
+from hpcapp.applications.surface.cloud.measured import Measured
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.extraction.taken_bricks import TakenBricks
 from hpcapp.applications.surface.method import Advance
@@ -40,7 +41,7 @@ from hpcapp.applications.surface.tiles.patterns import surface_box
 from hpcapp.applications.surface.tiles.plan import Plan
 from hpcapp.applications.surface.types.grid import BRICK
 from hpcapp.applications.surface.types.lattice import unpack_keys
-from hpcapp.applications.surface.types.points import BoolArray, IntArray, PointCloud
+from hpcapp.applications.surface.types.points import BoolArray, IntArray
 from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.errors import InputError
 
@@ -48,9 +49,9 @@ __all__ = ["Closure", "OpeningSettings", "close_surface"]
 
 log = logging.getLogger("hpcapp")
 
-BARE_SHARE, ONE_WAY_SHARE = 0.2, 0.05
+BARE_SHARE, TELLING_SHARE = 0.2, 0.05
 """A closed surface of which no point supports more than this share is left open; the second one
-where the normals face one way, as those of no closed surface do. Objects scanned from all sides
+where the normals face one way, or inwards, as those of no object do. Objects scanned from all sides
 have less than a tenth, views, terrains and rooms most often more than a third."""
 
 _SPACINGS, _NOISES, _STEPS = 3.0, 4.0, 1.5  # of the trim distance that is chosen
@@ -152,7 +153,9 @@ class _Parts:
         summary, bricks = self.surface.summaries[index], self.surface.plan.bricks
         rows = np.flatnonzero(bricks.is_taken[bricks.of_part(index)])
         box = np.stack(surface_box(self.plan))
-        return TakenBricks(summary.bricks[rows], summary.vertex_counts[rows], box)
+        keys, strides = summary.bricks[rows], self.plan.strides
+        exponents = np.zeros(len(keys), np.uint8) if strides is None else strides.at(keys)
+        return TakenBricks(keys, summary.vertex_counts[rows], exponents, box)
 
     def part(self, index: int) -> MeshPart | tuple[Any, Any]:
         """Return a part as a task is given it."""
@@ -243,10 +246,11 @@ def close_surface(
     reason, is_room = "open, as asked", False
     if not asked.is_asked:
         share = _find_bare_share(parts, chosen)
-        is_one_way = share > ONE_WAY_SHARE and _faces_one_way(cloud.measure().sample)
-        if share <= (ONE_WAY_SHARE if is_one_way else BARE_SHARE):
+        is_telling = share > TELLING_SHARE  # else nobody asks what the normals tell
+        is_one_way = is_telling and _faces_one_way(cloud.measure())
+        is_room = is_telling and not is_one_way and faces_inwards(cloud.measure().sample)
+        if share <= (TELLING_SHARE if is_one_way or is_room else BARE_SHARE):
             return surface, Closure(False, f"closed: points support {_percent(1.0 - share)} of it")
-        is_room = not is_one_way and faces_inwards(cloud.measure().sample)
         seen = "from inside, as a room" if is_room else "in part"
         seen = "from one side, as a view or a terrain" if is_one_way else seen
         reason = f"open: seen {seen}; no point supports {_percent(share)} of the closed surface"
@@ -275,9 +279,9 @@ def _find_bare_share(parts: _Parts, rule: SupportRule) -> float:
     def batch(index: int) -> tuple[Any, ...]:
         return parts.part(index), parts.taken(index), parts.near(index, rule.reach), rule
 
-    found = [counts for _, counts in parts.run(judge_support, batch)]
-    bare, vertices = (sum(column) for column in zip(*found, strict=True))
-    return float(bare / max(1, vertices))
+    found = [areas for _, areas in parts.run(judge_support, batch)]
+    bare, whole = (sum(column) for column in zip(*found, strict=True))
+    return float(bare / max(1, whole))
 
 
 def _cut(
@@ -321,7 +325,7 @@ def _cut(
         opened[index] = kept, summary
         advance(len(parts) + len(opened), 2 * len(parts))
     cuts, summaries = zip(*(opened[index] for index in range(len(parts))), strict=True)
-    crumb = int(_FACES * (_CRUMB * rule.typical / parts.plan.step) ** 2)
+    crumb = int(_FACES * (_CRUMB * rule.typical / parts.plan.usual_step) ** 2)
     opened_surface = PartSurface(
         [*cuts], [*summaries], surface.origin, checkpoint, surface.workers, crumb
     )
@@ -344,8 +348,10 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:.0f} %"
 
 
-def _faces_one_way(sample: PointCloud) -> bool:
-    """Tell whether the normals of a cloud face one way."""
+def _faces_one_way(measured: Measured) -> bool:
+    """Tell whether the normals of a cloud face one way, each counted by the area around it."""
+    sample = measured.sample
     assert sample.normals is not None  # noqa: S101 - they were measured
-    mean = sample.normals.mean(axis=0)
+    areas = measured.scale.at(sample.positions) ** 2
+    mean = (areas[:, None] * sample.normals).sum(axis=0) / areas.sum()
     return float(np.sqrt((mean * mean).sum())) >= _ONE_WAY

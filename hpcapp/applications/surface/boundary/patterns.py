@@ -61,7 +61,8 @@ def open_surface(taken: TakenBricks, keep: tuple[str, str] | None) -> Declared:
 
 def judged_support(_part: Any, taken: TakenBricks, *_: Any) -> Declared:
     """Return the pattern of what `tasks.judge_support` counts."""
-    return Fixed(Whole(0, taken.vertices), Exactly(taken.vertices))
+    whole = int(taken.areas.sum())
+    return Fixed(Whole(0, whole), Exactly(whole))
 
 
 def opening_seams(

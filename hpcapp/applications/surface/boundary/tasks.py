@@ -81,18 +81,17 @@ def judge_support(part: Part, taken: TakenBricks, near: Near, rule: SupportRule)
     near : Near
         All points within the rule's reach of them.
     rule : SupportRule
-        With one radius for all points.
 
     Returns
     -------
-    bare, vertices : int
-        A brick counts as its vertices.
+    bare, whole : int
+        Areas, see `TakenBricks`.
     """
     held = _hold(part)
-    counts = np.where(taken.mark(held), held.vertex_counts, 0)
-    places = held.vertices[starts_of(held.vertex_counts)[:-1][counts > 0]]
-    bare = find_bare(places, near.read(), rule)
-    return int(counts[counts > 0][bare].sum()), int(counts.sum())
+    areas, is_taken = taken.areas, taken.mark(held)
+    first = starts_of(held.vertex_counts)[:-1][is_taken & (held.vertex_counts > 0)]
+    bare = find_bare(held.vertices[first], near.read(), rule)
+    return int(areas[areas > 0][bare].sum()), int(areas.sum())
 
 
 @declare(result=opening_seams, limit=lambda _part, taken, *_: opened_bytes(taken, None))

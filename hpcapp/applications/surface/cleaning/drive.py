@@ -17,7 +17,7 @@ from hpcapp.applications.surface.cleaning.outlier_regions import DroppedCells
 from hpcapp.applications.surface.cloud.cloud_pass import CloudPass, PassT
 from hpcapp.applications.surface.cloud.measure import measure_spacing
 from hpcapp.applications.surface.normals import consistency
-from hpcapp.applications.surface.types.lattice import unique_keys
+from hpcapp.applications.surface.types.lattice import lay_lattice, unique_keys
 
 __all__ = [
     "Cleaned",
@@ -79,15 +79,15 @@ def clean_cloud(cloud_pass: PassT, spacing: float) -> tuple[PassT, Cleaned, floa
         outliers = sum(count for (count,) in counts)
         spacing = measure_spacing(cloud_pass)
     margin = consistency.MARGIN * spacing
-    cloud_pass, counts = cloud_pass.rewrite(
-        tasks.mend_region, cloud_pass.cloud.low, spacing, margin=margin
-    )
+    corner = lay_lattice(cloud_pass.cloud.low, spacing)
+    cloud_pass, counts = cloud_pass.rewrite(tasks.mend_region, corner, spacing, margin=margin)
     return cloud_pass, Cleaned(outliers, sum(count for (count,) in counts)), spacing
 
 
 def _find_outliers(cloud_pass: CloudPass, spacing: float) -> DroppedCells | None:
     """Return the cells whose points lie apart from every surface; None where there are none."""
-    low, margin = cloud_pass.cloud.low, outlier_regions.MARGIN * spacing
+    low = lay_lattice(cloud_pass.cloud.low, spacing)
+    margin = outlier_regions.MARGIN * spacing
     ranks = cloud_pass.each(tasks.rank_region, low, spacing, margin=margin)
     judged = outlier_regions.judge_sparse(ranks)
     strays = [judged.stray_cells]

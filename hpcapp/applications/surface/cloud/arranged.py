@@ -19,7 +19,7 @@ from hpcapp.applications.surface.cloud.arrangement import (
     Arrangement,
     PackedPoints,
     choose_arrangement,
-    pack_snapped,
+    pack_points,
     snap_points,
 )
 from hpcapp.applications.surface.cloud.measured import Measured, Points, measure_points
@@ -213,7 +213,7 @@ class MemoryCloud:
         if not len(points[0]):
             none = np.empty(0, np.int64)
             return PackedPoints.from_records(none, none, np.empty((0, 6), np.float32))
-        return pack_snapped(self.arrangement, *points)
+        return pack_points(self.arrangement, *points)
 
     def count_cells(
         self, keys: IntArray, origin: FloatArray, size: float

@@ -2,10 +2,12 @@
 
 ::
 
-    positions ── snapped to multiples of a quantum ── sorted stably by blocks of 2^24 quanta
+    positions ── snapped to the middles of quanta ── sorted stably by blocks of 2^23 quanta
 
-All steps are powers of two, so that every number here is exact: a position is its block's place
-and an offset that float32 holds without rounding, 24 bytes with its normal instead of 48.
+Blocks are laid by the cloud's box alone: wherever a cloud lies, and whatever its unit, the same
+points share a block and a quantum. A position is its block's place and an offset that float32
+holds without rounding, 24 bytes with its normal instead of 48. Middles lie on no face: rounding
+moves none of them to another quantum, so that what is snapped or packed again stays as it is.
 
 The functions with `records` are kernels.
 """
@@ -14,13 +16,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from math import frexp
 from typing import Any
 
 import numpy as np
 
 from hpcapp.applications.surface import kernels
-from hpcapp.applications.surface.types.lattice import unpack_keys
+from hpcapp.applications.surface.types.lattice import lay_lattice, unpack_keys
 from hpcapp.applications.surface.types.points import Float32Array, FloatArray, IntArray
 from hpccomponent.errors import InputError
 from hpccomponent.protocol.records import record
@@ -31,7 +32,6 @@ __all__ = [
     "choose_arrangement",
     "interleave",
     "pack_points",
-    "pack_snapped",
     "snap_points",
     "unpack_near",
     "unpack_points",
@@ -39,13 +39,10 @@ __all__ = [
 ]
 
 
-QUANTA_BITS = 24
-"""Of an offset within a block: the significand of float32."""
-
-
 _ROWS_AT_ONCE = 1 << 14  # what is made of them stays in the cache
 _RECORDS_AT_ONCE = 1 << 16  # so do these, as whole pages of a file
-_BLOCKS_BITS = 6  # at most 2^6 blocks along the longest side, and more than half of that
+_BLOCKS = 63.0  # along the longest side
+_LEAST_EXTENT = 2.0**-20  # by the largest coordinate: a quantum is some of its last bits
 
 
 @record("surface.arrangement")
@@ -56,9 +53,9 @@ class Arrangement:
     Parameters
     ----------
     origin : ndarray of float64, shape (3,)
-        Corner of block (0, 0, 0): a multiple of `edge`.
+        Corner of block (0, 0, 0).
     edge : float
-        Of a block, in length units of the input: a power of two.
+        Of a block, in length units of the input.
     """
 
     origin: FloatArray
@@ -66,8 +63,8 @@ class Arrangement:
 
     @property
     def quantum(self) -> float:
-        """What all positions are multiples of, in length units of the input."""
-        return self.edge * 2.0**-QUANTA_BITS
+        """What positions are rounded to, in length units of the input."""
+        return self.edge / kernels.QUANTA
 
 
 @record("surface.packed_points")
@@ -133,7 +130,8 @@ def choose_arrangement(low: FloatArray, high: FloatArray) -> Arrangement:
     Returns
     -------
     Arrangement
-        Its edge is the power of two in [longest side / 64, longest side / 32).
+        Of 63 blocks along the longest side, which touches 64 of them; of fewer where float64 holds
+        the coordinates no finer.
 
     Raises
     ------
@@ -142,19 +140,19 @@ def choose_arrangement(low: FloatArray, high: FloatArray) -> Arrangement:
 
     Examples
     --------
-    >>> choose_arrangement(np.zeros(3), np.array([1.0, 0.5, 0.2])).edge
-    0.015625
+    >>> choose_arrangement(np.zeros(3), np.array([126.0, 50.0, 20.0])).edge
+    2.0
     """
     longest = float((high - low).max())
     if not longest > 0.0:
         raise InputError("all points lie at one place", "scan something with an extent")
-    fraction, exponent = frexp(longest)
-    edge = 2.0 ** (exponent - _BLOCKS_BITS - (fraction == 0.5))
-    return Arrangement(np.floor(low / edge) * edge, edge)
+    largest = float(np.abs([low, high]).max())
+    edge = max(longest, _LEAST_EXTENT * largest) / _BLOCKS
+    return Arrangement(lay_lattice(low, edge), edge)
 
 
 def snap_points(arrangement: Arrangement, positions: FloatArray) -> FloatArray:
-    """Round positions to multiples of the quantum.
+    """Move positions to the middles of the quanta that they lie in.
 
     Parameters
     ----------
@@ -165,23 +163,30 @@ def snap_points(arrangement: Arrangement, positions: FloatArray) -> FloatArray:
     Returns
     -------
     ndarray of float64, shape (n, 3)
-        A copy; each coordinate moves by less than 1e-9 of the longest side.
+        A copy, of what `unpack_points` gives; each coordinate moves by less than 1e-9 of the
+        longest side.
     """
     snapped = np.empty_like(positions)
-    quantum = arrangement.quantum
     for start in range(0, len(positions), _ROWS_AT_ONCE):
         rows = slice(start, start + _ROWS_AT_ONCE)
-        part = np.divide(positions[rows], quantum, out=snapped[rows])
-        np.rint(part, out=part)
-        part *= quantum
-    snapped += 0.0  # no negative zeros: equal positions have equal bytes
+        part = np.subtract(positions[rows], arrangement.origin, out=snapped[rows])
+        part /= arrangement.edge
+        corners = np.floor(part)
+        part -= corners
+        part *= kernels.QUANTA
+        np.floor(part, out=part)
+        part += 0.5
+        part *= arrangement.quantum
+        corners *= arrangement.edge
+        corners += arrangement.origin
+        part += corners
     return snapped
 
 
 def pack_points(
     arrangement: Arrangement, positions: FloatArray, normals: FloatArray
 ) -> PackedPoints:
-    """Snap points, sort them by blocks and pack them.
+    """Sort points by blocks, and pack them as `snap_points` rounds them.
 
     Parameters
     ----------
@@ -199,14 +204,7 @@ def pack_points(
     InputError, ValueError
         A point lies more than 2^20 blocks away.
     """
-    return pack_snapped(arrangement, snap_points(arrangement, positions), normals)
-
-
-def pack_snapped(
-    arrangement: Arrangement, snapped: FloatArray, normals: FloatArray
-) -> PackedPoints:
-    """Pack points that have been snapped; as `pack_points` else."""
-    points = np.ascontiguousarray(snapped, np.float64), np.ascontiguousarray(normals, np.float64)
+    points = np.ascontiguousarray(positions, np.float64), np.ascontiguousarray(normals, np.float64)
     return PackedPoints.from_records(
         *kernels.pack_records(*points, arrangement.origin, arrangement.edge)
     )

@@ -18,7 +18,7 @@ from hpcapp.applications.surface.scale.local_scale import (
     count_depth,
     make_scale,
 )
-from hpcapp.applications.surface.types.lattice import unique_keys
+from hpcapp.applications.surface.types.lattice import lay_lattice, unique_keys
 from hpcapp.applications.surface.types.points import PointCloud
 
 __all__ = ["draw_boxes", "measure_cloud", "measure_scale", "measure_spacing"]
@@ -35,7 +35,8 @@ def measure_spacing(cloud_pass: CloudPass) -> float:
     cloud = cloud_pass.cloud
 
     def count(edge: float, one_in: int, is_distinct: bool) -> tuple[int, int]:
-        counted = cloud_pass.each(count_boxes, cloud.low, edge, one_in, is_distinct)
+        corner = lay_lattice(cloud.low, edge)
+        counted = cloud_pass.each(count_boxes, corner, edge, one_in, is_distinct)
         points, keys = zip(*counted, strict=True)
         return sum(points), len(unique_keys(np.concatenate(keys)))
 
@@ -79,6 +80,7 @@ def draw_boxes(cloud_pass: CloudPass, edge: float, one_in: int) -> Points:
     one_in : int
         How many boxes make one sampled.
     """
-    samples = cloud_pass.each(sample_region, cloud_pass.cloud.low, edge, one_in)
+    corner = lay_lattice(cloud_pass.cloud.low, edge)
+    samples = cloud_pass.each(sample_region, corner, edge, one_in)
     positions, normals = (np.concatenate(column) for column in zip(*samples, strict=True))
     return positions, normals

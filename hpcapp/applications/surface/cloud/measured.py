@@ -16,6 +16,7 @@ from hpcapp.applications.surface.scale.local_scale import (
     count_scale,
     make_scale,
 )
+from hpcapp.applications.surface.types.lattice import lay_lattice
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpccomponent.errors import InputError
 
@@ -79,7 +80,8 @@ def measure_points(points: PointCloud) -> Measured:
     def draw(one_in: int) -> Points:
         if one_in == 1:
             return positions, normals
-        rows = kernels.sample_boxes(positions, low, SAMPLED_BOX * scale.spacing, one_in)
+        edge = SAMPLED_BOX * scale.spacing
+        rows = kernels.sample_boxes(positions, lay_lattice(low, edge), edge, one_in)
         return positions[rows], normals[rows]
 
     return Measured(scale, PointCloud(*draw_sample(draw, len(points))))

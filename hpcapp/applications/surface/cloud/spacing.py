@@ -9,7 +9,12 @@ import numpy as np
 
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.kernels import bound_points
-from hpcapp.applications.surface.types.lattice import cells_of, pack_places, unique_keys
+from hpcapp.applications.surface.types.lattice import (
+    cells_of,
+    lay_lattice,
+    pack_places,
+    unique_keys,
+)
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpccomponent.errors import InputError
 
@@ -53,7 +58,7 @@ def estimate_spacing(positions: FloatArray) -> float:
 
     def count(edge: float, one_in: int, is_distinct: bool) -> tuple[int, int]:
         counted = np.unique(positions, axis=0) if is_distinct else positions
-        return kernels.count_boxes(counted, low, edge, one_in)
+        return kernels.count_boxes(counted, lay_lattice(low, edge), edge, one_in)
 
     return search_spacing(count, len(positions), low, high)
 

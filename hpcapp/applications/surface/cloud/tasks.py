@@ -51,7 +51,7 @@ def count_boxes(
     ----------
     points : RegionPoints
     low : ndarray of float64, shape (3,)
-        The least coordinates of the cloud.
+        Corner of a box.
     edge : float
         Of the boxes, in length units of the input.
     one_in : int

@@ -62,7 +62,7 @@ def sharpen_vertices(
     balanced: FloatArray,
     features: Features,
     lattice: tuple[FloatArray, float],
-    step: float,
+    steps: FloatArray,
 ) -> FloatArray:
     """Move vertices beside the edges of a surface onto these.
 
@@ -79,8 +79,8 @@ def sharpen_vertices(
     lattice : tuple of ndarray of float64, shape (3,), and float
         Where vertex (0, 0, 0) of the features' lattice lies, and the edge of its cells, in length
         units of the input.
-    step : float
-        Of the grid that the faces come from, in length units of the input.
+    steps : ndarray of float64, shape (v,)
+        Of the grid around each vertex, in length units of the input.
 
     Returns
     -------
@@ -96,15 +96,16 @@ def sharpen_vertices(
         return balanced
     origin, cell_size = lattice
     places = (vertices - origin) / cell_size  # (v, 3): in cells
-    farthest = _FARTHEST * step / cell_size
+    farthest = _FARTHEST * steps / cell_size  # (v,)
     pieces = cut_equal(len(faces), -(-len(faces) // _AT_ONCE))
     crossings = _join([_find_crossings(places, faces[piece], features) for piece in pieces])
-    crossings = crossings.take(crossings.distances.min(axis=1) <= farthest)
+    is_near = crossings.distances <= farthest[crossings.ends]
+    crossings = crossings.take(np.logical_or.reduce(is_near, axis=1))
     if not len(crossings.ends):
         return balanced
     # (k,) and (k, 3): the vertices that move, and where to.
     rows, goals = _find_goals(crossings, _choose_ends(crossings, len(vertices)))
-    is_near = ((goals - places[rows]) ** 2).sum(axis=1) <= farthest * farthest
+    is_near = ((goals - places[rows]) ** 2).sum(axis=1) <= farthest[rows] * farthest[rows]
     rows, goals = rows[is_near], origin + cell_size * goals[is_near]
     is_moved = np.zeros(len(vertices), np.bool_)
     is_moved[rows] = True
@@ -114,7 +115,8 @@ def sharpen_vertices(
     before[around] = moved[around] = vertices[around]
     moved[rows] = goals
     normals = _find_normals(crossings, is_moved, before, around)
-    return _hold_faces(before, moved, around, normals, _LEAST_AREA * step * step)
+    shortest = steps[around].min(axis=1)
+    return _hold_faces(before, moved, around, normals, _LEAST_AREA * shortest * shortest)
 
 
 def _join(parts: list[_Crossings]) -> _Crossings:
@@ -277,7 +279,11 @@ def _find_normals(
 
 
 def _hold_faces(
-    before: FloatArray, moved: FloatArray, faces: IntArray, normals: FloatArray, least_area: float
+    before: FloatArray,
+    moved: FloatArray,
+    faces: IntArray,
+    normals: FloatArray,
+    least_areas: FloatArray,
 ) -> FloatArray:
     """Put vertices back that turn faces away from their normals, or take their area.
 
@@ -286,7 +292,7 @@ def _hold_faces(
     for last in (False, True):
         after = _face_crosses(moved, faces)
         wrong = (normals * after).sum(axis=1) <= 0.0
-        wrong |= (after * after).sum(axis=1) < 4.0 * least_area * least_area
+        wrong |= (after * after).sum(axis=1) < 4.0 * least_areas * least_areas
         shifts = ((moved - before) ** 2).sum(axis=1)[faces]  # (f, 3): of the corners, squared
         wrong = np.flatnonzero(wrong & (shifts > 0.0).any(axis=1))
         back = faces[wrong] if last else faces[wrong, shifts[wrong].argmax(axis=1)]

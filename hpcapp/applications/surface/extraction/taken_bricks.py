@@ -8,7 +8,13 @@ import numpy as np
 
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.types.lattice import find_keys
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, Int32Array, IntArray
+from hpcapp.applications.surface.types.points import (
+    BoolArray,
+    ByteArray,
+    FloatArray,
+    Int32Array,
+    IntArray,
+)
 from hpccomponent.protocol.records import record
 
 __all__ = ["TakenBricks"]
@@ -25,18 +31,29 @@ class TakenBricks:
         Sorted.
     vertex_counts : ndarray of int32, shape (k,)
         How many vertices each has.
+    exponents : ndarray of uint8, shape (k,)
+        Of their strides, see `types.grid.BrickStrides`.
     box : ndarray of float64, shape (2, 3)
         In which the surface lies.
     """
 
     keys: IntArray
     vertex_counts: Int32Array
+    exponents: ByteArray
     box: FloatArray
 
     @property
     def vertices(self) -> int:
         """How many they have together."""
         return int(self.vertex_counts.sum(dtype=np.int64))
+
+    @property
+    def areas(self) -> IntArray:
+        """How large the surface in each is: as so many vertices a finest step apart."""
+        areas: IntArray = self.vertex_counts.astype(np.int64) << (
+            2 * self.exponents.astype(np.int64)
+        )
+        return areas
 
     def holds(self, keys: IntArray) -> bool:
         """Tell whether all of some bricks are among these."""

@@ -21,6 +21,7 @@ from hpcapp.applications.surface.types.lattice import (
     OCTANTS,
     ancestor_keys,
     find_keys,
+    lay_lattice,
     number_keys,
     pack_places,
 )
@@ -49,6 +50,7 @@ _WIDEST = 5  # the level of cells up to which they are looked for
 _PER_SQUARE = 1.5  # samples of a whole sheet in a cube, by the square of its edge in cells
 _OF_TUBE, _OF_SHEET = 0.5, 0.8  # mean cos^2 of the angles of its normals to one of them
 _PAIRS, _TWICE = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0)), (1.0, 1.0, 1.0, 2.0, 2.0, 2.0)
+_EXACT = 1e-6  # where the samples of a plane count and stand for whole numbers
 _LARGEST_AREA = 64.0  # cells that one may stand for
 _LEAST_LENGTH = 0.1  # of a normal that says where its disc lies
 _GOLDEN_TURN = complex(-0.7373688780783197, 0.6754902942615238)  # by the golden angle
@@ -142,8 +144,9 @@ def solve_far_field(
     """
     low, high = box
     origin, step = lay_far_field(low, high, nodes)
-    centroids, normals = spread_samples(centroids, normals, size)
-    centroids = np.clip(centroids, low, high)
+    corner = lay_lattice(low, size)
+    centroids, normals = spread_samples(centroids - corner, normals, size)
+    centroids = np.clip(centroids + corner, low, high)
     places = (centroids - origin) / step  # (s, 3): in steps from node (0, 0, 0)
     # (g, g, g): an indicator whose gradient the normals are; 0 where neither box nor samples are.
     bounds = _bound_rows((low - origin) / step, (high - origin) / step, nodes)
@@ -165,6 +168,13 @@ def spread_samples(
 ) -> tuple[FloatArray, FloatArray]:
     """Spread samples that stand for more than one cell over their share of the surface.
 
+    Parameters
+    ----------
+    centroids : ndarray of float64, shape (c, 3)
+        From a corner of a lattice of such cells.
+    normals, size
+        See `solve_far_field`.
+
     Returns
     -------
     centroids : ndarray of float64, shape (s, 3)
@@ -184,10 +194,10 @@ def spread_samples(
     lengths = np.linalg.norm(normals, axis=1)
     axes = normals / np.maximum(lengths, 1e-300)[:, None]
     areas = _find_areas(centroids / size, axes)
-    alone = (areas <= 1.0) | (lengths < _LEAST_LENGTH)
+    alone = (areas <= 1.0 + _EXACT) | (lengths < _LEAST_LENGTH)
     sparse = np.flatnonzero(~alone)
     # (d,): each sample once for each cell that it stands for, and the how-manieth of these it is.
-    counts = np.ceil(areas[sparse]).astype(np.int64)
+    counts = np.ceil(areas[sparse] - _EXACT).astype(np.int64)
     of = np.repeat(sparse, counts)
     number = np.arange(len(of)) - np.repeat(np.cumsum(counts) - counts, counts)
     # (d, 2): a sunflower of as much area, in a plane across the normal.
@@ -209,8 +219,7 @@ def _find_areas(places: FloatArray, axes: FloatArray) -> FloatArray:
 
     The cubes are eight cells of a coarser level, which meet at its corner next to the sample.
     """
-    shifted = places - np.floor(places.min(axis=0, initial=np.inf))
-    keys = pack_places(np.floor(shifted).astype(np.int64))
+    keys = pack_places(np.floor(places).astype(np.int64))
     # (c,), and the rows of samples around which too few have been found so far.
     areas, open_rows = np.ones(len(places)), np.arange(len(places))
     # (c, 6): of each normal n, the entries of n n^T: their sum tells the mean cos^2 to any axis.
@@ -222,7 +231,7 @@ def _find_areas(places: FloatArray, axes: FloatArray) -> FloatArray:
         sums = np.stack(
             [np.bincount(number, of[: len(number)], len(cells) + 1) for of in sums.T], 1
         )
-        lower = np.floor(shifted[open_rows] / 2.0**level - 0.5).astype(np.int64)
+        lower = np.floor(places[open_rows] / 2.0**level - 0.5).astype(np.int64)
         around = np.zeros((len(open_rows), 10))
         for octant in OCTANTS:
             around += sums[find_keys(cells, pack_places(lower + octant))]
@@ -231,7 +240,7 @@ def _find_areas(places: FloatArray, axes: FloatArray) -> FloatArray:
         sheet = 0.5 * (count + (around[:, 1:4] * axes[open_rows]).sum(axis=1))
         straight = (around[:, 4:] * products[open_rows] * _TWICE).sum(axis=1) / count  # mean cos^2
         is_sheet = np.clip((straight - _OF_TUBE) / (_OF_SHEET - _OF_TUBE), 0.0, 1.0)
-        enough = sheet >= _ENOUGH
+        enough = sheet >= _ENOUGH - _EXACT
         squares = _PER_SQUARE * 4.0 ** (level + 1) * is_sheet[enough]
         areas[open_rows[enough]] = squares / sheet[enough]
         open_rows = open_rows[~enough]

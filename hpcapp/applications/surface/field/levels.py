@@ -53,7 +53,7 @@ from hpccomponent.cutting import cut_equal
 __all__ = ["SlabFields", "find_trust", "fit_above"]
 
 _AT_ONCE = 1 << 17  # vertices of the finest level
-# Of bricks in a slab: those beside it are evaluated too, one layer on each side.
+# Of bricks in a slab, for each layer that may be evaluated beside it on either side.
 _LEAST_LAYERS = 8
 _TRUST_ROWS = 1 << 16
 
@@ -177,7 +177,8 @@ class SlabFields:
             The bounds of the slabs, from `first` to `end`; a slab has 8 layers or more, on average.
         """
         vertices, grid = self.pyramid.vertices[0], self.grid
-        count = min(-(-len(vertices) // quadrics), max(1, (end - first) // _LEAST_LAYERS))
+        most = max(1, (end - first) // (_LEAST_LAYERS * grid.rim))
+        count = min(-(-len(vertices) // quadrics), most)
         rows = np.arange(1, count) * len(vertices) // max(count, 1)
         corners = self.pyramid.cell_size * unpack_keys(vertices[rows])[:, 0]
         shift = self.pyramid.origin[0] - grid.origin[0]
@@ -186,9 +187,9 @@ class SlabFields:
         return bounds
 
     def fit(self, first: int, end: int) -> Field:
-        """Return the field of layers of bricks, from `first` to before `end`, and beside these."""
+        """Return the field of layers of bricks, from `first` to before `end`."""
         pyramid, grid = self.pyramid, self.grid
-        nodes = BRICK * np.array([first - 1, end + 1]) * grid.step
+        nodes = BRICK * np.array([first, end]) * grid.step
         places = (grid.origin[0] + nodes - pyramid.origin[0]) / pyramid.cell_size
         low, high = int(np.floor(places[0])), int(np.floor(places[1])) + 1
         vertices = pyramid.vertices[0]
@@ -243,7 +244,12 @@ def find_trust(
         is_finest = pyramid.refinement.mark_finest(keys, level.cells, depth)
         crowds = np.zeros(len(keys))
         if depth:
-            of_all = crowd_vertices(keys, of_level.counts, level.cells, level.squares)
+            # Where points are dense, coarse quadrics reach as far as they do elsewhere: else the
+            # far field, which is no finer there, would begin beside the surface.
+            squares = level.squares
+            if pyramid.refinement.levels:
+                squares = squares * pyramid.refinement.thin(level.cells, depth)
+            of_all = crowd_vertices(keys, of_level.counts, level.cells, squares)
             crowds = np.where(is_finest, 0.0, of_all)
         origin = (pyramid.origin - far.origin) / far.step
         spacing = pyramid.cell_size * 2.0**depth / far.step

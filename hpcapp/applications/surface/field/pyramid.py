@@ -63,6 +63,7 @@ __all__ = [
 
 
 _COARSEST_CELLS = 6
+_EXACT = 1e-6  # of a level: powers of two have theirs
 # Corners in a batch: what it takes stays in the cache, and memory that was freed is used again.
 _LEAST_BATCH, _MOST_BATCH = 1 << 12, 1 << 16
 _LAYERS = 2  # of corners in a batch at least: the cells on both sides of its ends are summed twice
@@ -197,7 +198,7 @@ def count_levels(longest: float, cell_size: float) -> int:
     cell_size : float
         Edge of the finest cells, in length units of the input.
     """
-    return 1 + max(0, int(np.floor(np.log2(longest / cell_size / _COARSEST_CELLS))))
+    return 1 + max(0, int(np.floor(np.log2(longest / cell_size / _COARSEST_CELLS) + _EXACT)))
 
 
 def build_pyramid(

@@ -68,9 +68,31 @@ class Refinement:
         if not 0 < depth <= self.levels:
             return np.zeros(len(cells), np.bool_)
         size = self.cell_size * 2.0**depth
-        spacings = self.scale.at(self.origin + size * (unpack_keys(cells) + 0.5))
-        divided: BoolArray = self.spacings * spacings <= 0.5 * size
+        wanted = self.wanted_sizes(self.origin + size * (unpack_keys(cells) + 0.5))
+        divided: BoolArray = wanted <= 0.5 * size
         return divided
+
+    def wanted_sizes(self, places: FloatArray) -> FloatArray:
+        """Return how large cells are to be at some places, at least."""
+        return self.spacings * self.scale.at(places)
+
+    def thin(self, cells: IntArray, depth: int) -> FloatArray:
+        """Return what share of the points in some cells of a level would be there by the whole's.
+
+        Parameters
+        ----------
+        cells : ndarray of int64, shape (c,)
+        depth : int
+
+        Returns
+        -------
+        ndarray of float64, shape (c,)
+            At most 1, where points are as dense as those of the whole cloud or less.
+        """
+        size = self.cell_size * 2.0**depth
+        spacings = self.scale.at(self.origin + size * (unpack_keys(cells) + 0.5))
+        share: FloatArray = np.minimum(1.0, (spacings / self.scale.spacing) ** 2)
+        return share
 
     def mark_finest(self, corners: IntArray, cells: IntArray, depth: int) -> BoolArray:
         """Tell at which corners of a level no finer quadrics are: those of its leaves.

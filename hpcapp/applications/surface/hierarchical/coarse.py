@@ -23,13 +23,15 @@ from hpcapp.applications.surface.field.pyramid import (
     lay_vertices,
     raise_levels,
 )
-from hpcapp.applications.surface.tiles.halo import HALO_STEPS, mark_near
+from hpcapp.applications.surface.tiles.halo import halo_steps, mark_near
 from hpcapp.applications.surface.tiles.plan import CoarseLattice, CoarseLevels, Plan, Samples
 from hpcapp.applications.surface.tiles.tasks import solve_far
 from hpcapp.applications.surface.types.field import FarField, FieldLevel
 from hpcapp.applications.surface.types.grid import BRICK, Grid
 from hpcapp.applications.surface.types.lattice import (
     ancestor_keys,
+    cells_of,
+    lay_lattice,
     number_keys,
     pack_places,
     unique_keys,
@@ -84,7 +86,7 @@ class Coarse:
             Of the surroundings of these cells, as far as the tile's quadrics reach.
         """
         plan = self.plan
-        reach = HALO_STEPS * plan.step
+        reach = halo_steps(plan.grid) * plan.step
         size = plan.cell_size * 2.0**plan.coarse
         # Corners that nobody needs have parents, too: those that `near_bricks` names beyond.
         wide = int(np.ceil((reach + BRICK * plan.step + 3.0 * size) / size))
@@ -149,7 +151,8 @@ def choose_nodes(
 def _find_folded(sample: PointCloud, edge: float) -> float:
     """Return the share of some points that lie in cubes where normals cancel each other."""
     assert sample.normals is not None  # noqa: S101 - they were measured
-    places = np.floor((sample.positions - sample.positions.min(axis=0)) / edge).astype(np.int64)
+    corner = lay_lattice(sample.positions.min(axis=0), edge)
+    places = np.floor(cells_of(sample.positions, corner, edge)).astype(np.int64)
     cubes, number = number_keys(pack_places(places))
     counts = np.bincount(number)
     sums = [np.bincount(number, normals, len(cubes)) for normals in sample.normals.T]

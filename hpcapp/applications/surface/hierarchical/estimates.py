@@ -21,16 +21,20 @@ from hpcapp.applications.surface.field.robust import find_tolerance, measure_poi
 from hpcapp.applications.surface.field.weights import LEAST_MU, Weights, tell_noise
 from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.method import MARGIN, MAX_GRID, Resolution
+from hpcapp.applications.surface.types.lattice import lay_lattice
 from hpcapp.applications.surface.types.points import IntArray, PointCloud
 
 __all__ = ["Scale", "choose_scale", "suggest_grid"]
 
-_LEAST_AUTO, _SIXTEEN = 256, 16  # cells along the longest side
+_CHEAP, _SIXTEEN = 256, 16  # cells along the longest side
+_EXACT = 1e-6  # of sixteen cells: whole numbers stay what they are
+_SMOOTHER = 0.75  # of the step, while a grid is cheap
 _SPACINGS = 1.5  # across a cell
 _FEWEST = 1.25  # likewise, by the spacing there: from these to twice as many
 _MOST_LEVELS = 3  # that cells are halved or doubled for
 _SHARES = 0.02, 0.95  # of the local scale's cells: what fewer of them hold is worth no level
 _NOISE_CELLS = 2.5  # standard deviations across a cell: its quadric has its prior to average with
+_USUAL, _ENOUGH = 0.6, 0.2  # of the whole's spacing, of the points: by these noise is told
 _PROBE_SPACINGS = 2.0
 _PROBE_LAM = 0.3
 _PROBE_SHARE = 0.15
@@ -39,6 +43,7 @@ _PROBE_POINTS = 14, 24  # in the finer and in the coarser cells of a probe
 _QUANTILE, _TO_MEDIAN = 0.25, 1.0
 _FREE = 10
 _NOISE_SHARE = 0.5  # of residuals: what remains is detail, and no point of it is wrong
+_ROUNDING = 1e-4  # cells: points that lie so exactly have no outliers among them
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +108,13 @@ class _Residuals:
     kurtosis: float
 
 
+def _leave_dense(measured: Measured) -> PointCloud:
+    """Return the sample without what is much denser than the whole cloud: its cells hold detail."""
+    sample, scale = measured.sample, measured.scale
+    rows = np.flatnonzero(scale.at(sample.positions) >= _USUAL * scale.spacing)
+    return sample.take(rows) if len(rows) >= _ENOUGH * len(sample) else sample
+
+
 def _probe(sample: PointCloud, spacing: float, threads: int) -> _Noise:
     """Estimate the noise, and how heavy its tails are where it is what most residuals are of.
 
@@ -124,7 +136,7 @@ def _probe(sample: PointCloud, spacing: float, threads: int) -> _Noise:
         cell_size *= 2.0
         left = _fit_probe(sample, cell_size, threads)
     variance = float(tell_noise(np.array(left.finer), np.array(left.coarser)))
-    is_noise = variance > _NOISE_SHARE * left.finer
+    is_noise = variance > max(_NOISE_SHARE * left.finer, (_ROUNDING * cell_size) ** 2)
     return _Noise(_TO_MEDIAN * float(np.sqrt(variance)), tolerance if is_noise else np.inf)
 
 
@@ -132,7 +144,8 @@ def _fit_probe(cloud: PointCloud, cell_size: float, threads: int) -> _Residuals:
     """Fit quadrics in cells of a size and of its double."""
     low, high = bound_points(cloud.positions)
     height = count_levels(float((high - low).max()), cell_size)
-    pyramid = build_pyramid(cloud, low, cell_size, height, threads)
+    origin = lay_lattice(low, cell_size)
+    pyramid = build_pyramid(cloud, origin, cell_size, height, threads)
     levels = list(pyramid.levels[:2])  # a fit drops the moments of its level
     weights = [Weights(_PROBE_LAM, 0.0, LEAST_MU, LEAST_MU)] * len(pyramid.levels)
     quadrics, _ = fit_levels(pyramid, weights, None, threads)
@@ -191,17 +204,16 @@ def choose_scale(
         The result does not depend on it.
     """
     spacing = measured.spacing
-    noise = _probe(measured.sample, spacing, threads)
+    noise = _probe(_leave_dense(measured), spacing, threads)
     averaged, spacings = _NOISE_CELLS * noise.deviation * smoothness / detail, _FEWEST / detail
     cell_size = max(_SPACINGS / detail * spacing, averaged, step)
-    finer = coarser = 0
-    if np.isinf(noise.tolerance):  # else points are weighed by two levels that cover all of them
-        dense, sparse = (measured.scale.quantile(share) for share in _SHARES)
-        finest = max(spacings * dense, averaged, step)
-        finer = _count_halvings(np.floor(np.log2(cell_size / finest)))
-        coarser = _count_halvings(np.round(np.log2(_SPACINGS / detail * sparse / cell_size)))
-    scale = spacing, noise.deviation, cell_size, noise.tolerance
-    return Scale(*scale, finer, coarser, spacings)
+    dense, sparse = (measured.scale.quantile(share) for share in _SHARES)
+    finest = max(spacings * dense, averaged, step)
+    finer = _count_halvings(np.floor(np.log2(cell_size / finest)))
+    coarser = _count_halvings(np.round(np.log2(_SPACINGS / detail * sparse / cell_size)))
+    # Where scans of unlike noise meet, their residuals have heavy tails together.
+    tolerance = np.inf if finer or coarser else noise.tolerance
+    return Scale(spacing, noise.deviation, cell_size, tolerance, finer, coarser, spacings)
 
 
 def _count_halvings(levels: np.floating[Any]) -> int:
@@ -225,21 +237,28 @@ def suggest_grid(
     Returns
     -------
     Resolution
-        From 256 to 4096 cells, in sixteens.
+        Up to 4096 cells, in sixteens.
 
     Notes
     -----
     A step is 1/1.5 of the finest cells that `choose_scale` would take if no grid kept it from
     that: the spacing of the points, or 1.7 standard deviations of the noise. Smaller steps show
-    the same quadrics by more triangles.
+    the same quadrics by more triangles. Up to 256 cells, which cost little, it is 3/4 of that.
     """
     scale = choose_scale(measured, 0.0, smoothness, detail, threads)
     step = scale.finest / _SPACINGS
     if step * MAX_GRID < longest:
         return Resolution(MAX_GRID, f"the most; the points lie {scale.spacing:.3g} apart")
-    cells = _SIXTEEN * int(np.ceil((longest / step + 2 * MARGIN) / _SIXTEEN))
-    if cells <= _LEAST_AUTO:
-        return Resolution(_LEAST_AUTO, f"the least; the scan resolves {step:.3g}")
+    coarse, fine = (_count_cells(longest, some) for some in (step, _SMOOTHER * step))
+    cells = max(coarse, min(fine, _CHEAP))
     is_noisy = scale.cell_size > _SPACINGS * scale.spacing
     what = f"noise of {scale.noise:.3g}" if is_noisy else f"points {scale.spacing:.3g} apart"
+    if scale.finer:
+        what = f"points {measured.scale.range[0]:.3g} to {measured.scale.range[1]:.3g} apart"
+    step = longest / (cells - 2 * MARGIN)
     return Resolution(min(cells, MAX_GRID), f"steps of {step:.3g} for {what}")
+
+
+def _count_cells(longest: float, step: float) -> int:
+    """Return how many cells of about a step lie along the longest side, margins included."""
+    return _SIXTEEN * int(np.ceil((longest / step + 2 * MARGIN) / _SIXTEEN - _EXACT))

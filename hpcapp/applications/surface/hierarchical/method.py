@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from hpcapp.applications.surface.boundary.drive import (
 )
 from hpcapp.applications.surface.checkpoint import Checkpoint
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
+from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.field.pyramid import count_levels
 from hpcapp.applications.surface.field.refinement import Refinement
 from hpcapp.applications.surface.hierarchical.coarse import (
@@ -34,6 +35,7 @@ from hpcapp.applications.surface.hierarchical.coarse import (
 from hpcapp.applications.surface.hierarchical.estimates import Scale, choose_scale
 from hpcapp.applications.surface.hierarchical.growth import mesh_regions
 from hpcapp.applications.surface.hierarchical.slabs import mesh_slabs
+from hpcapp.applications.surface.hierarchical.strides import choose_strides
 from hpcapp.applications.surface.hierarchical.tiles import Tiling
 from hpcapp.applications.surface.method import (
     LARGE_TILE,
@@ -48,7 +50,8 @@ from hpcapp.applications.surface.surface import PartSurface
 from hpcapp.applications.surface.tiles.patterns import coarse_lattice
 from hpcapp.applications.surface.tiles.plan import CoarseLattice, Plan, Samples
 from hpcapp.applications.surface.tiles.tasks import sum_tile
-from hpcapp.applications.surface.types.grid import BRICK, Grid
+from hpcapp.applications.surface.types.grid import BRICK, MOST_SHIFT, Grid
+from hpcapp.applications.surface.types.lattice import lay_lattice
 from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
 from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.errors import InputError, UsageError
@@ -60,6 +63,8 @@ __all__ = [
 ]
 
 _LEAST_GRID = 16
+_POINTS_AT_ONCE = 2_000_000
+_EXACT = 1e-3  # steps: equal sides have equally many
 _ROBUST_LEVELS = 2  # whose fits ask the points themselves, where these are weighed
 
 
@@ -110,6 +115,8 @@ class HierarchicalMethod:
         Told of each part of the mesh as it comes; see `Resources`.
     opening : OpeningSettings
         Whether, and where, the surface is cut open; by default it is closed.
+    uniform : bool
+        Whether the grid has one step, however uneven the points lie.
 
     Raises
     ------
@@ -127,6 +134,7 @@ class HierarchicalMethod:
         checkpoint: Checkpoint | None = None,
         show_part: ShowPart = show_nothing,
         opening: OpeningSettings | None = None,
+        uniform: bool = False,
     ) -> None:
         if grid < _LEAST_GRID:
             raise UsageError(
@@ -143,6 +151,7 @@ class HierarchicalMethod:
         self.checkpoint = checkpoint
         self.show_part = show_part
         self.opening = OpeningSettings() if opening is None else opening
+        self.uniform = uniform
 
     def partition(self, cloud: ArrangedCloud, workforce: Workforce) -> HierarchicalPartition:
         """Find spacing, noise and cell size, and cut the cloud into tiles.
@@ -158,10 +167,19 @@ class HierarchicalMethod:
         InputError
             There are no normals, or all points are the same.
         """
-        low, high = cloud.low, cloud.high
+        low, high, measured = cloud.low, cloud.high, cloud.measure()
         grid = plan_grid(low, high, self.grid)
-        scale = choose_scale(cloud.measure(), grid.step, self.smoothness, self.detail, self.threads)
-        below, measured = scale.levels, cloud.measure()
+        scale = choose_scale(measured, grid.step, self.smoothness, self.detail, self.threads)
+        below = scale.levels
+        origin = lay_lattice(low, scale.finest)
+        refinement = Refinement(below, scale.spacings, measured.scale, origin, scale.finest)
+        are_read = workforce.in_process or self._find_shared(cloud) is not None
+        workers = PointWorkers(workforce, are_read, _POINTS_AT_ONCE)
+        if below and not self.uniform:
+            wide = plan_grid(low, high, self.grid, MARGIN << MOST_SHIFT)
+            seeds, _ = workers.count_cells(cloud, wide.origin, BRICK * wide.step)
+            if (strides := choose_strides(wide, seeds, refinement)) is not None:
+                grid = replace(wide, strides=strides)
         height = scale.finer + count_levels(float((high - low).max()), scale.cell_size)
         height = max(height, below + 1)
         noise = scale.noise * self.smoothness
@@ -175,14 +193,13 @@ class HierarchicalMethod:
         coarse = max(least, min(lowest, height - 1)) if count else height
         blocks = cloud.arrangement
         plan = Plan(
-            low, scale.finest, height, coarse, noise,
+            origin, scale.finest, height, coarse, noise,
             grid.origin, grid.step, grid.bricks, blocks.origin, blocks.edge, far, nodes, tolerance,
-            Refinement(below, scale.spacings, measured.scale, low, scale.finest),
+            refinement, grid.strides,
         )  # fmt: skip
         if not count:
             return HierarchicalPartition(cloud, scale, plan, None)
-        are_read = workforce.in_process or self._find_shared(cloud) is not None
-        tiling = Tiling(cloud, plan, count, workforce, are_read, self.tile_points is not None)
+        tiling = Tiling(cloud, plan, count, workers, self.tile_points is not None)
         return HierarchicalPartition(cloud, scale, plan, tiling)
 
     def fit(
@@ -332,7 +349,7 @@ class HierarchicalMethod:
         dict of str to object
             Lengths in length units of the input.
         """
-        plan = partition.plan
+        plan, strides = partition.plan, partition.plan.strides
         return {
             "patches": partition.patches,
             "spacing": partition.scale.spacing,
@@ -340,6 +357,8 @@ class HierarchicalMethod:
             "noise": partition.scale.noise,
             "cell_size": partition.scale.cell_size,
             "refined_levels": plan.refinement.levels,
+            "step": plan.step,
+            "coarsest_step": plan.step * 2.0 ** (0 if strides is None else strides.exponents.max()),
             "lam": plan.weights[partition.scale.finer].lam,
             "levels": plan.height,
             "tiles": 1 if partition.tiling is None else len(partition.tiling),
@@ -347,20 +366,23 @@ class HierarchicalMethod:
         }
 
 
-def plan_grid(low: FloatArray, high: FloatArray, cells: int) -> Grid:
-    """Lay the evaluation grid around a cloud, with four cells to spare on each side.
+def plan_grid(low: FloatArray, high: FloatArray, cells: int, margin: int = MARGIN) -> Grid:
+    """Lay the evaluation grid around a cloud.
 
     Parameters
     ----------
     low, high : ndarray of float64, shape (3,)
         Corners of the box around all points, in length units of the input.
     cells : int
-        Along the longest side, margins included.
+        Along the longest side, with about four to spare at each end.
+    margin : int
+        So many are in fact to spare. Where strides differ, a cell may be as large as a brick.
 
     Returns
     -------
     Grid
-        Centred on the cloud, each side a whole number of bricks.
+        Centred on the cloud but for a part of a step: flat sides lie on no nodes. Each side is a
+        whole number of bricks.
 
     Raises
     ------
@@ -371,7 +393,7 @@ def plan_grid(low: FloatArray, high: FloatArray, cells: int) -> Grid:
     if longest <= 0.0:
         raise InputError("all points lie at one place", "scan something with an extent")
     step = longest / (cells - 2 * MARGIN)
-    sides = np.ceil((high - low) / step + 2 * MARGIN - 1e-9)
+    sides = np.ceil((high - low) / step + 2 * margin - _EXACT)
     x, y, z = (int(bricks) for bricks in np.ceil(sides / BRICK))
     half = 0.5 * BRICK * step * np.array([x, y, z])
-    return Grid(0.5 * (low + high) - half, step, (x, y, z))
+    return Grid(lay_lattice(0.5 * (low + high) - half, step), step, (x, y, z))

@@ -38,6 +38,8 @@ class Hierarchical:
         as ``3s``, or ``auto``. A length asks for an open mesh.
     fill_holes : str
         Holes of an open mesh that are no larger than this are filled; likewise.
+    uniform : bool
+        Whether the grid has one step, however uneven the points lie.
 
     Raises
     ------
@@ -64,6 +66,10 @@ class Hierarchical:
     )
     fill_holes: str = option(
         "auto", "Holes of an open mesh up to this size are filled: a length, or spacings as 10s."
+    )
+
+    uniform: bool = option(
+        False, "One step for the whole grid; without it, cells are larger where points are sparse."
     )
 
     name: ClassVar[str] = "hierarchical"
@@ -149,4 +155,5 @@ class Hierarchical:
                 parse_length("trim", self.trim),
                 parse_length("fill_holes", self.fill_holes),
             ),
+            self.uniform,
         )

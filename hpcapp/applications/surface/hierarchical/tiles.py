@@ -21,11 +21,9 @@ from hpcapp.applications.surface.tiles.tasks import KEPT_TILES
 from hpcapp.applications.surface.types.grid import BRICK
 from hpcapp.applications.surface.types.lattice import unpack_keys
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
-from hpcapp.workforce import Workforce
 
 __all__ = ["Tiling", "halo_cells", "weigh_cells"]
 
-_POINTS_AT_ONCE = 2_000_000
 # What a finest cell on the surface, and a cell of the grid there, take beside the points, in what a
 # point takes: from scans of bunny, table and rocker arm, whose finest cells were 1 to 6.5 cells of
 # the grid wide.
@@ -41,9 +39,8 @@ class Tiling:
     plan : Plan
     count : int
         How many tiles there shall be; fewer where there are fewer coarse cells.
-    workforce : Workforce
-    are_read : bool
-        Whether tasks read their points where the cloud lies; else these are sent.
+    workers : PointWorkers
+        Where they do not see the points, these are sent with the tasks.
     is_short : bool
         Whether memory is: of tiles, which then have about as many points each instead of as much
         work, a worker keeps one prepared until it is meshed, and else `tiles.KEPT_TILES`.
@@ -62,11 +59,10 @@ class Tiling:
         cloud: ArrangedCloud,
         plan: Plan,
         count: int,
-        workforce: Workforce,
-        are_read: bool,
+        workers: PointWorkers,
         is_short: bool,
     ) -> None:
-        workers = PointWorkers(workforce, are_read, _POINTS_AT_ONCE)
+        workforce, are_read = workers.workforce, workers.workers_see
         self.cells, counts = workers.count_cells(cloud, plan.origin, plan.coarse_size)
         self._cloud = cloud
         self._plan = plan
@@ -239,8 +235,8 @@ def weigh_cells(plan: Plan, counts: IntArray) -> FloatArray:
 def halo_cells(plan: Plan, cells: IntArray) -> tuple[IntArray, IntArray]:
     """Return how many coarse cells below and above a tile's its quadrics depend on.
 
-    Its own bricks are among those that its cells overlap, and what it evaluates lies two bricks
-    further at most; from there its quadrics reach as far as `Plan.reach` says.
+    Its own bricks are among those that its cells overlap, and what it evaluates lies a brick and a
+    rim further at most; from there its quadrics reach as far as `Plan.reach` says.
 
     Parameters
     ----------
@@ -254,10 +250,11 @@ def halo_cells(plan: Plan, cells: IntArray) -> tuple[IntArray, IntArray]:
         Along each axis.
     """
     size, edge, far = plan.coarse_size, BRICK * plan.step, plan.reach
+    beyond = 1.0 + plan.grid.rim
     places = unpack_keys(cells)
     corners = (plan.origin - plan.grid_origin) + size * places
-    first = edge * (np.floor(corners / edge) - 2.0) - far
-    last = edge * (np.floor((corners + size) / edge) + 3.0) + far
+    first = edge * (np.floor(corners / edge) - beyond) - far
+    last = edge * (np.floor((corners + size) / edge) + 1.0 + beyond) + far
     low = places - np.floor((first + plan.grid_origin - plan.origin) / size).astype(np.int64)
     high = np.floor((last + plan.grid_origin - plan.origin) / size).astype(np.int64) - places
     return low.max(axis=0), high.max(axis=0)

@@ -14,7 +14,14 @@ to rounding, and the workers of one job run the same one (see `build`).
 from typing import TYPE_CHECKING
 
 from hpcapp.applications.surface.kernels.build import load_native
-from hpcapp.applications.surface.kernels.constants import BASIS, COLUMNS, FINE, UNSURE, WRONG
+from hpcapp.applications.surface.kernels.constants import (
+    BASIS,
+    COLUMNS,
+    FINE,
+    QUANTA,
+    UNSURE,
+    WRONG,
+)
 
 if TYPE_CHECKING or load_native() is None:
     from hpcapp.applications.surface.kernels.portable import *  # noqa: F403
@@ -23,5 +30,5 @@ else:
     from hpcapp.applications.surface.kernels._native import *  # noqa: F403
     from hpcapp.applications.surface.kernels._native import __all__ as _kernels
 
-__all__ = ["BASIS", "COLUMNS", "FINE", "UNSURE", "WRONG"]
+__all__ = ["BASIS", "COLUMNS", "FINE", "QUANTA", "UNSURE", "WRONG"]
 __all__ += _kernels

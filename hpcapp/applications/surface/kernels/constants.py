@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["BASIS", "COLUMNS", "FINE", "MONOMIALS", "UNSURE", "WRONG"]
+__all__ = ["BASIS", "COLUMNS", "FINE", "MONOMIALS", "QUANTA", "UNSURE", "WRONG"]
 
 BASIS = 10
 """Coefficients of a quadric."""
@@ -12,6 +12,9 @@ MONOMIALS = 35
 
 COLUMNS = MONOMIALS + 9
 """Of the moments: the monomials, and what normals add to them."""
+
+QUANTA = 1 << 23
+"""Along a block of arranged points: their middles fit into the significand of float32."""
 
 FINE, UNSURE, WRONG = 0, 1, 2
 """What `poll_normals` finds of a normal."""

@@ -6,7 +6,13 @@ import numpy as np
 
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.kernels import UNSURE, WRONG, bound_points
-from hpcapp.applications.surface.types.lattice import cells_of, find_first, number_keys, pack_places
+from hpcapp.applications.surface.types.lattice import (
+    cells_of,
+    find_first,
+    lay_lattice,
+    number_keys,
+    pack_places,
+)
 from hpcapp.applications.surface.types.points import BoolArray, Float32Array, FloatArray, PointCloud
 
 __all__ = ["MARGIN", "faces_inwards", "find_turned", "share_opposed"]
@@ -143,7 +149,8 @@ def faces_inwards(cloud: PointCloud) -> bool:
     positions, normals = cloud.positions[every], cloud.normals[every]
     low, high = bound_points(positions)
     size = float((high - low).max()) / min(_BOXES, max(1.0, np.sqrt(len(positions) / 24.0)))
-    keys = pack_places(np.floor((positions - low) / size).astype(np.int64))
+    places = np.floor(cells_of(positions, lay_lattice(low, size), size))
+    keys = pack_places(places.astype(np.int64))
     order = np.argsort(keys, kind="stable")
     _, first = find_first(keys[order])
     counts = np.diff(np.append(first, len(keys)))[:, None]

@@ -20,6 +20,7 @@ from hpcapp.applications.surface.normals.tasks import (
     group_region,
     turn_region,
 )
+from hpcapp.applications.surface.types.lattice import lay_lattice
 from hpcapp.applications.surface.types.points import FloatArray
 
 __all__ = ["turn_normals"]
@@ -57,7 +58,7 @@ def turn_normals(
         How many normals are the opposites of what they were.
     """
     cloud = cloud_pass.cloud
-    given = cloud.low, spacing
+    given = lay_lattice(cloud.low, spacing), spacing
     margin = estimation.MARGIN * spacing
     cloud_pass, _ = cloud_pass.rewrite(estimate_region, *given, keeps, margin=margin)
     margin = patches.MARGIN * spacing

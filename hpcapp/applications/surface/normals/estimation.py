@@ -25,6 +25,7 @@ _REACH = 12.0  # spacings: farther points are no neighbours
 _CELL = 5.0  # spacings: the noise is that of the median point of a cell
 _BIAS = 0.2  # how much of the residual beyond the noise bends the normal
 _TINY = 1e-6  # spacings: of the noise at least, so that every result has a direction
+_TIED = 1.0 + 1e-6  # by how much farther points must lie: less may be rounding
 _ROWS_AT_ONCE = 1 << 13  # what is made of them stays small
 _PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 _STEPS = 24  # of Newton's method: a double root takes a bit each
@@ -119,7 +120,7 @@ class _Search:
         far, near = self._tree.query(
             self._positions[rows], counts[-1] + 1, distance_upper_bound=self._reach
         )
-        is_near = far < far[:, -1:]
+        is_near = far * _TIED < far[:, -1:]
         near = np.where(is_near, near, rows[:, None])[:, :-1]
         _order_ties(far[:, :-1], near)
         arms = self._positions[near] - self._positions[rows, None]
@@ -247,9 +248,11 @@ def _find_noise(squares: FloatArray, cell_of: IntArray) -> FloatArray:
 
 def _order_ties(far: FloatArray, near: IntArray) -> None:
     """Bring neighbours that are equally far away into their order, in place."""
-    tied = np.flatnonzero((far[:, 1:] == far[:, :-1]).any(axis=1))
+    is_farther = far[:, 1:] > _TIED * far[:, :-1]
+    tied = np.flatnonzero(~is_farther.all(axis=1))
     if len(tied):
-        order = np.lexsort((near[tied], far[tied]), axis=1)
+        rank = np.cumsum(np.insert(is_farther[tied], 0, False, axis=1), axis=1)
+        order = np.lexsort((near[tied], rank), axis=1)
         near[tied] = np.take_along_axis(near[tied], order, axis=1)
 
 

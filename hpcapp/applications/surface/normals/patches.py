@@ -50,6 +50,7 @@ SHEETS = 12
 _AGREE = 0.75  # |cosine| between the normals of a patch and of its seed
 _THICK = 0.35  # spacings between a seed's plane and a point on it
 _NOISES = 2.0  # or so many standard deviations of the point, where that is more
+_TIED = 1.0 + 1e-6  # by how much farther points must lie: less may be rounding
 LINKED = 8
 """Neighbours that a point links its patch to, and one more that is itself."""
 _REACH = 4.0  # spacings: farther points are no neighbours
@@ -319,7 +320,7 @@ def _link_patches(
     for start in range(0, len(rows), 1 << 15):
         some = rows[start : start + (1 << 15)]
         far, near = tree.query(positions[some], LINKED + 2, distance_upper_bound=_REACH * spacing)
-        is_near = far[:, :-1] < far[:, -1:]
+        is_near = _TIED * far[:, :-1] < far[:, -1:]
         first = np.broadcast_to(patch_of[some, None], is_near.shape)[is_near]
         second = patch_of[near[:, :-1][is_near]]
         differ = first != second
@@ -347,6 +348,7 @@ def _split(vectors: FloatArray | Float32Array) -> tuple[FloatArray, FloatArray]:
 def _find_seeds(positions: FloatArray, rows: IntArray, cell_of: IntArray) -> IntArray:
     """Return for each row the point of its cell nearest to the middle of the rows there.
 
+    Of several as near, as both of two are, it is the first.
     The rows of a cell stand side by side.
     """
     cells = cell_of[rows]
@@ -356,7 +358,7 @@ def _find_seeds(positions: FloatArray, rows: IntArray, cell_of: IntArray) -> Int
     arms = positions[rows] - middles[group_of]
     squares = _dot(arms, arms)
     nearest = np.minimum.reduceat(squares, starts)
-    candidates = np.flatnonzero(squares == nearest[group_of])
+    candidates = np.flatnonzero(squares <= _TIED * nearest[group_of])
     _, first = find_first(group_of[candidates])
     return rows[candidates[first]][group_of]
 

@@ -13,6 +13,7 @@ from hpcapp.applications.surface.cloud.cloud_pass import CloudPass, PassT
 from hpcapp.applications.surface.cloud.measure import draw_boxes
 from hpcapp.applications.surface.normals import patches
 from hpcapp.applications.surface.normals.consistency import share_opposed
+from hpcapp.applications.surface.types.lattice import lay_lattice
 from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.progress import StageClock
 
@@ -143,4 +144,5 @@ def is_contradicting(cloud_pass: CloudPass, spacing: float) -> bool:
     """Tell whether normals contradict each other: more than one in twenty, or so, is wrong."""
     edge, points = patches.CELL * spacing, len(cloud_pass.cloud)
     sample = draw_boxes(cloud_pass, edge, points // _SAMPLE + 1)
-    return share_opposed(*sample, cloud_pass.cloud.low, edge, spacing) > _CONTRADICTING
+    corner = lay_lattice(cloud_pass.cloud.low, edge)
+    return share_opposed(*sample, corner, edge, spacing) > _CONTRADICTING

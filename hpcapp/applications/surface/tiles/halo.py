@@ -2,7 +2,7 @@
 
 ::
 
-    own bricks ── 1 further ──> open ones ── 2 further ──> the rim ── a cell further ──> vertices
+    own bricks ── 1 further ──> open ones ── their rim ──> evaluated ── a cell further ──> vertices
 
 A brick that holds points belongs to the first tile that has one of them.
 """
@@ -24,10 +24,11 @@ from hpcapp.applications.surface.types.grid import (
 )
 from hpcapp.applications.surface.types.lattice import find_keys, unpack_keys
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
+from hpcapp.applications.surface.types.rims import dilate, mark_rim
 
 __all__ = [
-    "HALO_STEPS",
     "cut_slab",
+    "halo_steps",
     "mark_near",
     "near_bricks",
     "plan_gap",
@@ -36,8 +37,9 @@ __all__ = [
 ]
 
 
-HALO_STEPS = 3 * BRICK
-"""Grid steps from a point of a tile to the farthest node that its bricks and their rim have."""
+def halo_steps(grid: Grid) -> int:
+    """Return how far a point of a tile may be from a node of its bricks or rim, in grid steps."""
+    return (2 + grid.rim) * BRICK
 
 
 def mark_near(
@@ -63,11 +65,12 @@ def plan_whole(grid: Grid, positions: FloatArray) -> BrickKinds:
     return kinds
 
 
-def cut_slab(kinds: BrickKinds, first: int, end: int) -> BrickKinds:
-    """Cut a slab out of a tile, with the bricks beside it.
+def cut_slab(grid: Grid, kinds: BrickKinds, first: int, end: int) -> BrickKinds:
+    """Cut a slab out of a tile, with the rim beside it.
 
     Parameters
     ----------
+    grid : Grid
     kinds : BrickKinds
         Of the tile.
     first, end : int
@@ -76,15 +79,25 @@ def cut_slab(kinds: BrickKinds, first: int, end: int) -> BrickKinds:
     Returns
     -------
     BrickKinds
-        A copy: the tile's own bricks beside the slab are `FOREIGN` there, open ones `BESIDE`.
+        A copy: the tile's own bricks beside the slab are `FOREIGN` there, open ones `BESIDE`. It
+        ends where no brick of the slab's rim is left.
     """
     start = int(kinds.first[0])
-    low, high = max(first - 1, start), min(end + 1, start + len(kinds.kinds))
+    low, high = max(first - grid.rim, start), min(end + grid.rim, start + len(kinds.kinds))
+    corner = np.array([low, *kinds.first[1:]])
     cut = kinds.kinds[low - start : high - start].copy()
-    for beside in (cut[: first - low], cut[end - low :]):
-        beside[beside == OWN] = FOREIGN
-        beside[beside == OPEN] = BESIDE
-    return BrickKinds(np.array([low, *kinds.first[1:]]), cut)
+    is_beside = np.ones(len(cut), np.bool_)
+    is_beside[first - low : end - low] = False
+    is_rim = _mark_rim(grid, corner, ~is_beside[:, None, None] & np.isin(cut, (OPEN, OWN)))
+    cut[is_beside[:, None, None] & ~is_rim] = OUT
+    beside = cut[is_beside]
+    beside[beside == OWN] = FOREIGN
+    beside[beside == OPEN] = BESIDE
+    cut[is_beside] = beside
+    layers = np.flatnonzero(~is_beside | (cut != OUT).any(axis=(1, 2)))
+    used = slice(int(layers[0]), int(layers[-1]) + 1)
+    corner[0] += used.start
+    return BrickKinds(corner, cut[used])
 
 
 def plan_tile(grid: Grid, own: IntArray, earlier: IntArray, later: IntArray) -> BrickKinds | None:
@@ -105,14 +118,16 @@ def plan_tile(grid: Grid, own: IntArray, earlier: IntArray, later: IntArray) -> 
     if not len(own):
         return None
     places = unpack_keys(own)
-    # A box of bricks, two beyond the tile's own, which are marked in it; what is next to these may
-    # grow, and what is next to that may only be evaluated.
-    first = np.maximum(places.min(axis=0) - 2, 0)
-    end = np.minimum(places.max(axis=0) + 3, grid.bricks)
+    # A box of bricks around the tile's own, which are marked in it; what is next to these may grow,
+    # and what is the rim of that may only be evaluated.
+    far = 1 + grid.rim
+    first = np.maximum(places.min(axis=0) - far, 0)
+    end = np.minimum(places.max(axis=0) + far + 1, grid.bricks)
     mask = np.zeros(end - first, np.bool_)
     mask[tuple((places - first).T)] = True
-    beside = _dilate(mask)
-    kinds = BrickKinds(first, np.where(_dilate(beside), BESIDE, OUT).astype(np.uint8))
+    beside = dilate(mask)
+    is_rim = _mark_rim(grid, first, beside)
+    kinds = BrickKinds(first, np.where(is_rim, BESIDE, OUT).astype(np.uint8))
     kinds.kinds[beside] = OPEN
     for foreign in (earlier, later):
         kinds.mark(foreign[kinds.at(foreign) != OUT], FOREIGN)
@@ -145,7 +160,7 @@ def plan_gap(
     high = np.floor((missing + size + reach - grid.origin) / edge).astype(np.int64) + 1
     for first, end in zip(np.maximum(low, 0), high, strict=True):
         known_all[first[0] : end[0], first[1] : end[1], first[2] : end[2]] = False
-    inner = ~_dilate(~known_all)
+    inner = ~_mark_rim(grid, np.zeros(3, np.int64), ~known_all)
     kinds = np.where(inner, OPEN, np.where(known_all, BESIDE, OUT)).astype(np.uint8)
     gap = BrickKinds(np.zeros(3, np.int64), kinds)
     gap.mark(seeds[gap.at(seeds) != OUT], FOREIGN)
@@ -182,7 +197,7 @@ def near_bricks(
     far = int(np.ceil(max(0.0, reach / edge - 0.5)))  # bricks, beyond what two lookups see
     wanted = np.pad(wanted, far + 1)
     for _ in range(far):
-        wanted = _dilate(wanted)
+        wanted = dilate(wanted)
     pairs = wanted.astype(np.uint8)  # bit a + 2 b + 4 c: also the next one along x, y, z
     for axis in range(3):
         ahead = np.roll(pairs, -1, axis=axis)
@@ -191,13 +206,7 @@ def near_bricks(
     return kernels.look_near(cells, origin, cell_size, pairs, corner, edge, margin, far + 1)
 
 
-def _dilate(mask: BoolArray) -> BoolArray:
-    """Add the 26 neighbours, one axis after the other."""
-    for axis in range(3):
-        grown = mask.copy()
-        ahead, behind = [slice(None)] * 3, [slice(None)] * 3
-        ahead[axis], behind[axis] = slice(1, None), slice(None, -1)
-        grown[tuple(ahead)] |= mask[tuple(behind)]
-        grown[tuple(behind)] |= mask[tuple(ahead)]
-        mask = grown
-    return mask
+def _mark_rim(grid: Grid, first: IntArray, bricks: BoolArray) -> BoolArray:
+    """Mark some bricks of a box and their rim, given the lowest brick of the box."""
+    strides = grid.strides
+    return mark_rim(bricks, None if strides is None else strides.cells_within(first, bricks.shape))

@@ -63,7 +63,10 @@ __all__ = [
 ]
 
 MOST_VERTICES, MOST_FACES = 3 * BRICK**3, 5 * BRICK**3
-"""Of a brick: a vertex on each edge, five faces in each cell."""
+"""Of a brick: a vertex on each edge, five faces in each cell.
+
+Larger cells have fewer together, also among the finest bricks: of stride 2, 4 and 8, loops on them
+have 2112, 888 and 768 vertices at most."""
 
 _MOST = 1 << 40  # of whatever is counted where the master does not know better
 _LARGEST_MOMENT = 4.0  # of a point in a cell of edge 1, around its middle

@@ -14,9 +14,9 @@ from hpcapp.applications.surface.field.far_field import FarFieldPart
 from hpcapp.applications.surface.field.pyramid import Parents
 from hpcapp.applications.surface.field.refinement import Refinement
 from hpcapp.applications.surface.field.weights import FIELD_LEVELS, Weights, weigh_levels
-from hpcapp.applications.surface.tiles.halo import HALO_STEPS
+from hpcapp.applications.surface.tiles.halo import halo_steps
 from hpcapp.applications.surface.types.field import FieldLevel
-from hpcapp.applications.surface.types.grid import Grid
+from hpcapp.applications.surface.types.grid import BrickStrides, Grid
 from hpcapp.applications.surface.types.points import Float32Array, FloatArray, IntArray
 from hpccomponent.protocol.records import record
 
@@ -51,6 +51,8 @@ class Plan:
         where `coarse` is 2 or more.
     refinement : Refinement
         Its base has the level of its number of levels; the tiles' one is coarser than that.
+    strides : BrickStrides, optional
+        See `Grid`.
     """
 
     origin: FloatArray
@@ -67,11 +69,17 @@ class Plan:
     far_nodes: int
     tolerance: float = np.inf
     refinement: Refinement = field(default_factory=Refinement.none)
+    strides: BrickStrides | None = None
 
     @property
     def base_size(self) -> float:
         """Edge of the cells at the base of the lattice, in length units of the input."""
         return self.cell_size * 2.0**self.refinement.levels
+
+    @property
+    def usual_step(self) -> float:
+        """Of most bricks with points, in length units of the input."""
+        return self.step * 2.0 ** (0 if self.strides is None else np.median(self.strides.exponents))
 
     @property
     def coarse_size(self) -> float:
@@ -97,7 +105,7 @@ class Plan:
         which lie up to two of their cells from a point.
         """
         coarsest = max(self.coarse, self.refinement.levels + FIELD_LEVELS - 1)
-        margin = HALO_STEPS * self.step + 4.0 * self.cell_size * 2.0**coarsest
+        margin = halo_steps(self.grid) * self.step + 4.0 * self.cell_size * 2.0**coarsest
         low, high = self.grid.box
         return low - margin, high + margin
 
@@ -110,7 +118,7 @@ class Plan:
     @property
     def grid(self) -> Grid:
         """The evaluation grid."""
-        return Grid(self.grid_origin, self.step, self.bricks)
+        return Grid(self.grid_origin, self.step, self.bricks, self.strides)
 
     @property
     def arrangement(self) -> Arrangement:

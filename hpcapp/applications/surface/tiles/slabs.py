@@ -56,11 +56,11 @@ def grow_slabs(
     reached = kinds.own()
     while len(reached):
         for first, end in pairwise(bounds):
-            slab = cut_slab(untaken, first, end)
+            slab = cut_slab(fields.grid, untaken, first, end)
             slab.mark(reached[slab.at(reached) == OPEN], OWN)
             if not (slab.kinds == OWN).any():
                 continue
-            mesh = _grow_slab(fields, slab, first, end)
+            mesh = _grow_slab(fields, slab)
             part, exits = cut_part(mesh, kinds, fields.mark_supported(mesh.vertices)), mesh.exits
             del mesh  # makes room for what is made of the part
             untaken.mark(part.bricks, FOREIGN)
@@ -70,17 +70,23 @@ def grow_slabs(
         reached = reached[untaken.at(reached) == OPEN]
 
 
-def _grow_slab(fields: SlabFields, slab: BrickKinds, first: int, end: int) -> BrickMesh:
+def _grow_slab(fields: SlabFields, slab: BrickKinds) -> BrickMesh:
     """Extract the surface in a slab, its vertices in their final places."""
-    field, grid = fields.fit(first, end), fields.grid
+    first, grid = int(slab.first[0]), fields.grid
+    field = fields.fit(first, first + len(slab.kinds))
     mesh = kernels.grow_surface(field, grid, slab, fields.threads)
     of_levels, origin, cell_size = field.features, field.origin, field.cell_size
     del field  # makes room for what is made of the mesh
     of_mesh = mesh.vertices, mesh.faces
-    moved = kernels.balance_vertices(*of_mesh, grid.step)
+    of_faces, steps = None, np.broadcast_to(grid.step, len(mesh.vertices))
+    if grid.strides is not None:
+        exponents = grid.strides.at(mesh.bricks)
+        of_faces = np.repeat(exponents, mesh.face_counts)
+        steps = grid.step * 2.0 ** np.repeat(exponents, mesh.vertex_counts)
+    moved = kernels.balance_vertices(*of_mesh, grid.step, of_faces)
     for depth, features in enumerate(of_levels):
         lattice = origin, cell_size * 2.0**depth
-        moved = sharpen_vertices(*of_mesh, moved, features, lattice, grid.step)
+        moved = sharpen_vertices(*of_mesh, moved, features, lattice, steps)
     return replace(mesh, vertices=moved)
 
 

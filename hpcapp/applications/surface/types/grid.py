@@ -6,10 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hpcapp.applications.surface.types.lattice import pack_places, unpack_keys
+from hpcapp.applications.surface.types.lattice import find_keys, pack_places, unpack_keys
 from hpcapp.applications.surface.types.points import ByteArray, FloatArray, IntArray
+from hpccomponent.protocol.records import record
 
-__all__ = ["BESIDE", "BRICK", "FOREIGN", "NODES", "OPEN", "OUT", "OWN", "BrickKinds", "Grid"]
+__all__ = [
+    "BESIDE", "BRICK", "FOREIGN", "MOST_SHIFT", "NODES", "OPEN", "OUT", "OWN",
+    "BrickKinds", "BrickStrides", "Grid",
+]  # fmt: skip
 
 NODES = 9
 """Nodes along the edge of a brick."""
@@ -19,9 +23,53 @@ BRICK = NODES - 1
 """Cells along the edge of a brick."""
 
 
+MOST_SHIFT = BRICK.bit_length() - 1
+"""Of a stride of one brick, as a power of two."""
+
+
 OUT, BESIDE, FOREIGN, OPEN, OWN = range(5)
 """What a brick is to a tile: out of its reach; without points, but not to be taken; another
 tile's; without points, and taken when the surface reaches it; its own."""
+
+
+@record("surface.brick_strides")
+@dataclass(frozen=True, slots=True, eq=False)
+class BrickStrides:
+    """How far apart the nodes of each brick are: 1, 2, 4 or 8 finest steps.
+
+    Parameters
+    ----------
+    keys : ndarray of int64, shape (k,)
+        Sorted keys of some bricks.
+    exponents : ndarray of uint8, shape (k,)
+        The stride of each of these is two to the power of so much: 0 to `MOST_SHIFT`.
+    rest : int
+        That of all others.
+    """
+
+    keys: IntArray
+    exponents: ByteArray
+    rest: int = MOST_SHIFT
+
+    def at(self, keys: IntArray) -> ByteArray:
+        """Return the exponents of some bricks, of the shape of `keys`."""
+        return np.append(self.exponents, np.uint8(self.rest))[find_keys(self.keys, keys)]
+
+    def cells_within(self, first: IntArray, sides: tuple[int, ...]) -> ByteArray:
+        """Return how many cells the bricks of a box have along an edge.
+
+        Parameters
+        ----------
+        first : ndarray of int64, shape (3,)
+            The lowest brick.
+        sides : tuple of int
+            Bricks along x, y and z.
+        """
+        places = unpack_keys(self.keys) - first
+        inside = ((places >= 0) & (places < sides)).all(axis=1)
+        cells = np.full(sides, BRICK >> self.rest, np.uint8)
+        cells[tuple(places[inside].T)] = np.uint8(BRICK) >> self.exponents[inside]
+        return cells
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,16 +84,30 @@ class Grid:
         Edge of a cell, in length units of the input.
     bricks : tuple of int
         Along x, y and z.
+    strides : BrickStrides, optional
+        By default all are 1.
+
+    Notes
+    -----
+    Of the nodes inside a brick only those exist whose places in it are multiples of its stride; on
+    a face, or an edge, of several bricks, those of the finest of them. A cell is as large as the
+    stride of its brick.
     """
 
     origin: FloatArray
     step: float
     bricks: tuple[int, int, int]
+    strides: BrickStrides | None = None
 
     @property
     def box(self) -> tuple[FloatArray, FloatArray]:
         """The first node and the last, in length units of the input."""
         return self.origin, self.origin + self.step * BRICK * np.array(self.bricks)
+
+    @property
+    def rim(self) -> int:
+        """How many bricks deep the rim of a tile is at most (see `rims.mark_rim`)."""
+        return 1 if self.strides is None else 1 << MOST_SHIFT
 
 
 @dataclass(frozen=True, slots=True, eq=False)

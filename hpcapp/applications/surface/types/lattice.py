@@ -26,6 +26,7 @@ __all__ = [
     "find_keys",
     "find_layers",
     "keys_lie_within",
+    "lay_lattice",
     "merge_counts",
     "number_keys",
     "pack_places",
@@ -45,6 +46,9 @@ BITS = 21
 _BIAS = 1 << (BITS - 1)
 _MASK = (1 << BITS) - 1
 _STRIDES = (1 << 2 * BITS, 1 << BITS, 1)
+
+# Cells along each axis, powers of the golden ratio: far from simple fractions, and unlike.
+_OFFSETS: FloatArray = np.array([0.3819660112501051, 0.2360679774997897, 0.1458980337503155])
 
 OCTANTS: IntArray = np.array([(o & 1, o >> 1 & 1, o >> 2 & 1) for o in range(8)], np.int64)
 """The eight corners of the unit cube, x fastest."""
@@ -293,6 +297,25 @@ def corner_parents(places: IntArray, octant: IntArray) -> tuple[IntArray, IntArr
     """
     parents = (places + octant) >> 1
     return pack_places(parents), places - 2 * parents
+
+
+def lay_lattice(low: FloatArray, cell_size: float) -> FloatArray:
+    """Return where corner (0, 0, 0) of the lattice over a cloud lies: a little below it.
+
+    Parameters
+    ----------
+    low : ndarray of float64, shape (3,)
+        The least coordinates of the cloud.
+    cell_size : float
+        In length units of the input.
+
+    Notes
+    -----
+    What comes of a cloud must not hang on the last bits of its coordinates. A lattice from `low`
+    on would have points on the faces of its cells: the outermost ones, and those of clouds that
+    are regular themselves.
+    """
+    return low - _OFFSETS * cell_size
 
 
 def cells_of(positions: FloatArray, origin: FloatArray, cell_size: float) -> FloatArray:

@@ -232,7 +232,7 @@ def test_lies_that_pass_are_blamed_on_nobody_else(
         told.add(answer.name)
         return value
 
-    cloud = spoil(open_view(10_000))
+    cloud = spoil(open_view(11_000))
     given = cloud if has_normals else replace(cloud, normals=None)
     run_small(lambda answer: refused.extend(find_refusals(answer)), tmp_path, given, True, tell)
     assert refused == []

@@ -1,5 +1,8 @@
 // Vertices moved off the surface, so that the faces balance around it (see marching_cubes.py).
+#include <nanobind/stl/optional.h>
+
 #include <cmath>
+#include <optional>
 
 #include "families.h"
 
@@ -20,6 +23,7 @@ struct Surface {
   const double* vertices;
   const int64_t* faces;
   int64_t vertex_count, face_count;
+  const uint8_t* exponents;  // of the strides that the faces come from; none where all are 1
 };
 
 inline Vector at(const double* vertices, int64_t i) {
@@ -44,11 +48,13 @@ inline double squared_edge(const Surface& mesh, const int64_t* face, int k) {
 }
 
 // Unit normals, each face counting 1 / (product of its two squared edges there): exact on spheres.
-void sum_normals(const Surface& mesh, double excess, Vector* normals) {
+void sum_normals(const Surface& mesh, double step, Vector* normals) {
   std::fill(normals, normals + mesh.vertex_count, Vector{0.0, 0.0, 0.0});
   for (int64_t f = 0; f < mesh.face_count; ++f) {
     const int64_t* face = mesh.faces + 3 * f;
     const Vector n = face_cross(mesh.vertices, face);
+    const double size = mesh.exponents ? std::ldexp(step, mesh.exponents[f]) : step;
+    const double excess = std::max(SLIVER * size * size, 1e-150);
     double squares[3];  // of the edge that leaves each corner
     for (int k = 0; k < 3; ++k) squares[k] = squared_edge(mesh, face, k) + excess;
     for (int k = 0; k < 3; ++k) {
@@ -113,16 +119,18 @@ void hold_folds(const Surface& mesh, double* moved) {
   }
 }
 
-Output<double> balance_vertices(Doubles vertices_of, Integers faces_of, double step) {
+Output<double> balance_vertices(Doubles vertices_of, Integers faces_of, double step,
+                                std::optional<Bytes> exponents_of) {
   const int64_t count = vertices_of.ndim() ? rows_of(vertices_of) : 0;
   const Surface mesh{check<double>(vertices_of, "vertices", {ANY, 3}), check_faces(faces_of, count), count,
-                     rows_of(faces_of)};
+                     rows_of(faces_of),
+                     exponents_of ? check<uint8_t>(*exponents_of, "exponents", {rows_of(faces_of)}) : nullptr};
   check_positive(step, "step");
   auto moved = make_buffer<double>(3 * count);
   {
     nb::gil_scoped_release unlocked;
     const auto normals = make_buffer<Vector>(count);
-    sum_normals(mesh, std::max(SLIVER * step * step, 1e-150), normals.get());
+    sum_normals(mesh, step, normals.get());
     shift_vertices(mesh, normals.get(), moved.get());
     hold_folds(mesh, moved.get());
   }
@@ -132,7 +140,8 @@ Output<double> balance_vertices(Doubles vertices_of, Integers faces_of, double s
 }  // namespace
 
 void bind_balance(nb::module_& module) {
-  module.def("balance_vertices", &balance_vertices, "vertices"_a, "faces"_a, "step"_a);
+  module.def("balance_vertices", &balance_vertices, "vertices"_a, "faces"_a, "step"_a,
+             "exponents"_a.none() = nb::none());
 }
 
 }  // namespace hpc

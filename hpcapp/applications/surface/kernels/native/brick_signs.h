@@ -31,6 +31,28 @@ inline void mark_inside(const float* values, Brick& brick) {
     }
 }
 
+// The same where some places have no node: they are inside where the next node below them is. Values are
+// of the lattice of all nodes.
+inline void mark_inside(const float* values, const LineShifts& shifts, Brick& brick) {
+  const int every = 1 << shifts.finest();
+  uint16_t nodes[NODES][NODES];
+  for (int x = 0; x < NODES; x += every)
+    for (int y = 0; y < NODES; y += every) {
+      unsigned row = 0;
+      for (int z = 0; z < NODES; z += every) row |= static_cast<unsigned>(*values++ < 0.0f) << z;
+      nodes[x][y] = static_cast<uint16_t>(row);
+    }
+  constexpr unsigned MULTIPLES[MOST_SHIFT + 1] = {0x1FF, 0x155, 0x111, 0x101};
+  for (int x = 0; x < NODES; ++x)
+    for (int y = 0; y < NODES; ++y) {
+      const uint8_t* lines = shifts.at[end_of(x)][end_of(y)];
+      const auto below = [&](int shift) -> unsigned { return nodes[x >> shift << shift][y >> shift << shift]; };
+      unsigned row = below(lines[1]) & MULTIPLES[lines[1]];
+      for (int shift = 0; shift < lines[1]; ++shift) row |= row << (1 << shift);
+      brick.inside[x][y] = static_cast<uint16_t>((below(lines[0]) & 1u) | (row & 0xFE) | (below(lines[2]) & 0x100u));
+    }
+}
+
 // Tell whether the sign changes on a face: axis 0 to 2, at its low or its high end.
 inline bool face_crossed(const Brick& brick, int axis, bool high) {
   unsigned any = 0, all = 0x1FF;

@@ -173,7 +173,7 @@ bool split(const PointsAround& points, double noise, Model& model) {
       double left[MOST];
       model.join(points, first, joint, left);
       const double sum = sum_products(points, left, left);
-      if (sum < model.sum) model.sum = sum, model.first = first, model.joint = joint;
+      if (sum < model.sum * (1.0 - TIED) - TIED) model.sum = sum, model.first = first, model.joint = joint;
     }
   return true;
 }
@@ -189,15 +189,18 @@ double correlate(const PointsAround& points, const Model& model) {
 // One quadric does; pieces do not, but might for fewer points; pieces do.
 enum class Verdict { ONE, NONE, PIECES };
 
-// The normal that turns farthest from a direction.
-Vec farthest(const PointsAround& points, const Vec& direction) {
-  int worst = 0;
-  double least = 1e300;
+// The point whose normal turns farthest from all of some directions, the first of several; 1 - cos of by how much.
+std::pair<int, double> turn_most(const PointsAround& points, std::initializer_list<Vec> directions) {
+  double off[MOST], most = -1.0;
   for (int i = 0; i < points.count; ++i) {
-    const double along = dot(points.normal_of(i), direction);
-    if (along < least) least = along, worst = i;
+    double along = -2.0;
+    for (const Vec& direction : directions) along = std::max(along, dot(points.normal_of(i), direction));
+    off[i] = 1.0 - along;
+    most = std::max(most, off[i]);
   }
-  return points.normal_of(worst);
+  int worst = 0;
+  while (off[worst] < most - TIED) ++worst;
+  return {worst, most};
 }
 
 // Find the quadrics around a vertex.
@@ -221,7 +224,7 @@ Verdict find_features(const PointsAround& points, double noise, Model& best) {
   const double one = fit_one(points, noise) / std::max(1.0, n - QUADRIC);
   const double bound = GAIN + GAIN_PER_ROOT / std::sqrt(n);
   if (one < bound * std::max(KNOWN * noise, SMALLEST)) return Verdict::ONE;
-  const Vec a = farthest(points, mean), b = farthest(points, a);
+  const Vec a = points.normal_of(turn_most(points, {mean}).first), b = points.normal_of(turn_most(points, {a}).first);
   best.count = 2;
   best.axis[0] = a, best.axis[1] = b;
   const bool two = split(points, noise, best);
@@ -230,13 +233,7 @@ Verdict find_features(const PointsAround& points, double noise, Model& best) {
     Model three;
     three.count = 3;
     three.axis[0] = best.axis[0], three.axis[1] = best.axis[1];
-    int worst = 0;
-    double most = -1.0;
-    for (int i = 0; i < count; ++i) {
-      const double to0 = dot(points.normal_of(i), best.axis[0]), to1 = dot(points.normal_of(i), best.axis[1]);
-      const double off = 1.0 - std::max(to0, to1);
-      if (off > most) most = off, worst = i;
-    }
+    const auto [worst, most] = turn_most(points, {best.axis[0], best.axis[1]});
     three.axis[2] = points.normal_of(worst);
     if (most > LEAST_TURN && split(points, noise, three)) {
       const double other = three.sum / std::max(1.0, n - 3 * HEIGHT);

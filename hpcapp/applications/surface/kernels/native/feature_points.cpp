@@ -157,8 +157,8 @@ HPC_CLONES bool take_points(const PointsAround& points, int pieces, Taken& taken
     EACH_LANE least[lane] = taken.cost[0][i + lane], best[lane] = 0.0;
     for (int k = 1; k < pieces; ++k) EACH_LANE {
         const double cost = taken.cost[k][i + lane];
-        best[lane] = cost < least[lane] ? static_cast<double>(k) : best[lane];
-        least[lane] = cost < least[lane] ? cost : least[lane];
+        best[lane] = cost < least[lane] - TIED ? static_cast<double>(k) : best[lane];
+        least[lane] = cost < least[lane] - TIED ? cost : least[lane];
       }
     for (int k = 0; k < pieces; ++k) EACH_LANE {
         const double share = best[lane] == static_cast<double>(k) ? points.weight[i + lane] : 0.0;
@@ -193,18 +193,19 @@ HPC_CLONES double sum_products(const PointsAround& points, const double* a, cons
 
 HPC_CLONES int find_nearest(const PointsAround& points, int i) {
   const double px = points.at[0][i], py = points.at[1][i], pz = points.at[2][i];
-  double least[LANES], nearest[LANES];
-  EACH_LANE least[lane] = 1e300, nearest[lane] = i;
+  double gaps[MOST], least[LANES];
+  EACH_LANE least[lane] = 1e300;
   for (int j = 0; j < points.padded; j += LANES) EACH_LANE {
       const double x = points.at[0][j + lane] - px, y = points.at[1][j + lane] - py, z = points.at[2][j + lane] - pz;
       const double gap = points.weight[j + lane] > 0.0 && j + lane != i ? x * x + y * y + z * z : 1e300;
-      nearest[lane] = gap < least[lane] ? static_cast<double>(j + lane) : nearest[lane];
+      gaps[j + lane] = gap;
       least[lane] = gap < least[lane] ? gap : least[lane];
     }
-  int best = 0;
-  for (int lane = 1; lane < LANES; ++lane)
-    if (least[lane] < least[best] || (least[lane] == least[best] && nearest[lane] < nearest[best])) best = lane;
-  return static_cast<int>(nearest[best]);
+  for (int lane = 1; lane < LANES; ++lane) least[0] = least[lane] < least[0] ? least[lane] : least[0];
+  if (least[0] >= 1e300) return i;
+  int nearest = 0;
+  while (gaps[nearest] > least[0] + TIED) ++nearest;
+  return nearest;
 }
 
 }  // namespace hpc

@@ -10,6 +10,7 @@ namespace hpc {
 
 constexpr int PIECES = 3, QUADRIC = 10;
 constexpr int MOST = 160;  // points that a fit looks at, a multiple of the lanes
+constexpr double TIED = 1e-5;  // costs and cosines that only rounding tells apart: the first one counts
 constexpr int HEIGHT = 6;  // coefficients of a height over a plane
 // Exponents of x, y in a height.
 constexpr int TERMS[HEIGHT][2] = {{0, 0}, {1, 0}, {0, 1}, {2, 0}, {1, 1}, {0, 2}};
@@ -67,7 +68,7 @@ void join_distances(const PointsAround& points, const double* a, const double* b
 // Return the weighted sum of products of two values of each point.
 double sum_products(const PointsAround& points, const double* a, const double* b);
 
-// Return the nearest other point of point i, the first of several; i where there is none.
+// Return the nearest other point of point i, the first of several as near; i where there is none.
 int find_nearest(const PointsAround& points, int i);
 
 }  // namespace hpc

@@ -44,7 +44,7 @@ void FeatureBlend::add(const Axis* axes, const Real* raw, int64_t plane, int64_t
     int first[3], end[3];
     for (int axis = 0; axis < 3; ++axis) {
       first[axis] = NODES, end[axis] = 0;
-      for (int i = 0; i < NODES; ++i) {
+      for (int i = 0; i < axes[axis].nodes; ++i) {
         const int above = found.at[axis] - axes[axis].below[i];
         if (above != 0 && above != 1) continue;
         weight[axis][i] = static_cast<Real>(above ? axes[axis].weight[i] : 1.0 - axes[axis].weight[i]);
@@ -71,7 +71,7 @@ void FeatureBlend::add(const Axis* axes, const Real* raw, int64_t plane, int64_t
                             axes[0].below[i] + a];
           }
           const Real share = weight[0][i] * weight[1][j] * weight[2][k] / (presence > 0 ? presence : 1);
-          const int64_t node = i * stride + j * NODES + k;
+          const int64_t node = i * stride + j * axes[2].nodes + k;
           total[node] += (before[node] - rest[node]) * share * scale * (joined - quadric_at(smooth, x, y, z));
         }
   }

@@ -6,8 +6,6 @@
 // The loops over lanes index plain pointers: through a lambda GCC no longer sees what to vectorise.
 #include "field.h"
 
-#include <nanobind/stl/array.h>
-
 #include <algorithm>
 
 #include "families.h"
@@ -22,6 +20,10 @@ namespace {
 constexpr int CHANNELS = 12, AFTER_Z = 8, AFTER_Y = 5;
 constexpr size_t MOST_LEVELS = 32;
 constexpr int PLANE = 88;  // the 81 nodes of a (y, z) plane, rounded up to whole vectors
+
+// The nodes of a (y, z) plane of fewer, rounded up likewise.
+constexpr int plane_of(int nodes) { return (nodes * nodes + 7) / 8 * 8; }
+
 constexpr float TINY = 1e-30f;
 constexpr Real LEAST_REST = 1e-6f;  // what is left to the levels behind is 0 below this
 
@@ -32,15 +34,15 @@ struct Shape {
 
 // Collapse z. raw: [channel][z][y][lanes]; out: [channel][y][node][lanes], with
 // [1, x, y, xx, yy, xy, presence, trust].
-HPC_INLINE void collapse_z(const Real* __restrict raw, const Shape& shape, const Axis& axis, Real* __restrict out, const int lanes) {
-  const int64_t from = int64_t{1} * shape.z * shape.y * lanes, to = int64_t{1} * shape.y * NODES * lanes;
+HPC_INLINE void collapse_z(const Real* __restrict raw, const Shape& shape, const Axis& axis, Real* __restrict out, const int lanes, const int nodes) {
+  const int64_t from = int64_t{1} * shape.z * shape.y * lanes, to = int64_t{1} * shape.y * nodes * lanes;
   for (int y = 0; y < shape.y; ++y)
-    for (int node = 0; node < NODES; ++node) {
+    for (int node = 0; node < nodes; ++node) {
       const Real w = static_cast<Real>(axis.weight[node]), v = static_cast<Real>(1.0 - axis.weight[node]);
       const Real t = static_cast<Real>(axis.local[node]), s = static_cast<Real>(axis.local[node] - 1.0);
       const Real* __restrict a = raw + (axis.below[node] * shape.y + y) * lanes;
       const Real* b = a + shape.y * lanes;
-      Real* __restrict o = out + (y * NODES + node) * lanes;
+      Real* __restrict o = out + (y * nodes + node) * lanes;
       HPC_LANES
       for (int i = 0; i < lanes; ++i) {
         o[i] = (a[i] + t * (a[3 * from + i] + t * a[6 * from + i])) * v + (b[i] + s * (b[3 * from + i] + s * b[6 * from + i])) * w;
@@ -57,16 +59,16 @@ HPC_INLINE void collapse_z(const Real* __restrict raw, const Shape& shape, const
 
 // Collapse y. in: [channel][y][z node][lanes]; out: [channel][y node][z node][lanes], with
 // [1, x, xx, presence, trust].
-HPC_INLINE void collapse_y(const Real* __restrict in, const Shape& shape, const Axis& axis, Real* __restrict out, const int lanes) {
-  const int64_t from = int64_t{1} * shape.y * NODES * lanes, to = int64_t{1} * NODES * NODES * lanes;
-  for (int node = 0; node < NODES; ++node) {
+HPC_INLINE void collapse_y(const Real* __restrict in, const Shape& shape, const Axis& axis, Real* __restrict out, const int lanes, const int nodes) {
+  const int64_t from = int64_t{1} * shape.y * nodes * lanes, to = int64_t{1} * nodes * nodes * lanes;
+  for (int node = 0; node < nodes; ++node) {
     const Real w = static_cast<Real>(axis.weight[node]), v = static_cast<Real>(1.0 - axis.weight[node]);
     const Real t = static_cast<Real>(axis.local[node]), s = static_cast<Real>(axis.local[node] - 1.0);
-    const Real* a = in + axis.below[node] * NODES * lanes;
-    const Real* b = a + NODES * lanes;
-    Real* __restrict o = out + node * NODES * lanes;
+    const Real* a = in + axis.below[node] * nodes * lanes;
+    const Real* b = a + nodes * lanes;
+    Real* __restrict o = out + node * nodes * lanes;
     HPC_LANES
-    for (int i = 0; i < NODES * lanes; ++i) {
+    for (int i = 0; i < nodes * lanes; ++i) {
       o[i] = (a[i] + t * (a[2 * from + i] + t * a[4 * from + i])) * v + (b[i] + s * (b[2 * from + i] + s * b[4 * from + i])) * w;
       o[to + i] = (a[from + i] + t * a[5 * from + i]) * v + (b[from + i] + s * b[5 * from + i]) * w;
       o[2 * to + i] = a[3 * from + i] * v + b[3 * from + i] * w;
@@ -76,44 +78,44 @@ HPC_INLINE void collapse_y(const Real* __restrict in, const Shape& shape, const 
   }
 }
 
-// in: [channel][plane node][lanes]; out: [channel][x][PLANE].
-HPC_INLINE void turn(const Real* in, Real* out, const int lanes) {
-  constexpr int PLANE_NODES = NODES * NODES;
-  for (int channel = 0; channel < AFTER_Y; ++channel, in += PLANE_NODES * lanes, out += lanes * PLANE)
+// in: [channel][plane node][lanes]; out: [channel][x][plane].
+HPC_INLINE void turn(const Real* in, Real* out, const int lanes, const int nodes, const int plane) {
+  const int plane_nodes = nodes * nodes;
+  for (int channel = 0; channel < AFTER_Y; ++channel, in += plane_nodes * lanes, out += lanes * plane)
     for (int x = 0; x < lanes; x += 4) {
       const Real* rows[4];
       for (int i = 0; i < 4; ++i) rows[i] = in + i * lanes + x;
       int node = 0;
-      for (; node + 4 <= PLANE_NODES; node += 4) {
-        transpose_four(rows, out + x * PLANE + node, PLANE);
+      for (; node + 4 <= plane_nodes; node += 4) {
+        transpose_four(rows, out + x * plane + node, plane);
         for (auto& row : rows) row += 4 * lanes;
       }
-      for (; node < PLANE_NODES; ++node)
-        for (int i = 0; i < 4; ++i) out[(x + i) * PLANE + node] = in[node * lanes + x + i];
+      for (; node < plane_nodes; ++node)
+        for (int i = 0; i < 4; ++i) out[(x + i) * plane + node] = in[node * lanes + x + i];
     }
 }
 
-// What the levels so far amount to at each node, [x][PLANE], and what is left to those behind.
+// What the levels so far amount to at each node, [x][plane], and what is left to those behind.
 struct Composite {
   Real *total, *rest;
 };
 
 // Collapse x, and blend behind the levels in front; `scale` is the size of the level's cells.
 HPC_INLINE void collapse_x(const Real* in, const Shape& shape, const Axis& axis, Real scale,
-                           const Composite& composite) {
-  const int64_t from = int64_t{1} * shape.lanes * PLANE;
-  for (int node = 0; node < NODES; ++node) {
+                           const Composite& composite, const int nodes, const int plane) {
+  const int64_t from = int64_t{1} * shape.lanes * plane;
+  for (int node = 0; node < nodes; ++node) {
     const Real w = static_cast<Real>(axis.weight[node]), v = static_cast<Real>(1.0 - axis.weight[node]);
     const Real t = static_cast<Real>(axis.local[node]), s = static_cast<Real>(axis.local[node] - 1.0);
-    const Real* a = in + axis.below[node] * PLANE;
-    const Real* b = a + PLANE;
-    Real* __restrict total = composite.total + node * PLANE;
-    Real* __restrict rest = composite.rest + node * PLANE;
+    const Real* a = in + axis.below[node] * plane;
+    const Real* b = a + plane;
+    Real* __restrict total = composite.total + node * plane;
+    Real* __restrict rest = composite.rest + node * plane;
     bool open = false;
-    for (int i = 0; i < PLANE; ++i) open |= rest[i] > 0;
+    for (int i = 0; i < plane; ++i) open |= rest[i] > 0;
     if (!open) continue;
     HPC_LANES
-    for (int i = 0; i < PLANE; ++i) {
+    for (int i = 0; i < plane; ++i) {
       const Real quadric =
           (a[i] + t * (a[from + i] + t * a[2 * from + i])) * v + (b[i] + s * (b[from + i] + s * b[2 * from + i])) * w;
       const Real presence = a[3 * from + i] * v + b[3 * from + i] * w, trust = a[4 * from + i] * v + b[4 * from + i] * w;
@@ -125,36 +127,41 @@ HPC_INLINE void collapse_x(const Real* in, const Shape& shape, const Axis& axis,
   }
 }
 
+HPC_INLINE void collapse_axes(const Real* raw, Real* scratch, const Shape& shape, const Axis* axes, Real scale,
+                              const Composite& composite, const int lanes, const int nodes, const int plane) {
+  Real* first = scratch;
+  Real* second = first + AFTER_Z * shape.y * nodes * lanes;
+  Real* third = second + AFTER_Y * nodes * nodes * lanes;
+  collapse_z(raw, shape, axes[2], first, lanes, nodes);
+  collapse_y(first, shape, axes[1], second, lanes, nodes);
+  turn(second, third, lanes, nodes, plane);
+  collapse_x(third, shape, axes[0], scale, composite, nodes, plane);
+}
+
 HPC_CLONES void collapse(const Real* raw, Real* scratch, const Shape& shape, const Axis* axes,
                          Real scale, const Composite& composite) {
-  Real* first = scratch;
-  Real* second = first + AFTER_Z * shape.y * NODES * shape.lanes;
-  Real* third = second + AFTER_Y * NODES * NODES * shape.lanes;
+  const int nodes = axes[0].nodes;
   // The usual widths are constants to the compiler.
-  if (shape.lanes == 8) {
-    collapse_z(raw, shape, axes[2], first, 8);
-    collapse_y(first, shape, axes[1], second, 8);
-    turn(second, third, 8);
+  if (nodes != NODES) {
+    collapse_axes(raw, scratch, shape, axes, scale, composite, shape.lanes, nodes, plane_of(nodes));
+  } else if (shape.lanes == 8) {
+    collapse_axes(raw, scratch, shape, axes, scale, composite, 8, NODES, PLANE);
   } else if (shape.lanes == 12) {
-    collapse_z(raw, shape, axes[2], first, 12);
-    collapse_y(first, shape, axes[1], second, 12);
-    turn(second, third, 12);
+    collapse_axes(raw, scratch, shape, axes, scale, composite, 12, NODES, PLANE);
   } else {
-    collapse_z(raw, shape, axes[2], first, shape.lanes);
-    collapse_y(first, shape, axes[1], second, shape.lanes);
-    turn(second, third, shape.lanes);
+    collapse_axes(raw, scratch, shape, axes, scale, composite, shape.lanes, NODES, PLANE);
   }
-  collapse_x(third, shape, axes[0], scale, composite);
 }
 
 // Interpolate the far field trilinearly, in cells of the finest lattice, behind all levels.
 HPC_CLONES void add_far(const Field& field, const Axis* axes, const Composite& composite) {
   const int64_t side = field.far_nodes;
+  const int nodes = axes[0].nodes, plane = plane_of(nodes);
   const auto kept = [side](int64_t layer) { return std::min(std::max<int64_t>(layer, 0), side - 1); };
   int64_t column[MOST_LAYERS];
   for (int z = 0; z < axes[2].count; ++z) column[z] = kept(axes[2].layer[z]);
-  for (int x = 0; x < NODES; ++x)
-    for (int y = 0; y < NODES; ++y) {
+  for (int x = 0; x < nodes; ++x)
+    for (int y = 0; y < nodes; ++y) {
       const int i = axes[0].below[x], j = axes[1].below[y];
       const double t = axes[0].local[x], u = axes[1].local[y];
       const int64_t x0 = kept(axes[0].layer[i]) * side, x1 = kept(axes[0].layer[i + 1]) * side;
@@ -167,10 +174,10 @@ HPC_CLONES void add_far(const Field& field, const Axis* axes, const Composite& c
         const int64_t k = column[z];
         row[z] = (a[k] * (1.0 - t) + b[k] * t) * (1.0 - u) + (c[k] * (1.0 - t) + d[k] * t) * u;
       }
-      for (int z = 0; z < NODES; ++z) {
+      for (int z = 0; z < nodes; ++z) {
         const int k = axes[2].below[z];
         const double w = axes[2].local[z];
-        const int node = x * PLANE + y * NODES + z;
+        const int node = x * plane + y * nodes + z;
         const double far = (row[k] * (1.0 - w) + row[k + 1] * w) / field.cell_size;
         composite.total[node] += static_cast<Real>(composite.rest[node] * far);
       }
@@ -206,7 +213,7 @@ bool load_vertices(const FieldLevel& level, Finger& finger, const Axis* axes, co
 }
 
 // Move the outermost nodes of the grid outside, so that every surface closes inside it.
-void close_border(const Place& brick, const Grid& grid, float* values) {
+void close_border(const Place& brick, const Grid& grid, int every, float* values) {
   bool edge = false;
   for (int axis = 0; axis < 3; ++axis) edge = edge || brick[axis] == 0 || brick[axis] == grid.bricks[axis] - 1;
   if (!edge) return;
@@ -214,9 +221,9 @@ void close_border(const Place& brick, const Grid& grid, float* values) {
     const int64_t index = brick[axis] * BRICK + node;
     return index == 0 || index == grid.bricks[axis] * BRICK;
   };
-  for (int x = 0; x < NODES; ++x)
-    for (int y = 0; y < NODES; ++y)
-      for (int z = 0; z < NODES; ++z, ++values)
+  for (int x = 0; x < NODES; x += every)
+    for (int y = 0; y < NODES; y += every)
+      for (int z = 0; z < NODES; z += every, ++values)
         if (outer(0, x) || outer(1, y) || outer(2, z)) *values = std::fabs(*values);
 }
 
@@ -233,8 +240,18 @@ Output<float> evaluate_bricks(nb::handle field_given, nb::handle grid_given, Int
     nb::gil_scoped_release unlocked;
     run_ranges(count, workers, [&](int64_t start, int64_t stop) {
       BrickEvaluator evaluator(field, grid);
-      for (int64_t i = start; i < stop; ++i)
-        evaluator.evaluate({places[3 * i], places[3 * i + 1], places[3 * i + 2]}, values.get() + i * BRICK_NODES);
+      for (int64_t i = start; i < stop; ++i) {
+        const Place place{places[3 * i], places[3 * i + 1], places[3 * i + 2]};
+        const LineShifts shifts = line_shifts(grid, place);
+        float* out = values.get() + i * BRICK_NODES;
+        if (shifts.are_zero()) {
+          evaluator.evaluate(place, 1, out);
+        } else {
+          float nodes[BRICK_NODES];
+          evaluator.evaluate(place, 1 << shifts.finest(), nodes);
+          spread_nodes(nodes, shifts, out);
+        }
+      }
     });
   }
   return give(std::move(values), {static_cast<size_t>(count), NODES, NODES, NODES});
@@ -283,28 +300,16 @@ void take_far(nb::handle given, Field& field) {
   check_positive(field.far_step, "far step");
 }
 
-void round_values(const Real* total, float* values) {
-  for (int x = 0; x < NODES; ++x)
-    for (int i = 0; i < NODES * NODES; ++i) {
-      const float value = total[x * PLANE + i];
-      values[x * NODES * NODES + i] = value == 0.0f ? TINY : value;
+void round_values(const Real* total, int nodes, float* values) {
+  const int plane = plane_of(nodes);
+  for (int x = 0; x < nodes; ++x)
+    for (int i = 0; i < nodes * nodes; ++i) {
+      const float value = total[x * plane + i];
+      *values++ = value == 0.0f ? TINY : value;
     }
 }
 
 }  // namespace
-
-Grid take_grid(nb::handle given) {
-  Grid grid;
-  take_origin(given, grid.origin);
-  grid.step = field_of<double>(given, "step");
-  check_positive(grid.step, "step");
-  const auto bricks = field_of<std::array<int64_t, 3>>(given, "bricks");
-  for (int axis = 0; axis < 3; ++axis) {
-    if (bricks[axis] < 1 || bricks[axis] > 2048) refuse("bricks: expected 1 to 2048 along each axis");
-    grid.bricks[axis] = bricks[axis];
-  }
-  return grid;
-}
 
 Field take_field(nb::handle given, const Grid& grid) {
   Field field;
@@ -333,16 +338,18 @@ BrickEvaluator::BrickEvaluator(const Field& field, const Grid& grid)
 
 BrickEvaluator::~BrickEvaluator() = default;
 
-bool BrickEvaluator::add_level(const Place& brick, size_t depth) {
+bool BrickEvaluator::add_level(const Place& brick, int every, size_t depth) {
   const double scale = std::ldexp(1.0, static_cast<int>(depth));
   Axis axes[3];
   for (int axis = 0; axis < 3; ++axis)
-    axes[axis] = locate(brick[axis], grid_.step, grid_.origin[axis] - field_.origin[axis], field_.cell_size * scale);
+    axes[axis] =
+        locate(brick[axis], every, grid_.step, grid_.origin[axis] - field_.origin[axis], field_.cell_size * scale);
   const int lanes = std::max(8, (axes[0].count + 3) / 4 * 4);
   const Shape shape{axes[0].count, axes[1].count, axes[2].count, lanes};
+  const int nodes = axes[0].nodes, plane = plane_of(nodes);
   const size_t raw = static_cast<size_t>(CHANNELS * shape.z * shape.y * lanes);
-  const size_t others = static_cast<size_t>(AFTER_Z * shape.y * NODES * lanes + AFTER_Y * NODES * NODES * lanes +
-                                            AFTER_Y * lanes * PLANE);
+  const size_t others = static_cast<size_t>(AFTER_Z * shape.y * nodes * lanes + AFTER_Y * nodes * nodes * lanes +
+                                            AFTER_Y * lanes * plane);
   // Zeros also where a plane is padded: those lanes are computed and thrown away.
   const size_t needed = 3 * NODES * PLANE + raw + others;
   if (scratch_.size() < needed) scratch_.resize(needed, Real{0});
@@ -355,26 +362,27 @@ bool BrickEvaluator::add_level(const Place& brick, size_t depth) {
   collapse(vertices, vertices + raw, shape, axes, static_cast<Real>(scale), composite);
   if (has_features)
     features_[depth].add(axes, vertices, int64_t{1} * shape.y * lanes, lanes, static_cast<Real>(scale), composite.total,
-                         before, composite.rest, PLANE);
-  for (int x = 0; x < NODES; ++x)
-    for (int i = 0; i < NODES * NODES; ++i)
-      if (composite.rest[x * PLANE + i] > 0) return true;
+                         before, composite.rest, plane);
+  for (int x = 0; x < nodes; ++x)
+    for (int i = 0; i < nodes * nodes; ++i)
+      if (composite.rest[x * plane + i] > 0) return true;
   return false;
 }
 
-void BrickEvaluator::evaluate(const Place& brick, float* values) {
+void BrickEvaluator::evaluate(const Place& brick, int every, float* values) {
   std::fill(scratch_.begin(), scratch_.begin() + NODES * PLANE, Real{0});
   std::fill(scratch_.begin() + NODES * PLANE, scratch_.begin() + 2 * NODES * PLANE, Real{1});
   bool left = true;
-  for (size_t depth = 0; left && depth < field_.levels.size(); ++depth) left = add_level(brick, depth);
+  for (size_t depth = 0; left && depth < field_.levels.size(); ++depth) left = add_level(brick, every, depth);
   if (left) {
     Axis axes[3];
     for (int axis = 0; axis < 3; ++axis)
-      axes[axis] = locate(brick[axis], grid_.step, grid_.origin[axis] - field_.far_origin[axis], field_.far_step);
+      axes[axis] =
+          locate(brick[axis], every, grid_.step, grid_.origin[axis] - field_.far_origin[axis], field_.far_step);
     add_far(field_, axes, {scratch_.data(), scratch_.data() + NODES * PLANE});
   }
-  round_values(scratch_.data(), values);
-  close_border(brick, grid_, values);
+  round_values(scratch_.data(), BRICK / every + 1, values);
+  close_border(brick, grid_, every, values);
 }
 
 void bind_field(nb::module_& module) {

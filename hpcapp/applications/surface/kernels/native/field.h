@@ -6,21 +6,13 @@
 #include <vector>
 
 #include "arrays.h"
+#include "grid.h"
 #include "keys.h"
 
 namespace hpc {
 
-constexpr int BRICK = 8;
-constexpr int NODES = BRICK + 1;
-constexpr int BRICK_NODES = NODES * NODES * NODES;
-
 // Quadrics are of single precision, and so are the values of the nodes that come of them.
 using Real = float;
-
-struct Grid {
-  double origin[3], step;
-  int64_t bricks[3];
-};
 
 // The quadrics of one lattice.
 struct FieldLevel {
@@ -54,8 +46,7 @@ struct Field {
   }
 };
 
-// Check a `Grid` and a `Field` of Python.
-Grid take_grid(nb::handle given);
+// Check a `Field` of Python.
 Field take_field(nb::handle given, const Grid& grid);
 
 class FeatureBlend;
@@ -65,15 +56,15 @@ class BrickEvaluator {
  public:
   BrickEvaluator(const Field& field, const Grid& grid);
   ~BrickEvaluator();
-  // Write the values of all nodes, x slowest.
-  void evaluate(const Place& brick, float* values);
+  // Write the values of every so many nodes along each axis, x slowest.
+  void evaluate(const Place& brick, int every, float* values);
 
  private:
   // Blend a level over what lies in front of it; return whether anything is left to those behind.
-  bool add_level(const Place& brick, size_t depth);
+  bool add_level(const Place& brick, int every, size_t depth);
 
   const Field& field_;
-  Grid grid_;
+  const Grid& grid_;
   std::vector<Finger> fingers_;
   std::vector<FeatureBlend> features_;
   std::vector<Real> scratch_;

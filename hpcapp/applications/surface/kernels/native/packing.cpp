@@ -15,6 +15,7 @@ namespace hpc {
 namespace {
 
 constexpr int RECORD = 6;  // offset within the block, normal
+constexpr double QUANTA = 1 << 23;  // along a block
 
 nb::tuple pack_records(Input positions_of, Input normals_of, Input origin_of, double edge) {
   const double* positions = check<double>(positions_of, "positions", {ANY, 3});
@@ -43,7 +44,7 @@ nb::tuple pack_records(Input positions_of, Input normals_of, Input origin_of, do
       float* record = records.get() + RECORD * i;
       for (int axis = 0; axis < 3; ++axis) {
         const double place = (positions[from + axis] - origin[axis]) / edge;
-        record[axis] = static_cast<float>(place - std::floor(place));
+        record[axis] = static_cast<float>((std::floor((place - std::floor(place)) * QUANTA) + 0.5) / QUANTA);
         record[3 + axis] = static_cast<float>(normals[from + axis]);
       }
     }

@@ -19,17 +19,18 @@ from hpcapp.applications.surface.types.grid import (
     OUT,
     OWN,
     BrickKinds,
+    BrickStrides,
     Grid,
 )
 from hpcapp.applications.surface.types.lattice import (
     cells_of,
-    find_keys,
     pack_places,
     step_keys,
     unique_keys,
     unpack_keys,
 )
 from hpcapp.applications.surface.types.points import BoolArray, Float32Array, FloatArray, IntArray
+from hpcapp.applications.surface.types.rims import mark_rim
 
 __all__ = ["grow_bricks", "seed_bricks"]
 
@@ -54,7 +55,10 @@ def seed_bricks(grid: Grid, positions: FloatArray) -> IntArray:
 
 
 def grow_bricks(
-    evaluate: Evaluate, kinds: BrickKinds, bricks: tuple[int, int, int]
+    evaluate: Evaluate,
+    kinds: BrickKinds,
+    bricks: tuple[int, int, int],
+    strides: BrickStrides | None = None,
 ) -> tuple[IntArray, Float32Array, BoolArray, IntArray]:
     """Evaluate a tile's own bricks, all open ones that the surface reaches, and their rim.
 
@@ -64,6 +68,8 @@ def grow_bricks(
         From places of bricks, shape (b, 3), to their node values, shape (b, 9, 9, 9).
     bricks : tuple of int
         Bricks of the grid along x, y and z.
+    strides : BrickStrides, optional
+        Of the grid.
 
     Returns
     -------
@@ -79,7 +85,7 @@ def grow_bricks(
     -----
     No edge that the surface crosses lies on a brick that no tile has, once the exits are grown
     too, so the surface is closed; the cost grows with its area. The rim is what the surface
-    reaches among the 26 neighbours of what is taken: six cells deep at least.
+    reaches in `rims.mark_rim` of what is taken.
     """
     part, beyond = _Grown(evaluate, bricks), [np.empty(0, np.int64)]
     new = kinds.own()
@@ -93,10 +99,14 @@ def grow_bricks(
     taken = part.keys()
     edge = unique_keys(np.concatenate(beyond))
     exits = edge[np.isin(kinds.at(edge), (OUT, BESIDE))]
-    new = edge[kinds.at(edge) != OUT]
+    reached = edge[kinds.at(edge) != OUT]
+    new = reached
     while len(new):
-        reached = np.setdiff1d(part.add(new), part.keys())
-        new = reached[(kinds.at(reached) != OUT) & _touch(reached, taken)]
+        further = part.add(new)
+        reached = np.union1d(reached, further[kinds.at(further) != OUT])
+        # What the surface has come by counts as way to what lies behind.
+        rim = _find_rim(kinds, taken, part.keys(), strides)
+        new = np.setdiff1d(reached[rim.at(reached) != OUT], part.keys())
     keys, values = part.sorted()
     return unpack_keys(keys), values, np.isin(keys, taken), exits
 
@@ -128,12 +138,19 @@ class _Grown:
         return joined[order], np.concatenate(self._values)[order]
 
 
-def _touch(keys: IntArray, others: IntArray) -> BoolArray:
-    """Tell which bricks have one of the others among their 26 neighbours."""
-    touched = np.zeros(len(keys), np.bool_)
-    for step in np.ndindex(3, 3, 3):
-        touched |= find_keys(others, step_keys(keys, np.array(step) - 1)) < len(others)
-    return touched
+def _find_rim(
+    kinds: BrickKinds, taken: IntArray, evaluated: IntArray, strides: BrickStrides | None
+) -> BrickKinds:
+    """Mark what is taken and its rim: so few cells of evaluated bricks lie between; else `OUT`."""
+    own, ways = (BrickKinds(kinds.first, np.zeros_like(kinds.kinds)) for _ in range(2))
+    own.mark(taken, OWN)
+    cells = None
+    if strides is not None:
+        ways.mark(evaluated, OWN)
+        inner = strides.cells_within(kinds.first, kinds.kinds.shape)
+        cells = np.where(ways.kinds == OWN, inner, np.uint8(BRICK))
+    is_rim = mark_rim(own.kinds == OWN, cells)
+    return BrickKinds(kinds.first, np.where(is_rim, kinds.kinds, np.uint8(OUT)))
 
 
 def _reached(keys: IntArray, values: Float32Array, bricks: tuple[int, int, int]) -> IntArray:

@@ -18,7 +18,6 @@ import numpy as np
 
 from hpcapp.applications.surface.kernels.constants import BASIS
 from hpcapp.applications.surface.types.field import PIECES, Features
-from hpcapp.applications.surface.types.grid import NODES
 from hpcapp.applications.surface.types.lattice import find_keys, pack_places, unpack_keys
 from hpcapp.applications.surface.types.points import (
     BoolArray,
@@ -55,6 +54,7 @@ _CURVATURE = 0.08  # what a piece bends by, in cells
 _EXACT = 1e-5  # the least variance of a position
 _LEAST_SLOPE = 0.04  # squared
 _ROUNDS, _BY_PIECES = 6, 3  # of taking points to pieces; from this one on by their quadrics
+_TIED = 1e-5  # costs and cosines that only rounding tells apart: the first one counts
 _HEIGHT = 6  # coefficients of a piece over its plane
 _BATCH = 256
 
@@ -159,17 +159,17 @@ def blend_features(
 
     Returns
     -------
-    ndarray of float64, shape (b, 9, 9, 9)
+    ndarray of float64, shape (b, n, n, n)
         To be added to the weighted sums of the quadrics.
     """
-    sums = np.zeros((len(rows), *[NODES] * 3))
+    sums = np.zeros((len(rows), *[local.shape[2]] * 3))
     # (b, k, k, k): where the vertices stand among the features; then one after the other.
     at = find_keys(features.keys, keys)
     brick, *layers = np.nonzero((at < len(features.keys)) & (rows < channels.shape[1] - 1))
     smooth = local * local * (3.0 - 2.0 * local)
     for number, place in enumerate(zip(brick, *layers, strict=True)):
         b = brick[number]
-        # Three of (9,) each: the vertex's weight at the nodes along an axis, 0 beyond a cell, and
+        # Three of (n,) each: the vertex's weight at the nodes along an axis, 0 beyond a cell, and
         # where they lie as seen from it, in cells.
         weights, heights = [], []
         for axis in range(3):
@@ -288,11 +288,10 @@ def _find(around: _Around, noise: float) -> tuple[IntArray, BoolArray, Float32Ar
 
 def _seed_two(around: _Around, means: FloatArray) -> FloatArray:
     """Return the normal farthest from the mean, and the one farthest from that, (m, 2, 3)."""
-    rows, real = np.arange(len(means)), around.weights > 0.0
-    seeds = [means]
+    rows, seeds = np.arange(len(means)), [means]
     for _ in range(2):
-        along = np.einsum("mpi,mi->mp", around.normals, seeds[-1])
-        seeds.append(around.normals[rows, np.where(real, along, np.inf).argmin(axis=1)])
+        worst, _ = _turn_most(around, seeds[-1][:, None])
+        seeds.append(around.normals[rows, worst])
     return np.stack(seeds[1:], axis=1)
 
 
@@ -300,8 +299,9 @@ def _turn_most(around: _Around, axes: FloatArray) -> tuple[IntArray, FloatArray]
     """Return which point's normal turns farthest from all axes, and 1 - cos of by how much."""
     along = np.einsum("mpi,mki->mpk", around.normals, axes).max(axis=2)
     off = np.where(around.weights > 0.0, 1.0 - along, -np.inf)
-    worst = off.argmax(axis=1)
-    return worst, off[np.arange(len(off)), worst]
+    most = off.max(axis=1)
+    worst: IntArray = (off >= most[:, None] - _TIED).argmax(axis=1)  # the first of several
+    return worst, most
 
 
 def _seed_three(around: _Around, axes: FloatArray) -> FloatArray:
@@ -324,7 +324,7 @@ def _split(around: _Around, axes: FloatArray, noise: float) -> _Models:
             distances, turned = _measure(pieces, around.at)
             turns = 2.0 - 2.0 * np.einsum("mpi,mkpi->mkp", around.normals, turned)
             costs = _TURN * turns + distances**2
-        of = costs.argmin(axis=1)
+        of = _take_cheapest(costs)
         # (m, k, p): the weight of each point in the piece that has it. A model with too light a
         # piece is given up; the axes of others become the means of their normals.
         members = (of[:, None] == np.arange(size)[:, None]) * around.weights[:, None]
@@ -343,10 +343,19 @@ def _split(around: _Around, axes: FloatArray, noise: float) -> _Models:
             of_all = np.full((len(axes), 1), joint)
             f = _join(distances[:, a], distances[:, b], distances[:, c], of_all)
             sums = (around.weights * f * f).sum(axis=1)
-            better = alive & (sums < best)
+            better = alive & (sums < best * (1.0 - _TIED) - _TIED)
             best[better], first[better], joints[better] = sums[better], a, joint
             residuals[better] = f[better]
     return _Models(axes, pieces, first, joints, best, residuals)
+
+
+def _take_cheapest(costs: FloatArray) -> IntArray:
+    """Return the first of the cheapest pieces of each point, given (m, k, p)."""
+    of, least = np.zeros((len(costs), costs.shape[2]), np.int64), costs[:, 0].copy()
+    for piece in range(1, costs.shape[1]):
+        is_cheaper = costs[:, piece] < least - _TIED
+        of[is_cheaper], least[is_cheaper] = piece, costs[:, piece][is_cheaper]
+    return of
 
 
 def _join(a: FloatArray, b: FloatArray, c: FloatArray, joints: IntArray | ByteArray) -> FloatArray:
@@ -456,7 +465,8 @@ def _correlate(around: _Around, residuals: FloatArray) -> FloatArray:
     gaps = np.where(real[:, None], gaps, np.inf)
     index = np.arange(gaps.shape[1])
     gaps[:, index, index] = np.inf
-    nearest = np.take_along_axis(residuals, gaps.argmin(axis=2), axis=1)
+    first = (gaps <= gaps.min(axis=2, keepdims=True) + _TIED).argmax(axis=2)
+    nearest = np.take_along_axis(residuals, first, axis=1)
     squares = np.maximum((around.weights * residuals * residuals).sum(axis=1), 1e-30)
     like: FloatArray = (around.weights * residuals * nearest).sum(axis=1) / squares
     return like

@@ -1,8 +1,9 @@
 """The implicit function at the nodes of bricks: levels of quadrics, far field behind them.
 
-A brick has 8^3 cells of the evaluation grid and 9^3 nodes; it shares the outer ones with its
-neighbours. The value of a node is a function of the node's index alone, in a fixed order of
-operations, and is rounded to float32: bricks agree on what they share, and workers on everything.
+A brick has 8^3 cells of the evaluation grid and 9^3 nodes, or, where its stride is longer, some of
+these; it shares the outer ones with its neighbours. The value of a node is a function of the node's
+index alone, in a fixed order of operations, and is rounded to float32: bricks agree on what they
+share, and workers on everything.
 
 Because the nodes of a brick are a product of three rows, each axis is collapsed in turn: the work
 per node is a tenth of that of eight corners.
@@ -16,6 +17,11 @@ from typing import TypeVar
 import numpy as np
 
 from hpcapp.applications.surface.kernels.portable.features import blend_features
+from hpcapp.applications.surface.kernels.portable.strides import (
+    fill_missing,
+    finest_shifts,
+    line_shifts,
+)
 from hpcapp.applications.surface.types.field import Field
 from hpcapp.applications.surface.types.grid import BRICK, NODES, Grid
 from hpcapp.applications.surface.types.lattice import find_keys, pack_places
@@ -44,7 +50,8 @@ def evaluate_bricks(field: Field, grid: Grid, places: IntArray, threads: int = 1
     -------
     ndarray of float32, shape (b, 9, 9, 9)
         In cells of the finest lattice, positive outside, never 0; the outermost nodes of
-        the grid are positive, so that every surface closes inside it.
+        the grid are positive, so that every surface closes inside it. Where strides are longer,
+        a place without a node has the value of the next node below it.
 
     Notes
     -----
@@ -54,24 +61,48 @@ def evaluate_bricks(field: Field, grid: Grid, places: IntArray, threads: int = 1
     """
     del threads  # numpy runs on one
     values = np.empty((len(places), NODES, NODES, NODES), np.float32)
-    # Layers of the finest lattice that a brick touches: they say how many bricks fit the cache.
-    reach = BRICK * grid.step / field.cell_size
-    layers = min(2 * NODES, int(reach) + 3)
-    chunk = max(1, _CHUNK_NODES // max(NODES * layers**2, NODES**3))
     channels = [level.channels() for level in field.levels]
+    if grid.strides is None:
+        _evaluate_every(field, channels, grid, places, values, 1)
+        return values
+    shifts = line_shifts(grid, places)
+    finest = finest_shifts(shifts)
+    for shift in np.unique(finest):
+        rows, every = np.flatnonzero(finest == shift), 1 << int(shift)
+        some = np.empty((len(rows), *[BRICK // every + 1] * 3), np.float32)
+        _evaluate_every(field, channels, grid, places[rows], some, every)
+        at = np.arange(0, NODES, every)
+        values[np.ix_(rows, at, at, at)] = some
+    return fill_missing(values, shifts)
+
+
+def _evaluate_every(
+    field: Field,
+    channels: list[FloatArray],
+    grid: Grid,
+    places: IntArray,
+    values: Float32Array,
+    every: int,
+) -> None:
+    """Evaluate every so many nodes along each axis into `values`, a chunk of bricks at a time."""
+    # Layers of the finest lattice that a brick touches: they say how many bricks fit the cache.
+    reach, count = BRICK * grid.step / field.cell_size, values.shape[1]
+    layers = min(2 * count, int(reach) + 3)
+    chunk = max(1, _CHUNK_NODES // max(count * layers**2, count**3))
     for start in range(0, len(places), chunk):
         rows = slice(start, start + chunk)
-        values[rows] = _evaluate_chunk(field, channels, grid, places[rows])
-    return values
+        # (3, b, n): of the whole grid.
+        nodes = BRICK * places[rows].T[:, :, None] + np.arange(0, NODES, every)
+        values[rows] = _evaluate_chunk(field, channels, grid, nodes)
 
 
 def _evaluate_chunk(
-    field: Field, channels: list[FloatArray], grid: Grid, places: IntArray
+    field: Field, channels: list[FloatArray], grid: Grid, nodes: IntArray
 ) -> Float32Array:
-    """Evaluate a few bricks."""
-    nodes = BRICK * places.T[:, :, None] + np.arange(NODES)  # (3, b, 9): of the whole grid
-    # (b, 9, 9, 9): what the levels so far amount to, and the share left to those behind them.
-    total, rest = np.zeros((len(places), *[NODES] * 3)), np.ones((len(places), *[NODES] * 3))
+    """Evaluate the nodes of a few bricks."""
+    shape = nodes.shape[1], *[nodes.shape[2]] * 3
+    # (b, n, n, n): what the levels so far amount to, and the share left to those behind them.
+    total, rest = np.zeros(shape), np.ones(shape)
     for depth, level in enumerate(field.levels):
         scale = 2.0**depth
         lower, local = _locate(nodes, grid, field.origin, field.cell_size * scale)
@@ -107,7 +138,7 @@ def _locate(
 ) -> tuple[IntArray, FloatArray]:
     """Return the cell of a lattice that each node coordinate lies in, and where in it (0 to 1).
 
-    All of shape (3, b, 9). The result depends on the node's index only, never on its brick.
+    All of shape (3, b, n). The result depends on the node's index only, never on its brick.
     """
     offset = (grid.origin - origin)[:, None, None]
     coordinates = (nodes * grid.step + offset) / size
@@ -136,21 +167,22 @@ def needed_layers(lower: IntArray) -> tuple[IntArray, IntArray]:
 
     Parameters
     ----------
-    lower : ndarray of int64, shape (3, b, 9)
+    lower : ndarray of int64, shape (3, b, n)
 
     Returns
     -------
     layers : ndarray of int64, shape (3, b, k)
-    index : ndarray of int64, shape (3, b, 9)
+    index : ndarray of int64, shape (3, b, n)
         Into `layers`; the upper layer is the next.
     """
     first = lower[:, :, :1]
     span = int((lower - first).max()) + 2
-    if span <= 2 * NODES:
+    most = 2 * lower.shape[2]
+    if span <= most:
         return first + np.arange(span), lower - first
-    # A lattice much finer than the grid: nine separate pairs of layers.
-    pairs = np.stack([lower, lower + 1], axis=-1).reshape(*lower.shape[:2], 2 * NODES)
-    return pairs, np.broadcast_to(2 * np.arange(NODES), lower.shape)
+    # A lattice much finer than the nodes: separate pairs of layers.
+    pairs = np.stack([lower, lower + 1], axis=-1).reshape(*lower.shape[:2], most)
+    return pairs, np.broadcast_to(np.arange(0, most, 2), lower.shape)
 
 
 def blend_quadrics(
@@ -164,14 +196,14 @@ def blend_quadrics(
         The ten coefficients, 1, and the trust of each vertex; a column of zeros for a missing one.
     rows : ndarray of int64, shape (b, k, k, k)
         The vertices around each brick, as columns of `channels`.
-    lower : ndarray of int64, shape (3, b, 9)
+    lower : ndarray of int64, shape (3, b, n)
         Per axis, which of the k layers lies below each node.
-    local : ndarray of float64, shape (3, b, 9)
+    local : ndarray of float64, shape (3, b, n)
         Per axis, each node's height above that layer, in cells (0 to 1).
 
     Returns
     -------
-    ndarray of float64, shape (3, b, 9, 9, 9)
+    ndarray of float64, shape (3, b, n, n, n)
         Weighted sums of the quadrics, of 1, and of the trust.
 
     Notes
@@ -180,8 +212,8 @@ def blend_quadrics(
     (x, y, z) become quadrics in (y, z), in z, and numbers, each c0 + u (c1 + u c2) times its
     weight, lower plus upper layer. About 20 operations per node instead of 250.
     """
-    weight = local * local * (3.0 - 2.0 * local)  # (3, b, 9)
-    # Channels: 12 of vertices, (12, v + 1); 8 of (b, 9, k, k); 5 of (b, 9, 9, k); 3 of (b, 9^3).
+    weight = local * local * (3.0 - 2.0 * local)  # (3, b, n)
+    # Channels: 12 of vertices, (12, v + 1); 8 of (b, n, k, k); 5 of (b, n, n, k); 3 of (b, n^3).
     sums = _collapse_axis(channels, _x_index(rows, lower[0]), local[0], weight[0], 0)
     sums = _collapse_axis(sums, _y_index(lower[1], rows.shape[3]), local[1], weight[1], 1)
     return _collapse_axis(sums, _z_index(lower[2], rows.shape[3]), local[2], weight[2], 2)
@@ -193,14 +225,14 @@ def interpolate_far(values: Float32Array, lower: IntArray, local: FloatArray) ->
     Parameters
     ----------
     values : ndarray of float32, shape (g, g, g)
-    lower : ndarray of int64, shape (3, b, 9)
+    lower : ndarray of int64, shape (3, b, n)
         Per axis, the grid layer below each node.
-    local : ndarray of float64, shape (3, b, 9)
+    local : ndarray of float64, shape (3, b, n)
         Per axis, each node's height above that layer, in steps (0 to 1).
 
     Returns
     -------
-    ndarray of float64, shape (b, 9, 9, 9)
+    ndarray of float64, shape (b, n, n, n)
     """
     layers, lower = needed_layers(lower)
     x, y, z = cross_axes(np.clip(layers, 0, len(values) - 1))
@@ -215,23 +247,22 @@ def interpolate_far(values: Float32Array, lower: IntArray, local: FloatArray) ->
 
 
 def _x_index(rows: IntArray, lower: IntArray) -> Pair:
-    """Return the columns of the layers below and above each node's x, shape (b, 9, k, k)."""
+    """Return the columns of the layers below and above each node's x, shape (b, n, k, k)."""
     bricks = np.arange(len(rows))[:, None]
     return rows[bricks, lower], rows[bricks, lower + 1]
 
 
 def _y_index(lower: IntArray, layers: int) -> Pair:
-    """Return where those of y stand in an array (b, 9, k, k), shape (b, 9, 9, k)."""
-    bricks = len(lower)
-    rows = np.arange(bricks * NODES).reshape(bricks, NODES, 1, 1) * layers
+    """Return where those of y stand in an array (b, n, k, k), shape (b, n, n, k)."""
+    rows = np.arange(lower.size).reshape(*lower.shape, 1, 1) * layers
     below = (rows + lower[:, None, :, None]) * layers + np.arange(layers)
     return below, below + layers
 
 
 def _z_index(lower: IntArray, layers: int) -> Pair:
-    """Return where those of z stand in an array (b, 9, 9, k), shape (b, 9, 9, 9)."""
-    bricks = len(lower)
-    rows = np.arange(bricks * NODES**2).reshape(bricks, NODES, NODES, 1) * layers
+    """Return where those of z stand in an array (b, n, n, k), shape (b, n, n, n)."""
+    bricks, nodes = lower.shape
+    rows = np.arange(bricks * nodes**2).reshape(bricks, nodes, nodes, 1) * layers
     below = rows + lower[:, None, None, :]
     return below, below + 1
 
@@ -267,7 +298,7 @@ def _collapse_axis(
 ) -> FloatArray:
     """Blend the layers below and above each node along one axis."""
     shape = [len(local), 1, 1, 1]
-    shape[1 + axis] = NODES
+    shape[1 + axis] = local.shape[1]
     flat, t, w = sums.reshape(len(sums), -1), local.reshape(shape), weight.reshape(shape)
     # The place is seen from the layer below (t) and from the one above (t - 1).
     below = restrict(np.take(flat, index[0], axis=1), t, axis) * (1.0 - w)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.applications.surface.kernels.constants import QUANTA
 from hpcapp.applications.surface.kernels.portable.bricks import seed_bricks
 from hpcapp.applications.surface.kernels.portable.cells import sort_points
 from hpcapp.applications.surface.types.grid import Grid
@@ -44,7 +45,6 @@ def pack_records(
     Parameters
     ----------
     positions, normals : ndarray of float64, shape (n, 3)
-        Snapped.
     origin : ndarray of float64, shape (3,)
 
     Returns
@@ -52,14 +52,16 @@ def pack_records(
     keys, counts : ndarray of int64, shape (b,)
         Of the blocks, sorted.
     records : ndarray of float32, shape (n, 6)
-        Offset and normal of each point; within a block the points keep their order.
+        Offset and normal of each point; within a block the points keep their order. Offsets are
+        the middles of 2^23 quanta along a block.
     """
     keys, offsets, rows = sort_points(positions, origin, edge)
     records = np.empty((len(rows), 6), np.float32)
     for start in range(0, len(rows), _ROWS_AT_ONCE):
         chunk = slice(start, start + _ROWS_AT_ONCE)
         places = (positions[chunk] - origin) / edge
-        records[chunk, :3] = places - np.floor(places)  # 0 to 1 within the block
+        quanta = np.floor((places - np.floor(places)) * QUANTA)
+        records[chunk, :3] = (quanta + 0.5) / QUANTA  # 0 to 1 within the block
         records[chunk, 3:] = normals[chunk]
     return keys, np.diff(offsets), records.take(rows, axis=0)
 

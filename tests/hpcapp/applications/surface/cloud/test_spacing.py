@@ -9,6 +9,7 @@ from hpcapp.applications.surface.cloud.spacing import (
     sample_box_keys,
     search_spacing,
 )
+from hpcapp.applications.surface.types.lattice import lay_lattice
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpccomponent.errors import InputError
 
@@ -64,7 +65,8 @@ def test_groups_have_the_spacing_of_the_whole(count: int, times: int, group: int
         some = [cloud.take_blocks(keys)[0] for keys in runs]
         if is_distinct:
             some = [np.unique(positions, axis=0) for positions in some]
-        counted = [sample_box_keys(positions, cloud.low, edge, one_in) for positions in some]
+        corner = lay_lattice(cloud.low, edge)
+        counted = [sample_box_keys(positions, corner, edge, one_in) for positions in some]
         boxes = np.unique(np.concatenate([keys for _, keys in counted]))
         return sum(held for held, _ in counted), len(boxes)
 

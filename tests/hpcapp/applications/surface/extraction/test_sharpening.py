@@ -71,7 +71,8 @@ def make_wedge(seed: int, angle: float, is_convex: bool) -> Wedge:
 
 def sharpen(wedge: Wedge, features: Features) -> tuple[Mesh, FloatArray]:
     mesh, *_ = extract_shape(wedge)
-    found = sharpen_vertices(mesh.vertices, mesh.faces, mesh.vertices, features, LATTICE, GRID.step)
+    steps = np.full(len(mesh.vertices), GRID.step)
+    found = sharpen_vertices(mesh.vertices, mesh.faces, mesh.vertices, features, LATTICE, steps)
     return mesh, found
 
 
@@ -157,7 +158,8 @@ def test_a_vertex_depends_on_seven_faces_around_it(
     mesh, whole = sharpen(wedge, features)
     cells = np.floor((mesh.vertices[mesh.faces].mean(axis=1) - GRID.origin) / GRID.step)[:, axis]
     part = mesh.faces[cells < cut + 7]
-    alone = sharpen_vertices(mesh.vertices, part, mesh.vertices, features, LATTICE, GRID.step)
+    steps = np.full(len(mesh.vertices), GRID.step)
+    alone = sharpen_vertices(mesh.vertices, part, mesh.vertices, features, LATTICE, steps)
     own = np.unique(mesh.faces[cells < cut])
     np.testing.assert_array_equal(alone[own], whole[own])
 
@@ -166,7 +168,14 @@ def test_beside_an_edge_vertices_are_not_balanced() -> None:
     wedge = make_wedge(1, 1.4, True)
     mesh, *_ = extract_shape(wedge)
     balanced = mesh.vertices + 0.01 * GRID.step
-    of = mesh.vertices, mesh.faces, balanced, wedge.features(), LATTICE, GRID.step
+    of = (
+        mesh.vertices,
+        mesh.faces,
+        balanced,
+        wedge.features(),
+        LATTICE,
+        np.full(len(mesh.vertices), GRID.step),
+    )
     found = sharpen_vertices(*of)
     on_edge = np.abs(wedge.pieces(found)).max(axis=1) < 1e-5
     on_edge &= (found != mesh.vertices).any(axis=1)

@@ -5,7 +5,7 @@ import pytest
 
 from hpcapp.applications.surface.cloud.measured import measure_points
 from hpcapp.applications.surface.cloud.spacing import estimate_spacing
-from hpcapp.applications.surface.hierarchical.estimates import choose_scale
+from hpcapp.applications.surface.hierarchical.estimates import choose_scale, suggest_grid
 from hpcapp.applications.surface.types.points import PointCloud
 
 
@@ -56,3 +56,46 @@ def test_hands_on_the_wheel() -> None:
 
 def test_no_cell_is_smaller_than_a_step_of_the_grid() -> None:
     assert choose_scale(measure_points(noisy_sphere(0.0)), 0.2, 1.0, 1.0).cell_size == 0.2
+
+
+def uneven_sphere(noise: float) -> PointCloud:
+    """Three quarters of the points on a fiftieth of it; the noise of all is the same."""
+    cloud = noisy_sphere(noise, 200_000)
+    assert cloud.normals is not None
+    is_close = cloud.normals[:, 2] > 0.96
+    rows = np.concatenate([np.flatnonzero(is_close)[:3_900], np.flatnonzero(~is_close)[:6_000]])
+    return cloud.take(rows)
+
+
+def test_dense_parts_do_not_hide_the_noise() -> None:
+    assert find_noise(uneven_sphere(0.01)) == pytest.approx(0.01, rel=0.3)
+
+
+def test_cells_are_halved_where_points_are_dense_and_doubled_where_they_are_sparse() -> None:
+    even = choose_scale(measure_points(noisy_sphere(0.0)), 0.0, 1.0, 1.0)
+    assert (even.finer, even.coarser) == (0, 0)
+    uneven = choose_scale(measure_points(uneven_sphere(0.0)), 0.0, 1.0, 1.0)
+    assert uneven.finer + uneven.coarser >= 2
+    assert uneven.finest == uneven.cell_size * 2.0**-uneven.finer
+    noisy = choose_scale(measure_points(uneven_sphere(0.02)), 0.0, 1.0, 1.0)
+    assert noisy.finest >= 2.5 * noisy.noise
+
+
+def test_no_refined_cell_is_smaller_than_a_step_either() -> None:
+    scale = choose_scale(measure_points(uneven_sphere(0.0)), 0.03, 1.0, 1.0)
+    assert scale.finest >= 0.03
+
+
+def test_a_grid_follows_the_densest_points() -> None:
+    longest = 2.0
+    even, uneven = (
+        suggest_grid(measure_points(cloud), longest, 1.0, 1.0).grid
+        for cloud in (noisy_sphere(0.0, 10_000), uneven_sphere(0.0))
+    )
+    assert uneven > 1.8 * even
+
+
+def test_a_small_scan_gets_a_small_mesh() -> None:
+    found = suggest_grid(measure_points(noisy_sphere(0.0, 1_000)), 2.0, 1.0, 1.0)
+    spacing = np.sqrt(4.0 * np.pi / 1_000)
+    assert 0.5 * spacing < 2.0 / (found.grid - 8) < 1.1 * spacing

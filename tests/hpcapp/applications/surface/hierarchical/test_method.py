@@ -3,6 +3,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,17 +14,20 @@ from recorder import Recorder
 
 from hpcapp.applications.surface.checkpoint import Checkpoint
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud
+from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.field import levels as field_levels
 from hpcapp.applications.surface.field.levels import SlabFields
 from hpcapp.applications.surface.field.robust import find_tolerance
 from hpcapp.applications.surface.hierarchical import estimates, slabs
 from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod, plan_grid
+from hpcapp.applications.surface.hierarchical.tiles import Tiling
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.applications.surface.tiles import slabs as slab_growth
+from hpcapp.applications.surface.tiles.plan import Plan
 from hpcapp.applications.surface.tiles.slabs import grow_slabs
-from hpcapp.applications.surface.types.grid import BRICK, BrickKinds
-from hpcapp.applications.surface.types.lattice import unpack_keys
+from hpcapp.applications.surface.types.grid import BRICK, BrickKinds, BrickStrides
+from hpcapp.applications.surface.types.lattice import pack_places, unpack_keys
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
 from hpcapp.workforce import Workforce
@@ -289,8 +293,83 @@ def test_any_slabs_give_the_same_bits(
         assert again == facts
 
 
+def reconstruct_strided(
+    cloud: PointCloud, grid: int, choose: Callable[[Plan], BrickStrides], tiles: int | None = None
+) -> Mesh:
+    """Run the method with strides, as one tile in this process, or in so many tiles on threads."""
+    arranged, method = arrange_cloud(cloud), HierarchicalMethod(grid)
+    with ThreadPoolExecutor(2) as executor:
+        workforce = Workforce(executor, tiles or 1, in_process=tiles is None)
+        partition = method.partition(arranged, workforce)
+        partition.plan = replace(partition.plan, strides=choose(partition.plan))
+        if tiles is not None:
+            workers = PointWorkers(workforce, False, 1 << 20)
+            partition.tiling = Tiling(arranged, partition.plan, tiles, workers, False)
+        quadrics = method.fit(partition, workforce, ignore)
+        return method.extract(partition, quadrics, workforce, ignore).mesh()
+
+
+def brick_keys(plan: Plan) -> IntArray:
+    places = np.stack(np.meshgrid(*map(np.arange, plan.bricks), indexing="ij"), axis=-1)
+    return pack_places(places.reshape(-1, 3))
+
+
+def stride_at_random(plan: Plan) -> BrickStrides:
+    keys, rng = brick_keys(plan), np.random.default_rng(3)
+    keys = keys[rng.random(len(keys)) < 0.8]
+    return BrickStrides(keys, rng.integers(0, 4, len(keys)).astype(np.uint8))
+
+
+def stride_by_distance(plan: Plan) -> BrickStrides:
+    """Twice as long for twice the distance from a place on the surface."""
+    keys = brick_keys(plan)
+    middles = plan.grid_origin + BRICK * plan.step * (unpack_keys(keys) + 0.5)
+    distances = np.linalg.norm(middles - np.array([1.4, 0.0, 0.0]), axis=1)
+    exponents = np.clip(np.log2(distances / 0.3), 0.0, 3.0).astype(np.uint8)
+    return BrickStrides(keys, exponents)
+
+
+@pytest.mark.parametrize("choose", [stride_at_random, stride_by_distance])
+@pytest.mark.parametrize("shape", [torus, half_torus])
+def test_any_tiling_gives_the_same_bits_where_strides_differ(
+    shape: Callable[[int], PointCloud],
+    choose: Callable[[Plan], BrickStrides],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    cloud = shape(30_000)
+    whole = reconstruct_strided(cloud, 360, choose)
+    found = check_mesh(whole)
+    assert found.watertight
+    assert found.oriented
+    for tiles in (2, 9):
+        cut = reconstruct_strided(cloud, 360, choose, tiles)
+        np.testing.assert_array_equal(cut.vertices, whole.vertices)
+        np.testing.assert_array_equal(cut.faces, whole.faces)
+    monkeypatch.setattr(field_levels, "_LEAST_LAYERS", 1)
+    monkeypatch.setattr(slab_growth, "SLAB_QUADRICS", 1)
+    cut = reconstruct_strided(cloud, 360, choose)
+    np.testing.assert_array_equal(cut.vertices, whole.vertices)
+    np.testing.assert_array_equal(cut.faces, whole.faces)
+
+
+@pytest.mark.parametrize("shift", [0, 1, 2, 3])
+def test_a_torus_of_one_stride_is_as_good_as_its_cells(shift: int) -> None:
+    def choose(plan: Plan) -> BrickStrides:
+        keys = brick_keys(plan)
+        return BrickStrides(keys, np.full(len(keys), shift, np.uint8))
+
+    mesh = reconstruct_strided(torus(30_000), 240, choose)
+    assert_closed(mesh, genus=1)
+    size = 2.8 / 232 * 2**shift
+    assert np.abs(torus_distance(mesh.vertices)).max() < 0.3 * size**2 / 0.4 + 0.002
+    plain, _ = reconstruct(torus(30_000), HierarchicalMethod(240))
+    assert (len(mesh.vertices) == len(plain.vertices)) == (shift == 0)
+    assert np.array_equal(mesh.vertices, plain.vertices) == (shift == 0)
+
+
 def test_the_surface_is_followed_into_slabs_without_points(monkeypatch: pytest.MonkeyPatch) -> None:
-    cloud = half_torus(20_000)  # the surface over its holes bulges out
+    cloud = torus(20_000)  # cut aslant: over its holes the surface goes back into earlier slabs
+    cloud = cloud.take(cloud.positions[:, 0] + 0.5 * cloud.positions[:, 1] > 0.0)
     whole, _ = reconstruct(cloud, HierarchicalMethod(64))
     entered = []
 
@@ -327,16 +406,17 @@ def test_a_sparse_cloud_gives_one_closed_ball(count: int) -> None:
     assert_closed(mesh, genus=0)
 
 
-def test_the_grid_covers_the_cloud_with_cells_to_spare() -> None:
+@pytest.mark.parametrize("margin", [4, 32])
+def test_the_grid_covers_the_cloud_with_cells_to_spare(margin: int) -> None:
     cloud = sphere(500)
     positions = cloud.positions * [3.0, 1.0, 0.2] + [100.0, 0.0, 0.0]
-    grid = plan_grid(positions.min(axis=0), positions.max(axis=0), 128)
+    grid = plan_grid(positions.min(axis=0), positions.max(axis=0), 128, margin)
     sides = BRICK * np.array(grid.bricks)
     assert sides[0] == 128
     assert sides.max() == sides[0]
     low, high = grid.origin, grid.origin + grid.step * sides
-    assert (positions.min(axis=0) - low > 3.9 * grid.step).all()
-    assert (high - positions.max(axis=0) > 3.9 * grid.step).all()
+    assert (positions.min(axis=0) - low > (margin - 0.5) * grid.step).all()
+    assert (high - positions.max(axis=0) > (margin - 0.5) * grid.step).all()
 
 
 @pytest.mark.parametrize(

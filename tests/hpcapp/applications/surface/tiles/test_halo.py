@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.surface.tiles.halo import cut_slab
-from hpcapp.applications.surface.types.grid import BESIDE, FOREIGN, OPEN, OUT, OWN, BrickKinds
+from hpcapp.applications.surface.types.grid import BESIDE, FOREIGN, OPEN, OUT, OWN, BrickKinds, Grid
 
+GRID = Grid(np.zeros(3), 0.1, (20, 20, 20))
 LAYERS = [OUT, OPEN, OWN, FOREIGN, OWN, BESIDE]
 
 
@@ -22,9 +23,9 @@ def tile() -> BrickKinds:
     [
         (10, 16, 10, LAYERS),
         (12, 13, 11, [BESIDE, OWN, FOREIGN]),
-        (11, 12, 10, [OUT, OPEN, FOREIGN]),
-        (13, 14, 12, [FOREIGN, FOREIGN, FOREIGN]),
-        (10, 11, 10, [OUT, BESIDE]),
+        (11, 12, 11, [OPEN, FOREIGN]),
+        (13, 14, 13, [FOREIGN]),
+        (10, 11, 10, [OUT]),
         (14, 16, 13, [FOREIGN, OWN, BESIDE]),
     ],
 )
@@ -32,7 +33,7 @@ def test_a_slab_has_a_layer_beside_it_where_the_tile_has_one(
     first: int, end: int, low: int, layers: list[int]
 ) -> None:
     whole = tile()
-    slab = cut_slab(whole, first, end)
+    slab = cut_slab(GRID, whole, first, end)
     assert slab.first.tolist() == [low, 4, 5]
     assert slab.kinds[:, 0, 0].tolist() == layers
     assert (slab.kinds == slab.kinds[:, :1, :1]).all()

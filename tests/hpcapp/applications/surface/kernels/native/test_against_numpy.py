@@ -22,9 +22,10 @@ from hpcapp.applications.surface.kernels.portable import (
     moments,
 )
 from hpcapp.applications.surface.kernels.portable import marching_cubes as extraction
+from hpcapp.applications.surface.kernels.portable.strides import fill_missing, line_shifts
 from hpcapp.applications.surface.types import grid as grid_types
 from hpcapp.applications.surface.types import lattice
-from hpcapp.applications.surface.types.field import PIECES, Features, Field
+from hpcapp.applications.surface.types.field import PIECES, FarField, Features, Field
 from hpcapp.applications.surface.types.grid import Grid
 from hpcapp.applications.surface.types.mesh import BrickMesh, Survey
 from hpcapp.applications.surface.types.points import IntArray
@@ -340,6 +341,66 @@ def test_surface(native: ModuleType, any_ball: tuple[Field, Grid]) -> None:
     balanced = native.balance_vertices(expected.vertices, expected.faces, grid.step)
     wanted = extraction.balance_vertices(expected.vertices, expected.faces, grid.step)
     np.testing.assert_allclose(balanced, wanted, rtol=1e-12, atol=1e-14)
+
+
+def random_strides(random: np.random.Generator, grid: Grid) -> grid_types.BrickStrides:
+    """Return strides of most bricks of a grid; those of the others are a brick."""
+    places = np.stack(np.meshgrid(*map(np.arange, grid.bricks), indexing="ij"), axis=-1)
+    keys = lattice.pack_places(places.reshape(-1, 3))
+    keys = keys[random.random(len(keys)) < 0.8]
+    return grid_types.BrickStrides(keys, random.integers(0, 4, len(keys)).astype(np.uint8))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_surface_where_strides_differ(native: ModuleType, seed: int) -> None:
+    """Of noise at several scales, so that cells of all kinds come up."""
+    random = np.random.default_rng(seed)
+    step = (0.7, 1.6, 4.0)[seed % 3]
+    side = int(32 / step) + 4
+    noise = random.normal(0.3, 1.0, (side, side, side)).astype(np.float32)
+    function = Field(np.zeros(3), 1.0, (), FarField(noise, np.full(3, -step), step))
+    grid = Grid(np.zeros(3), 1.0, (4, 3, 3))
+    grid = replace(grid, strides=random_strides(random, grid))
+    places = np.stack(np.meshgrid(*map(np.arange, grid.bricks), indexing="ij"), axis=-1)
+    places = np.ascontiguousarray(places.reshape(-1, 3))
+    values = native.evaluate_bricks(function, grid, places, 1)
+    np.testing.assert_allclose(values, portable.evaluate_bricks(function, grid, places), 1e-5, 1e-5)
+    whole = np.full(grid.bricks, grid_types.OWN, np.uint8)
+    kinds = [grid_types.BESIDE, grid_types.FOREIGN, grid_types.OPEN, grid_types.OWN]
+    part = random.choice(kinds, grid.bricks, p=[0.1, 0.4, 0.2, 0.3]).astype(np.uint8)
+
+    def evaluate(places: IntArray) -> Any:
+        return native.evaluate_bricks(function, grid, np.ascontiguousarray(places), 1)
+
+    for given_kinds in (grid_types.BrickKinds(np.zeros(3, np.int64), k) for k in (part, whole)):
+        grown = bricks.grow_bricks(evaluate, given_kinds, grid.bricks, grid.strides)
+        expected = extraction.extract_surface(grid, *grown[:3])
+        for threads in (1, 3):
+            found = native.grow_surface(function, grid, given_kinds, threads)
+            np.testing.assert_array_equal(found.exits, grown[3])
+            for name in ("bricks", "taken", "vertex_counts", "face_counts", "vertices", "faces"):
+                np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+    assert grid.strides is not None
+    exponents = np.repeat(grid.strides.at(expected.bricks), expected.face_counts)
+    of_mesh = expected.vertices, expected.faces, grid.step, exponents
+    balanced = native.balance_vertices(*of_mesh)
+    np.testing.assert_allclose(balanced, extraction.balance_vertices(*of_mesh), 1e-9, 1e-9)
+
+
+@pytest.mark.parametrize("cell_size", [0.05, 0.21])
+def test_nodes_far_apart_have_the_values_of_near_ones(
+    native: ModuleType, any_ball: tuple[Field, Grid], cell_size: float
+) -> None:
+    """Whatever the strides around a brick are, bit for bit."""
+    function, grid = any_ball
+    function = replace(function, cell_size=cell_size)
+    places = np.stack(np.meshgrid(*map(np.arange, grid.bricks), indexing="ij"), axis=-1)
+    places = np.ascontiguousarray(places.reshape(-1, 3))
+    every = native.evaluate_bricks(function, grid, places, 1)
+    strides = random_strides(np.random.default_rng(3), grid)
+    some = native.evaluate_bricks(function, replace(grid, strides=strides), places, 1)
+    shifts = line_shifts(replace(grid, strides=strides), places)
+    np.testing.assert_array_equal(some, fill_missing(every, shifts))
 
 
 @given(st.integers(0, 2**32))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from hpcapp.applications.surface.kernels import portable
 from hpcapp.applications.surface.kernels.case_table import case_triangles
 from hpcapp.applications.surface.types.field import FarField, Features, Field, FieldLevel
-from hpcapp.applications.surface.types.grid import BrickKinds, Grid
+from hpcapp.applications.surface.types.grid import BrickKinds, BrickStrides, Grid
 from hpcapp.applications.surface.types.lattice import pack_places
 
 KERNELS = sorted({*portable.__all__} - {"bound_free_memory", "keep_memory"})
@@ -57,7 +57,9 @@ fields = st.builds(
     st.one_of(anything, st.builds(FarField, cubes, origins, numbers)),
     st.one_of(anything, st.lists(st.one_of(anything, features), max_size=3).map(tuple)),
 )  # fmt: skip
-grids = st.builds(Grid, origins, numbers, st.one_of(anything, sides))
+exponents = st.one_of(anything, st.just(np.array([0, 3], np.uint8)))
+strides = st.one_of(st.none(), anything, st.builds(BrickStrides, keys, exponents))
+grids = st.builds(Grid, origins, numbers, st.one_of(anything, sides), strides)
 brick_kinds = st.builds(BrickKinds, origins, hostile_arrays())
 
 
