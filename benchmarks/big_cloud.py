@@ -5,7 +5,8 @@
 The surface is a sphere with bumps, r(u) = 1 + 0.08 sin 7x sin 7y sin 7z for a direction u, so that
 truth is a formula: `radius` and `normal`. The file is binary PLY, float32, with normals; the same
 arguments give the same bytes. With --sweep the points come in bands from pole to pole, as from a
-scanner; without, in no order at all, which is the hardest to arrange.
+scanner; without, in no order at all, which is the hardest to arrange. With --uneven RATIO they are
+so many times denser at one pole than at the other, falling with the square of the angle.
 """
 
 from __future__ import annotations
@@ -43,7 +44,16 @@ def normal(directions: FloatArray) -> FloatArray:
     return values
 
 
-def make_rows(points: int, sweep: bool) -> Iterator[np.ndarray]:
+def fall_off(shares: FloatArray, ratio: float) -> FloatArray:
+    """Return the heights, 1 to -1, above which so large shares of an uneven cloud lie."""
+    angles = np.linspace(0.0, np.pi, 1 << 16)
+    density = 1.0 / (1.0 + (ratio - 1.0) * (angles / np.pi) ** 2)
+    summed = np.cumsum(density * np.sin(angles))
+    heights: FloatArray = np.cos(np.interp(shares, summed / summed[-1], angles))
+    return heights
+
+
+def make_rows(points: int, sweep: bool, ratio: float = 1.0) -> Iterator[np.ndarray]:
     """Yield the points and their normals, float32, shape (n, 6), some at a time."""
     for start in range(0, points, ROWS_AT_ONCE):
         rows = min(ROWS_AT_ONCE, points - start)
@@ -51,7 +61,8 @@ def make_rows(points: int, sweep: bool) -> Iterator[np.ndarray]:
         z, angle = random.random((2, rows))
         if sweep:
             z = (start + rows * z) / points
-        z = 2.0 * z - 1.0  # equal bands of height have equal areas of the sphere
+        # Equal bands of height have equal areas of the sphere.
+        z = 2.0 * z - 1.0 if ratio == 1.0 else fall_off(z, ratio)
         across = np.sqrt(1.0 - z * z)
         angle *= 2.0 * np.pi
         directions = np.stack([across * np.cos(angle), across * np.sin(angle), z], axis=1)
@@ -59,13 +70,13 @@ def make_rows(points: int, sweep: bool) -> Iterator[np.ndarray]:
         yield np.concatenate([positions, normal(directions)], axis=1).astype("<f4")
 
 
-def write_cloud(path: Path, points: int, sweep: bool = False) -> None:
+def write_cloud(path: Path, points: int, sweep: bool = False, ratio: float = 1.0) -> None:
     """Write a cloud of so many points."""
     lines = ["ply", "format binary_little_endian 1.0", f"element vertex {points}"]
     lines += [f"property float {name}" for name in NAMES]
     with path.open("wb") as file:
         file.write("\n".join([*lines, "end_header", ""]).encode())
-        for rows in make_rows(points, sweep):
+        for rows in make_rows(points, sweep, ratio):
             file.write(rows.data)
 
 
@@ -98,6 +109,7 @@ def main() -> None:
     parser.add_argument("file", type=Path)
     parser.add_argument("points", type=int, nargs="?")
     parser.add_argument("--sweep", action="store_true")
+    parser.add_argument("--uneven", type=float, default=1.0, metavar="RATIO")
     parser.add_argument("--check", action="store_true")
     asked = parser.parse_args()
     if asked.check:
@@ -107,7 +119,7 @@ def main() -> None:
     if asked.points is None:
         parser.error("how many points?")
     began = time.perf_counter()
-    write_cloud(asked.file, asked.points, asked.sweep)
+    write_cloud(asked.file, asked.points, asked.sweep, asked.uneven)
     took = time.perf_counter() - began
     print(f"{asked.points} points, {took:.1f} s, {1e6 * took / asked.points:.2f} us a point")
 

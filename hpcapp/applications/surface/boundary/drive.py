@@ -57,6 +57,7 @@ have less than a tenth, views, terrains and rooms most often more than a third."
 _SPACINGS, _NOISES, _STEPS = 3.0, 4.0, 1.5  # of the trim distance that is chosen
 _FILL = 4.0  # times the trim distance: loops that are filled
 _CRUMB = 3.0  # times the trim distance: pieces smaller than a square of this are dropped
+_JUDGED_BRICKS = 20_000  # about: of larger surfaces a sample
 _FACES = 2.0  # of a piece as large as the side of a cell
 _ONE_WAY = 0.5  # length of the mean normal of what is seen from one side; a half sphere's
 
@@ -275,9 +276,10 @@ def close_surface(
 
 def _find_bare_share(parts: _Parts, rule: SupportRule) -> float:
     """Return the share of a surface that no point supports, 0 to 1."""
+    one_in = max(1, len(parts.surface.plan.bricks.keys) // _JUDGED_BRICKS)
 
     def batch(index: int) -> tuple[Any, ...]:
-        return parts.part(index), parts.taken(index), parts.near(index, rule.reach), rule
+        return parts.part(index), parts.taken(index), parts.near(index, rule.reach), rule, one_in
 
     found = [areas for _, areas in parts.run(judge_support, batch)]
     bare, whole = (sum(column) for column in zip(*found, strict=True))

@@ -59,9 +59,9 @@ def open_surface(taken: TakenBricks, keep: tuple[str, str] | None) -> Declared:
     return part_surface(bricks, foreign, Array("<i8", 0), taken.box, most, keep)
 
 
-def judged_support(_part: Any, taken: TakenBricks, *_: Any) -> Declared:
+def judged_support(_part: Any, taken: TakenBricks, _near: Any, _rule: Any, one_in: int) -> Declared:
     """Return the pattern of what `tasks.judge_support` counts."""
-    whole = int(taken.areas.sum())
+    whole = int(taken.areas(one_in).sum())
     return Fixed(Whole(0, whole), Exactly(whole))
 
 

@@ -71,8 +71,10 @@ class Near:
 
 
 @declare(result=judged_support, limit=SMALL_BYTES)
-def judge_support(part: Part, taken: TakenBricks, near: Near, rule: SupportRule) -> tuple[int, int]:
-    """Tell how much of a part no point supports, by a vertex of each of its bricks (a task).
+def judge_support(
+    part: Part, taken: TakenBricks, near: Near, rule: SupportRule, one_in: int
+) -> tuple[int, int]:
+    """Tell how much of a part no point supports, by a vertex of some of its bricks (a task).
 
     Parameters
     ----------
@@ -81,6 +83,8 @@ def judge_support(part: Part, taken: TakenBricks, near: Near, rule: SupportRule)
     near : Near
         All points within the rule's reach of them.
     rule : SupportRule
+    one_in : int
+        So many bricks make one that is looked at.
 
     Returns
     -------
@@ -88,8 +92,9 @@ def judge_support(part: Part, taken: TakenBricks, near: Near, rule: SupportRule)
         Areas, see `TakenBricks`.
     """
     held = _hold(part)
-    areas, is_taken = taken.areas, taken.mark(held)
-    first = starts_of(held.vertex_counts)[:-1][is_taken & (held.vertex_counts > 0)]
+    areas = np.zeros(len(held.vertex_counts), np.int64)
+    areas[taken.mark(held)] = taken.areas(one_in)
+    first = starts_of(held.vertex_counts)[:-1][areas > 0]
     bare = find_bare(held.vertices[first], near.read(), rule)
     return int(areas[areas > 0][bare].sum()), int(areas.sum())
 

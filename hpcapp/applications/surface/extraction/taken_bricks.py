@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpcapp.applications.surface.extraction.parts import MeshPart
-from hpcapp.applications.surface.types.lattice import find_keys
+from hpcapp.applications.surface.types.lattice import are_sampled, find_keys
 from hpcapp.applications.surface.types.points import (
     BoolArray,
     ByteArray,
@@ -47,13 +47,18 @@ class TakenBricks:
         """How many they have together."""
         return int(self.vertex_counts.sum(dtype=np.int64))
 
-    @property
-    def areas(self) -> IntArray:
-        """How large the surface in each is: as so many vertices a finest step apart."""
+    def areas(self, one_in: int) -> IntArray:
+        """Return how large the surface in each is: as so many vertices a finest step apart.
+
+        Parameters
+        ----------
+        one_in : int
+            So many bricks make one that counts; the others have 0.
+        """
         areas: IntArray = self.vertex_counts.astype(np.int64) << (
             2 * self.exponents.astype(np.int64)
         )
-        return areas
+        return np.where(are_sampled(self.keys, one_in), areas, 0)
 
     def holds(self, keys: IntArray) -> bool:
         """Tell whether all of some bricks are among these."""

@@ -86,9 +86,11 @@ def cut_slab(grid: Grid, kinds: BrickKinds, first: int, end: int) -> BrickKinds:
     low, high = max(first - grid.rim, start), min(end + grid.rim, start + len(kinds.kinds))
     corner = np.array([low, *kinds.first[1:]])
     cut = kinds.kinds[low - start : high - start].copy()
+    if (low, high) == (first, end):
+        return BrickKinds(corner, cut)
     is_beside = np.ones(len(cut), np.bool_)
     is_beside[first - low : end - low] = False
-    is_rim = _mark_rim(grid, corner, ~is_beside[:, None, None] & np.isin(cut, (OPEN, OWN)))
+    is_rim = _mark_rim(grid, corner, ~is_beside[:, None, None] & ((cut == OPEN) | (cut == OWN)))
     cut[is_beside[:, None, None] & ~is_rim] = OUT
     beside = cut[is_beside]
     beside[beside == OWN] = FOREIGN

@@ -20,6 +20,7 @@ __all__ = [
     "NEIGHBOURS",
     "OCTANTS",
     "ancestor_keys",
+    "are_sampled",
     "cells_of",
     "corner_parents",
     "find_first",
@@ -140,6 +141,22 @@ def ancestor_keys(keys: IntArray, levels: int = 1) -> IntArray:
     ancestors &= (_MASK >> levels) * whole  # what has come from the next coordinate goes
     ancestors += (_BIAS - (_BIAS >> levels)) * whole
     return ancestors
+
+
+def are_sampled(keys: IntArray, one_in: int) -> BoolArray:
+    """Tell which keys are in a sample of about one in `one_in`, chosen by a hash of each.
+
+    Parameters
+    ----------
+    keys : ndarray of int64, shape (k,)
+    one_in : int
+        1 for all.
+    """
+    if one_in == 1:
+        return np.ones(len(keys), np.bool_)
+    mixed = (keys.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(33)
+    chosen: BoolArray = (mixed * np.uint64(one_in)) >> np.uint64(31) == 0
+    return chosen
 
 
 def step_keys(keys: IntArray, step: IntArray) -> IntArray:

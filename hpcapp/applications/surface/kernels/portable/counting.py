@@ -7,6 +7,7 @@ import numpy as np
 from hpcapp.applications.surface.kernels.portable.connectivity import label_components
 from hpcapp.applications.surface.types.lattice import (
     NEIGHBOURS,
+    are_sampled,
     cells_of,
     find_keys,
     number_keys,
@@ -14,13 +15,12 @@ from hpcapp.applications.surface.types.lattice import (
     step_keys,
     unique_keys,
 )
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, Int32Array, IntArray
+from hpcapp.applications.surface.types.points import FloatArray, Int32Array, IntArray
 
 __all__ = [
     "bound_points",
     "count_boxes",
     "count_cells",
-    "is_sampled",
     "label_cells",
     "sample_boxes",
     "sum_neighbours",
@@ -119,7 +119,7 @@ def count_boxes(
         About one box in so many is in the sample, chosen by a hash.
     """
     keys = pack_places(np.floor(cells_of(positions, low, edge)).astype(np.int64))
-    keys = keys[is_sampled(keys, one_in)]
+    keys = keys[are_sampled(keys, one_in)]
     return len(keys), len(unique_keys(keys))
 
 
@@ -141,21 +141,6 @@ def bound_points(positions: FloatArray) -> tuple[FloatArray, FloatArray]:
     return low, np.array([column.max() for column in columns])
 
 
-def is_sampled(boxes: IntArray, one_in: int) -> BoolArray:
-    """Tell which boxes are in the sample of about one in `one_in`, chosen by a hash.
-
-    Parameters
-    ----------
-    boxes : ndarray of int64, shape (n,)
-        Packed places.
-    """
-    if one_in == 1:
-        return np.ones(len(boxes), bool)
-    mixed = (boxes.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(33)
-    chosen: BoolArray = (mixed * np.uint64(one_in)) >> np.uint64(31) == 0
-    return chosen
-
-
 def sample_boxes(positions: FloatArray, low: FloatArray, edge: float, one_in: int) -> IntArray:
     """Return the points in a sample of boxes.
 
@@ -170,4 +155,4 @@ def sample_boxes(positions: FloatArray, low: FloatArray, edge: float, one_in: in
         Their rows, rising.
     """
     places = np.floor(cells_of(positions, low, edge)).astype(np.int64)
-    return np.flatnonzero(is_sampled(pack_places(places), one_in))
+    return np.flatnonzero(are_sampled(pack_places(places), one_in))
