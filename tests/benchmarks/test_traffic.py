@@ -18,14 +18,14 @@ def test_bytes_are_those_of_the_codec() -> None:
 def test_points_and_halos_are_told_apart(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    big_cloud.write_cloud(tmp_path / "a.ply", 20_000)
+    big_cloud.write_cloud(tmp_path / "a.ply", 80_000)
     counted = traffic.measure(tmp_path / "a.ply", 3, 64)
-    assert (counted.points, counted.tiles) == (20_000, 3)
-    assert counted.sent["sum_tile: own points"] / 20_000 == pytest.approx(24.0, rel=0.15)
+    assert (counted.points, counted.tiles) == (80_000, 3)
+    assert counted.sent["sum_tile: own points"] / 80_000 == pytest.approx(24.0, rel=0.15)
     halo = counted.sent["sum_tile: halo"] + counted.sent["mesh_tile: halo"]
-    assert 0 < halo < 3 * 24.0 * 20_000
+    assert 0 < halo < 3 * 24.0 * 80_000
     assert counted.sent["solve_far: far field"] > 64 * 100  # what each coarse cell has sampled
     traffic.print_table(counted)
     *rows, _, verdict = capsys.readouterr().out.splitlines()
     assert [row.split("|")[1].strip() for row in rows[2:]] == list(traffic.PARTS)
-    assert verdict.startswith("20000 points, 3 tiles")
+    assert verdict.startswith("80000 points, 3 tiles")

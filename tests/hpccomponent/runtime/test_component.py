@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -73,7 +74,13 @@ def start(master: Master, tmp_path: Path) -> Iterator[Start]:
 
 
 def children(pid: int) -> list[int]:
-    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    """The list that the kernel keeps of them may lack some: so each process is asked."""
+    found = []
+    for process in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            if int((process / "stat").read_text().rsplit(")", 1)[1].split()[1]) == pid:
+                found.append(int(process.name))
+    return found
 
 
 def is_alive(pid: int) -> bool:

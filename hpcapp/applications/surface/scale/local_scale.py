@@ -84,6 +84,8 @@ class LocalScale:
         Of each cell, how often its edge is doubled; rising.
     keys : ndarray of int64, shape (c,)
         Sorted within each level.
+    points : ndarray of int64, shape (c,)
+        That each cell speaks for: those in no smaller one.
     spacings : ndarray of float64, shape (c,)
     """
 
@@ -92,13 +94,14 @@ class LocalScale:
     edge: float
     levels: IntArray
     keys: IntArray
+    points: IntArray
     spacings: FloatArray
 
     @classmethod
     def uniform(cls, spacing: float) -> LocalScale:
         """Return the scale of points of one spacing."""
         none = np.empty(0, np.int64)
-        return cls(spacing, np.zeros(3), spacing, none, none, np.empty(0))
+        return cls(spacing, np.zeros(3), spacing, none, none, none, np.empty(0))
 
     @property
     def range(self) -> tuple[float, float]:
@@ -108,8 +111,12 @@ class LocalScale:
         return float(self.spacings.min()), float(self.spacings.max())
 
     def quantile(self, share: float) -> float:
-        """Return the spacing that so large a share of the cells do not exceed."""
-        return float(np.quantile(self.spacings, share)) if len(self.spacings) else self.spacing
+        """Return the spacing that so large a share of the points have, or less."""
+        if not len(self.spacings):
+            return self.spacing
+        order = np.argsort(self.spacings, kind="stable")
+        summed = np.cumsum(self.points[order])
+        return float(self.spacings[order][np.searchsorted(summed, share * summed[-1])])
 
     def at(self, places: FloatArray) -> FloatArray:
         """Return the spacing of the points around some places.
@@ -219,7 +226,7 @@ def make_scale(
     points = np.concatenate([some.points for some in counted])[order]
     boxes = np.concatenate([some.boxes for some in counted])[order]
     keys, every = keys[order], np.column_stack([points, boxes])
-    rest, levels, cells, spacings = every, [], [], []
+    rest, levels, cells, spoken, spacings = every, [], [], [], []
     for level in range(BITS):
         edges = cell_edge * 2.0 ** (level - np.arange(every.shape[1] - 1))
         tells = rest[:, 0] >= _LEAST
@@ -228,6 +235,7 @@ def make_scale(
         told[is_apart] = _tell_spacings(rest[tells][is_apart], edges, _BEST)
         levels.append(np.full(len(told), level))
         cells.append(keys[tells])
+        spoken.append(rest[tells, 0])
         spacings.append(told)
         if len(keys) <= 1:
             break
@@ -240,6 +248,7 @@ def make_scale(
         cell_edge,
         np.concatenate(levels),
         np.concatenate(cells),
+        np.concatenate(spoken),
         np.concatenate(spacings).clip(spacing / _MOST, spacing * _MOST),
     )
 

@@ -106,9 +106,8 @@ def _assert_cleaned_alike(scan: PointCloud, folder: Path, workers: PointWorkers)
     assert choose_scale(found.measure(), 0.0, 1.0, 1.0) == choose_scale(
         kept.cloud.measure(), 0.0, 1.0, 1.0
     )
-    assert choose_scale(measure_points(expected), 0.0, 1.0, 1.0) == choose_scale(
-        kept.cloud.measure(), 0.0, 1.0, 1.0
-    )
+    # By themselves the points have other blocks, and so other cells of their scale.
+    assert measure_points(expected).spacing == kept.cloud.measure().spacing
     assert found.low.tolist() == expected.positions.min(axis=0).tolist()
     assert found.high.tolist() == expected.positions.max(axis=0).tolist()
     assert len(found) == len(expected)

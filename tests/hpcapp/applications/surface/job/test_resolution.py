@@ -35,11 +35,11 @@ def test_four_times_the_points_are_twice_the_cells() -> None:
     assert many == pytest.approx(2 * few, rel=0.1)
 
 
-def test_noise_makes_the_grid_coarser_but_never_than_256() -> None:
+def test_noise_makes_the_grid_coarser_and_so_do_fewer_points() -> None:
     clean, noisy = (find_grid(Settings(), sphere(400_000, noise)) for noise in (0.0, 0.003))
     assert 256 < noisy < clean
-    assert find_grid(Settings(), sphere(400_000, 0.03)) == 256
-    assert find_grid(Settings(), sphere(2_000)) == 256
+    assert 32 < find_grid(Settings(), sphere(400_000, 0.03)) < 256
+    assert 32 < find_grid(Settings(), sphere(2_000)) < find_grid(Settings(), sphere(8_000)) < 256
 
 
 def test_detail_and_smoothness_turn_the_grid_too() -> None:
