@@ -22,7 +22,8 @@ from hpccomponent.errors import InputError
 
 __all__ = ["LasHeader", "find_crs", "read_header"]
 
-_FIXED = struct.Struct("<4s20x2B68xHIIBHI20x12d")  # of 227 bytes, as in LAS 1.0 to 1.2
+_FIXED = struct.Struct("<4s20x2B68xHIIBHI4x4I12d")  # of 227 bytes, as in LAS 1.0 to 1.2
+_LATER_RETURNS = struct.Struct("<14Q")  # at byte 263 in LAS 1.4: points of the second to the last
 _EXTENDED = struct.Struct("<QIQ")  # at byte 235 in LAS 1.4: start and number of EVLRs, points
 _EXTENDED_SIZE = 375
 _RECORD = struct.Struct("<2x16sHH32x")
@@ -66,6 +67,8 @@ class LasHeader:
     records : dict of tuple of str and int to bytes
         Payloads of the variable length records that say something about points, by user and
         number.
+    has_returns : bool
+        Whether some of its points are second returns of a pulse, or later ones.
     has_tail : bool
         Whether something else than points is behind them: long records, or waveforms.
     """
@@ -79,6 +82,7 @@ class LasHeader:
     scales: FloatArray
     offsets: FloatArray
     records: Records
+    has_returns: bool
     has_tail: bool
 
 
@@ -97,13 +101,15 @@ def read_header(file: BinaryIO, path: Path, findings: Findings) -> LasHeader:
         )
     if len(start) < _FIXED.size:
         raise _cut(path, "in its header")
-    _, major, minor, header_size, points_start, announced, bits, length, count, *boxes = (
+    _, major, minor, header_size, points_start, announced, bits, length, count, *rest = (
         _FIXED.unpack_from(start)
     )
+    later, boxes = rest[:4], rest[4:]
     extended = None
     if minor >= 4 and header_size >= _EXTENDED_SIZE <= len(start):
         extended = _EXTENDED.unpack_from(start, 235)
         count = extended[2] or count
+        later += _LATER_RETURNS.unpack_from(start, 263)
     size = file.seek(0, os.SEEK_END)
     if not _FIXED.size <= header_size <= points_start:
         raise InputError(
@@ -119,11 +125,11 @@ def read_header(file: BinaryIO, path: Path, findings: Findings) -> LasHeader:
             f"the header announces {announced} variable length records, there are {present}"
         )
     if extended is not None and points_start < extended[0] < size:
-        _, later = _read_records(file, (extended[0], size), extended[1], _LONG_RECORD)
-        records = {**later, **records}
+        _, long = _read_records(file, (extended[0], size), extended[1], _LONG_RECORD)
+        records = {**long, **records}
     header = LasHeader(
         (major, minor), bits & ~_COMPRESSED, bool(bits & _COMPRESSED), points_start, length, count,
-        np.array(boxes[:3]), np.array(boxes[3:6]), records,
+        np.array(boxes[:3]), np.array(boxes[3:6]), records, any(later),
         minor >= 3 and (extended is None or extended[1] > 0 or bits & 0x3F in _WAVEFORMS),
     )  # fmt: skip
     _check_scales(header, path)

@@ -109,6 +109,8 @@ class PointSource:
         Whether normals, where there are some, are the file's or those of a mesh's faces.
     oriented : bool
         False where the normals are known up to their sign only, as the axes of splats.
+    is_flown : bool
+        Whether the file says that the points were measured from above.
     """
 
     path: Path
@@ -126,6 +128,7 @@ class PointSource:
     findings: Findings = field(default_factory=Findings)
     normals_from: Literal["file", "faces"] = "file"
     oriented: bool = True
+    is_flown: bool = False
 
     def chunks(self, rows: int) -> Iterator[PointCloud]:
         """Yield the points in parts of so many at most, to which memory is proportional.

@@ -86,6 +86,8 @@ class Read:
         Whether the points have normals, and whether the input says that these have a side.
     scanners : ndarray of float64, shape (s, 3), or None
         Where scanners stood, in the coordinates of the input.
+    is_flown : bool
+        Whether the points were measured from above.
     """
 
     cloud_pass: CloudPass
@@ -95,6 +97,7 @@ class Read:
     has_normals: bool
     is_oriented: bool = True
     scanners: FloatArray | None = None
+    is_flown: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -185,6 +188,7 @@ def _read_into_memory(settings: JobSettings, source: PointSource, clock: StageCl
         dropped=dropped,
         is_oriented=source.oriented,
         scanners=_find_scanners(settings, source),
+        is_flown=_is_flown(settings, source),
     )
 
 
@@ -236,6 +240,7 @@ def _read_into_folder(
         source.has_normals,
         source.oriented,
         _find_scanners(settings, source),
+        _is_flown(settings, source),
     )
 
 
@@ -245,6 +250,11 @@ def _find_scanners(settings: JobSettings, source: PointSource) -> FloatArray | N
         return np.array(settings.viewpoints)
     known = [scan.scanner for scan in source.scans if scan.scanner is not None]
     return np.array(known) if len(known) == len(source.scans) else None
+
+
+def _is_flown(settings: JobSettings, source: PointSource) -> bool:
+    """Tell whether the file alone says where from it was measured: from above."""
+    return source.is_flown and not settings.viewpoints
 
 
 def prepare(settings: Settings, read: Read, clock: StageClock) -> Loaded:
@@ -274,6 +284,7 @@ def prepare(settings: Settings, read: Read, clock: StageClock) -> Loaded:
         clock,
         has_normals=read.has_normals,
         is_oriented=read.is_oriented,
+        is_flown=read.is_flown,
         attribute=CONFIDENCE if keeps else None,
     )
     cleaned = read.cleaned

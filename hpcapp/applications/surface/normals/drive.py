@@ -32,6 +32,7 @@ def turn_normals(
     scanners: FloatArray | None,
     *,
     keeps: bool,
+    is_flown: bool = False,
     attribute: str | None = None,
 ) -> tuple[PassT, float, int]:
     """Give points normals that are on one side.
@@ -45,6 +46,8 @@ def turn_normals(
         Where scanners stood, in the frame of the positions.
     keeps : bool
         Whether the normals that are there count, but for their side; else they are estimated.
+    is_flown : bool
+        Whether the points were measured from above.
     attribute : str, optional
         By which name points in memory keep how sure their side is, 0 to 1.
 
@@ -63,7 +66,9 @@ def turn_normals(
     cloud_pass, _ = cloud_pass.rewrite(estimate_region, *given, keeps, margin=margin)
     margin = patches.MARGIN * spacing
     grouped = cloud_pass.each(group_region, *given, margin=margin)
-    sides = orient_patches(*patches.merge_patches(grouped), spacing, -cloud.origin, scanners)
+    found = patches.merge_patches(grouped)
+    sides = orient_patches(*found, spacing, -cloud.origin, scanners, is_flown=is_flown)
+    del found
     del grouped
     cloud_pass, results = cloud_pass.rewrite(turn_region, *given, sides, attribute, margin=margin)
     turned = sum(opposite for opposite, _ in results)

@@ -60,6 +60,8 @@ def orient_patches(
     spacing: float,
     zero: FloatArray,
     scanners: FloatArray | None = None,
+    *,
+    is_flown: bool = False,
 ) -> Sides:
     """Find the side of each patch.
 
@@ -76,6 +78,10 @@ def orient_patches(
     scanners : ndarray of float64, shape (s, 3), optional
         Where scanners stood, in the frame of the patches. They are not believed where they would
         not have seen half of the object.
+    is_flown : bool
+        Whether the file says that the points were measured from above. Then a ray came down to
+        each, whatever others hide it from view, and what they hide is no evidence. It is believed
+        of what is flat: some scanners on tripods write the same.
 
     Notes
     -----
@@ -100,7 +106,12 @@ def orient_patches(
     """
     strengths = _rate_links(patches, links)
     system = _System(len(patches), links, strengths)
-    front, back, views = _look(patches, spacing, zero, scanners)
+    is_flown = is_flown and _is_flat(patches)
+    if is_flown:
+        up = patches.normals[:, 2]
+        front, back, views = np.maximum(up, 0.0), np.maximum(-up, 0.0), 1
+    else:
+        front, back, views = _look(patches, spacing, zero, scanners)
     whole = _CLEAR * views / 4.0  # a half space of directions sums up to a quarter of all
     leaning = (front - back) / whole
     if scanners is None:  # a sheet that is seen from both sides alike is a ground: it faces up
@@ -111,8 +122,10 @@ def orient_patches(
     for _ in range(_ROUNDS):
         signs = np.where(sides < 0.0, -1.0, 1.0)
         field = _ask_field(patches, np.clip(2.0 * sides, -1.0, 1.0), spacing)
-        total = weight + 1.0
-        sides = system.solve(_LEAN * total, (weight * leaning + field) / total, sides)
+        # What a ray has told, the far field does not contradict: it tells of walls alone.
+        asked = 1.0 - weight if is_flown else np.ones(len(patches))
+        total = weight + asked
+        sides = system.solve(_LEAN * total, (weight * leaning + asked * field) / total, sides)
         changed = np.count_nonzero(signs != np.where(sides < 0.0, -1.0, 1.0))
         if changed <= _SETTLED * len(patches):
             break
@@ -155,9 +168,14 @@ def _face_sheet(
     others = []
     if np.abs(zero - 0.5 * (low + high)).max() < _NEAR * size.max():
         others.append((zero[None], _OCCLUDED))
-    if size[2] < _FLAT * size.max():
+    if _is_flat(patches):
         others.append((outside[outside[:, 2] > high[2]], 1.0))
     return others
+
+
+def _is_flat(patches: Patches) -> bool:
+    size = np.ptp(patches.centres, axis=0)
+    return bool(size[2] < _FLAT * size.max())
 
 
 def _see_most(patches: Patches, spacing: float, viewpoints: FloatArray) -> bool:

@@ -97,6 +97,7 @@ def orient_cloud(
     *,
     has_normals: bool,
     is_oriented: bool = True,
+    is_flown: bool = False,
     attribute: str | None = None,
 ) -> tuple[PassT, Oriented]:
     """Give points normals where they have none, or such that contradict each other.
@@ -113,6 +114,8 @@ def orient_cloud(
     clock : StageClock
     has_normals, is_oriented : bool
         Whether the points have normals, and whether the file says that these have a side.
+    is_flown : bool
+        Whether the points were measured from above.
     attribute : str, optional
         By which name points in memory keep how sure their side is, 0 to 1.
 
@@ -133,7 +136,12 @@ def orient_cloud(
     local = None if scanners is None else scanners - cloud_pass.cloud.origin
     with clock.stage("normals"):
         turned_pass, sure, turned = turn_normals(
-            cloud_pass, spacing, local, keeps=has_normals, attribute=attribute
+            cloud_pass,
+            spacing,
+            local,
+            keeps=has_normals,
+            is_flown=is_flown,
+            attribute=attribute,
         )
     if has_normals:
         return turned_pass, Oriented("file", sure, turned)

@@ -14,13 +14,16 @@ FAR = np.full(3, 1e9)
 
 
 def _orient(
-    positions: FloatArray, zero: FloatArray = FAR, scanners: FloatArray | None = None
+    positions: FloatArray,
+    zero: FloatArray = FAR,
+    scanners: FloatArray | None = None,
+    is_flown: bool = False,
 ) -> FloatArray:
     every, low = np.ones(len(positions), np.bool_), positions.min(axis=0)
     spacing = estimate_spacing(positions)
     vectors = estimate_normals(positions, every, low, spacing)
     found = find_patches(positions, vectors, every, low, spacing)
-    sides = orient_patches(*found, spacing, zero, scanners)
+    sides = orient_patches(*found, spacing, zero, scanners, is_flown=is_flown)
     return turn_points(positions, vectors, low, spacing, sides)[0].astype(np.float64)
 
 
@@ -33,6 +36,30 @@ def _sheet() -> FloatArray:
 
 def test_ground_faces_up() -> None:
     assert (_orient(_sheet())[:, 2] > 0.0).all()
+
+
+def _forest() -> FloatArray:
+    """Ground under crowns that leave no view of it."""
+    random = np.random.default_rng(4)
+    ground = random.uniform(-10.0, 10.0, (9_000, 3))
+    ground[:, 2] = 0.3 * np.sin(0.5 * ground[:, 0])
+    crowns = random.uniform(-10.0, 10.0, (16_000, 3))
+    crowns[:, 2] = 3.0 + np.abs(np.sin(1.5 * crowns[:, 0]) * np.sin(1.5 * crowns[:, 1]))
+    return np.concatenate([ground, crowns])
+
+
+def test_what_was_flown_over_faces_up_whatever_hides_it() -> None:
+    normals = _orient(_forest(), is_flown=True)
+    assert (normals[:9_000, 2] > 0.0).mean() > 0.99
+    assert (normals[9_000:, 2] > 0.0).mean() > 0.99
+
+
+def test_returns_say_nothing_of_what_is_as_high_as_wide() -> None:
+    random = np.random.default_rng(5)
+    ball = random.normal(size=(8_000, 3))
+    ball /= np.linalg.norm(ball, axis=1)[:, None]
+    normals = _orient(ball, is_flown=True)
+    assert (np.einsum("ij,ij->i", normals, ball) > 0.0).mean() > 0.99
 
 
 def test_a_depth_image_faces_its_camera() -> None:
