@@ -91,7 +91,9 @@ class SupportRule:
         """Return the radius of points at some places, in length units of the input."""
         return np.maximum(self.least, self.spacings * self.scale.at(places))
 
-    def own_radii(self, tree: cKDTree, rows: IntArray, radii: FloatArray) -> FloatArray:
+    def own_radii(
+        self, tree: cKDTree, rows: IntArray, radii: FloatArray, threads: int
+    ) -> FloatArray:
         """Return the radii of some points by their own neighbours.
 
         They lie between those by the spacing around and by that of the whole cloud: few points in
@@ -112,6 +114,7 @@ class SupportRule:
             tree.data[rows],
             [_NEIGHBOURS + 1],
             distance_upper_bound=self._farthest * (1.0 + 1e-9),
+            workers=threads,
         )
         bounds = np.minimum(radii, self.typical), np.maximum(radii, self.typical)
         own: FloatArray = (self.spacings * _DENSITY * distances[:, 0]).clip(*bounds)
@@ -160,7 +163,7 @@ def measure_clearance(
     )
     # (k,): points that may matter to one, and their radii
     rows = np.flatnonzero(from_places < _MOST * np.maximum(radii, rule.typical))
-    radii = rule.own_radii(tree, rows, radii[rows])
+    radii = rule.own_radii(tree, rows, radii[rows], threads)
     # (u, 3): the least squared clearances of each, of which the third counts.
     least = np.full((len(unsure), _AGREEING), _MOST * _MOST)
     for alike in _by_radius(radii):
@@ -221,7 +224,7 @@ def _near_places(
     """
     assert cloud.normals is not None  # noqa: S101 - the points of a surface have normals
     size, origin = _MOST * float(radii.max()), cloud.positions[0]
-    thickness = rule.thickness(radii)
+    along_most, off_most = radii * radii, rule.thickness(radii) ** 2  # where 1 is, squared
     sorted_points = kernels.sort_points(cloud.positions, origin, size)
     for start in range(0, len(places), _PLACES_AT_ONCE):
         batch = places[start : start + _PLACES_AT_ONCE]
@@ -235,9 +238,7 @@ def _near_places(
             off += offsets[:, axis] * cloud.normals[point, axis]
             along += offsets[:, axis] * offsets[:, axis]
         off *= off
-        squares = (along - off) / (radii[point] * radii[point]) + off / (thickness * thickness)[
-            point
-        ]
+        squares = (along - off) / along_most[point] + off / off_most[point]
         is_near = squares < _MOST * _MOST
         yield slice(start, start + len(batch)), at[is_near], squares[is_near]
 

@@ -24,16 +24,6 @@ class Length:
     value: float
     in_spacings: bool
 
-    def of(self, spacing: float) -> float:
-        """Return it in length units of the input.
-
-        Parameters
-        ----------
-        spacing : float
-            Of the points, in length units of the input.
-        """
-        return self.value * spacing if self.in_spacings else self.value
-
 
 def parse_length(name: str, text: str) -> Length | None:
     """Return what an option says.
@@ -57,10 +47,10 @@ def parse_length(name: str, text: str) -> Length | None:
 
     Examples
     --------
-    >>> parse_length("trim", "3s").of(0.5)
-    1.5
-    >>> parse_length("trim", "0.02").of(0.5)
-    0.02
+    >>> parse_length("trim", "3s")
+    Length(value=3.0, in_spacings=True)
+    >>> parse_length("trim", "0.02")
+    Length(value=0.02, in_spacings=False)
     """
     if text == "auto":
         return None

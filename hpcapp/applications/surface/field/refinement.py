@@ -1,4 +1,4 @@
-"""Where the lattice under a cloud is finer than at its base: where points are denser than usual.
+"""Where the lattice under a cloud is finer than at its base: where points are dense enough for it.
 
 ::
 
@@ -67,9 +67,8 @@ class Refinement:
         """
         if not 0 < depth <= self.levels:
             return np.zeros(len(cells), np.bool_)
-        size = self.cell_size * 2.0**depth
-        wanted = self.wanted_sizes(self.origin + size * (unpack_keys(cells) + 0.5))
-        divided: BoolArray = wanted <= 0.5 * size
+        wanted = self.wanted_sizes(self._middles(cells, depth))
+        divided: BoolArray = wanted <= 0.5 * self.cell_size * 2.0**depth
         return divided
 
     def wanted_sizes(self, places: FloatArray) -> FloatArray:
@@ -89,10 +88,13 @@ class Refinement:
         ndarray of float64, shape (c,)
             At most 1, where points are as dense as those of the whole cloud or less.
         """
-        size = self.cell_size * 2.0**depth
-        spacings = self.scale.at(self.origin + size * (unpack_keys(cells) + 0.5))
+        spacings = self.scale.at(self._middles(cells, depth))
         share: FloatArray = np.minimum(1.0, (spacings / self.scale.spacing) ** 2)
         return share
+
+    def _middles(self, cells: IntArray, depth: int) -> FloatArray:
+        middles: FloatArray = self.origin + self.cell_size * 2.0**depth * (unpack_keys(cells) + 0.5)
+        return middles
 
     def mark_finest(self, corners: IntArray, cells: IntArray, depth: int) -> BoolArray:
         """Tell at which corners of a level no finer quadrics are: those of its leaves.

@@ -1,8 +1,8 @@
-"""How coarse the grid is in each brick: its cells follow those of the lattice.
+"""How coarse the grid is in each brick: its cells follow the points, as those of the lattice do.
 
 ::
 
-    bricks with points ── leaf of the lattice there ──> stride ── the finest of 26 neighbours ──>
+    bricks with points ── spacing there ──> stride ── the finest of 26 neighbours ──>
 """
 
 from __future__ import annotations

@@ -29,7 +29,6 @@ from hpcapp.applications.surface.types.lattice import (
     pack_places,
     step_keys,
     unique_keys,
-    unpack_keys,
 )
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpccomponent.protocol.records import record
@@ -142,11 +141,6 @@ class LocalScale:
                     found = self._find(level, step_keys(keys, step))
                     spacings[pending] = np.maximum(spacings[pending], found)
         return np.where(spacings == 0.0, self.spacing, spacings)
-
-    def boxes(self) -> tuple[FloatArray, FloatArray]:
-        """Return the low corner and the edge of each cell, of shapes (c, 3) and (c,)."""
-        edges: FloatArray = np.ldexp(self.edge, self.levels)
-        return self.origin + unpack_keys(self.keys) * edges[:, None], edges
 
     def _find(self, level: int, keys: IntArray) -> FloatArray:
         """Return the spacing in some cells of a level, 0 where they tell none."""

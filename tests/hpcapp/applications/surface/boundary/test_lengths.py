@@ -2,16 +2,14 @@ from __future__ import annotations
 
 import pytest
 
-from hpcapp.applications.surface.boundary.lengths import parse_length
+from hpcapp.applications.surface.boundary.lengths import Length, parse_length
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
 from hpccomponent.errors import UsageError
 
 
 def test_a_length_is_one_of_the_input_or_in_spacings() -> None:
-    plain, spacings = parse_length("trim", "1e-3"), parse_length("trim", "2.5s")
-    assert plain is not None
-    assert spacings is not None
-    assert (plain.of(7.0), spacings.of(4.0)) == (0.001, 10.0)
+    assert parse_length("trim", "1e-3") == Length(0.001, in_spacings=False)
+    assert parse_length("trim", "2.5s") == Length(2.5, in_spacings=True)
     assert parse_length("trim", "auto") is None
 
 
