@@ -21,6 +21,7 @@ from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
 from hpcapp.applications.surface.cloud.measure import measure_spacing
 from hpcapp.applications.surface.normals.drive import turn_normals
+from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io import open_points, read_whole
 
@@ -43,7 +44,7 @@ def measure(path: Path, with_peer: bool) -> list[str | int | float]:
         raise SystemExit(f"{path} has no normals to compare with")
     start = time.process_time()
     bare = MemoryPass(replace(arranged, points=PointCloud(scan.positions, origin=scan.origin)))
-    given = measure_spacing(bare), None
+    given = measure_spacing(bare), Sensor()
     turned, sure, _ = turn_normals(bare, *given, keeps=False, attribute="confidence")
     spent = time.process_time() - start
     found = turned.cloud.points

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -27,11 +27,12 @@ from hpcapp.applications.surface.cloud.disk import open_disk_cloud
 from hpcapp.applications.surface.cloud.measure import measure_cloud, measure_spacing
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.job.columns import Columns, FileColumns, MemoryColumns
+from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.normals.sides import Oriented, orient_cloud
 from hpcapp.applications.surface.reading.drive import ingest_file
 from hpcapp.applications.surface.reading.reach import drop_far
 from hpcapp.applications.surface.settings import JobSettings, Settings
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import PointSource, drop_unusable, open_points, read_whole
 from hpcapp.io.points.point_source import Findings
 from hpcapp.io.points.usable import Dropped, refuse_too_few
@@ -84,10 +85,8 @@ class Read:
         What is to be carried to the mesh.
     has_normals, is_oriented : bool
         Whether the points have normals, and whether the input says that these have a side.
-    scanners : ndarray of float64, shape (s, 3), or None
-        Where scanners stood, in the coordinates of the input.
-    is_flown : bool
-        Whether the points were measured from above.
+    sensor : Sensor
+        Where they were measured from.
     """
 
     cloud_pass: CloudPass
@@ -96,8 +95,7 @@ class Read:
     columns: Columns
     has_normals: bool
     is_oriented: bool = True
-    scanners: FloatArray | None = None
-    is_flown: bool = False
+    sensor: Sensor = field(default_factory=Sensor)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -187,8 +185,7 @@ def _read_into_memory(settings: JobSettings, source: PointSource, clock: StageCl
         read,
         dropped=dropped,
         is_oriented=source.oriented,
-        scanners=_find_scanners(settings, source),
-        is_flown=_is_flown(settings, source),
+        sensor=_find_sensor(settings, source),
     )
 
 
@@ -239,22 +236,18 @@ def _read_into_folder(
         FileColumns.of(settings, source),
         source.has_normals,
         source.oriented,
-        _find_scanners(settings, source),
-        _is_flown(settings, source),
+        _find_sensor(settings, source),
     )
 
 
-def _find_scanners(settings: JobSettings, source: PointSource) -> FloatArray | None:
-    """Return where scanners stood, in the file's coordinates; None where nobody knows."""
+def _find_sensor(settings: JobSettings, source: PointSource) -> Sensor:
+    """Return where the points were measured from: as the user says, else as the file does."""
     if settings.viewpoints:
-        return np.array(settings.viewpoints)
+        return Sensor("places", np.array(settings.viewpoints), is_told=True)
     known = [scan.scanner for scan in source.scans if scan.scanner is not None]
-    return np.array(known) if len(known) == len(source.scans) else None
-
-
-def _is_flown(settings: JobSettings, source: PointSource) -> bool:
-    """Tell whether the file alone says where from it was measured: from above."""
-    return source.is_flown and not settings.viewpoints
+    if known and len(known) == len(source.scans):
+        return Sensor("places", np.array(known))
+    return Sensor("above" if source.is_flown else "unknown")
 
 
 def prepare(settings: Settings, read: Read, clock: StageClock) -> Loaded:
@@ -280,11 +273,10 @@ def prepare(settings: Settings, read: Read, clock: StageClock) -> Loaded:
         cloud_pass,
         spacing,
         settings.normals,
-        read.scanners,
+        read.sensor,
         clock,
         has_normals=read.has_normals,
         is_oriented=read.is_oriented,
-        is_flown=read.is_flown,
         attribute=CONFIDENCE if keeps else None,
     )
     cleaned = read.cleaned

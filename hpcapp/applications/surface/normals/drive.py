@@ -14,6 +14,7 @@ import numpy as np
 from hpcapp.applications.surface.cloud.cloud_pass import PassT
 from hpcapp.applications.surface.normals import estimation, patches
 from hpcapp.applications.surface.normals.orientation import SURE, orient_patches
+from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.normals.tasks import (
     CONFIDENCE_BINS,
     estimate_region,
@@ -21,7 +22,6 @@ from hpcapp.applications.surface.normals.tasks import (
     turn_region,
 )
 from hpcapp.applications.surface.types.lattice import lay_lattice
-from hpcapp.applications.surface.types.points import FloatArray
 
 __all__ = ["turn_normals"]
 
@@ -29,10 +29,9 @@ __all__ = ["turn_normals"]
 def turn_normals(
     cloud_pass: PassT,
     spacing: float,
-    scanners: FloatArray | None,
+    sensor: Sensor,
     *,
     keeps: bool,
-    is_flown: bool = False,
     attribute: str | None = None,
 ) -> tuple[PassT, float, int]:
     """Give points normals that are on one side.
@@ -42,12 +41,10 @@ def turn_normals(
     cloud_pass : CloudPass
     spacing : float
         Of its points, in length units of the input.
-    scanners : ndarray of float64, shape (s, 3), or None
-        Where scanners stood, in the frame of the positions.
+    sensor : Sensor
+        Where the points were measured from.
     keeps : bool
         Whether the normals that are there count, but for their side; else they are estimated.
-    is_flown : bool
-        Whether the points were measured from above.
     attribute : str, optional
         By which name points in memory keep how sure their side is, 0 to 1.
 
@@ -67,6 +64,8 @@ def turn_normals(
     margin = patches.MARGIN * spacing
     grouped = cloud_pass.each(group_region, *given, margin=margin)
     found = patches.merge_patches(grouped)
+    scanners = None if sensor.places is None else sensor.places - cloud.origin
+    is_flown = sensor.kind == "above"
     sides = orient_patches(*found, spacing, -cloud.origin, scanners, is_flown=is_flown)
     del found
     del grouped

@@ -13,8 +13,8 @@ from hpcapp.applications.surface.cloud.cloud_pass import CloudPass, PassT
 from hpcapp.applications.surface.cloud.measure import draw_boxes
 from hpcapp.applications.surface.normals import patches
 from hpcapp.applications.surface.normals.consistency import share_opposed
+from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.types.lattice import lay_lattice
-from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.progress import StageClock
 
 __all__ = ["Oriented", "is_contradicting", "orient_cloud"]
@@ -92,12 +92,11 @@ def orient_cloud(
     cloud_pass: PassT,
     spacing: float,
     wanted: str,
-    scanners: FloatArray | None,
+    sensor: Sensor,
     clock: StageClock,
     *,
     has_normals: bool,
     is_oriented: bool = True,
-    is_flown: bool = False,
     attribute: str | None = None,
 ) -> tuple[PassT, Oriented]:
     """Give points normals where they have none, or such that contradict each other.
@@ -109,13 +108,11 @@ def orient_cloud(
         Of its points, in length units of the input.
     wanted : str
         ``file``: they are taken as they are, where there are some.
-    scanners : ndarray of float64, shape (s, 3), or None
-        Where scanners stood, in the file's coordinates.
+    sensor : Sensor
+        Where the points were measured from.
     clock : StageClock
     has_normals, is_oriented : bool
         Whether the points have normals, and whether the file says that these have a side.
-    is_flown : bool
-        Whether the points were measured from above.
     attribute : str, optional
         By which name points in memory keep how sure their side is, 0 to 1.
 
@@ -133,14 +130,12 @@ def orient_cloud(
             return cloud_pass, Oriented("file", 1.0)
     from hpcapp.applications.surface.normals.drive import turn_normals  # scipy takes its time
 
-    local = None if scanners is None else scanners - cloud_pass.cloud.origin
     with clock.stage("normals"):
         turned_pass, sure, turned = turn_normals(
             cloud_pass,
             spacing,
-            local,
+            sensor,
             keeps=has_normals,
-            is_flown=is_flown,
             attribute=attribute,
         )
     if has_normals:

@@ -17,9 +17,12 @@ from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
 from hpcapp.applications.surface.cloud.measure import measure_spacing
 from hpcapp.applications.surface.normals.drive import turn_normals
 from hpcapp.applications.surface.normals.orientation import SURE
+from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.normals.sides import Oriented, is_contradicting, orient_cloud
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.progress import Progress, StageClock
+
+UNKNOWN = Sensor()
 
 
 def _scan(name: str, **settings: float) -> PointCloud:
@@ -28,7 +31,7 @@ def _scan(name: str, **settings: float) -> PointCloud:
 
 
 def orient(
-    points: PointCloud, scanners: FloatArray | None = None, attribute: str | None = None
+    points: PointCloud, sensor: Sensor = UNKNOWN, attribute: str | None = None
 ) -> tuple[PointCloud, Oriented]:
     """Orient points in memory, as if they contradicted each other where they have normals."""
     clock, cloud_pass = StageClock(Progress()), in_memory(points)
@@ -36,7 +39,7 @@ def orient(
         cloud_pass,
         measure_spacing(cloud_pass),
         "auto",
-        scanners,
+        sensor,
         clock,
         has_normals=points.normals is not None,
         is_oriented=False,
@@ -113,7 +116,7 @@ def test_who_stood_inside_saw_the_inside() -> None:
     random = np.random.default_rng(1)
     normals = random.normal(size=(8_000, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    found, _ = orient(PointCloud(2.0 * normals), np.array([[0.3, 0.0, 0.0]]))
+    found, _ = orient(PointCloud(2.0 * normals), Sensor("places", np.array([[0.3, 0.0, 0.0]])))
     assert _share_right(found, PointCloud(2.0 * normals, -normals)) == 1.0
 
 
@@ -138,9 +141,9 @@ def test_regions_give_the_normals_of_the_whole(
     memory = MemoryPass(arrange_cloud(points))
     spacing = measure_spacing(memory)
     keeps = what == "given"
-    whole, sure, turned = turn_normals(memory, spacing, None, keeps=keeps)
+    whole, sure, turned = turn_normals(memory, spacing, UNKNOWN, keeps=keeps)
     there = in_folder(points, tmp_path, alone(1_500, sees=workers_see))
-    found, same_sure, same_turned = turn_normals(there, spacing, None, keeps=keeps)
+    found, same_sure, same_turned = turn_normals(there, spacing, UNKNOWN, keeps=keeps)
     assert len(found.cloud.parts) > 3
     assert found.cloud.take_blocks(found.cloud.keys)[0].tobytes() == (
         memory.cloud.points.positions.tobytes()
@@ -171,7 +174,7 @@ def test_normals_of_a_file_are_warned_of_where_they_are_taken_as_they_are() -> N
     clock = StageClock(Progress())
     for given, is_wrong in ((in_memory(scan), False), (mixed, True)):
         spacing = measure_spacing(given)
-        same, oriented = orient_cloud(given, spacing, "file", None, clock, has_normals=True)
+        same, oriented = orient_cloud(given, spacing, "file", UNKNOWN, clock, has_normals=True)
         assert same is given
         assert ["contradict" in warning for warning in oriented.warnings] == [True] * is_wrong
 
