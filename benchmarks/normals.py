@@ -45,7 +45,7 @@ def measure(path: Path, with_peer: bool) -> list[str | int | float]:
     start = time.process_time()
     bare = MemoryPass(replace(arranged, points=PointCloud(scan.positions, origin=scan.origin)))
     given = measure_spacing(bare), Sensor()
-    turned, sure, _ = turn_normals(bare, *given, keeps=False, attribute="confidence")
+    turned, told = turn_normals(bare, *given, keeps=False, attribute="confidence")
     spent = time.process_time() - start
     found = turned.cloud.points
     assert found.normals is not None
@@ -54,7 +54,7 @@ def measure(path: Path, with_peer: bool) -> list[str | int | float]:
         path.stem,
         len(scan),
         round(share_right(found.normals, scan.normals), 2),
-        round(100.0 * sure, 1),
+        round(100.0 * told.sure, 1),
         round(share_right(found.normals[is_sure], scan.normals[is_sure]), 2),
         round(spent, 2),
     ]

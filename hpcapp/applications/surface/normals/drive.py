@@ -9,6 +9,8 @@ This module takes its time to be imported (scipy), and is only where it is neede
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from hpcapp.applications.surface.cloud.cloud_pass import PassT
@@ -22,8 +24,31 @@ from hpcapp.applications.surface.normals.tasks import (
     turn_region,
 )
 from hpcapp.applications.surface.types.lattice import lay_lattice
+from hpcapp.applications.surface.types.points import FloatArray
 
-__all__ = ["turn_normals"]
+__all__ = ["Turned", "turn_normals"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Turned:
+    """How normals were turned to their side.
+
+    Parameters
+    ----------
+    sure : float
+        Share of the points whose side is sure, 0 to 1.
+    turned : int
+        How many normals are the opposites of what they were.
+    how : str
+        Where the evidence comes from, for people.
+    doubted : ndarray of float64, shape (3,), or None
+        The middle of the largest piece whose side is unsure, in the file's coordinates.
+    """
+
+    sure: float
+    turned: int
+    how: str
+    doubted: FloatArray | None
 
 
 def turn_normals(
@@ -33,7 +58,7 @@ def turn_normals(
     *,
     keeps: bool,
     attribute: str | None = None,
-) -> tuple[PassT, float, int]:
+) -> tuple[PassT, Turned]:
     """Give points normals that are on one side.
 
     Parameters
@@ -52,10 +77,7 @@ def turn_normals(
     -------
     cloud_pass : CloudPass
         Through points with unit normals.
-    sure : float
-        Share of the points whose side is sure, 0 to 1.
-    turned : int
-        How many normals are the opposites of what they were.
+    turned : Turned
     """
     cloud = cloud_pass.cloud
     given = lay_lattice(cloud.low, spacing), spacing
@@ -64,13 +86,14 @@ def turn_normals(
     margin = patches.MARGIN * spacing
     grouped = cloud_pass.each(group_region, *given, margin=margin)
     found = patches.merge_patches(grouped)
-    scanners = None if sensor.places is None else sensor.places - cloud.origin
-    is_flown = sensor.kind == "above"
-    sides = orient_patches(*found, spacing, -cloud.origin, scanners, is_flown=is_flown)
+    oriented = orient_patches(*found, spacing, -cloud.origin, sensor)
     del found
     del grouped
-    cloud_pass, results = cloud_pass.rewrite(turn_region, *given, sides, attribute, margin=margin)
+    cloud_pass, results = cloud_pass.rewrite(
+        turn_region, *given, oriented.sides, attribute, margin=margin
+    )
     turned = sum(opposite for opposite, _ in results)
     confidences = np.sum([binned for _, binned in results], axis=0)
     sure = float(confidences[round(SURE * CONFIDENCE_BINS) :].sum()) / len(cloud)
-    return cloud_pass, sure, turned
+    place = None if oriented.doubted is None else oriented.doubted + cloud.origin
+    return cloud_pass, Turned(sure, turned, oriented.how, place)

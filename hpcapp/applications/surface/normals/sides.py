@@ -40,12 +40,18 @@ class Oriented:
         How many normals of the file were turned round, patch by patch.
     contradict : bool
         Whether they contradict each other, and were taken as they are.
+    how : str
+        What tells their side, where it was looked for: ``from above``.
+    doubted : tuple of float, or None
+        The middle of the largest piece whose side is unsure, in the file's coordinates.
     """
 
     source: str
     sure: float
     turned: int = 0
     contradict: bool = False
+    how: str = ""
+    doubted: tuple[float, ...] | None = None
 
     @property
     def warnings(self) -> list[str]:
@@ -63,9 +69,11 @@ class Oriented:
                 "are on one side; --normals file takes them as they are"
             )
         if self.sure < _DOUBTFUL:
+            place = ", ".join(f"{value:.6g}" for value in self.doubted or ())
             found.append(
-                f"the side of {100.0 * (1.0 - self.sure):.1f} % of the normals is unsure: say "
-                "where the scanner stood (--viewpoint)"
+                f"the side of {100.0 * (1.0 - self.sure):.1f} % of the normals is unsure, most of "
+                f"it around ({place}): say where it was scanned from (--viewpoint above, inside, "
+                "or X,Y,Z)"
             )
         return found
 
@@ -79,13 +87,17 @@ class Oriented:
         """
         if self.source != "file":
             sure = 100.0 * self.sure
-            log.info("%s: normals: estimated; %.1f %% of the points surely oriented", shown, sure)
+            log.info(
+                "%s: normals: estimated; seen %s; %.1f %% of the points surely oriented",
+                shown, self.how, sure,
+            )  # fmt: skip
         for warning in self.warnings:
             log.warning("warning: %s: %s", shown, warning)
 
     def to_json(self) -> dict[str, Any]:
         """Return the same for the job's report."""
-        return {"source": self.source, "sure": round(self.sure, 4), "turned": self.turned}
+        facts = {"source": self.source, "sure": round(self.sure, 4), "turned": self.turned}
+        return facts | ({"seen": self.how} if self.how else {})
 
 
 def orient_cloud(
@@ -131,16 +143,17 @@ def orient_cloud(
     from hpcapp.applications.surface.normals.drive import turn_normals  # scipy takes its time
 
     with clock.stage("normals"):
-        turned_pass, sure, turned = turn_normals(
+        turned_pass, turned = turn_normals(
             cloud_pass,
             spacing,
             sensor,
             keeps=has_normals,
             attribute=attribute,
         )
+    place = None if turned.doubted is None else tuple(map(float, turned.doubted))
     if has_normals:
-        return turned_pass, Oriented("file", sure, turned)
-    return turned_pass, Oriented("estimated", sure)
+        return turned_pass, Oriented("file", turned.sure, turned.turned, False, turned.how, place)
+    return turned_pass, Oriented("estimated", turned.sure, 0, False, turned.how, place)
 
 
 def is_contradicting(cloud_pass: CloudPass, spacing: float) -> bool:

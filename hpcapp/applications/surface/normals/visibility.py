@@ -15,7 +15,7 @@ from hpcapp.applications.surface.normals.patches import CELL, Patches
 from hpcapp.applications.surface.types.lattice import find_first
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
 
-__all__ = ["find_seen", "poll_views", "stand_inside", "surround"]
+__all__ = ["poll_views", "stand_inside", "surround"]
 
 _PIXEL = 1.5 * CELL  # spacings: two patches of a sheet are seen in a pixel
 _LEAST_COSINE = 0.25  # of the angle between a normal and the line of sight

@@ -141,9 +141,9 @@ def test_regions_give_the_normals_of_the_whole(
     memory = MemoryPass(arrange_cloud(points))
     spacing = measure_spacing(memory)
     keeps = what == "given"
-    whole, sure, turned = turn_normals(memory, spacing, UNKNOWN, keeps=keeps)
+    whole, told = turn_normals(memory, spacing, UNKNOWN, keeps=keeps)
     there = in_folder(points, tmp_path, alone(1_500, sees=workers_see))
-    found, same_sure, same_turned = turn_normals(there, spacing, UNKNOWN, keeps=keeps)
+    found, same = turn_normals(there, spacing, UNKNOWN, keeps=keeps)
     assert len(found.cloud.parts) > 3
     assert found.cloud.take_blocks(found.cloud.keys)[0].tobytes() == (
         memory.cloud.points.positions.tobytes()
@@ -151,8 +151,8 @@ def test_regions_give_the_normals_of_the_whole(
     assert whole.cloud.points.normals is not None
     normals = whole.cloud.points.normals
     assert found.cloud.take_blocks(found.cloud.keys)[1].tobytes() == normals.tobytes()
-    assert (same_sure, same_turned) == (sure, turned)
-    assert turned > 0
+    assert (same.sure, same.turned, same.how) == (told.sure, told.turned, told.how)
+    assert told.turned > 0
 
 
 def test_large_clouds_in_memory_are_turned_in_boxes(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,29 +2,49 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
+import pytest
 
 from hpcapp.applications.surface.cloud.spacing import estimate_spacing
 from hpcapp.applications.surface.normals.estimation import estimate_normals
-from hpcapp.applications.surface.normals.orientation import orient_patches
+from hpcapp.applications.surface.normals.orientation import SURE, orient_patches
 from hpcapp.applications.surface.normals.patches import find_patches, merge_patches, turn_points
+from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.types.points import FloatArray
 
 FAR = np.full(3, 1e9)
+FLOWN = Sensor("above")
 
 
 def _orient(
-    positions: FloatArray,
-    zero: FloatArray = FAR,
-    scanners: FloatArray | None = None,
-    is_flown: bool = False,
+    positions: FloatArray, zero: FloatArray = FAR, sensor: Sensor | None = None
 ) -> FloatArray:
     every, low = np.ones(len(positions), np.bool_), positions.min(axis=0)
     spacing = estimate_spacing(positions)
     vectors = estimate_normals(positions, every, low, spacing)
     found = find_patches(positions, vectors, every, low, spacing)
-    sides = orient_patches(*found, spacing, zero, scanners, is_flown=is_flown)
+    sides = orient_patches(*found, spacing, zero, sensor or Sensor()).sides
     return turn_points(positions, vectors, low, spacing, sides)[0].astype(np.float64)
+
+
+def _on_box(random: np.random.Generator, count: int) -> FloatArray:
+    """Points on a cube of edge 2, as many per area everywhere."""
+    box = random.uniform(-1.0, 1.0, (count, 3))
+    axes, rows = random.integers(0, 3, count), np.arange(count)
+    box[rows, axes] = np.sign(box[rows, axes])
+    return box
+
+
+def _on_ball(random: np.random.Generator, count: int) -> FloatArray:
+    ball = random.normal(size=(count, 3))
+    ball /= np.linalg.norm(ball, axis=1)[:, None]
+    return ball
+
+
+def _share_outwards(normals: FloatArray, arms: FloatArray) -> float:
+    return float((np.einsum("ij,ij->i", normals, arms) > 0.0).mean())
 
 
 def _sheet() -> FloatArray:
@@ -49,17 +69,14 @@ def _forest() -> FloatArray:
 
 
 def test_what_was_flown_over_faces_up_whatever_hides_it() -> None:
-    normals = _orient(_forest(), is_flown=True)
+    normals = _orient(_forest(), sensor=FLOWN)
     assert (normals[:9_000, 2] > 0.0).mean() > 0.99
     assert (normals[9_000:, 2] > 0.0).mean() > 0.99
 
 
 def test_returns_say_nothing_of_what_is_as_high_as_wide() -> None:
-    random = np.random.default_rng(5)
-    ball = random.normal(size=(8_000, 3))
-    ball /= np.linalg.norm(ball, axis=1)[:, None]
-    normals = _orient(ball, is_flown=True)
-    assert (np.einsum("ij,ij->i", normals, ball) > 0.0).mean() > 0.99
+    ball = _on_ball(np.random.default_rng(5), 8_000)
+    assert _share_outwards(_orient(ball, sensor=FLOWN), ball) > 0.99
 
 
 def test_a_depth_image_faces_its_camera() -> None:
@@ -67,27 +84,99 @@ def test_a_depth_image_faces_its_camera() -> None:
     assert (_orient(sheet, np.zeros(3))[:, 2] < 0.0).all()
 
 
-def test_scanners_are_believed_if_they_could_see_it() -> None:
+def test_a_camera_at_zero_stands_before_what_it_saw() -> None:
+    dome = _on_ball(np.random.default_rng(6), 9_000)
+    dome = dome[dome[:, 2] > 0.0] * np.array([1.0, 1.0, 0.4])
+    assert _share_outwards(_orient(dome, np.zeros(3)), dome) > 0.99
+    corner = np.array([-1.05, -1.05, 0.0])  # where many objects have their zero
+    assert _share_outwards(_orient(dome, corner), dome) > 0.99
+
+
+def test_scanners_of_a_file_are_believed_if_they_could_see_it() -> None:
     sheet = _sheet()
     below, behind = np.array([[0.0, 0.0, -3.0]]), np.array([[0.0, 900.0, 0.0]])
-    assert (_orient(sheet, FAR, below)[:, 2] < 0.0).all()
-    assert (_orient(sheet, FAR, behind)[:, 2] > 0.0).all()
+    zero = np.array([0.5, 0.0, 0.0])
+    assert (_orient(sheet, zero, Sensor("places", below - zero))[:, 2] < 0.0).all()
+    assert (_orient(sheet, zero, Sensor("places", behind - zero))[:, 2] > 0.0).all()
+
+
+@pytest.mark.parametrize("kind", ["above", "below"])
+def test_what_the_user_says_wins(kind: Literal["above", "below"]) -> None:
+    up = _orient(_sheet(), sensor=Sensor(kind, is_told=True))[:, 2]
+    assert ((up > 0.0) == (kind == "above")).all()
+    ball = _on_ball(np.random.default_rng(5), 8_000)
+    normals = _orient(ball, sensor=Sensor(kind, is_told=True))
+    caps = np.abs(ball[:, 2]) > 0.5  # what lies flat alone was seen
+    assert ((normals[caps, 2] > 0.0) == (kind == "above")).mean() > 0.99
+
+
+def test_who_was_inside_saw_the_inside() -> None:
+    ball = _on_ball(np.random.default_rng(7), 8_000)
+    assert _share_outwards(_orient(ball, sensor=Sensor("inside", is_told=True)), ball) < 0.01
+
+
+def test_an_object_that_stood_on_a_table_faces_outwards() -> None:
+    random = np.random.default_rng(8)
+    ball = _on_ball(random, 12_000)
+    dome = ball[ball[:, 2] > -0.3]
+    bumpy = dome * (1.0 + 0.1 * np.sin(6.0 * dome[:, :1]) * np.sin(6.0 * dome[:, 1:2]))
+    for zero in (FAR, np.zeros(3), np.array([0.0, 0.0, -0.3])):
+        assert _share_outwards(_orient(bumpy, zero), dome) > 0.99
+
+
+def test_cavities_face_inwards_and_what_lies_in_them_outwards() -> None:
+    random = np.random.default_rng(9)
+    shells = [_on_ball(random, count) for count in (16_000, 6_000, 1_500)]
+    normals = _orient(np.concatenate([shells[0], 0.6 * shells[1], 0.3 * shells[2]]))
+    outer, cavity, core = np.split(normals, [16_000, 22_000])
+    assert _share_outwards(outer, shells[0]) > 0.99
+    assert _share_outwards(cavity, shells[1]) < 0.01
+    assert _share_outwards(core, shells[2]) > 0.99
+
+
+def test_a_box_is_a_room_if_a_tripod_stood_in_it() -> None:
+    random = np.random.default_rng(10)
+    even = _on_box(random, 16_000)
+    assert _share_outwards(_orient(even), even) > 0.99
+    stand, half = np.array([1.2, -0.6, -0.2]), np.array([3.0, 2.0, 1.0])
+    rays = _on_ball(random, 16_000)
+    far = np.where(rays > 0.0, half - stand, half + stand) / np.maximum(np.abs(rays), 1e-9)
+    room = stand + rays * far.min(axis=1)[:, None]
+    room += random.normal(scale=0.001, size=room.shape)
+    assert _share_outwards(_orient(room), room - stand) < 0.01
 
 
 def test_a_room_with_something_in_it_is_seen_from_inside() -> None:
     random = np.random.default_rng(3)
-    walls = random.uniform(-1.0, 1.0, (14_000, 3))
-    axes, rows = random.integers(0, 3, len(walls)), np.arange(len(walls))
-    walls[rows, axes] = np.sign(walls[rows, axes])
-    box = random.uniform(-1.0, 1.0, (5_000, 3))
-    axes, rows = random.integers(0, 3, len(box)), np.arange(len(box))
-    box[rows, axes] = np.sign(box[rows, axes])
-    furniture = 0.25 * box + np.array([0.0, 0.0, -0.6])
+    walls, box = _on_box(random, 14_000), _on_box(random, 5_000)
+    box = box[box[:, 2] > -1.0]
+    furniture = 0.25 * box + np.array([0.3, 0.2, -0.74])
     normals = _orient(np.concatenate([walls, furniture]))
-    inwards = -np.einsum("ij,ij->i", normals[: len(walls)], walls)
-    assert (inwards > 0.0).mean() > 0.98
-    outwards = np.einsum("ij,ij->i", normals[len(walls) :], box)
-    assert (outwards > 0.0).mean() > 0.95
+    assert _share_outwards(normals[: len(walls)], walls) < 0.02
+    assert _share_outwards(normals[len(walls) :], box) > 0.95
+
+
+def test_a_corner_faces_what_stands_in_it() -> None:
+    random = np.random.default_rng(11)
+    walls = random.uniform(0.0, 1.0, (12_000, 3))
+    walls[np.arange(len(walls)), random.integers(0, 3, len(walls))] = 0.0
+    box = _on_box(random, 5_000)
+    seat = 0.15 * box + np.array([0.4, 0.4, 0.16])
+    for axes in ([0, 1, 2], [1, 2, 0]):
+        normals = _orient(np.concatenate([walls, seat])[:, axes])
+        assert (normals[: len(walls)].sum(axis=1) > 0.5).mean() > 0.9
+        assert _share_outwards(normals[len(walls) :], box[:, axes]) > 0.9
+
+
+def test_a_side_that_nobody_knows_is_unsure_and_named() -> None:
+    sheet = _sheet()[:, [0, 2, 1]] + np.array([7.0, 0.0, 0.0])  # is y up, or down?
+    every, low, spacing = np.ones(len(sheet), np.bool_), sheet.min(axis=0), estimate_spacing(sheet)
+    vectors = estimate_normals(sheet, every, low, spacing)
+    found = find_patches(sheet, vectors, every, low, spacing)
+    oriented = orient_patches(*found, spacing, FAR, Sensor())
+    assert (np.abs(oriented.sides.values) < SURE).mean() > 0.9
+    assert oriented.doubted is not None
+    np.testing.assert_allclose(oriented.doubted, [7.0, 0.0, 0.0], atol=0.2)
 
 
 def test_patches_of_regions_are_those_of_the_whole() -> None:
