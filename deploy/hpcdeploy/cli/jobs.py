@@ -56,9 +56,9 @@ def submit(
     if dashboard:
         options = (*options, "--dashboard")
     with open_cluster(file) as cluster:
-        cluster_job.check_job(cluster, VERB, points, output, options)
+        told = cluster_job.check_job(cluster, VERB, points, output, options)
         opened = open_jobs(cluster)
-        status = cluster_job.submit(opened, VERB, points, output.name, options)
+        status = cluster_job.submit(opened, VERB, points, output.name, told)
         if detach:
             _tell([status], as_json)
             log.info("hpcapp attach %s %s%s shows it, hpcapp fetch %s %s brings the mesh",

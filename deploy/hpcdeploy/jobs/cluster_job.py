@@ -102,8 +102,13 @@ def _describe_cost(cluster: Cluster, seconds: float) -> dict[str, object]:
 
 def check_job(
     cluster: Cluster, verb: str, points: Path, target: Path, options: Sequence[str]
-) -> None:
+) -> Sequence[str]:
     """Let whoever knows the verb look at a job before anything travels.
+
+    Returns
+    -------
+    sequence of str
+        The options for the head, which has no other files of this machine than the points.
 
     Raises
     ------
@@ -113,7 +118,8 @@ def check_job(
         The points will not do.
     """
     for entry in entry_points(group="hpc.checks", name=verb):
-        entry.load()(cluster.path, points, target, options)
+        options = entry.load()(cluster.path, points, target, options)
+    return options
 
 
 def _bring_up_if_needed(cluster: Cluster) -> tuple[Cluster, bool]:

@@ -22,7 +22,7 @@ from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.attributes.labels import find_labels
 from hpcapp.applications.surface.job.backend_choice import approach_workers
 from hpcapp.applications.surface.job.carry import carry_columns
-from hpcapp.applications.surface.job.load import arrange_points, prepare
+from hpcapp.applications.surface.job.load import arrange_points, prepare, told_sensor
 from hpcapp.applications.surface.job.steps import run_steps
 from hpcapp.applications.surface.method import MAX_GRID, MIN_GRID, MethodSettings
 from hpcapp.applications.surface.methods import DEFAULT_METHOD, find_method
@@ -30,6 +30,7 @@ from hpcapp.applications.surface.options import option_names
 from hpcapp.applications.surface.settings import Settings
 from hpcapp.applications.surface.types.mesh import Mesh as TriangleMesh
 from hpcapp.applications.surface.types.points import ByteArray, FloatArray, PointCloud
+from hpcapp.applications.surface.viewpoint import Viewpoint, parse_viewpoint
 from hpcapp.communicator.scheduling.verification import Verification, attempt, repeat_until_trusted
 from hpcapp.io import drop_unusable
 from hpcapp.io.frame import to_local
@@ -62,6 +63,7 @@ def reconstruct(
     trim: str | None = None,
     fill_holes: str | None = None,
     uniform: bool | None = None,
+    viewpoint: str | ArrayLike | None = None,
     attributes: str = "auto",
     faces: int | None = None,
     tolerance: float | None = None,
@@ -88,6 +90,10 @@ def reconstruct(
         ``hierarchical``, ``paper``, or a method with its options: ``hpcapp.Paper(delta=0.2)``.
     smoothness, detail, clean, close, trim, fill_holes, uniform : float, bool and str, optional
         Options of the default method, where `method` is a name; see `hpcapp.Hierarchical`.
+    viewpoint : str or array_like, shape (3,) or (s, 3), optional
+        Where the points were measured from, where they have no normals: ``above``, ``below``,
+        ``inside``, the places of the sensor in the coordinates of `points`, or the name of a file
+        with its trajectory.
     attributes : str
         What the mesh's vertices carry: ``auto`` (all that the cloud has), ``none``, or names with
         commas between them, of which ``normals`` and ``support`` are made for the vertices.
@@ -148,6 +154,7 @@ def reconstruct(
         workers=workers,
         verify=verify,
         attributes=parse_attributes(attributes),
+        viewpoint=_choose_viewpoint(viewpoint),
         faces=faces,
         tolerance=tolerance,
     )
@@ -160,6 +167,7 @@ def reconstruct(
     verification = _choose_verification(given, verify)
     with approach_workers(settings, verification=verification) as opener:
         read = arrange_points(settings, checked, labels, clock)
+        read = replace(read, sensor=told_sensor(settings.viewpoint))
         del checked  # makes room
         refuse_too_few(len(read.cloud_pass.cloud), Dropped(0, 0), "points")
         loaded = prepare(settings, read, clock)
@@ -239,6 +247,16 @@ def _choose_method(method: str | MethodSettings, options: dict[str, Any]) -> Met
             f"give {next(iter(given))} to {type(method).__name__}",
         )
     return method
+
+
+def _choose_viewpoint(viewpoint: str | ArrayLike | None) -> Viewpoint:
+    """Return where the points were measured from, as the command would."""
+    if isinstance(viewpoint, str):
+        return parse_viewpoint([viewpoint])
+    if viewpoint is None:
+        return ()
+    places = _check_rows("viewpoint", np.atleast_2d(np.asarray(viewpoint)))
+    return tuple((x, y, z) for x, y, z in places.tolist())
 
 
 def _check_settings(settings: Settings) -> None:

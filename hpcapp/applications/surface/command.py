@@ -10,7 +10,6 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from math import isfinite, nan
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +26,7 @@ from hpcapp.applications.surface.options import (
     option_names,
     typed_command,
 )
+from hpcapp.applications.surface.viewpoint import parse_viewpoint
 from hpcapp.applications.view.command import check_page, check_picture
 from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY, POLICIES
 from hpcapp.dashboard import DEFAULT_ADDRESS
@@ -40,25 +40,6 @@ __all__ = ["check_flags", "reconstruct"]
 log = logging.getLogger("hpcapp")
 
 POINTS = click.Path(dir_okay=False, path_type=Path)
-
-
-def _parse_viewpoints(
-    ctx: click.Context, param: click.Parameter, value: tuple[str, ...]
-) -> tuple[tuple[float, float, float], ...]:
-    """Return the numbers of each viewpoint."""
-    return tuple(_parse_viewpoint(ctx, param, one) for one in value)
-
-
-def _parse_viewpoint(
-    ctx: click.Context, param: click.Parameter, text: str
-) -> tuple[float, float, float]:
-    try:
-        x, y, z = (float(number) for number in text.split(","))
-    except ValueError:
-        x = y = z = nan
-    if not (isfinite(x) and isfinite(y) and isfinite(z)):
-        raise click.BadParameter(f"{text!r} is not three numbers, as 1.5,0,-2", ctx, param)
-    return x, y, z
 
 
 def _check_method_options(ctx: click.Context) -> None:
@@ -175,6 +156,7 @@ def check_flags(ctx: click.Context) -> None:
 
         parse_address(ctx.params["dashboard"])
     parse_attributes(ctx.params["attributes"])
+    parse_viewpoint(ctx.params["viewpoint"])
     check_page(ctx.params["report"], "--report")
     check_picture(ctx.params["png"], "--png")
     _check_method_options(ctx)
@@ -280,11 +262,11 @@ def _add_method_options(command: click.Command) -> click.Command:
 )
 @click.option(
     "--viewpoint",
-    "viewpoints",
-    callback=_parse_viewpoints,
     multiple=True,
-    metavar="X,Y,Z",
-    help="Where a scanner stood, in the coordinates of the input; may be given several times.",
+    metavar="WHERE",
+    help="Where the points were measured from: above, below, inside, or the scanner's place as "
+    "X,Y,Z in the coordinates of the input, or a file of a trajectory (.csv, .txt); places and "
+    "files may be given several times.",
 )
 @click.option(
     "--outliers/--no-outliers",
@@ -450,6 +432,7 @@ def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:
         if options["max_memory"] is not None:
             options["max_memory"] = parse_limit(options["max_memory"])
         options["attributes"] = parse_attributes(options["attributes"])
+        options["viewpoint"] = parse_viewpoint(options["viewpoint"])
         Target(options["faces"], options["tolerance"]).check()
         own = {name: options.pop(name) for name in METHOD_OPTIONS}
         method = find_method(options.pop("method"))

@@ -186,9 +186,9 @@ def typed_options(ctx: click.Context, without: Collection[str]) -> list[str]:
         if not is_typed or name in without:
             continue
         value = ctx.params[name]
-        if name == "viewpoints":
-            for place in value:
-                words += [parameter.opts[-1], ",".join(map(repr, place))]
+        if isinstance(parameter, click.Option) and parameter.multiple:
+            for one in value:
+                words += [parameter.opts[-1], str(one)]
         elif value is False:
             words.append(parameter.secondary_opts[0])
         else:

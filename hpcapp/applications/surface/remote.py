@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
 import click
 
 from hpcapp.applications.surface.options import typed_command, typed_options
+from hpcapp.applications.surface.viewpoint import parse_viewpoint, type_viewpoint
 from hpcapp.backends.cluster import load_cluster_function
 from hpcapp.io import FOLDER_SUFFIXES, MESH_SUFFIXES, drop_unusable, read_points
 from hpcapp.io.output import open_output
 from hpcapp.io.points.inputs import find_paths, gather_points
 from hpccomponent.errors import UsageError
 
-__all__ = ["OF_THIS_MACHINE", "check_file", "check_points", "run_on_cluster"]
+__all__ = ["OF_THIS_MACHINE", "check_file", "check_points", "run_on_cluster", "type_for_head"]
 
 DETAILS = ("timeline", "owners")
 """What a report has with --details."""
@@ -69,6 +71,20 @@ def check_points(points: Path, sample: int | None = None) -> None:
         drop_unusable(read_points(path), str(path))
 
 
+def type_for_head(ctx: click.Context, without: Collection[str]) -> list[str]:
+    """Return the options that were typed, with the places of the trajectories that they name.
+
+    Parameters
+    ----------
+    ctx : click.Context
+        Of `reconstruct`.
+    without : collection of str
+        Names of parameters that are left out.
+    """
+    words = typed_options(ctx, (*without, "viewpoint"))
+    return words + type_viewpoint(parse_viewpoint(ctx.params["viewpoint"]))
+
+
 def run_on_cluster(ctx: click.Context) -> dict[str, Any]:
     """Have a cluster's head run the job with the options that were typed, and fetch the mesh.
 
@@ -100,7 +116,7 @@ def run_on_cluster(ctx: click.Context) -> dict[str, Any]:
         gather_points(names, ctx.params["sample"], goes_elsewhere=True) as points,
     ):
         check_points(points)
-        words = typed_options(ctx, OF_THIS_MACHINE)
+        words = type_for_head(ctx, OF_THIS_MACHINE)
         is_detailed = ctx.params["details"]
         if ctx.params["report"] is not None and not is_detailed:
             words.append("--details")

@@ -11,15 +11,20 @@ from pathlib import Path
 import click
 
 from hpcapp.applications.surface.command import check_flags, reconstruct
-from hpcapp.applications.surface.remote import OF_THIS_MACHINE, check_file, check_points
+from hpcapp.applications.surface.remote import (
+    OF_THIS_MACHINE,
+    check_file,
+    check_points,
+    type_for_head,
+)
 from hpcapp.io.output import open_output
 from hpccomponent.errors import OutputError, UsageError
 
 __all__ = ["check_job"]
 
 
-def check_job(cluster: Path, points: Path, output: Path, options: Sequence[str]) -> None:
-    """Find out whether a cluster could do a job.
+def check_job(cluster: Path, points: Path, output: Path, options: Sequence[str]) -> list[str]:
+    """Find out whether a cluster could do a job, and how its head is told of it.
 
     Parameters
     ----------
@@ -29,6 +34,11 @@ def check_job(cluster: Path, points: Path, output: Path, options: Sequence[str])
         What the job reads and writes, on this machine.
     options : sequence of str
         Of `reconstruct`, as they were typed.
+
+    Returns
+    -------
+    list of str
+        The same for the head, which has no other files of this machine than the points.
 
     Raises
     ------
@@ -60,3 +70,4 @@ def check_job(cluster: Path, points: Path, output: Path, options: Sequence[str])
     check_file(str(output))
     with open_output(str(output), [points]):
         check_points(points, sample)
+    return type_for_head(ctx, ("points", "output", "cluster"))

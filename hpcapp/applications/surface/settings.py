@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from hpcapp.applications.surface.attributes.choice import AttributeChoice
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
 from hpcapp.applications.surface.method import MethodSettings
+from hpcapp.applications.surface.viewpoint import Viewpoint
 from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY
 from hpcapp.simplification.mesh import Target
 from hpcapp.workforce import Workforce
@@ -60,8 +61,9 @@ class Settings:
     normals : str
         ``auto`` estimates those that are missing and mends the others, ``file`` takes those of the
         input as they are, ``estimate`` takes none of them.
-    viewpoints : tuple of tuple of float
-        Where scanners stood, in the coordinates of the input.
+    viewpoint : str or tuple of tuple of float
+        ``above``, ``below``, ``inside``, or the places where the sensor was, in the coordinates of
+        the input; none where nobody has said.
     faces : int or None
         Triangles to simplify the mesh to.
     tolerance : float or None
@@ -85,7 +87,7 @@ class Settings:
     resample: bool = False
     attributes: AttributeChoice = field(default_factory=AttributeChoice)
     normals: str = "auto"
-    viewpoints: tuple[tuple[float, float, float], ...] = ()
+    viewpoint: Viewpoint = ()
     faces: int | None = None
     tolerance: float | None = None
 

@@ -33,6 +33,7 @@ from hpcapp.applications.surface.reading.drive import ingest_file
 from hpcapp.applications.surface.reading.reach import drop_far
 from hpcapp.applications.surface.settings import JobSettings, Settings
 from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.applications.surface.viewpoint import Viewpoint
 from hpcapp.io import PointSource, drop_unusable, open_points, read_whole
 from hpcapp.io.points.point_source import Findings
 from hpcapp.io.points.usable import Dropped, refuse_too_few
@@ -42,7 +43,7 @@ from hpccomponent.files.private_files import remove_path
 from hpccomponent.store.base import FolderStore
 from hpccomponent.store.value import DamagedError
 
-__all__ = ["Loaded", "PointFolder", "Read", "arrange_points", "load", "prepare"]
+__all__ = ["Loaded", "PointFolder", "Read", "arrange_points", "load", "prepare", "told_sensor"]
 
 log = logging.getLogger("hpcapp")
 
@@ -240,10 +241,18 @@ def _read_into_folder(
     )
 
 
+def told_sensor(viewpoint: Viewpoint) -> Sensor:
+    """Return what a user says of where points were measured from."""
+    if isinstance(viewpoint, str):
+        return Sensor(viewpoint, is_told=True)
+    return Sensor("places", np.array(viewpoint), is_told=True) if viewpoint else Sensor()
+
+
 def _find_sensor(settings: JobSettings, source: PointSource) -> Sensor:
     """Return where the points were measured from: as the user says, else as the file does."""
-    if settings.viewpoints:
-        return Sensor("places", np.array(settings.viewpoints), is_told=True)
+    told = told_sensor(settings.viewpoint)
+    if told.is_told:
+        return told
     known = [scan.scanner for scan in source.scans if scan.scanner is not None]
     if known and len(known) == len(source.scans):
         return Sensor("places", np.array(known))

@@ -15,6 +15,7 @@ from hpcapp.applications.surface.command import reconstruct
 from hpcapp.applications.surface.remote_check import check_job
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.applications.surface.viewpoint import parse_viewpoint
 from hpcapp.io import read_mesh, read_points, write_mesh, write_points
 from hpccomponent.errors import InputError, UsageError
 
@@ -106,10 +107,25 @@ def test_options_of_points_without_normals_travel(
     options = ["--normals", "estimate", "--viewpoint", "-1.5,0,1e-9", "--viewpoint", "3,4,5"]
     submit(tmp_path, sphere_file, *options, "--attributes", "none", "--no-clean")
     ctx = reconstruct.make_context("reconstruct", ["in.ply", "-o", "m.ply", *cluster.options])
-    assert ctx.params["viewpoints"] == ((-1.5, 0.0, 1e-9), (3.0, 4.0, 5.0))
+    assert parse_viewpoint(ctx.params["viewpoint"]) == ((-1.5, 0.0, 1e-9), (3.0, 4.0, 5.0))
     assert ctx.params["normals"] == "estimate"
     assert ctx.params["attributes"] == "none"
     assert ctx.params["clean"] is False
+
+
+def test_the_places_of_a_trajectory_travel(
+    tmp_path: Path, sphere_file: Path, cluster: Cluster
+) -> None:
+    flight = tmp_path / "flight.csv"
+    flight.write_text("time,x,y,z\n10,1,2,3\n11,4,5,6\n")
+    submit(tmp_path, sphere_file, "--viewpoint", str(flight))
+    places = ["--viewpoint", "1.0,2.0,3.0", "--viewpoint", "4.0,5.0,6.0"]
+    assert cluster.options == places
+    here = (tmp_path / "cluster.yaml", sphere_file, tmp_path / "m.ply")
+    assert check_job(*here, ["--viewpoint", str(flight)]) == places
+    assert check_job(*here, ["--viewpoint=above", "--no-clean"]) == [
+        "--no-clean", "--viewpoint", "above",
+    ]  # fmt: skip
 
 
 def test_points_that_will_not_do_are_refused_before_anything_travels(

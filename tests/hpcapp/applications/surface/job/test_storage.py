@@ -462,7 +462,7 @@ def test_whatever_decides_the_mesh_is_part_of_the_name_of_a_job(scan: Path, tmp_
     few = tmp_path / "few.ply"
     write_points(few, PointCloud(np.eye(3), np.eye(3)))
     others: list[dict[str, Any]] = [
-        {"grid": 65}, {"normals": "estimate"}, {"viewpoints": ((1.0, 2.0, 3.0),)},
+        {"grid": 65}, {"normals": "estimate"}, {"viewpoint": ((1.0, 2.0, 3.0),)},
         {"denoise": True}, {"points": few},
     ]  # fmt: skip
     found = []

@@ -1,0 +1,77 @@
+"""What ``--viewpoint`` asks for.
+
+This module is imported for every ``--help``: nothing heavy is imported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import isfinite
+from pathlib import Path
+from typing import Literal, get_args
+
+from hpccomponent.errors import UsageError
+
+__all__ = ["Direction", "Place", "Viewpoint", "parse_viewpoint", "type_viewpoint"]
+
+Direction = Literal["above", "below", "inside"]
+Place = tuple[float, float, float]
+Viewpoint = Direction | tuple[Place, ...]
+"""From which direction points were measured, or from which places; no places: nobody has said."""
+
+_DIRECTIONS: tuple[Direction, ...] = get_args(Direction)
+
+
+def parse_viewpoint(words: Sequence[str]) -> Viewpoint:
+    """Parse what was typed; read the files of trajectories.
+
+    Parameters
+    ----------
+    words : sequence of str
+        A direction alone, or places as ``X,Y,Z`` and names of files.
+
+    Raises
+    ------
+    UsageError
+        A word is none of these, or stands beside a direction.
+    InputError
+        A file is no trajectory.
+
+    Examples
+    --------
+    >>> parse_viewpoint(["above"]), parse_viewpoint(["1.5,0,-2"])
+    ('above', ((1.5, 0.0, -2.0),))
+    """
+    for direction in _DIRECTIONS:
+        if direction in words:
+            if set(words) != {direction}:
+                raise UsageError(
+                    f"--viewpoint {direction} stands beside another one", "give it alone"
+                )
+            return direction
+    return tuple(place for word in words for place in _parse_places(word))
+
+
+def type_viewpoint(viewpoint: Viewpoint) -> list[str]:
+    """Return words of the command line that say the same without a file."""
+    if isinstance(viewpoint, str):
+        return ["--viewpoint", viewpoint]
+    return [w for place in viewpoint for w in ("--viewpoint", ",".join(map(repr, place)))]
+
+
+def _parse_places(word: str) -> tuple[Place, ...]:
+    try:
+        x, y, z = (float(number) for number in word.split(","))
+    except ValueError:
+        if Path(word).is_file():
+            from hpcapp.io.text.trajectory import read_trajectory  # numpy takes its time
+
+            return tuple((x, y, z) for x, y, z in read_trajectory(Path(word)).tolist())
+    else:
+        if isfinite(x) and isfinite(y) and isfinite(z):
+            return ((x, y, z),)
+    raise UsageError(
+        f"--viewpoint {word!r} is neither {', '.join(_DIRECTIONS)}, nor three numbers, nor a file "
+        "of a trajectory",
+        "give where the sensor was, as 1.5,0,-2",
+    )

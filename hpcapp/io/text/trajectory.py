@@ -1,0 +1,70 @@
+"""The path of a sensor, as lines of numbers: x, y, z, or the time before them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.io.points.column_roles import AXES, find_role
+from hpcapp.io.points.point_source import Findings, translated
+from hpcapp.io.text.layout import find_layout
+from hpcapp.io.text.lines import LineReader, read_blocks
+from hpcapp.io.text.tables import RowNotes, parse_block
+from hpccomponent.errors import InputError
+
+__all__ = ["MOST_PLACES", "read_trajectory"]
+
+MOST_PLACES = 64
+"""Of a path: more show no more of what was measured from it."""
+
+
+def read_trajectory(path: Path) -> FloatArray:
+    """Read where a sensor came along.
+
+    Columns are told by their names; without names they are x, y, z where there are three, else
+    the time comes first. Separators are those of point clouds.
+
+    Returns
+    -------
+    ndarray of float64, shape (n, 3)
+        At most 64 places, at even distances along the path.
+
+    Raises
+    ------
+    InputError
+        The file has no such rows.
+    """
+    with translated(path):
+        layout, _ = find_layout(path, Findings())
+        lines = LineReader(read_blocks(path, layout.encoding))
+        for _ in lines.take(layout.first_row - 1):
+            pass
+        axes, notes = _find_axes(layout.names, layout.rows.wanted), RowNotes(path)
+        rest = path.stat().st_size
+        tables = [parse_block(block, layout.rows, notes)[:, axes] for block in lines.take(rest)]
+    places = np.concatenate([np.empty((0, 3)), *tables])
+    places = places[np.isfinite(places).all(axis=1)]
+    if not len(places):
+        raise InputError(f"{path}: is no trajectory: no line has x, y and z", "check the file")
+    return _thin(places)
+
+
+def _find_axes(names: tuple[str, ...] | None, wanted: tuple[int, ...]) -> list[int]:
+    """Return which of the columns that are read are x, y and z."""
+    if names is None:
+        return [0, 1, 2] if len(wanted) == 3 else [1, 2, 3]
+    roles = [find_role(names[i]) for i in wanted]
+    return [roles.index(axis) for axis in AXES]
+
+
+def _thin(places: FloatArray) -> FloatArray:
+    """Return so few places of a path that one lies as far from the next as all others do."""
+    if len(places) <= MOST_PLACES:
+        return places
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    travelled = np.concatenate([[0.0], np.cumsum(steps)])
+    marks = np.linspace(0.0, travelled[-1], MOST_PLACES)
+    rows = np.unique(np.searchsorted(travelled, marks).clip(max=len(places) - 1))
+    return places.take(rows, axis=0)
