@@ -10,7 +10,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-__all__ = ["UNIT_CODES", "Crs", "parse_epsg", "parse_geokeys", "parse_wkt"]
+__all__ = ["METRES", "UNIT_CODES", "Crs", "parse_epsg", "parse_geokeys", "parse_wkt"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,7 @@ _TOKEN = re.compile(r'"((?:[^"]|"")*)"|([A-Za-z_]\w*)\s*[\[(]|([\])])|([^\s,\[\]
 _PROJECTED = ("PROJCS", "PROJCRS", "PROJECTEDCRS", "LOCAL_CS", "ENGCRS", "ENGINEERINGCRS")
 _GEOCENTRIC = ("GEOCCS", "GEODCRS", "GEODETICCRS")
 _GEOGRAPHIC = ("GEOGCS", "GEOGCRS", "GEOGRAPHICCRS")
-_METRES = {
+METRES = {
     "m": 1.0,
     "ft": 0.3048,
     "US ft": 1200 / 3937,
@@ -53,6 +53,8 @@ _METRES = {
     "cm": 0.01,
     "km": 1000.0,
 }
+"""How many of them a unit of length is."""
+
 _SAME_FACTOR = 1e-7  # the two feet differ by 2e-6; factors are written with 8 digits and more
 
 _MODEL, _CITATION, _GEOGRAPHIC_CODE, _GEOGRAPHIC_LENGTH = 1024, 1026, 2048, 2052
@@ -172,7 +174,7 @@ def _find_unit(unit: _Node) -> str | None:
         factor = float(str(unit.children[1]))
     except (IndexError, ValueError):
         return None
-    for name, metres in _METRES.items():
+    for name, metres in METRES.items():
         if abs(factor - metres) <= _SAME_FACTOR * metres:
             return name
     return None

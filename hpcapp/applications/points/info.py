@@ -29,8 +29,9 @@ def describe_file(source: PointSource) -> tuple[dict[str, object], Findings, Poi
         ``normals``: where they are from, ``file`` or ``faces``, or None; ``is_oriented``:
         False where their signs are not known, None without them; ``attributes``: names
         of other columns that are kept; ``scans``: for each its ``points``, ``scanner`` and
-        ``grid``, or None; ``grid`` of the first; ``crs``; ``unit``; ``dropped``: points that are
-        no part of the cloud, by reason; ``warnings``; and all that `describe` tells.
+        ``grid``, or None; ``grid`` of the first; ``crs``; ``unit``; ``up``: which way that is, and
+        why; ``dropped``: points that are no part of the cloud, by reason; ``warnings``; and all
+        that `describe` tells.
 
     Raises
     ------
@@ -57,6 +58,7 @@ def describe_file(source: PointSource) -> tuple[dict[str, object], Findings, Poi
         "grid": None if source.scans[0].grid is None else list(source.scans[0].grid),
         "crs": source.crs,
         "unit": source.unit,
+        "up": source.up,
         "dropped": findings.dropped,
         "warnings": findings.warnings,
     }

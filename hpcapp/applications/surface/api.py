@@ -26,6 +26,7 @@ from hpcapp.applications.surface.job.load import arrange_points, prepare, told_s
 from hpcapp.applications.surface.job.steps import run_steps
 from hpcapp.applications.surface.method import MAX_GRID, MIN_GRID, MethodSettings
 from hpcapp.applications.surface.methods import DEFAULT_METHOD, find_method
+from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.options import option_names
 from hpcapp.applications.surface.settings import Settings
 from hpcapp.applications.surface.types.mesh import Mesh as TriangleMesh
@@ -34,6 +35,7 @@ from hpcapp.applications.surface.viewpoint import Viewpoint, parse_viewpoint
 from hpcapp.communicator.scheduling.verification import Verification, attempt, repeat_until_trusted
 from hpcapp.io import drop_unusable
 from hpcapp.io.frame import to_local
+from hpcapp.io.points.survey import is_flown_over
 from hpcapp.io.points.usable import Dropped, refuse_too_few
 from hpcapp.pages.shown_mesh import Mesh
 from hpcapp.progress import Progress, ProgressObserver, StageClock
@@ -166,8 +168,8 @@ def reconstruct(
     given = None if isinstance(executor, str) else executor
     verification = _choose_verification(given, verify)
     with approach_workers(settings, verification=verification) as opener:
-        read = arrange_points(settings, checked, labels, clock)
-        read = replace(read, sensor=told_sensor(settings.viewpoint))
+        sensor = _find_sensor(settings, checked)
+        read = replace(arrange_points(settings, checked, labels, clock), sensor=sensor)
         del checked  # makes room
         refuse_too_few(len(read.cloud_pass.cloud), Dropped(0, 0), "points")
         loaded = prepare(settings, read, clock)
@@ -257,6 +259,13 @@ def _choose_viewpoint(viewpoint: str | ArrayLike | None) -> Viewpoint:
         return ()
     places = _check_rows("viewpoint", np.atleast_2d(np.asarray(viewpoint)))
     return tuple((x, y, z) for x, y, z in places.tolist())
+
+
+def _find_sensor(settings: Settings, points: PointCloud) -> Sensor:
+    """Return where the points were measured from: as the user says, else as they look."""
+    if settings.viewpoint or not is_flown_over(points):
+        return told_sensor(settings.viewpoint)
+    return Sensor("above")
 
 
 def _check_settings(settings: Settings) -> None:

@@ -70,7 +70,6 @@ def open_las(path: Path) -> PointSource:
         crs=crs.text if crs else None,
         unit=crs.unit if crs else None,
         findings=findings,
-        is_flown=header.has_returns,
     )
     return keep_small(source) if header.is_compressed else source
 

@@ -110,7 +110,9 @@ class PointSource:
     oriented : bool
         False where the normals are known up to their sign only, as the axes of splats.
     is_flown : bool
-        Whether the file says that the points were measured from above.
+        Whether what the file holds tells that the points were measured from above.
+    is_projected : bool
+        Whether x and y are coordinates of a map.
     """
 
     path: Path
@@ -129,6 +131,14 @@ class PointSource:
     normals_from: Literal["file", "faces"] = "file"
     oriented: bool = True
     is_flown: bool = False
+    is_projected: bool = False
+
+    @property
+    def up(self) -> str:
+        """Which way is up, and why: ``z (flown)``, ``z (projected coordinates)``, ``unknown``."""
+        if self.is_flown:
+            return "z (flown)"
+        return "z (projected coordinates)" if self.is_projected else "unknown"
 
     def chunks(self, rows: int) -> Iterator[PointCloud]:
         """Yield the points in parts of so many at most, to which memory is proportional.

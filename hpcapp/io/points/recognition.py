@@ -1,7 +1,8 @@
 """What the columns of a file hold, by their values: nothing is taken for what it is not.
 
 A look at the points decides, once for all parts of a file: which colours they have, whether the
-normals are some, which places are those of missing returns, whether x and y are degrees.
+normals are some, which places are those of missing returns, whether x and y are degrees, and where
+the points were measured from.
 
 =================================  ==========================================================
 found                              done
@@ -17,6 +18,7 @@ many points at the origin, or any  dropped and counted, with a warning
 where all others are far from it
 many points at another same place  dropped and counted, with a warning
 degrees                            a warning
+points measured from above         the source says so (see `survey`)
 =================================  ==========================================================
 """
 
@@ -38,13 +40,14 @@ from hpcapp.io.batches import join_points
 from hpcapp.io.columns import Numbers
 from hpcapp.io.points.column_roles import ColourScale, judge_colours, judge_normals
 from hpcapp.io.points.point_source import Findings, PointSource, translated
+from hpcapp.io.points.survey import EVIDENCE, is_flown_over, is_projected
 
 __all__ = ["recognise"]
 
 _ROWS = 1 << 16  # of a part that is looked at
 _ENOUGH_PARTS, _MOST_PARTS = 2, 64  # looked at where nothing is in doubt, and where something is
 _THIN = 16  # one row in so many is kept of the parts after the first
-_LOOKED_AT = ("normals", "colours")  # beside positions
+_LOOKED_AT = ("normals", "colours", *EVIDENCE)  # beside positions
 _RUNS = 64  # over a file that is read from any row on
 
 _FEWEST_AT_ORIGIN, _FEWEST_ELSEWHERE = 10, 100  # rows that make a place one of missing returns
@@ -149,6 +152,8 @@ def recognise(source: PointSource) -> PointSource:
             "x and y are in degrees: project them to metres, a surface in degrees is distorted"
         )
 
+    unit = "degree" if is_degree else source.unit
+
     def scan(rows: int) -> Iterator[PointCloud]:
         findings.dropped.clear()
         findings.dropped.update(counted)
@@ -162,7 +167,9 @@ def recognise(source: PointSource) -> PointSource:
         scan=scan,
         records=records,
         check_rest=None if records is None else source.check_rest,
-        unit="degree" if is_degree else source.unit,
+        unit=unit,
+        is_flown=is_flown_over(usable, unit, source.crs),
+        is_projected=is_projected(usable, unit, source.crs),
     )
 
 
@@ -187,7 +194,8 @@ def _look_through(source: PointSource) -> PointCloud:
         return join_points(list(_read_runs(source.records)))
     seen: list[PointCloud] = []
     for number, part in enumerate(source.scan(_ROWS)):
-        part = replace(part, attributes={})
+        told = {name: part.attributes[name] for name in EVIDENCE if name in part.attributes}
+        part = replace(part, attributes=told)
         seen.append(part if number < _ENOUGH_PARTS else part.take(np.arange(0, len(part), _THIN)))
         if number + 1 == _MOST_PARTS or (
             number + 1 >= _ENOUGH_PARTS and _is_certain(join_points(seen))
