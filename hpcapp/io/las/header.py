@@ -22,8 +22,7 @@ from hpccomponent.errors import InputError
 
 __all__ = ["LasHeader", "find_crs", "read_header"]
 
-_FIXED = struct.Struct("<4s20x2B68xHIIBHI4x4I12d")  # of 227 bytes, as in LAS 1.0 to 1.2
-_LATER_RETURNS = struct.Struct("<14Q")  # at byte 263 in LAS 1.4: points of the second to the last
+_FIXED = struct.Struct("<4s20x2B68xHIIBHI20x12d")  # of 227 bytes, as in LAS 1.0 to 1.2
 _EXTENDED = struct.Struct("<QIQ")  # at byte 235 in LAS 1.4: start and number of EVLRs, points
 _EXTENDED_SIZE = 375
 _RECORD = struct.Struct("<2x16sHH32x")
@@ -67,8 +66,6 @@ class LasHeader:
     records : dict of tuple of str and int to bytes
         Payloads of the variable length records that say something about points, by user and
         number.
-    has_returns : bool
-        Whether some of its points are second returns of a pulse, or later ones.
     has_tail : bool
         Whether something else than points is behind them: long records, or waveforms.
     """
@@ -82,7 +79,6 @@ class LasHeader:
     scales: FloatArray
     offsets: FloatArray
     records: Records
-    has_returns: bool
     has_tail: bool
 
 
@@ -104,12 +100,10 @@ def read_header(file: BinaryIO, path: Path, findings: Findings) -> LasHeader:
     _, major, minor, header_size, points_start, announced, bits, length, count, *rest = (
         _FIXED.unpack_from(start)
     )
-    later, boxes = rest[:4], rest[4:]
     extended = None
     if minor >= 4 and header_size >= _EXTENDED_SIZE <= len(start):
         extended = _EXTENDED.unpack_from(start, 235)
         count = extended[2] or count
-        later += _LATER_RETURNS.unpack_from(start, 263)
     size = file.seek(0, os.SEEK_END)
     if not _FIXED.size <= header_size <= points_start:
         raise InputError(
@@ -129,7 +123,7 @@ def read_header(file: BinaryIO, path: Path, findings: Findings) -> LasHeader:
         records = {**long, **records}
     header = LasHeader(
         (major, minor), bits & ~_COMPRESSED, bool(bits & _COMPRESSED), points_start, length, count,
-        np.array(boxes[:3]), np.array(boxes[3:6]), records, any(later),
+        np.array(rest[:3]), np.array(rest[3:6]), records,
         minor >= 3 and (extended is None or extended[1] > 0 or bits & 0x3F in _WAVEFORMS),
     )  # fmt: skip
     _check_scales(header, path)

@@ -121,15 +121,3 @@ def test_cut_header(make_las: MakeLas, size: int) -> None:
     path.write_bytes(path.read_bytes()[:size])
     with pytest.raises(InputError, match=r"a\.las: "):
         read(path)
-
-
-@pytest.mark.parametrize("point_format", [0, 6])
-@pytest.mark.parametrize(
-    ("by_return", "has_returns"), [((), False), ((3,), False), ((2, 1), True), ((2, 0, 0, 1), True)]
-)
-def test_later_returns_are_found_in_the_counts(
-    make_las: MakeLas, point_format: int, by_return: tuple[int, ...], has_returns: bool
-) -> None:
-    point = POINT if point_format == 0 else struct.pack("<3i18x", 1, 2, 3)
-    header, _ = read(make_las([point] * 3, point_format, by_return=by_return))
-    assert header.has_returns == has_returns
