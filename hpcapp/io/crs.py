@@ -24,10 +24,21 @@ class Crs:
     unit : str or None
         Of the horizontal coordinates: ``m``, ``ft``, ``US ft``, ``mm``, ``cm``, ``km``,
         ``degree``; None where it is not stated.
+    height_unit : str or None
+        Of the heights, where it is stated of them alone.
     """
 
     text: str | None
     unit: str | None
+    height_unit: str | None = None
+
+    @property
+    def height_scale(self) -> float:
+        """What makes heights as long as the other coordinates: 1 where nothing else is known."""
+        if self.unit not in METRES or self.height_unit not in METRES:
+            return 1.0
+        scale = METRES[self.height_unit] / METRES[self.unit]
+        return scale if abs(scale - 1.0) > _SAME_FEET else 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +55,7 @@ class _Node:
 _TOKEN = re.compile(r'"((?:[^"]|"")*)"|([A-Za-z_]\w*)\s*[\[(]|([\])])|([^\s,\[\]()"]+)')
 _PROJECTED = ("PROJCS", "PROJCRS", "PROJECTEDCRS", "LOCAL_CS", "ENGCRS", "ENGINEERINGCRS")
 _GEOCENTRIC = ("GEOCCS", "GEODCRS", "GEODETICCRS")
+_VERTICAL = ("VERT_CS", "VERTCS", "VERTCRS", "VERTICALCRS")
 _GEOGRAPHIC = ("GEOGCS", "GEOGCRS", "GEOGRAPHICCRS")
 METRES = {
     "m": 1.0,
@@ -55,10 +67,12 @@ METRES = {
 }
 """How many of them a unit of length is."""
 
+_SAME_FEET = 1e-5  # more than the two feet differ by
 _SAME_FACTOR = 1e-7  # the two feet differ by 2e-6; factors are written with 8 digits and more
 
 _MODEL, _CITATION, _GEOGRAPHIC_CODE, _GEOGRAPHIC_LENGTH = 1024, 1026, 2048, 2052
 _PROJECTED_CODE, _PROJECTED_NAME, _PROJECTED_LENGTH = 3072, 3073, 3076
+_VERTICAL_LENGTH = 4099
 UNIT_CODES = {"m": 9001, "ft": 9002, "US ft": 9003, "km": 9036, "mm": 1025, "cm": 1033}
 """Codes of EPSG for units of length."""
 _UNITS_BY_CODE = {code: unit for unit, code in UNIT_CODES.items()}
@@ -80,12 +94,11 @@ def parse_wkt(text: str) -> Crs:
         return Crs(text, None)
     if system.keyword in _GEOGRAPHIC:
         return Crs(text, "degree")
-    for holder in (system, *system.nodes("AXIS")):
-        if any(holder.nodes("ANGLEUNIT")):
-            return Crs(text, "degree")
-        for unit in holder.nodes("UNIT", "LENGTHUNIT"):
-            return Crs(text, _find_unit(unit))
-    return Crs(text, None)
+    vertical = _find_first(root, _VERTICAL)
+    height_unit = None if vertical is None else _find_length(vertical)
+    if any(any(holder.nodes("ANGLEUNIT")) for holder in (system, *system.nodes("AXIS"))):
+        return Crs(text, "degree", height_unit)
+    return Crs(text, _find_length(system), height_unit)
 
 
 def parse_geokeys(directory: bytes, texts: bytes) -> Crs | None:
@@ -120,8 +133,9 @@ def parse_geokeys(directory: bytes, texts: bytes) -> Crs | None:
         units = [_UNITS_BY_CODE[length] for length in lengths if length in _UNITS_BY_CODE]
         metric = model == 3 or _is_utm(code)
         unit = units[0] if units else "m" if metric else ""
+    height_unit = _UNITS_BY_CODE.get(keys.get(_VERTICAL_LENGTH, 0))
     text = f"EPSG:{code}" if code in _STATED else name or None
-    return Crs(text, unit or None) if text or unit else None
+    return Crs(text, unit or None, height_unit) if text or unit else None
 
 
 def parse_epsg(text: str) -> int | None:
@@ -166,6 +180,14 @@ def _find_first(root: _Node, keywords: tuple[str, ...]) -> _Node | None:
         if node.keyword in keywords:
             return node
         waiting.extend(child for child in reversed(node.children) if isinstance(child, _Node))
+    return None
+
+
+def _find_length(system: _Node) -> str | None:
+    """Return the unit of length of a system, or of the first of its axes that states one."""
+    for holder in (system, *system.nodes("AXIS")):
+        for unit in holder.nodes("UNIT", "LENGTHUNIT"):
+            return _find_unit(unit)
     return None
 
 

@@ -185,5 +185,7 @@ def find_crs(records: Records) -> Crs | None:
         wkt = records.get((user, 2112), b"").split(b"\0")[0].decode("utf-8", "replace").strip()
         if wkt:
             crs = parse_wkt(wkt)
-            return Crs(wkt, crs.unit or (keys.unit if keys else None))
+            if keys is None:
+                return crs
+            return Crs(wkt, crs.unit or keys.unit, crs.height_unit or keys.height_unit)
     return keys

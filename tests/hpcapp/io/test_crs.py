@@ -44,7 +44,42 @@ def make_keys(*entries: tuple[int, int, int, int]) -> bytes:
     ],
 )
 def test_unit_of_wkt(wkt: str, unit: str | None) -> None:
-    assert parse_wkt(wkt) == Crs(wkt, unit)
+    crs = parse_wkt(wkt)
+    assert (crs.text, crs.unit) == (wkt, unit)
+
+
+FEET = f'PROJCS["a",{GEOGRAPHIC},UNIT["US survey foot",0.304800609601219]]'
+
+
+@pytest.mark.parametrize(
+    ("wkt", "height_unit", "scale"),
+    [
+        (FEET, None, 1.0),
+        (f'COMPD_CS["a + b",{FEET},VERT_CS["b",UNIT["metre",1]]]', "m", 3937 / 1200),
+        (f'COMPD_CS["a + b",{FEET},VERT_CS["b",UNIT["foot",0.3048]]]', "ft", 1.0),
+        ('PROJCS["a",UNIT["f",0.3048],VERTCS["b",UNIT["m",1]]]', "m", 1.0 / 0.3048),
+        (
+            f'COMPOUNDCRS["a",{UTM_2.format(name="metre", factor=1)},VERTCRS["b",CS[vertical,1],'
+            'AXIS["up",up,LENGTHUNIT["foot",0.3048]]]]',
+            "ft",
+            0.3048,
+        ),
+        (f'COMPD_CS["a + b",{GEOGRAPHIC},VERT_CS["b",UNIT["metre",1]]]', None, 1.0),
+    ],
+)
+def test_heights_may_have_a_unit_of_their_own(
+    wkt: str, height_unit: str | None, scale: float
+) -> None:
+    crs = parse_wkt(wkt)
+    assert crs.height_unit == height_unit
+    assert crs.height_scale == pytest.approx(scale)
+
+
+def test_keys_tell_the_unit_of_heights() -> None:
+    keys = make_keys((1024, 0, 1, 1), (3072, 0, 1, 2903), (3076, 0, 1, 9003), (4099, 0, 1, 9001))
+    crs = parse_geokeys(keys, b"")
+    assert crs == Crs("EPSG:2903", "US ft", "m")
+    assert crs.height_scale == pytest.approx(3937 / 1200)
 
 
 @pytest.mark.parametrize(

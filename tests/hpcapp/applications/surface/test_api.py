@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 import hpcapp
 from hpcapp.applications.surface.job.run import JobSettings, run_job
 from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.applications.surface.viewpoint import parse_viewpoint
 from hpcapp.io import read_points, write_mesh
 from hpcapp.progress import Progress
 from hpccomponent.errors import HpcError, InputError, UsageError
@@ -74,6 +75,20 @@ def test_points_alone_get_normals(method: str, sphere: PointCloud, tmp_path: Pat
     report = run_job(settings, Progress())
     assert report["normals"] == {"source": "estimated", "sure": 1.0, "turned": 0}
     assert (tmp_path / "api.ply").read_bytes() == (tmp_path / "job.ply").read_bytes()
+
+
+@pytest.mark.parametrize("viewpoint", ["below", [0.1, 0.0, 0.0], [[0.1, 0.0, 0.0]]])
+def test_a_viewpoint_is_what_the_command_takes(
+    sphere: PointCloud, tmp_path: Path, viewpoint: Any
+) -> None:
+    np.savetxt(tmp_path / "bare.xyz", sphere.positions, fmt="%.17g")
+    write_mesh(
+        tmp_path / "api.ply", hpcapp.reconstruct(sphere.positions, grid=32, viewpoint=viewpoint)
+    )
+    told = parse_viewpoint(["below" if viewpoint == "below" else "0.1,0,0"])
+    output = tmp_path / "job.ply"
+    run_job(JobSettings(tmp_path / "bare.xyz", str(output), grid=32, viewpoint=told), Progress())
+    assert (tmp_path / "api.ply").read_bytes() == output.read_bytes()
 
 
 def test_lists_and_single_precision_are_arrays_too(sphere: PointCloud) -> None:
@@ -166,6 +181,8 @@ def test_a_wrong_array_is_named(points: Any, normals: Any, words: str) -> None:
         ({"smoothness": 0.0}, "smoothness is 0.0"),
         ({"detail": float("nan")}, "detail is nan"),
         ({"method": "poisson"}, "unknown method 'poisson'"),
+        ({"viewpoint": "up"}, "'up' is neither above, below, inside, nor"),
+        ({"viewpoint": "no,1,2"}, "'no,1,2' is neither"),
         ({"executor": "cloud"}, "unknown backend 'cloud'"),
         ({"executor": "serial", "workers": 2}, "cannot have 2 workers"),
     ],

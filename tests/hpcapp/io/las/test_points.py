@@ -93,6 +93,23 @@ def test_cut_after_opening(make_las: MakeLas) -> None:
         list(source.chunks(10))
 
 
+def test_heights_of_another_unit_are_warned_of(make_las: MakeLas) -> None:
+    wkt = b'COMPD_CS["a",PROJCS["b",UNIT["f",0.3048]],VERT_CS["c",UNIT["m",1]]]'
+    source = open_las(make_las([old_point(0)], vlrs=[(b"LASF_Projection", 2112, wkt)]))
+    (warning,) = source.findings.warnings
+    assert warning.startswith("x and y are in ft, heights in m: ")
+    assert warning.endswith("multiply the heights by 3.2808")
+
+
+def test_what_was_flown_over_is_found_in_the_points(make_las: MakeLas) -> None:
+    places = np.random.default_rng(0).integers(0, 10_000, (2_000, 2)).tolist()
+    for ground in (2, 1):
+        points = [struct.pack("<3iH2BbBH", x, y, 9, 0, 9, ground, 0, 0, 0) for x, y in places]
+        source = open_points(make_las(points, name=f"{ground}.las"))
+        assert source.is_flown == (ground == 2)
+        assert source.up == ("z (flown)" if ground == 2 else "unknown")
+
+
 def test_no_points(make_las: MakeLas) -> None:
     with pytest.raises(InputError, match="no points"):
         open_las(make_las([old_point(0)], announced=0))
@@ -107,6 +124,7 @@ def test_parts_are_the_whole(make_las: MakeLas, rows: int) -> None:
     xs = np.concatenate([part.positions[:, 0] for part in parts])
     assert xs.tobytes() == (np.arange(5000) * 0.001 + 5e6).tobytes()
     assert (source.count, source.unit, source.crs) == (5000, None, None)
+    assert source.up == "unknown"
     assert source.columns[:4] == ("x", "y", "z", "intensity")
 
 

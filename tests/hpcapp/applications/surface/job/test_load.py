@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,8 +12,10 @@ from passes import alone
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
 from hpcapp.applications.surface.job.load import Loaded, PointFolder, load
 from hpcapp.applications.surface.job.run import JobSettings, run_job
+from hpcapp.applications.surface.normals.sides import orient_cloud
 from hpcapp.applications.surface.paper.settings import Paper
 from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.applications.surface.viewpoint import Viewpoint
 from hpcapp.io import write_points
 from hpcapp.progress import Progress, StageClock
 from hpccomponent.errors import InputError
@@ -107,3 +110,34 @@ def test_what_was_recognised_is_in_the_report(tmp_path: Path, sphere: PointCloud
     assert "origin" in warned
     assert "decoded" in warned
     assert report["watertight"]
+
+
+@pytest.mark.parametrize(
+    ("viewpoint", "offset", "kind", "is_told"),
+    [
+        ((), 0.0, "unknown", False),
+        ((), 500_000.0, "above", False),
+        ("below", 500_000.0, "below", True),
+        (((1.0, 2.0, 3.0),), 500_000.0, "places", True),
+    ],
+)
+def test_the_user_knows_the_sensor_best(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    viewpoint: Viewpoint,
+    offset: float,
+    kind: str,
+    is_told: bool,
+) -> None:
+    ground = np.random.default_rng(0).uniform(0.0, 100.0, (3_000, 3)) * (1.0, 1.0, 0.01)
+    path = tmp_path / "ground.xyz"
+    np.savetxt(path, ground + np.array([offset, offset, 0.0]), fmt="%.3f")
+    sensors = []
+
+    def spy(*arguments: Any, **options: Any) -> Any:
+        sensors.append(arguments[3])
+        return orient_cloud(*arguments, **options)
+
+    monkeypatch.setattr("hpcapp.applications.surface.job.load.orient_cloud", spy)
+    load(JobSettings(path, "m.ply", viewpoint=viewpoint), StageClock(Progress()))
+    assert [(sensor.kind, sensor.is_told) for sensor in sensors] == [(kind, is_told)]
