@@ -192,11 +192,13 @@ def _find_length(system: _Node) -> str | None:
 
 
 def _find_unit(unit: _Node) -> str | None:
+    """Return the unit of a factor; None where its name is that of another one."""
     try:
         factor = float(str(unit.children[1]))
     except (IndexError, ValueError):
         return None
     for name, metres in METRES.items():
         if abs(factor - metres) <= _SAME_FACTOR * metres:
-            return name
+            is_foot = any(word in str(unit.children[0]).lower() for word in ("foot", "feet"))
+            return None if is_foot and not name.endswith("ft") else name
     return None

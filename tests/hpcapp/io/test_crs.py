@@ -28,6 +28,7 @@ def make_keys(*entries: tuple[int, int, int, int]) -> bytes:
         (f'PROJCS["a",{GEOGRAPHIC},UNIT["metre",1]]', "m"),
         (f'PROJCS["a",{GEOGRAPHIC},UNIT["foot",0.3048]]', "ft"),
         (f'PROJCS["a",{GEOGRAPHIC},UNIT["US survey foot",0.304800609601219]]', "US ft"),
+        (f'PROJCS["a",{GEOGRAPHIC},UNIT["US survey foot",1.0]]', None),
         (f'PROJCS["a",{GEOGRAPHIC},UNIT["rod",5.0292]]', None),
         (f'PROJCS["a",{GEOGRAPHIC}]', None),
         (GEOGRAPHIC, "degree"),
