@@ -16,6 +16,7 @@ from hpccomponent.limits import available_cores
 __all__ = [
     "closest_points",
     "cross_rays",
+    "fall",
     "frame_about",
     "run_in_blocks",
     "sample_lines",
@@ -132,7 +133,7 @@ def closest_points(
 
     def offer(rows: IntArray, trial: FloatArray) -> FloatArray:
         """Let `trial` fall, keep it where it is nearer, and return where it fell."""
-        feet, landed = _fall(shape, trial)
+        feet, landed = fall(shape, trial)
         reach = _lengths(points[rows] - feet)
         better = np.flatnonzero(landed & (reach < least[rows]))
         best[rows[better]], least[rows[better]] = feet[better], reach[better]
@@ -169,6 +170,33 @@ def _nearest_on_planes(points: FloatArray, feet: FloatArray, normals: FloatArray
     return nearest
 
 
+def fall(shape: Shape, points: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Move points along their normals onto the surface; tell which ones arrived.
+
+    Returns
+    -------
+    feet : ndarray of float64, shape (n, 3)
+        Within 1e-12 of the diagonal of the surface, where they arrived.
+    landed : ndarray of bool, shape (n,)
+    """
+    tolerance = 1e-12 * diagonal_of(shape)
+    feet = points.copy()
+    active = np.arange(len(points))
+    for _ in range(30):
+        value = shape.value(feet[active])
+        away = np.abs(value) > tolerance
+        active, value = active[away], value[away]
+        if not len(active):
+            break
+        slope = shape.gradient(feet[active])
+        # A step is Newton's, but no longer than ten times the value: slopes vanish at centres.
+        square = np.maximum(np.einsum("ij,ij->i", slope, slope), 0.01)
+        feet[active] -= (value / square)[:, None] * slope
+    landed = np.ones(len(points), dtype=bool)
+    landed[active] = False
+    return feet, landed
+
+
 def frame_about(directions: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return two unit vectors square on each unit direction and on each other, shapes (n, 3)."""
     helper = np.zeros_like(directions)
@@ -196,26 +224,6 @@ def _cross(
 
     rays, distances = zip(*run_in_blocks(cross, len(origins)), strict=True)
     return np.concatenate(rays), np.concatenate(distances)
-
-
-def _fall(shape: Shape, points: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Move points along their normals onto the surface; tell which ones arrived."""
-    tolerance = 1e-12 * diagonal_of(shape)
-    feet = points.copy()
-    active = np.arange(len(points))
-    for _ in range(30):
-        value = shape.value(feet[active])
-        away = np.abs(value) > tolerance
-        active, value = active[away], value[away]
-        if not len(active):
-            break
-        slope = shape.gradient(feet[active])
-        # A step is Newton's, but no longer than ten times the value: slopes vanish at centres.
-        square = np.maximum(np.einsum("ij,ij->i", slope, slope), 0.01)
-        feet[active] -= (value / square)[:, None] * slope
-    landed = np.ones(len(points), dtype=bool)
-    landed[active] = False
-    return feet, landed
 
 
 def _lengths(vectors: FloatArray) -> FloatArray:

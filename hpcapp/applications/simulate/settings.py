@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from hpccomponent.errors import UsageError
 
-__all__ = ["ScanSettings"]
+__all__ = ["ScanSettings", "check_ranges"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,17 +84,21 @@ class ScanSettings:
             "flipped": (0.0, 1.0),
             "seed": (0, np.inf),
         }
-        for name, (low, high) in ranges.items():
-            if not low <= getattr(self, name) <= high:
-                raise UsageError(
-                    f"{name} is {getattr(self, name)}", f"choose {_range_text(low, high)}"
-                )
+        check_ranges(self, ranges)
         if self.normals not in ("pca", "exact"):
             raise UsageError(f"normals is {self.normals!r}", "choose 'pca' or 'exact'")
         if self.views == 0 and (self.pose_error or self.dropout):
             raise UsageError(
                 "pose errors and dropout need a scanner", "ask for at least one view, or for none"
             )
+
+
+def check_ranges(settings: object, ranges: Mapping[str, tuple[float, float]]) -> None:
+    """Raise `UsageError` for the first setting that is not within its range, ends included."""
+    for name, (low, high) in ranges.items():
+        value = getattr(settings, name)
+        if not low <= value <= high:
+            raise UsageError(f"{name} is {value}", f"choose {_range_text(low, high)}")
 
 
 def _range_text(low: float, high: float) -> str:
