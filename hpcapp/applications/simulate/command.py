@@ -10,18 +10,30 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
+
+from hpccomponent.errors import UsageError
 
 __all__ = ["simulate"]
 
 log = logging.getLogger("hpcapp")
 
+DEFAULT = ParameterSource.DEFAULT
+SCENES = ("terrain", "forest", "town", "room", "object")
+SCANNERS = ("airborne", "terrestrial", "handheld", "structured-light")
+RAW_OPTIONS = {"flying", "strays"}
+SCENE_OPTIONS = {"points", "noise", "drift", "seed", *RAW_OPTIONS}
 POINTS = click.Path(dir_okay=False, path_type=Path)
 
 
 @click.command()
-@click.option("--shape", required=True, help="Which model; an unknown name lists all.")
+@click.option("--shape", help="Which model; an unknown name lists all.")
+@click.option("--scene", type=click.Choice(SCENES), help="A raw scan, with its truth beside it.")
+@click.option("--scanner", type=click.Choice(SCANNERS), help="Of a scene; its usual one without.")
 @click.option("-o", "--output", required=True, type=POINTS, help="Point cloud to write.")
-@click.option("--points", type=int, default=100_000, show_default=True, help="Exactly so many.")
+@click.option(
+    "-n", "--points", type=int, default=100_000, show_default=True, help="Exactly so many."
+)
 @click.option(
     "--views",
     type=int,
@@ -34,14 +46,16 @@ POINTS = click.Path(dir_okay=False, path_type=Path)
     type=float,
     default=0.0,
     show_default=True,
-    help="Depth noise (standard deviation), as a fraction of the diagonal.",
+    help="Depth noise (standard deviation), as a fraction of the diagonal. "
+    "Of a scene: a length, and the scanner's own without the option.",
 )
 @click.option(
     "--drift",
     type=float,
     default=0.0,
     show_default=True,
-    help="Smooth error of each view's depth (standard deviation), as a fraction of the diagonal.",
+    help="Smooth error of each view's depth (standard deviation), as a fraction of the diagonal. "
+    "Of a scene: error of the scanner's position, a length.",
 )
 @click.option(
     "--correlation",
@@ -102,9 +116,51 @@ POINTS = click.Path(dir_okay=False, path_type=Path)
     show_default=True,
     help="From the neighbours' plane, or the model's own.",
 )
+@click.option(
+    "--flying",
+    type=float,
+    default=0.0,
+    show_default=True,
+    help="Of a scene: share of points in the air behind an edge.",
+)
+@click.option(
+    "--strays",
+    type=float,
+    default=0.0,
+    show_default=True,
+    help="Of a scene: share of points that are wrong, near and far.",
+)
 @click.option("--seed", type=int, default=0, show_default=True, help="One seed gives one scan.")
-def simulate(shape: str, output: Path, **settings: Any) -> None:
-    """Scan an analytic model, whose true surface is known, and write the points."""
+@click.pass_context
+def simulate(
+    ctx: click.Context,
+    /,
+    shape: str | None,
+    scene: str | None,
+    scanner: str | None,
+    output: Path,
+    **settings: Any,
+) -> None:
+    """Scan a model or a scene, whose true surface is known, and write the points."""
+    given = {name for name in settings if ctx.get_parameter_source(name) is not DEFAULT}
+    if scene is not None:
+        _refuse(given - SCENE_OPTIONS, "is for a model alone", "leave out --scene, or this")
+        chosen = {name: settings[name] for name in given} | ({"shape": shape} if shape else {})
+        _write_scene(output, scene, scanner, chosen)
+        return
+    given |= {"scanner"} if scanner else set()
+    _refuse(given & {"scanner", *RAW_OPTIONS}, "is for a scene", "add --scene, or leave it out")
+    if shape is None:
+        raise UsageError("there is nothing to scan", "name a model by --shape, or a --scene")
+    _write_model(output, shape, {n: v for n, v in settings.items() if n not in RAW_OPTIONS})
+
+
+def _refuse(names: set[str], problem: str, advice: str) -> None:
+    if names:
+        raise UsageError(f"--{min(names).replace('_', '-')} {problem}", advice)
+
+
+def _write_model(output: Path, shape: str, settings: dict[str, Any]) -> None:
     from hpcapp.applications.simulate.scanner import ScanSettings, simulate_scan
     from hpcapp.applications.simulate.shapes import find_shape
     from hpcapp.io import check_writable, write_points
@@ -113,3 +169,26 @@ def simulate(shape: str, output: Path, **settings: Any) -> None:
     cloud = simulate_scan(find_shape(shape), ScanSettings(**settings))
     write_points(output, cloud)
     log.info("%s: %d points of %s", output, len(cloud), shape)
+
+
+def _write_scene(output: Path, scene: str, scanner: str | None, settings: dict[str, Any]) -> None:
+    """Write the points, and beside them the truth and the trajectory."""
+    from hpcapp.applications.simulate.raw.scan import RawSettings, scan_scene
+    from hpcapp.io import check_writable, write_mesh, write_points
+    from hpcapp.io.rows import write_rows
+    from hpcapp.io.staging import check_place, replacing
+
+    truth = output.with_name(f"{output.stem}_truth.ply")
+    trajectory = output.with_name(f"{output.stem}_trajectory.csv")
+    check_writable(output, "points")
+    check_writable(truth)
+    check_place(trajectory)
+    raw = scan_scene(scene, scanner, RawSettings(**settings))
+    write_points(output, raw.cloud)
+    write_mesh(truth, raw.truth)
+    with replacing(trajectory) as file:
+        file.write(b"time,x,y,z\n")
+        file.writelines(write_rows("%.6f,%.6f,%.6f,%.6f\n", raw.trajectory))
+    log.info("%s: %d points of a scene: %s", output, len(raw.cloud), scene)
+    log.info("%s: the surface, %d triangles", truth, len(raw.truth.faces))
+    log.info("%s: %d places of the scanner", trajectory, len(raw.trajectory))

@@ -47,9 +47,10 @@ class Canopy:
         for crown in crowns:
             square = ((x - crown.x) ** 2 + (y - crown.y) ** 2) / crown.radius**2
             middle, half = 0.5 * (crown.top + crown.base), 0.5 * (crown.top - crown.base)
-            half = np.where(square < 1.0, half * np.sqrt(np.maximum(1.0 - square, 0.0)), -np.inf)
-            self._tops = np.maximum(self._tops, middle + half)
-            self._bases = np.minimum(self._bases, middle - half)
+            # (c, c): half the crown's height at each cell, negative infinity where there is none
+            rise = np.where(square < 1.0, half * np.sqrt(np.maximum(1.0 - square, 0.0)), -np.inf)
+            self._tops = np.maximum(self._tops, middle + rise)
+            self._bases = np.minimum(self._bases, middle - rise)
         self._low, self.top = min(c.base for c in crowns), max(c.top for c in crowns)
 
     def strike(
@@ -81,7 +82,9 @@ class Canopy:
         depths = np.cumsum(rng.exponential(_FREE_PATH, shape), axis=1)
         survives = rng.random(shape) < _TRANSMITTED
         # (n, 4): whether it gets as far as each return
-        arrives = np.cumprod(np.column_stack([np.ones(len(origins), bool), survives[:, :-1]]), axis=1)
+        arrives = np.cumprod(
+            np.column_stack([np.ones(len(origins), bool), survives[:, :-1]]), axis=1
+        )
         distances = np.full(shape, np.inf)
         for start in range(0, len(origins), _RAYS_AT_ONCE):
             rows = slice(start, start + _RAYS_AT_ONCE)
@@ -95,7 +98,7 @@ class Canopy:
     def _pass_through(
         self, origins: FloatArray, directions: FloatArray, reach: FloatArray, depths: FloatArray
     ) -> FloatArray:
-        """Return after how far each ray has passed through so much crown; infinity if it never has."""
+        """Return how far each ray goes until it has passed so much crown; infinite if never."""
         z, slope = origins[:, 2], directions[:, 2]
         slope = np.where(np.abs(slope) < 1e-9, 1e-9, slope)
         ends = np.stack([(self._low - z) / slope, (self.top - z) / slope])

@@ -78,7 +78,7 @@ class HeightField:
         self._flatten = 1.0 / float(np.hypot(1.0, steepest))
 
     def evaluate_height(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Return the height at places, shape (n,); beyond the border the border's triangle goes on."""
+        """Return the height at places, shape (n,); beyond the border its triangles go on."""
         height, _, _ = self._interpolate(x, y)
         return height
 
@@ -87,7 +87,8 @@ class HeightField:
 
         def value(points: FloatArray) -> FloatArray:
             x, y, z = points.T
-            return self._flatten * (z - self.evaluate_height(x, y))
+            above: FloatArray = self._flatten * (z - self.evaluate_height(x, y))
+            return above
 
         def gradient(points: FloatArray) -> FloatArray:
             _, along_x, along_y = self._interpolate(points[:, 0], points[:, 1])

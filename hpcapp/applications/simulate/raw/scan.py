@@ -18,10 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.applications.simulate.faults import draw_drift, strew_outliers
+from hpcapp.applications.simulate.raw.edges import Sights, find_edges
 from hpcapp.applications.simulate.raw.parts import OTHER, VEGETATION
 from hpcapp.applications.simulate.raw.scanners import Pulses, Scanner, find_scanner
 from hpcapp.applications.simulate.raw.scenes import SCENES, Scene
-from hpcapp.applications.simulate.rays import cross_rays, frame_about, unit_vectors
+from hpcapp.applications.simulate.rays import cross_rays
 from hpcapp.applications.simulate.settings import check_ranges
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray, PointCloud
@@ -31,12 +32,12 @@ __all__ = ["RawScan", "RawSettings", "scan_scene"]
 
 _LOST = 0.02  # share of the pulses of which nothing comes back
 _FADING = 20.0  # degrees before the grazing angle over which returns become fewer
-_BEAM = 0.005  # radians about a pulse within which it may meet something else
-_EDGE, _TRAIL = 0.03, 0.3  # units: the smallest step at an edge; how far pixels fly behind it
+_TRAIL = 0.3  # units that pixels fly behind an edge
 _PILOT = 2000  # pulses that tell how many are needed
-_MOST_PULSES = 50  # by point: above it a scan would take for ever
+_MOST_PULSES = 20  # by point: above it a scan would take for ever
 _START_S = 300_000.0  # of the week
 _TICK_S = 0.1  # between two rows of a trajectory
+_NONE = np.zeros(0, dtype=np.int64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +116,7 @@ class _Returns:
         return _Returns(self.pulse[rows], self.distance[rows], self.kind[rows])
 
     def count(self) -> tuple[IntArray, IntArray]:
-        """Return the number of each among the returns of its pulse, from 1, and how many these are."""
+        """Return the number of each within its pulse, from 1, and how many the pulse has."""
         total = np.bincount(self.pulse)
         first = np.cumsum(total) - total
         return np.arange(len(self.pulse)) - first[self.pulse] + 1, total[self.pulse]
@@ -190,30 +191,43 @@ def _gather(
     count = _PILOT
     while True:
         pulses = scanner.aim(scene, count, rng)
-        returns, edges = _meet(scene, scanner, pulses, want > 0, rng)
-        wild = edges.take(np.sort(rng.permutation(len(edges.pulse))[:want]))
-        rest = returns.take(np.flatnonzero(~np.isin(returns.pulse, wild.pulse)))
-        if len(wild.pulse) == want and len(rest.pulse) >= solid:
-            every = _Returns.merge(_choose(rest, solid, rng), wild)
-            return pulses, every, np.isin(every.pulse, wild.pulse)
-        if count == most and len(wild.pulse) < want:
-            raise UsageError(
-                f"only {len(wild.pulse)} of {count} pulses met an edge, {want} are to fly behind one",
-                "ask for a smaller --flying",
-            )
-        if count == most:
-            raise UsageError(
-                f"only {len(rest.pulse)} of {count} pulses came back, {solid} are wanted",
-                "ask for fewer points",
-            )
-        lack = max(want / max(len(wild.pulse), 1), solid / max(len(rest.pulse), 1))
-        count = min(int(count * min(1.1 * lack, 10.0)) + 1000, most)
+        returns, hits = _meet(scene, scanner, pulses, rng)
+        edges, gaps = find_edges(
+            scene.surface, scene.unit, hits if want else hits.take(_NONE), scene.border, rng
+        )
+        drawn = np.sort(rng.permutation(len(gaps))[:want])
+        edges, gaps = edges.take(drawn), gaps[drawn]
+        rest = returns.take(np.flatnonzero(~np.isin(returns.pulse, edges.rows)))
+        if len(gaps) == want and len(rest.pulse) >= solid:
+            break
+        lack = max(want / max(len(gaps), 1), solid / max(len(rest.pulse), 1))
+        needed = int(1.1 * count * lack) + 1000
+        if needed > most and count >= settings.points:
+            raise _say_lack(count, len(gaps), want, len(rest.pulse), solid)
+        count = min(needed, 10 * count)
+    # (want,): what flies lies near its edge rather than at the end of the trail
+    away = np.minimum(gaps, _TRAIL * scene.unit) * rng.random(want) ** 1.3
+    wild = _Returns(edges.rows, edges.distances + away, np.full(want, OTHER))
+    pulses.directions[edges.rows] = edges.directions
+    every = _Returns.merge(_choose(rest, solid, rng), wild)
+    return pulses, every, np.isin(every.pulse, wild.pulse)
+
+
+def _say_lack(count: int, edges: int, flying: int, returns: int, solid: int) -> UsageError:
+    if edges < flying:
+        return UsageError(
+            f"only {edges} of {count} pulses met an edge, {flying} are to fly behind one",
+            "ask for a smaller --flying",
+        )
+    return UsageError(
+        f"only {returns} of {count} pulses came back, {solid} are wanted", "ask for fewer points"
+    )
 
 
 def _meet(
-    scene: Scene, scanner: Scanner, pulses: Pulses, finds_edges: bool, rng: np.random.Generator
-) -> tuple[_Returns, _Returns]:
-    """Return what comes back of pulses, and where those at an edge might fly to."""
+    scene: Scene, scanner: Scanner, pulses: Pulses, rng: np.random.Generator
+) -> tuple[_Returns, Sights]:
+    """Return what comes back of pulses, and the hits of the surface alone."""
     surface, reach = scene.surface, scanner.reach * scene.unit
     pulse, distance = cross_rays(surface, pulses.origins, pulses.directions, reach, first_only=True)
     rays = pulses.directions[pulse]
@@ -222,46 +236,16 @@ def _meet(
     cosine = np.abs(np.einsum("ij,ij->i", surface.normal(hits), rays))
     angle = np.degrees(np.arccos(np.minimum(cosine, 1.0)))
     fading = np.clip((scanner.grazing - angle) / _FADING, 0.0, 1.0)
-    echoes = rng.random(len(pulse)) < fading * (1.0 - _LOST)
-    found = _Returns(pulse, distance, scene.classify(hits)).take(np.flatnonzero(echoes))
-    edges = found.take(np.zeros(0, dtype=np.int64))
-    if finds_edges:
-        edges = _find_edges(scene, pulses, found, reach, rng)
+    echoes = np.flatnonzero(rng.random(len(pulse)) < fading * (1.0 - _LOST))
+    found = _Returns(pulse, distance, scene.classify(hits)).take(echoes)
+    seen = Sights(pulse, pulses.origins[pulse], rays, distance).take(echoes)
     if scene.canopy is None:
-        return found, edges
+        return found, seen
     way = np.full(len(pulses.times), reach)
     way[pulse] = distance
     struck, at, goes_on = scene.canopy.strike(pulses.origins, pulses.directions, way, rng)
     leaves = _Returns(struck, at, np.full(len(struck), VEGETATION))
-    return _Returns.merge(leaves, found.take(np.flatnonzero(goes_on[found.pulse]))), edges
-
-
-def _find_edges(
-    scene: Scene, pulses: Pulses, found: _Returns, reach: float, rng: np.random.Generator
-) -> _Returns:
-    """Return, of pulses whose beam meets something farther away too, a place between the two."""
-    ahead, origins = pulses.directions[found.pulse], pulses.origins[found.pulse]
-    side, up = frame_about(ahead)
-    # (f,): a second ray somewhere in the beam, and how much farther it goes
-    angle = 2.0 * np.pi * rng.random(len(ahead))
-    width = _BEAM * np.sqrt(rng.random(len(ahead)))
-    aside, above = (width * np.cos(angle))[:, None], (width * np.sin(angle))[:, None]
-    rays = unit_vectors(ahead + aside * side + above * up)
-    met, distance = cross_rays(scene.surface, origins, rays, reach, first_only=True)
-    gap = np.full(len(ahead), np.inf if scene.is_free else 0.0)
-    gap[met] = distance - found.distance[met]
-    # (f,): how far the second place is off the plane of the first: a plane that is grazed is no edge
-    first = origins + found.distance[:, None] * ahead
-    second = origins[met] + distance[:, None] * rays[met]
-    step = np.full(len(ahead), np.inf)
-    normals = scene.surface.normal(first[met])
-    step[met] = np.abs(np.einsum("ij,ij->i", second - first[met], normals))
-    edge, trail = _EDGE * scene.unit, _TRAIL * scene.unit
-    rows = np.flatnonzero((gap > edge) & (step > edge))
-    # what flies lies near the edge rather than at the end of the trail, but not on the edge
-    share = rng.random(len(rows)) ** 1.3
-    flown = found.distance[rows] + edge + share * (np.minimum(gap[rows], trail) - edge)
-    return _Returns(found.pulse[rows], flown, np.full(len(rows), OTHER))
+    return _Returns.merge(leaves, found.take(np.flatnonzero(goes_on[found.pulse]))), seen
 
 
 def _choose(returns: _Returns, count: int, rng: np.random.Generator) -> _Returns:

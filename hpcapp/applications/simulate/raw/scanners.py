@@ -158,7 +158,9 @@ def _walk(scene: Scene, count: int, rng: np.random.Generator) -> Pulses:
     side = unit_vectors(np.cross(ahead, [0.0, 0.0, 1.0]))
     aside, above = rng.uniform(-1.0, 1.0, (2, len(frame), 1)) * np.array([[[0.6]], [[0.45]]])
     directions = unit_vectors(ahead + aside * side + above * np.cross(side, ahead))
-    return Pulses(eyes, directions, _FRAME_S * frame, np.zeros(len(frame)), frame + 1)
+    return Pulses(
+        eyes, directions, _FRAME_S * frame.astype(np.float64), np.zeros(len(frame)), frame + 1
+    )
 
 
 def _shoot(scene: Scene, count: int, rng: np.random.Generator) -> Pulses:
@@ -179,7 +181,9 @@ def _shoot(scene: Scene, count: int, rng: np.random.Generator) -> Pulses:
     spot = (2.0 * spot / pixels - 1.0) * np.tan(np.arcsin(0.5 / _SHOT_DISTANCE))
     directions = unit_vectors(ahead[shot] + spot[:, :1] * side[shot] + spot[:, 1:] * up[shot])
     origins = 0.5 * (low + high) - _SHOT_DISTANCE * scene.unit * ahead[shot]
-    return Pulses(origins, directions, _SHOT_S * shot, np.zeros(len(shot)), shot + 1)
+    return Pulses(
+        origins, directions, _SHOT_S * shot.astype(np.float64), np.zeros(len(shot)), shot + 1
+    )
 
 
 _OUTDOORS = ("terrain", "forest", "town")
@@ -189,7 +193,9 @@ SCANNERS: Mapping[str, Scanner] = MappingProxyType(
         one.name: one
         for one in (
             Scanner("airborne", _OUTDOORS, _fly, 0.03, 0.0, 1000.0, 88.0, 5.0, True),
-            Scanner("terrestrial", (*_OUTDOORS, "room"), _turn, 0.002, 0.0, 200.0, 88.0, 100.0, True),
+            Scanner(
+                "terrestrial", (*_OUTDOORS, "room"), _turn, 0.002, 0.0, 200.0, 88.0, 100.0, True
+            ),
             Scanner("structured-light", ("object",), _shoot, 0.0005, 0.0, 3.0, 80.0, 2.0, False),
             Scanner("handheld", ("room", "object"), _walk, 0.002, 0.0015, 5.0, 82.0, 15.0, False),
         )

@@ -45,8 +45,8 @@ class Scene:
         What is scanned lies between these corners.
     unit : float
         What stands for a metre, in length units: the diagonal of an object.
-    is_free : bool
-        Whether there is nothing around it.
+    border : float
+        Width of the strip along its sides where the surface just ends, in length units.
     stands : ndarray of float64, shape (s, 3)
         Places of a tripod's head.
     walk : callable
@@ -59,7 +59,7 @@ class Scene:
     bounds: Bounds
     unit: float = 1.0
     canopy: Canopy | None = None
-    is_free: bool = False
+    border: float = 0.0
     stands: FloatArray | None = None
     walk: Walk | None = None
 
@@ -112,7 +112,7 @@ def _make_town(rng: np.random.Generator, shape: str) -> Scene:
     extent, lot = 80.0, 20.0
     ground = _make_hills(rng, extent, relief=1.0)
     corners, eaves, ridges = [], [], []
-    for middle in np.stack(np.mgrid[:4, :4], axis=-1).reshape(-1, 2) * lot + 0.5 * lot:
+    for middle in lot * (np.mgrid[:4, :4].reshape(2, -1).T + 0.5):
         size = 0.5 * np.array([rng.uniform(8.0, 11.0), rng.uniform(6.0, 8.0)])
         turn = rng.normal(0.3, 0.1) + 0.5 * np.pi * rng.integers(2)
         spin = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
@@ -134,17 +134,17 @@ _SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 def _make_room(rng: np.random.Generator, shape: str) -> Scene:
     del shape
     x, y = rng.uniform(-0.3, 0.3, 2)  # where the table and the chair stand
-    # what is cut out reaches into what is empty already: two faces in one plane would leave a skin
+    # boxes reach into each other: two faces in one plane would leave a skin between them
     boxes: list[Box] = [
         ((-0.3, -0.3, -0.3), (6.3, 4.3, 3.0), True),
         ((0.0, 0.0, 0.0), (6.0, 4.0, 2.7), False),
         ((2.4, 3.9, 0.9), (4.2, 4.2, 2.1), False),  # window
         ((-0.1, 0.6, 0.0), (0.1, 1.5, 2.05), False),  # door
-        ((5.4, 0.0, 0.0), (6.0, 1.8, 2.0), True),  # cupboard
-        ((0.0, 2.6, 0.0), (2.0, 4.0, 0.5), True),  # bed
+        ((5.4, -0.1, -0.1), (6.1, 1.8, 2.0), True),  # cupboard
+        ((-0.1, 2.6, -0.1), (2.0, 4.1, 0.5), True),  # bed
         *_make_table((3.0 + x, 1.5 + y), (1.5, 0.8), 0.74),
         *_make_table((3.5 + x, 2.5 + y), (0.45, 0.45), 0.45),
-        ((3.5 + x, 2.91 + y, 0.45), (3.95 + x, 2.95 + y, 0.95), True),  # back of the chair
+        ((3.5 + x, 2.91 + y, 0.43), (3.95 + x, 2.95 + y, 0.95), True),  # back of the chair
     ]
 
     def walk(time: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -172,7 +172,7 @@ def _make_object(rng: np.random.Generator, shape: str) -> Scene:
         eyes = middle + 1.1 * diagonal * np.column_stack(around)
         return eyes, np.broadcast_to(middle, eyes.shape)
 
-    return Scene("object", (make_model(model),), model.bounds, diagonal, is_free=True, walk=walk)
+    return Scene("object", (make_model(model),), model.bounds, diagonal, walk=walk)
 
 
 SCENES: Mapping[str, Callable[[np.random.Generator, str], Scene]] = MappingProxyType(
@@ -211,7 +211,7 @@ def _make_table(corner: tuple[float, float], size: tuple[float, float], top: flo
     """Return a board on four legs."""
     (x, y), (a, b), thick, leg = corner, size, 0.04, 0.05
     feet = [(x + i * (a - leg), y + j * (b - leg)) for i in (0, 1) for j in (0, 1)]
-    legs: list[Box] = [((u, v, 0.0), (u + leg, v + leg, top - thick), True) for u, v in feet]
+    legs: list[Box] = [((u, v, -0.1), (u + leg, v + leg, top - 0.5 * thick), True) for u, v in feet]
     return [((x, y, top - thick), (x + a, y + b, top), True), *legs]
 
 
@@ -227,4 +227,4 @@ def _outdoors(
     top = heights.max() if canopy is None else canopy.top
     low = np.array([_BORDER, _BORDER, parts[0].mesh.vertices[:, 2].min()])
     high = np.array([extent - _BORDER, extent - _BORDER, top])
-    return Scene(name, parts, (low, high), canopy=canopy, stands=stands)
+    return Scene(name, parts, (low, high), canopy=canopy, border=1.0, stands=stands)
