@@ -145,6 +145,9 @@ def simulate(
     given = {name for name in settings if ctx.get_parameter_source(name) is not DEFAULT}
     if scene is not None:
         _refuse(given - SCENE_OPTIONS, "is for a model alone", "leave out --scene, or this")
+        _refuse(
+            {"shape"} if shape and scene != "object" else set(), "is for an object", "leave it out"
+        )
         chosen = {name: settings[name] for name in given} | ({"shape": shape} if shape else {})
         _write_scene(output, scene, scanner, chosen)
         return

@@ -43,7 +43,7 @@ def extract_iso_surface(
             "the implicit function has one sign on the whole grid, so the surface is empty",
             "use a finer grid, and make sure that the normals point out of the object",
         )
-    from skimage import measure  # heavy, and this method's alone
+    from skimage import measure  # heavy
 
     marching_cubes: Any = measure.marching_cubes  # without type hints
     # Of its two windings "descent" is the one that shows its front to the positive side.
