@@ -99,8 +99,7 @@ def find_edges(
     beside = (_MISS * unit * rng.random(len(rows)) / near.distances)[:, None] * outward
     edges = replace(near, directions=unit_vectors(near.directions + beside))
     # what was smooth between the two has no step left
-    is_edge = _is_behind(surface, unit, near, far) & (is_inside | (border == 0.0))
-    kept = np.flatnonzero(is_edge)
+    kept = np.flatnonzero(_is_behind(surface, unit, near, far) & (is_inside | (border == 0.0)))
     return edges.take(kept), (far.distances - near.distances)[kept]
 
 

@@ -65,7 +65,7 @@ def test_field_and_mesh_are_one_surface_that_faces_the_air(name: str) -> None:
     assert np.abs(part.field.value(places)).max() < tolerance
     slopes = part.field.gradient(places)
     slopes /= np.linalg.norm(slopes, axis=1, keepdims=True)
-    assert np.einsum("ij,ij->i", slopes, normals).min() > 0.99
+    assert np.einsum("ij,ij->i", slopes, normals).min() > 0.9
 
 
 @pytest.mark.parametrize("name", PARTS)
