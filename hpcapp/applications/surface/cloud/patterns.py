@@ -49,6 +49,7 @@ __all__ = [
     "counted_scale",
     "region_bytes",
     "run_bytes",
+    "sampled_places",
     "sampled_region",
 ]
 
@@ -159,7 +160,7 @@ class AssignedPoints:
         dropped = self.counts[rows] - blocks[1]
         return bool((dropped > 0).all()) and int(dropped.sum()) == points
 
-    def samples(self, positions: FloatArray, normals: FloatArray) -> bool:
+    def samples(self, positions: FloatArray) -> bool:
         """Tell whether points in the blocks' box may be some of these, in their order."""
         places = np.floor((positions - self.arrangement.origin) / self.arrangement.edge)
         rows = find_keys(self.keys, pack_places(places.astype(np.int64)))
@@ -167,7 +168,6 @@ class AssignedPoints:
             lie_within(rows, 0, len(self.keys))
             and bool((rows[1:] >= rows[:-1]).all())
             and bool((np.bincount(rows, minlength=len(self.keys)) <= self.counts).all())
-            and are_units(normals)
         )
 
     def _hold(self, keys: IntArray, counts: IntArray, is_all: bool) -> bool:
@@ -266,9 +266,16 @@ def sampled_region(points: StoredBlocks, *_: Any) -> Declared:
     low, high = own.box
     return Where(
         Fixed(Array("<f8", "s", 3, low=low, high=high), Array("<f8", "s", 3)),
-        lambda sample: own.samples(*sample),
+        lambda sample: own.samples(sample[0]) and are_units(sample[1]),
         _SAME_BLOCKS,
     )
+
+
+def sampled_places(points: StoredBlocks, *_: Any) -> Declared:
+    """Return the pattern of what `tasks.sample_places` takes."""
+    own = AssignedPoints.of(points)
+    low, high = own.box
+    return Where(Array("<f8", "s", 3, low=low, high=high), own.samples, _SAME_BLOCKS)
 
 
 def counted_cells(place: Place, blocks: IntArray, origin: FloatArray, size: float) -> Declared:

@@ -26,6 +26,7 @@ from hpcapp.applications.surface.cloud.cloud_pass import (
 from hpcapp.applications.surface.cloud.disk import open_disk_cloud
 from hpcapp.applications.surface.cloud.measure import measure_cloud, measure_spacing
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
+from hpcapp.applications.surface.cloud.surface_check import find_no_surface
 from hpcapp.applications.surface.job.columns import Columns, FileColumns, MemoryColumns
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.normals.sides import Oriented, orient_cloud
@@ -273,11 +274,18 @@ def prepare(settings: Settings, read: Read, clock: StageClock) -> Loaded:
     -------
     Loaded
         Measured, where its method does not cut it up by itself.
+
+    Raises
+    ------
+    InputError
+        Points without normals lie on no surface.
     """
     cloud_pass, method = read.cloud_pass, settings.method
     is_asked = settings.attributes.has_confidence
     keeps = is_asked and CONFIDENCE not in read.columns.layout.attributes
     spacing = measure_spacing(cloud_pass)
+    if not read.has_normals and (problem := find_no_surface(cloud_pass, spacing)) is not None:
+        raise problem
     cloud_pass, oriented = orient_cloud(
         cloud_pass,
         spacing,

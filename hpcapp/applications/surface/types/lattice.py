@@ -32,6 +32,7 @@ __all__ = [
     "number_keys",
     "pack_places",
     "shift_within",
+    "shuffle_keys",
     "spread_keys",
     "step_keys",
     "unique_keys",
@@ -157,6 +158,22 @@ def are_sampled(keys: IntArray, one_in: int) -> BoolArray:
     mixed = (keys.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(33)
     chosen: BoolArray = (mixed * np.uint64(one_in)) >> np.uint64(31) == 0
     return chosen
+
+
+def shuffle_keys(keys: IntArray) -> IntArray:
+    """Return another key for each, which tells nothing of where it lies.
+
+    Of a regular lattice `are_sampled` leaves planes; of shuffled keys it leaves no pattern.
+
+    Parameters
+    ----------
+    keys : ndarray of int64, shape (k,)
+    """
+    mixed = keys.view(np.uint64)
+    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
+        mixed = (mixed ^ (mixed >> np.uint64(shift))) * np.uint64(factor)
+    shuffled: IntArray = (mixed ^ (mixed >> np.uint64(31))).view(np.int64)
+    return shuffled
 
 
 def step_keys(keys: IntArray, step: IntArray) -> IntArray:
