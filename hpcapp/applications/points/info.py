@@ -7,12 +7,19 @@ import math
 import numpy as np
 from scipy.spatial import cKDTree
 
+from hpcapp.applications.surface.cleaning.drive import drop_repeated
 from hpcapp.applications.surface.cleaning.repeated import find_repeated
+from hpcapp.applications.surface.cloud.arranged import MemoryCloud
+from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
+from hpcapp.applications.surface.cloud.measure import measure_spacing
+from hpcapp.applications.surface.cloud.surface_check import find_no_surface
 from hpcapp.applications.surface.kernels import bound_points
+from hpcapp.applications.surface.reading.reach import drop_far
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
-from hpcapp.io import PointSource, read_whole
+from hpcapp.io import PointSource, drop_unusable, read_whole
 from hpcapp.io.points.column_roles import tell_use
 from hpcapp.io.points.point_source import Findings
+from hpccomponent.errors import InputError
 
 __all__ = ["describe", "describe_file"]
 
@@ -39,7 +46,8 @@ def describe_file(source: PointSource) -> tuple[dict[str, object], Findings, Poi
         The file is damaged.
     """
     cloud = read_whole(source)
-    findings = Findings(list(source.findings.warnings), _count_dropped(source, cloud))
+    warnings = [*source.findings.warnings, *_tell_no_surface(cloud)]
+    findings = Findings(warnings, _count_dropped(source, cloud))
     facts = {
         "format": source.format,
         **describe(cloud),
@@ -63,6 +71,19 @@ def describe_file(source: PointSource) -> tuple[dict[str, object], Findings, Poi
         "warnings": findings.warnings,
     }
     return facts, findings, cloud
+
+
+def _tell_no_surface(cloud: PointCloud) -> list[str]:
+    """Return why no surface is made of points without normals, if they fill a volume, say."""
+    if cloud.normals is not None:
+        return []
+    try:
+        usable, _ = drop_unusable(cloud, "the cloud")
+        cloud_pass, _ = drop_repeated(MemoryPass(MemoryCloud.as_they_are(drop_far(usable))))
+        problem = find_no_surface(cloud_pass, measure_spacing(cloud_pass))
+    except InputError:  # they are too few, or too far
+        return []
+    return [] if problem is None else [str(problem)]
 
 
 def _count_dropped(source: PointSource, cloud: PointCloud) -> dict[str, int]:

@@ -26,6 +26,16 @@ def test_a_grid_is_measured() -> None:
     assert not facts["has_colours"]
 
 
+def test_a_warning_says_what_is_no_surface(tmp_path: Path) -> None:
+    path = tmp_path / "grid.xyz"
+    np.savetxt(path, grid())
+    facts, findings, _ = describe_file(open_points(path))
+    assert [line.partition(":")[0] for line in findings.lines()] == ["the points fill a volume"]
+    assert facts["warnings"] == findings.lines()
+    np.savetxt(path, grid()[grid()[:, 0] == 0.0])
+    assert describe_file(open_points(path))[0]["warnings"] == []
+
+
 def test_bounds_are_in_the_coordinates_of_the_input() -> None:
     facts = describe(PointCloud(grid(), origin=np.array([5.4e6, 0.0, -10.0])))
     assert facts["bounds"] == [[5400000, 0, -10], [5400002, 2, -8]]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -95,6 +96,23 @@ def test_too_few_places_are_refused(tmp_path: Path, sphere: PointCloud) -> None:
         load_clean(path)
     with pytest.raises(InputError, match=r"a\.ply has 8 usable points"):
         load(settings, StageClock(Progress()), PointFolder(tmp_path / "there", alone(1000)))
+
+
+@pytest.mark.parametrize("method", [Hierarchical(), Paper()], ids=["hierarchical", "paper"])
+def test_points_on_no_surface_are_refused_unless_they_have_normals(
+    tmp_path: Path, method: Hierarchical | Paper
+) -> None:
+    positions = np.random.default_rng(5).random((3_000, 3))
+    path = tmp_path / "a.ply"
+    write_points(path, PointCloud(positions))
+    settings = JobSettings(path, "m.ply", method=method)
+    with pytest.raises(InputError, match="fill a volume"):
+        load(settings, StageClock(Progress()))
+    normals = positions - 0.5
+    write_points(path, PointCloud(positions, normals / np.linalg.norm(normals, axis=1)[:, None]))
+    assert len(load(settings, StageClock(Progress())).cloud) == 3_000
+    with pytest.raises(InputError, match="fill a volume"):
+        load(replace(settings, normals="estimate"), StageClock(Progress()))
 
 
 def test_what_was_recognised_is_in_the_report(tmp_path: Path, sphere: PointCloud) -> None:

@@ -9,14 +9,17 @@ from hypothesis.extra.numpy import arrays
 from hpcapp.applications.surface.types.lattice import (
     OCTANTS,
     ancestor_keys,
+    are_sampled,
     cells_of,
     corner_parents,
     find_keys,
     keys_lie_within,
     pack_places,
     shift_within,
+    shuffle_keys,
     spread_keys,
     step_keys,
+    unique_keys,
     unpack_keys,
 )
 from hpcapp.applications.surface.types.points import IntArray
@@ -98,3 +101,14 @@ def test_the_mean_of_the_parents_is_the_place_of_the_child(places: IntArray) -> 
 def test_cells_count_from_the_origin() -> None:
     cells = cells_of(np.array([[2.5, 1.0, 0.0]]), np.array([0.5, 1.0, 1.0]), 0.5)
     assert cells.tolist() == [[4.0, 0.0, -2.0]]
+
+
+def test_a_sample_of_shuffled_keys_has_no_pattern() -> None:
+    places = np.stack(np.meshgrid(*[np.arange(32)] * 3), axis=-1).reshape(-1, 3)
+    keys = shuffle_keys(pack_places(places))
+    assert len(unique_keys(keys)) == len(keys)
+    sample = places[are_sampled(keys, 16)]
+    assert len(sample) == pytest.approx(len(keys) / 16, rel=0.1)
+    for step in ((1, 0, 0), (0, 0, 1), (1, 1, 0), (2, 1, 3)):
+        beside = find_keys(np.sort(pack_places(sample)), pack_places(sample + np.array(step)))
+        assert (beside < len(sample)).mean() == pytest.approx(1 / 16, abs=0.025)
