@@ -7,12 +7,8 @@ import math
 import numpy as np
 from scipy.spatial import cKDTree
 
-from hpcapp.applications.surface.cleaning.drive import drop_repeated
 from hpcapp.applications.surface.cleaning.repeated import find_repeated
-from hpcapp.applications.surface.cloud.arranged import MemoryCloud
-from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
-from hpcapp.applications.surface.cloud.measure import measure_spacing
-from hpcapp.applications.surface.cloud.surface_check import find_no_surface
+from hpcapp.applications.surface.cloud.surface_check import find_no_surface_in
 from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.reading.reach import drop_far
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
@@ -79,8 +75,8 @@ def _tell_no_surface(cloud: PointCloud) -> list[str]:
         return []
     try:
         usable, _ = drop_unusable(cloud, "the cloud")
-        cloud_pass, _ = drop_repeated(MemoryPass(MemoryCloud.as_they_are(drop_far(usable))))
-        problem = find_no_surface(cloud_pass, measure_spacing(cloud_pass))
+        positions = drop_far(usable).positions
+        problem = find_no_surface_in(positions[~find_repeated(positions)])
     except InputError:  # they are too few, or too far
         return []
     return [] if problem is None else [str(problem)]

@@ -7,9 +7,11 @@ import numpy as np
 from hpcapp.applications.surface.cloud.cloud_pass import CloudPass, PassT
 from hpcapp.applications.surface.cloud.measured import SAMPLED_BOX, Measured, Points, draw_sample
 from hpcapp.applications.surface.cloud.spacing import search_spacing
+from hpcapp.applications.surface.cloud.surface_check import find_no_surface
 from hpcapp.applications.surface.cloud.tasks import (
     count_boxes,
     count_region_scale,
+    sample_places,
     sample_region,
 )
 from hpcapp.applications.surface.scale.local_scale import (
@@ -19,9 +21,10 @@ from hpcapp.applications.surface.scale.local_scale import (
     make_scale,
 )
 from hpcapp.applications.surface.types.lattice import lay_lattice, unique_keys
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpccomponent.errors import InputError
 
-__all__ = ["draw_boxes", "measure_cloud", "measure_scale", "measure_spacing"]
+__all__ = ["check_surface", "draw_boxes", "measure_cloud", "measure_scale", "measure_spacing"]
 
 
 def measure_spacing(cloud_pass: CloudPass) -> float:
@@ -41,6 +44,17 @@ def measure_spacing(cloud_pass: CloudPass) -> float:
         return sum(points), len(unique_keys(np.concatenate(keys)))
 
     return search_spacing(count, len(cloud), cloud.low, cloud.high)
+
+
+def check_surface(cloud_pass: CloudPass, spacing: float) -> InputError | None:
+    """Tell why a cloud's points lie on no surface; see `find_no_surface`."""
+    cloud = cloud_pass.cloud
+
+    def draw(edge: float, one_in: int) -> FloatArray:
+        corner = lay_lattice(cloud.low, edge)
+        return np.concatenate(cloud_pass.each(sample_places, corner, edge, one_in))
+
+    return find_no_surface(draw, len(cloud), cloud.low, cloud.high, spacing)
 
 
 def measure_scale(cloud_pass: CloudPass, spacing: float) -> LocalScale:

@@ -20,14 +20,9 @@ from hpcapp.applications.surface.cloud.patterns import (
 )
 from hpcapp.applications.surface.cloud.regions import RegionPoints
 from hpcapp.applications.surface.cloud.spacing import sample_box_keys
+from hpcapp.applications.surface.cloud.surface_check import sample_positions
 from hpcapp.applications.surface.scale.local_scale import ScaleCounts, count_scale
-from hpcapp.applications.surface.types.lattice import (
-    are_sampled,
-    cells_of,
-    merge_counts,
-    pack_places,
-    shuffle_keys,
-)
+from hpcapp.applications.surface.types.lattice import merge_counts
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpcapp.applications.surface.types.result_patterns import SMALL_BYTES
 from hpccomponent.runtime.tasks import declare
@@ -94,13 +89,8 @@ def sample_region(points: RegionPoints, low: FloatArray, edge: float, one_in: in
 
 @declare(result=sampled_places, limit=region_bytes(24))
 def sample_places(points: RegionPoints, low: FloatArray, edge: float, one_in: int) -> FloatArray:
-    """Return where the points in a sample of boxes lie (a task).
-
-    Unlike those of `sample_region` the boxes make no pattern, whichever the points make.
-    """
-    positions = points.take().positions
-    places = np.floor(cells_of(positions, low, edge)).astype(np.int64)
-    return positions[are_sampled(shuffle_keys(pack_places(places)), one_in)]
+    """Return where the points in a sample of boxes lie (a task); see `sample_positions`."""
+    return sample_positions(points.take().positions, low, edge, one_in)
 
 
 @declare(result=counted_cells, limit=run_bytes(16))

@@ -24,9 +24,12 @@ from hpcapp.applications.surface.cloud.cloud_pass import (
     make_cloud_folder,
 )
 from hpcapp.applications.surface.cloud.disk import open_disk_cloud
-from hpcapp.applications.surface.cloud.measure import measure_cloud, measure_spacing
+from hpcapp.applications.surface.cloud.measure import (
+    check_surface,
+    measure_cloud,
+    measure_spacing,
+)
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
-from hpcapp.applications.surface.cloud.surface_check import find_no_surface
 from hpcapp.applications.surface.job.columns import Columns, FileColumns, MemoryColumns
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.normals.sides import Oriented, orient_cloud
@@ -284,7 +287,7 @@ def prepare(settings: Settings, read: Read, clock: StageClock) -> Loaded:
     is_asked = settings.attributes.has_confidence
     keeps = is_asked and CONFIDENCE not in read.columns.layout.attributes
     spacing = measure_spacing(cloud_pass)
-    if not read.has_normals and (problem := find_no_surface(cloud_pass, spacing)) is not None:
+    if not read.has_normals and (problem := check_surface(cloud_pass, spacing)) is not None:
         raise problem
     cloud_pass, oriented = orient_cloud(
         cloud_pass,

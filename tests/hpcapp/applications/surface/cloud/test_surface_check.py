@@ -11,15 +11,15 @@ from passes import alone, in_folder, in_memory
 
 from hpcapp.applications.surface.cloud.arranged import MemoryCloud, arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import CloudPass, MemoryPass
-from hpcapp.applications.surface.cloud.measure import measure_spacing
-from hpcapp.applications.surface.cloud.surface_check import find_no_surface
+from hpcapp.applications.surface.cloud.measure import check_surface, measure_spacing
+from hpcapp.applications.surface.cloud.surface_check import find_no_surface_in
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 
 Random = np.random.Generator
 
 
 def find(cloud_pass: CloudPass) -> str | None:
-    problem = find_no_surface(cloud_pass, measure_spacing(cloud_pass))
+    problem = check_surface(cloud_pass, measure_spacing(cloud_pass))
     return None if problem is None else problem.problem
 
 
@@ -147,6 +147,9 @@ def test_the_words_are_the_same_out_of_core(kind: str, tmp_path: Path) -> None:
     memory = find(MemoryPass(arrange_cloud(points)))
     assert memory is not None
     assert find(in_folder(points, tmp_path, alone(20_000))) == memory
+    as_they_are = find_no_surface_in(points.positions)
+    assert as_they_are is not None
+    assert as_they_are.problem == find(in_memory(points))
 
 
 def test_a_place_with_most_of_the_points_does_not_cost_all_memory() -> None:
