@@ -20,6 +20,7 @@ from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntA
 
 __all__ = [
     "Evidence",
+    "Outside",
     "Views",
     "face_along",
     "hear_sensor",
@@ -39,6 +40,8 @@ _INSIDE_FIELD = 0.98  # share of the patches that lie there
 _OCCLUDED = 0.3  # share of the area that may be hidden from it
 _SHELLS = 4  # inside each other
 _SHOWN = 0.25  # share of a component that must be seen from outside
+_ALIKE = 0.3  # of the better seen side, that the other one shows
+_CLOSED = 0.1  # share of a shell that may be seen from both sides
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,10 +94,13 @@ class Views:
         hidden: BoolArray = self.front + self.back < _GLIMPSE
         return hidden
 
-    def seen(self, sides: FloatArray) -> BoolArray:
-        """Tell of which patches the side that faces outwards is seen."""
-        shown: BoolArray = np.where(sides < 0.0, self.back, self.front) >= _GLIMPSE
-        return shown
+    @property
+    def is_alike(self) -> BoolArray:
+        """Of which patches both sides are seen: those of a sheet."""
+        alike: BoolArray = np.minimum(self.front, self.back) > _ALIKE * np.maximum(
+            self.front, self.back
+        )
+        return alike
 
     def evidence(self, how: str, *, is_sensed: bool = False) -> Evidence:
         """Return it as evidence: free space is where most of the viewpoints are."""
@@ -161,7 +167,27 @@ def look_inside(patches: Patches, spacing: float) -> Views:
     return Views.of(patches, stand_inside(patches), spacing)
 
 
-def look_outside(patches: Patches, components: IntArray, spacing: float) -> tuple[Views, Views]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Outside:
+    """What is seen from all around.
+
+    Parameters
+    ----------
+    views : Views
+        Of the whole.
+    toggled : Views
+        Of shell after shell. Crossing a surface toggles: what is hidden by a shell is looked at
+        without it, and faces inwards; what is hidden by that, outwards again.
+    is_content : ndarray of bool, shape (p,)
+        Patches that are hidden, and not those of a cavity: of a closed shell inside another one.
+    """
+
+    views: Views
+    toggled: Views
+    is_content: BoolArray
+
+
+def look_outside(patches: Patches, components: IntArray, spacing: float) -> Outside:
     """Look from all around.
 
     Parameters
@@ -172,21 +198,19 @@ def look_outside(patches: Patches, components: IntArray, spacing: float) -> tupl
         Which patches hang together.
     spacing : float
         Of the cloud, in length units of the input.
-
-    Returns
-    -------
-    whole, toggled : Views
-        Of all, and of shell after shell. Crossing a surface toggles: what is hidden by a shell is
-        looked at without it, and faces inwards; what is hidden by that, outwards again.
     """
     viewpoints = surround(patches, _VIEWS)
     whole = shown = Views.of(patches, viewpoints, spacing)
     front, back = np.zeros(len(patches)), np.zeros(len(patches))
+    is_content = whole.is_hidden
     rows = np.arange(len(patches))
     for shell in range(_SHELLS):
         some, numbers = patches.take(rows), components[rows]
-        seen = np.bincount(numbers, some.counts * ~shown.is_hidden)
-        taken = (seen > _SHOWN * np.bincount(numbers, some.counts))[numbers]
+        counts = np.maximum(np.bincount(numbers, some.counts), 1.0)
+        taken = (np.bincount(numbers, some.counts * ~shown.is_hidden) > _SHOWN * counts)[numbers]
+        if shell:
+            alike = np.bincount(numbers, some.counts * shown.is_alike)
+            is_content[rows[taken & (alike < _CLOSED * counts)[numbers]]] = False
         sides = (front, back) if shell % 2 == 0 else (back, front)
         for side, found in zip(sides, (shown.front, shown.back), strict=True):
             side[rows[taken]] = found[taken]
@@ -194,7 +218,7 @@ def look_outside(patches: Patches, components: IntArray, spacing: float) -> tupl
         if not (len(rows) and taken.any()):
             break
         shown = Views.of(patches.take(rows), viewpoints, spacing)
-    return whole, Views(front, back)
+    return Outside(whole, Views(front, back), is_content)
 
 
 def _lies_before(patches: Patches, zero: FloatArray) -> bool:

@@ -36,10 +36,14 @@ SURE = 0.3
 
 _HINT = 0.003  # how strongly views count beside links that all agree
 _LEAN = 0.3  # how strongly all that is known of a patch counts beside its links
-_CONTRADICTED, _BETTER = 0.01, 0.35  # the cost of a view from outside, and that of one from inside
-_ALIKE = 0.3  # of the better seen side, that the other one shows
-_OPEN = 0.3  # share of the area that is seen from both sides: a sheet
-_CONVEX = 0.6  # mean excess of what the outer side shows from where on it is no ground
+_SHOWN, _TRIFLE = 0.2, 5e-4  # of the content of a room that is hidden inside, too; and of its area
+_HIDING = 0.08  # share of the area that no scan of an object hides from all sides
+_TANGLED = 0.07  # links that a flat sheet may break
+_FEWEST = 8  # patches that hide together: fewer are noise
+_BROKEN, _BETTER = 0.01, 0.35  # links that a view from outside breaks, and one from inside
+_OPEN = 0.35  # share of the area that is seen from both sides: a sheet
+_CONVEX = 0.75  # mean excess of what the outer side shows from where on it is no ground
+_TWICE = 2.0  # as many links as a view from outside may be broken by a ground
 _FLAT = 0.6  # of the longest side, below which a sheet is a ground
 _LEVEL = 0.85  # share of a ground that faces up, less what faces down
 _GUESSED = 0.25  # certainty of a side that no evidence tells
@@ -59,7 +63,8 @@ class Orientation:
     how : str
         Where the evidence comes from, for people.
     doubted : ndarray of float64, shape (3,), or None
-        The middle of the largest piece whose side is unsure, in the frame of the patches.
+        The middle of the largest piece whose side is unsure, in the frame of the patches; where
+        a sensor has told, nothing more can be told.
     """
 
     sides: Sides
@@ -89,8 +94,8 @@ def orient_patches(
     A ray went to every point. Where it came from is evidence, and links and the far field fill in.
     Where nobody knows, exactly one side of every surface is free space: what is seen from outside
     is one hypothesis, what is seen from inside another. The second one is taken where a tripod
-    stood inside, or where it costs far less: links that it contradicts, and surface whose free
-    side nobody could see. A flat sheet that is seen from both sides alike is a ground: it faces up.
+    stood inside, where a shell hides what inside shows, or where it breaks far fewer links. A
+    flat sheet that is seen from both sides alike is a ground: it faces up.
 
     Views show the inside of an object, too, where a part of it was not scanned. So the evidence
     is spread over links first, in which it counts next to nothing, and what contradicts the
@@ -104,7 +109,8 @@ def orient_patches(
         evidence = _weigh_hypotheses(patches, linked, spacing)
     sides = _settle(patches, linked, spacing, evidence)
     values = (evidence.certainty * np.clip(sides, -1.0, 1.0)).astype(np.float32)
-    doubted = _find_doubted(patches, linked, np.abs(values) < SURE)
+    is_unsure = (np.abs(values) < SURE) & (not evidence.is_sensed)
+    doubted = _find_doubted(patches, linked, is_unsure)
     return Orientation(Sides(patches.keys, patches.ranks, values), evidence.how, doubted)
 
 
@@ -123,21 +129,38 @@ def _find_doubted(
 
 def _weigh_hypotheses(patches: Patches, linked: LinkedPatches, spacing: float) -> Evidence:
     """Return the evidence of the views that contradict themselves least."""
-    outside, toggled = look_outside(patches, linked.components(), spacing)
+    outside = look_outside(patches, linked.components(), spacing)
     inside = look_inside(patches, spacing)
-    outer, inner = toggled.evidence("from outside"), inside.evidence("from inside")
+    outer, inner = outside.toggled.evidence("from outside"), inside.evidence("from inside")
     if has_stand(patches, spacing):
         return inner
+    content = _share_coherent(patches, linked, outside.is_content)
+    if _share_coherent(patches, linked, inside.is_hidden) < _SHOWN * content - _TRIFLE:
+        return inner
     sides = [_follow(linked, evidence) for evidence in (outer, inner)]
-    ground = _face_ground(patches, linked, outside, sides[0])
+    broken = [linked.share_broken(some) for some in sides]
+    ground = _face_ground(patches, linked, outside.views, sides[0])
     if ground is not None:
         return ground
-    costs = [
-        linked.share_broken(some) + share_of(patches, ~(views.seen(some) | inside.seen(some)))
-        for some, views in zip(sides, (toggled, outside), strict=True)
-    ]
-    is_room = costs[0] > _CONTRADICTED and costs[1] < _BETTER * costs[0]
-    return inner if is_room else outer
+    if broken[0] > _BROKEN and broken[1] < _BETTER * broken[0]:
+        return inner
+    # A flat tangle may be a forest, which hides its ground from wherever nobody was.
+    is_tangle = broken[0] > _TANGLED and _is_flat(patches, 2)
+    if is_tangle or share_of(patches, outside.is_content) > _HIDING:
+        return replace(outer, certainty=_GUESSED, how="from outside, maybe")
+    return outer
+
+
+def _is_flat(patches: Patches, axis: int) -> bool:
+    size = np.ptp(patches.centres, axis=0)
+    return bool(size[axis] < _FLAT * size.max())
+
+
+def _share_coherent(patches: Patches, linked: LinkedPatches, chosen: BoolArray) -> float:
+    """Return the share of the area of some patches, but for those that lie about."""
+    numbers = linked.components(chosen)
+    held = np.bincount(numbers, chosen)[numbers]
+    return share_of(patches, chosen & (held >= _FEWEST))
 
 
 def _face_ground(
@@ -147,16 +170,17 @@ def _face_ground(
     areas = np.minimum(patches.counts / CELL**2, 1.0)
     areas /= areas.sum()
     front, back = outside.front, outside.back
-    is_alike = np.minimum(front, back) > _ALIKE * np.maximum(front, back)
     excess = float((areas * np.where(sides < 0.0, back - front, front - back)).sum())
-    size = np.ptp(patches.centres, axis=0)
-    axis = 2 if size[2] < _FLAT * size.max() else int(np.argmin(size))
-    if share_of(patches, is_alike) < _OPEN or size[axis] > _FLAT * size.max():
+    axis = 2 if _is_flat(patches, 2) else int(np.argmin(np.ptp(patches.centres, axis=0)))
+    if not _is_flat(patches, axis) or excess > _CONVEX / 8.0:  # an eighth is the most there is
         return None
-    if excess > _CONVEX / 8.0:  # the most that views from all around can show
+    if share_of(patches, outside.is_alike) < _OPEN:
         return None
     up = face_along(patches, axis, 1.0, "from above", is_sensed=False)
-    facing = np.sign(_follow(linked, up)) * patches.normals[:, axis]
+    upwards = _follow(linked, up)
+    if linked.share_broken(upwards) > _TWICE * linked.share_broken(sides) + _BROKEN:
+        return None
+    facing = np.sign(upwards) * patches.normals[:, axis]
     if float((areas * facing).sum()) < _LEVEL * float((areas * np.abs(facing)).sum()):
         return None
     if axis == 2:

@@ -68,8 +68,8 @@ class Oriented:
                 f"the normals contradict each other: {self.turned} were turned round, so that all "
                 "are on one side; --normals file takes them as they are"
             )
-        if self.sure < _DOUBTFUL:
-            place = ", ".join(f"{value:.6g}" for value in self.doubted or ())
+        if self.sure < _DOUBTFUL and self.doubted is not None:
+            place = ", ".join(f"{value:.6g}" for value in self.doubted)
             found.append(
                 f"the side of {100.0 * (1.0 - self.sure):.1f} % of the normals is unsure, most of "
                 f"it around ({place}): say where it was scanned from (--viewpoint above, inside, "
