@@ -37,5 +37,6 @@ void bind_robust(nb::module_& module);
 void bind_seams(nb::module_& module);
 void bind_balance(nb::module_& module);
 void bind_features(nb::module_& module);
+void bind_planes(nb::module_& module);
 
 }  // namespace hpc

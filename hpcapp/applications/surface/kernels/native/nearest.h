@@ -1,0 +1,90 @@
+// The nearest neighbours of points, in whole numbers (see nearest.py).
+#pragma once
+
+#include <deque>
+#include <functional>
+#include <vector>
+
+#include "arrays.h"
+#include "keys.h"
+
+namespace hpc {
+
+constexpr int UNIT_BITS = 19;  // a unit is 2^-19 spacings
+constexpr double UNITS = 1 << UNIT_BITS;
+constexpr int64_t CELL_UNITS = int64_t{5} << UNIT_BITS;
+
+// Points by the cells of 5 spacings that they lie in.
+struct UnitPoints {
+  Large<int64_t> keys, offsets;  // cell i holds the points offsets[i] to offsets[i + 1]
+  Buffer<uint32_t> rows;         // of the points in the cloud, rising within a cell
+  Buffer<int32_t> places;        // (n, 3): in units from the corner of the cell
+
+  int64_t cells() const { return static_cast<int64_t>(keys.size()); }
+};
+
+UnitPoints place_points(const double* points, int64_t count, const double* low, double spacing);
+
+// The neighbours of a point, nearest first, itself among them.
+struct Neighbours {
+  const double *x, *y, *z;  // seen from the point, in units
+  const uint32_t* at;       // which they are, in the order of `UnitPoints`
+  const int* held;          // held[k]: how many are nearer than the first beyond the k nearest
+};
+
+// Finds the neighbours of the points of one cell after the other; each thread has its own.
+//
+// What lies around a cell is looked through for each of its points. Where that is much, the cell is
+// cut into eight, and what lies around an eighth is looked through. Where it is too little to tell,
+// because others beyond may be nearer, it is as much more as is needed: the result is exact.
+class NearestSearch {
+ public:
+  using Take = std::function<void(int, const Neighbours&)>;
+
+  // For the `most` nearest within so many spacings.
+  NearestSearch(const UnitPoints& points, int most, int reach);
+
+  // Call take(i, neighbours) for the wanted points of a cell, numbered from its first, in any order.
+  void search(int64_t cell, const std::vector<int>& wanted, const Take& take);
+
+ private:
+  // A cube, and the margin around it in which all points are known; in units from the cell's corner.
+  struct Box {
+    double low[3], edge, margin;
+  };
+
+  // What is known around a box.
+  struct Around {
+    Box box;
+    std::vector<double> x, y, z;
+    std::vector<uint32_t> at;
+    size_t count = 0;
+    std::vector<int> wanted, some, unsolved;
+
+    void make_room(size_t most);
+  };
+
+  void gather(int64_t cell, int rings);
+  void filter(const Around& all, Around& part) const;
+  void solve(size_t depth, const std::vector<int>& wanted, std::vector<int>& unsolved, const Take& take);
+  bool cut(const Box& box, Box& part) const;
+  Around& around(size_t depth);
+  bool find(const Around& all, int one, const Take& take);
+  int take_below(size_t count, double bound);
+  void take_nearest(size_t count, int found);
+  void put_in_order(const Around& all, const double (&point)[3], int found);
+
+  const UnitPoints& points_;
+  const int most_;
+  const double reach_;
+  int64_t first_ = 0;  // point of the cell
+  double guess_;       // of the squared distance that a point's neighbours lie within
+  std::vector<std::vector<Finger>> fingers_;
+  std::deque<Around> stack_;
+  std::vector<double> squares_, near_squares_, x_, y_, z_;
+  std::vector<int64_t> ranks_;
+  std::vector<uint32_t> near_, at_;
+  std::vector<int> held_, ties_;
+};
+
+}  // namespace hpc

@@ -1,0 +1,220 @@
+// Planes through as many neighbours of each point as noise and curvature allow (see planes.py).
+#include <cmath>
+
+#include "clones.h"
+#include "families.h"
+#include "nearest.h"
+#include "threads.h"
+
+namespace hpc {
+namespace {
+
+constexpr int COUNTS[] = {8, 12, 17, 24, 34}, MORE_COUNTS[] = {34, 48, 68, 96};
+constexpr int FITS = 5, MORE_FITS = 4;
+constexpr int NOISE_FIT = 1;    // which of them the noise is judged by
+constexpr double LEAST = 4.0;   // neighbours that a plane is fitted to
+constexpr int REACH = 12;       // spacings
+constexpr double BIAS_SHARE = 0.2, TINY = 1e-6;
+constexpr int STEPS = 24;       // of Newton's method
+constexpr int LANES = 8;        // planes of a point
+enum Product { XX, YY, ZZ, XY, XZ, YZ, PRODUCTS };
+
+// Planes through several neighbourhoods of a point, in units.
+struct Planes {
+  double held[LANES], squares[LANES], extent[LANES], least[LANES], spread[PRODUCTS][LANES];
+};
+
+// Sums over the neighbours in each neighbourhood: of coordinates, and of their products.
+struct Sums {
+  double mean[3][LANES], product[PRODUCTS][LANES];
+};
+
+HPC_CLONES void add_up(const Neighbours& near, const int* ends, int count, Sums& sums) {
+  double x = 0.0, y = 0.0, z = 0.0, xx = 0.0, yy = 0.0, zz = 0.0, xy = 0.0, xz = 0.0, yz = 0.0;
+  int i = 0;
+  for (int fit = 0; fit < count; ++fit) {
+    for (; i < ends[fit]; ++i) {
+      const double ax = near.x[i], ay = near.y[i], az = near.z[i];
+      x += ax, y += ay, z += az;
+      xx += ax * ax, yy += ay * ay, zz += az * az;
+      xy += ax * ay, xz += ax * az, yz += ay * az;
+    }
+    sums.mean[0][fit] = x, sums.mean[1][fit] = y, sums.mean[2][fit] = z;
+    sums.product[XX][fit] = xx, sums.product[YY][fit] = yy, sums.product[ZZ][fit] = zz;
+    sums.product[XY][fit] = xy, sums.product[XZ][fit] = xz, sums.product[YZ][fit] = yz;
+  }
+}
+
+// Find the least eigenvalues of the covariances: see _least_eigenvalues.
+HPC_CLONES void solve_planes(Sums& sums, Planes& planes) {
+  double trace[LANES], minors[LANES], determinant[LANES], root[LANES] = {};
+  const double* held = planes.held;
+  HPC_LANES
+  for (int lane = 0; lane < LANES; ++lane) {
+    const double x = sums.mean[0][lane] / held[lane], y = sums.mean[1][lane] / held[lane];
+    const double z = sums.mean[2][lane] / held[lane];
+    const double xx = sums.product[XX][lane] / held[lane] - x * x, yy = sums.product[YY][lane] / held[lane] - y * y;
+    const double zz = sums.product[ZZ][lane] / held[lane] - z * z, xy = sums.product[XY][lane] / held[lane] - x * y;
+    const double xz = sums.product[XZ][lane] / held[lane] - x * z, yz = sums.product[YZ][lane] / held[lane] - y * z;
+    planes.spread[XX][lane] = xx, planes.spread[YY][lane] = yy, planes.spread[ZZ][lane] = zz;
+    planes.spread[XY][lane] = xy, planes.spread[XZ][lane] = xz, planes.spread[YZ][lane] = yz;
+    trace[lane] = xx + yy + zz;
+    minors[lane] = xx * yy - xy * xy + xx * zz - xz * xz + yy * zz - yz * yz;
+    determinant[lane] = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz);
+  }
+  for (int step = 0; step < STEPS; ++step) {
+    int64_t moved[LANES];
+    HPC_LANES
+    for (int lane = 0; lane < LANES; ++lane) {
+      const double at = root[lane];
+      const double value = ((at - trace[lane]) * at + minors[lane]) * at - determinant[lane];
+      const double slope = (3.0 * at - 2.0 * trace[lane]) * at + minors[lane];
+      const bool falling = (value < 0.0) & (slope > 0.0);
+      const double next = at + (falling ? -value / (falling ? slope : 1.0) : 0.0);
+      moved[lane] = next != at;
+      root[lane] = next;
+    }
+    int64_t any = 0;
+    for (int lane = 0; lane < LANES; ++lane) any |= moved[lane];
+    if (!any) break;
+  }
+  HPC_LANES
+  for (int lane = 0; lane < LANES; ++lane) {
+    const double third = trace[lane] / 3.0, least = root[lane] < third ? root[lane] : third;
+    const double freedom = held[lane] - 3.0;
+    planes.least[lane] = least;
+    planes.squares[lane] = least * (held[lane] / (freedom > 1.0 ? freedom : 1.0));
+    planes.extent[lane] = held[lane] < LEAST ? 0.0 : trace[lane] - least;
+  }
+}
+
+template <int FITS_OF>
+void fit(const Neighbours& near, const int (&counts)[FITS_OF], Planes& planes) {
+  int ends[FITS_OF];
+  Sums sums{};
+  std::fill_n(planes.held, LANES, 1.0);
+  for (int i = 0; i < FITS_OF; ++i) {
+    ends[i] = near.held[counts[i]];
+    planes.held[i] = std::max(ends[i], 1);
+  }
+  add_up(near, ends, FITS_OF, sums);
+  solve_planes(sums, planes);
+}
+
+// Return which plane is expected to be the best.
+int choose(const Planes& planes, int count, double noise) {
+  int best = 0;
+  double least = INFINITY;
+  for (int i = 0; i < count; ++i) {
+    if (!(planes.extent[i] > 0.0)) continue;
+    const double beyond = std::max(planes.squares[i] - noise, 0.0);
+    const double error = (4.0 * noise / planes.held[i] + BIAS_SHARE * beyond) / planes.extent[i];
+    if (error < least) least = error, best = i;
+  }
+  return best;
+}
+
+// Write the normal of a plane, as long as its residual in length units of the input.
+void take(const Planes& planes, int at, double unit, float* vector) {
+  const auto& spread = planes.spread;
+  const double least = planes.least[at];
+  const double rows[3][3] = {{spread[XX][at] - least, spread[XY][at], spread[XZ][at]},
+                             {spread[XY][at], spread[YY][at] - least, spread[YZ][at]},
+                             {spread[XZ][at], spread[YZ][at], spread[ZZ][at] - least}};
+  constexpr int PAIRS[3][2] = {{0, 1}, {0, 2}, {1, 2}};
+  double longest[3] = {0.0, 0.0, 1.0}, most = 0.0;
+  for (const auto& pair : PAIRS) {
+    const auto &a = rows[pair[0]], &b = rows[pair[1]];
+    const double x = a[1] * b[2] - a[2] * b[1], y = a[2] * b[0] - a[0] * b[2], z = a[0] * b[1] - a[1] * b[0];
+    const double square = x * x + y * y + z * z;
+    if (square > most) longest[0] = x, longest[1] = y, longest[2] = z, most = square;
+  }
+  const double length = std::sqrt(most > 0.0 ? most : 1.0);
+  const double residual = std::max(std::sqrt(planes.squares[at]), TINY * UNITS) * unit;
+  for (int axis = 0; axis < 3; ++axis) vector[axis] = static_cast<float>(longest[axis] / length * residual);
+}
+
+// Fits planes to the points of one cell after the other; each thread has its own.
+class PlaneFitter {
+ public:
+  // The vector of each point goes to the place of its row; negative where none is wanted.
+  PlaneFitter(const UnitPoints& points, const int64_t* place_of, double unit, float* vectors)
+      : points_(points), place_of_(place_of), unit_(unit), vectors_(vectors),
+        search_(points, COUNTS[FITS - 1], REACH), more_(points, MORE_COUNTS[MORE_FITS - 1], REACH) {}
+
+  void fit_cell(int64_t cell) {
+    const int64_t first = points_.offsets[cell];
+    const int count = static_cast<int>(points_.offsets[cell + 1] - first);
+    const auto place = [&](int i) { return place_of_[points_.rows[first + i]]; };
+    bool any = false;
+    wanted_.clear();
+    for (int i = 0; i < count; ++i) {
+      wanted_.push_back(i);
+      any = any || place(i) >= 0;
+    }
+    if (!any) return;
+    if (planes_.size() < wanted_.size()) planes_.resize(wanted_.size());
+    search_.search(cell, wanted_, [&](int i, const Neighbours& near) { fit(near, COUNTS, planes_[i]); });
+    squares_.clear();
+    for (int i = 0; i < count; ++i) squares_.push_back(planes_[i].squares[NOISE_FIT]);
+    const auto middle = squares_.begin() + count / 2;
+    std::nth_element(squares_.begin(), middle, squares_.end());
+    const double noise = *middle;
+    wanted_.clear();
+    for (int i = 0; i < count; ++i) {
+      if (place(i) < 0) continue;
+      const int best = choose(planes_[i], FITS, noise);
+      if (best == FITS - 1) {
+        wanted_.push_back(i);
+      } else {
+        take(planes_[i], best, unit_, vectors_ + 3 * place(i));
+      }
+    }
+    more_.search(cell, wanted_, [&](int i, const Neighbours& near) {
+      fit(near, MORE_COUNTS, planes_[i]);
+      take(planes_[i], choose(planes_[i], MORE_FITS, noise), unit_, vectors_ + 3 * place(i));
+    });
+  }
+
+ private:
+  const UnitPoints& points_;
+  const int64_t* place_of_;
+  const double unit_;
+  float* vectors_;
+  NearestSearch search_, more_;
+  std::vector<int> wanted_;
+  std::vector<Planes> planes_;
+  std::vector<double> squares_;
+};
+
+Output<float> fit_planes(Doubles positions, Bytes asked_of, Doubles low_of, double spacing, int64_t threads) {
+  const double* point = check<double>(positions, "positions", {ANY, 3});
+  const int64_t count = rows_of(positions);
+  const uint8_t* asked = check<uint8_t>(asked_of, "asked", {count});
+  const double* low = check<double>(low_of, "low", {3});
+  check_positive(spacing, "spacing");
+  if (count >= INT32_MAX) refuse("positions: too many points");
+  const int workers = check_threads(threads);
+  int64_t wanted = 0;
+  Buffer<float> vectors;
+  {
+    nb::gil_scoped_release unlocked;
+    auto place_of = make_buffer<int64_t>(count);
+    for (int64_t i = 0; i < count; ++i) place_of[i] = asked[i] ? wanted++ : -1;
+    vectors = make_buffer<float>(3 * wanted);
+    const UnitPoints points = place_points(point, count, low, spacing);
+    run_ranges(points.cells(), workers, [&](int64_t start, int64_t stop) {
+      PlaneFitter fitter(points, place_of.get(), spacing / UNITS, vectors.get());
+      for (int64_t cell = start; cell < stop; ++cell) fitter.fit_cell(cell);
+    });
+  }
+  return give(std::move(vectors), {static_cast<size_t>(wanted), 3});
+}
+
+}  // namespace
+
+void bind_planes(nb::module_& module) {
+  module.def("fit_planes", &fit_planes, "positions"_a, "asked"_a, "low"_a, "spacing"_a, "threads"_a = 1);
+}
+
+}  // namespace hpc

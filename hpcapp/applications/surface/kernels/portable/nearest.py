@@ -1,0 +1,69 @@
+"""The nearest neighbours of points, in whole numbers.
+
+Positions are rounded to units of 2^-19 spacings. Within the 12 spacings that are looked at, squared
+distances and sums of products are whole numbers below 2^53, which float64 holds: sums are the same
+in any order, and points equally far away are told as such.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from hpcapp.applications.surface.types.lattice import number_keys, pack_places
+from hpcapp.applications.surface.types.points import FloatArray, IntArray
+
+__all__ = ["UNITS", "Nearest", "cells_of_units", "round_positions"]
+
+UNITS = 1 << 19
+"""In a spacing."""
+
+_CELL = 5  # spacings
+
+
+def round_positions(positions: FloatArray, low: FloatArray, spacing: float) -> FloatArray:
+    """Return positions in units from the lowest corner, rounded.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+    low : ndarray of float64, shape (3,)
+    spacing : float
+        In length units of the input.
+    """
+    units: FloatArray = np.rint((positions - low) / (spacing / UNITS))
+    return units
+
+
+def cells_of_units(units: FloatArray) -> tuple[IntArray, IntArray]:
+    """Return the keys of the cells of 5 spacings that hold points, and the row of each's cell."""
+    return number_keys(pack_places(np.floor(units / (_CELL * UNITS)).astype(np.int64)))
+
+
+class Nearest:
+    """The neighbours of points, each itself among them, by distance.
+
+    Parameters
+    ----------
+    tree : cKDTree
+        Of all points, in units.
+    rows : ndarray of int64, shape (m,)
+        Of those whose neighbours are wanted.
+    most : int
+        How many at most.
+    reach : int
+        Spacings: farther points are no neighbours.
+    """
+
+    def __init__(self, tree: cKDTree, rows: IntArray, most: int, reach: int) -> None:
+        units = tree.data
+        bound = float(reach * UNITS)
+        far, near = tree.query(units[rows], most + 1, distance_upper_bound=bound)
+        self._far = far
+        self.rows: IntArray = np.where(np.isfinite(far), near, rows[:, None])[:, :-1]  # (m, most)
+        self.arms: FloatArray = units[self.rows] - units[rows, None]  # (m, most, 3)
+
+    def count(self, most: int) -> IntArray:
+        """Return how many neighbours of each are nearer than the first beyond the `most` nearest."""
+        nearer: IntArray = np.count_nonzero(self._far < self._far[:, most, None], axis=1)
+        return nearer

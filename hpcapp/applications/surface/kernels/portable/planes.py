@@ -1,0 +1,217 @@
+"""Planes through as many neighbours of each point as noise and curvature allow."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from hpcapp.applications.surface.kernels.portable.nearest import (
+    UNITS,
+    Nearest,
+    cells_of_units,
+    round_positions,
+)
+from hpcapp.applications.surface.types.points import ByteArray, Float32Array, FloatArray, IntArray
+
+__all__ = ["fit_planes"]
+
+_COUNTS = (8, 12, 17, 24, 34)
+_MORE_COUNTS = (34, 48, 68, 96)
+_NOISE_COUNT = 1  # which of them the noise is judged by
+_LEAST = 4.0  # neighbours that a plane is fitted to
+_REACH = 12  # spacings: farther points are no neighbours
+_BIAS = 0.2  # how much of the residual beyond the noise bends the normal
+_TINY = 1e-6  # spacings: of the residual at least, so that every result has a direction
+_ROWS_AT_ONCE = 1 << 13  # what is made of them stays small
+_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+_STEPS = 24  # of Newton's method: a double root takes a bit each
+
+
+def fit_planes(
+    positions: FloatArray, asked: ByteArray, low: FloatArray, spacing: float, threads: int = 1
+) -> Float32Array:
+    """Fit a plane to the neighbours of each point.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+    asked : ndarray of uint8, shape (n,)
+        Not 0 for the points whose planes are wanted.
+    low : ndarray of float64, shape (3,)
+        Where a corner of the lattice lies whose cells of 5 spacings share one noise.
+    spacing : float
+        Of the cloud, in length units of the input.
+
+    Returns
+    -------
+    ndarray of float32, shape (m, 3)
+        Normals of the points that were asked for, either way up. The length is the standard
+        deviation of the points around the plane, in length units of the input.
+
+    Notes
+    -----
+    Planes are fitted to the 8, 12, 17, 24 and 34 nearest points, the point itself among them; to
+    48, 68 and 96 where the largest of these is the best. One through k points within the radius r,
+    which s is the residual of, is expected to be wrong by
+
+        e^2 = (4 S^2 / k + 0.2 max(s^2 - S^2, 0)) / r^2
+
+    where S is the noise: the residual of the 12 nearest, that of the median point in a cell. The
+    first part is what noise does, the second what curvature, edges and other sheets do that a
+    larger neighbourhood takes in. The plane with the least e is taken.
+
+    The k nearest are those nearer than the first that is left out, so that nothing depends on the
+    order of points equally far away. Distances and sums are exact (see `nearest`).
+    """
+    del threads  # numpy runs on one
+    units = round_positions(positions, low, spacing)
+    _, cell_of = cells_of_units(units)
+    is_asked = asked != 0
+    wanted = np.zeros(int(cell_of.max(initial=-1)) + 1, np.bool_)
+    wanted[cell_of[is_asked]] = True
+    rows = np.flatnonzero(wanted[cell_of])
+    tree = cKDTree(units)
+    vectors = np.zeros((len(rows), 3))
+    residuals = np.zeros(len(rows))
+    planes = [_fit(tree, rows[some], _COUNTS) for some in _cut(len(rows))]
+    for some, fitted in zip(_cut(len(rows)), planes, strict=True):
+        residuals[some] = fitted.squares[:, _NOISE_COUNT]
+    noise = _find_noise(residuals, cell_of[rows])
+    is_last = np.zeros(len(rows), np.bool_)
+    for some, fitted in zip(_cut(len(rows)), planes, strict=True):
+        chosen = _choose(fitted, noise[some])
+        vectors[some] = fitted.take(chosen, spacing)
+        is_last[some] = chosen == len(_COUNTS) - 1
+    last = np.flatnonzero(is_last & is_asked[rows])
+    for some in _cut(len(last)):
+        fitted = _fit(tree, rows[last[some]], _MORE_COUNTS)
+        vectors[last[some]] = fitted.take(_choose(fitted, noise[last[some]]), spacing)
+    return vectors[is_asked[rows]].astype(np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Planes:
+    """Planes through several neighbourhoods of each point, in units.
+
+    Parameters
+    ----------
+    held : ndarray of float64, shape (n, k)
+        Points in each.
+    squares : ndarray of float64, shape (n, k)
+        Variance across the plane.
+    extent : ndarray of float64, shape (n, k)
+        Variance along the plane, of both directions together; zero where there is no plane.
+    spread : ndarray of float64, shape (6, n, k)
+        Covariances, in the order of `_PAIRS`.
+    """
+
+    held: FloatArray
+    squares: FloatArray
+    extent: FloatArray
+    spread: FloatArray
+
+    def take(self, chosen: IntArray, spacing: float) -> FloatArray:
+        """Return one normal of each point, as long as its residual in length units of the input."""
+        at = np.arange(len(chosen)), chosen
+        normals = _least_eigenvectors(self.spread[:, at[0], at[1]])
+        lengths = np.maximum(np.sqrt(self.squares[at]), _TINY * UNITS) * (spacing / UNITS)
+        return normals * lengths[:, None]
+
+
+def _fit(tree: cKDTree, rows: IntArray, counts: tuple[int, ...]) -> _Planes:
+    """Fit planes to so many neighbours of some points."""
+    nearest = Nearest(tree, rows, counts[-1], _REACH)
+    order = np.arange(counts[-1])
+    held = np.zeros((len(rows), len(counts)))
+    spread = np.zeros((len(_PAIRS), *held.shape))
+    for column, most in enumerate(counts):
+        number = nearest.count(most)
+        arms = nearest.arms * (order < number[:, None])[..., None]  # (n, most, 3)
+        held[:, column] = np.maximum(number, 1)
+        mean = arms.sum(axis=1) / held[:, column, None]
+        for row, (i, j) in enumerate(_PAIRS):
+            products = (arms[..., i] * arms[..., j]).sum(axis=1)
+            spread[row, :, column] = products / held[:, column] - mean[:, i] * mean[:, j]
+    least = _least_eigenvalues(spread)
+    extent = spread[0] + spread[1] + spread[2] - least
+    extent[held < _LEAST] = 0.0
+    return _Planes(held, least * (held / np.maximum(held - 3.0, 1.0)), extent, spread)
+
+
+def _least_eigenvalues(spread: FloatArray) -> FloatArray:
+    """Return the least eigenvalues of symmetric 3 x 3 matrices, none of them negative.
+
+    Newton's method finds the least root of the characteristic polynomial from below, where it is
+    falling and convex. It takes sums and products alone, whose bits are the same on any processor.
+    """
+    xx, yy, zz, xy, xz, yz = spread
+    trace = xx + yy + zz
+    minors = xx * yy - xy * xy + xx * zz - xz * xz + yy * zz - yz * yz
+    determinant = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+    root = np.zeros_like(trace)
+    for _ in range(_STEPS):
+        value = ((root - trace) * root + minors) * root - determinant  # negative: below all roots
+        slope = (3.0 * root - 2.0 * trace) * root + minors
+        falling = (value < 0.0) & (slope > 0.0)
+        if not falling.any():
+            break
+        root += np.where(falling, -value / np.where(falling, slope, 1.0), 0.0)
+    least: FloatArray = np.minimum(root, trace / 3.0)
+    return least
+
+
+def _least_eigenvectors(spread: FloatArray) -> FloatArray:
+    """Return unit vectors of the least eigenvalues, one a matrix.
+
+    The longest cross product of two rows of the matrix less the eigenvalue is taken.
+    """
+    xx, yy, zz, xy, xz, yz = spread
+    least = _least_eigenvalues(spread)
+    rows = (xx - least, xy, xz), (xy, yy - least, yz), (xz, yz, zz - least)
+    crosses = np.stack(
+        [_cross(rows[0], rows[1]), _cross(rows[0], rows[2]), _cross(rows[1], rows[2])]
+    )
+    x, y, z = crosses[:, 0], crosses[:, 1], crosses[:, 2]
+    lengths = x * x + y * y + z * z  # (3, n)
+    longest = np.argmax(lengths, axis=0)
+    at = np.arange(len(longest))
+    vectors, squares = crosses[longest, :, at], lengths[longest, at]
+    is_flat = squares > 0.0
+    vectors[~is_flat] = (0.0, 0.0, 1.0)
+    units: FloatArray = vectors / np.sqrt(np.where(is_flat, squares, 1.0))[:, None]
+    return units
+
+
+def _cross(a: tuple[FloatArray, ...], b: tuple[FloatArray, ...]) -> FloatArray:
+    return np.stack(
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    )
+
+
+def _choose(planes: _Planes, noise: FloatArray) -> IntArray:
+    """Return which plane of each point is expected to be the best."""
+    square = noise[:, None]
+    beyond = np.maximum(planes.squares - square, 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        error = (4.0 * square / planes.held + _BIAS * beyond) / planes.extent
+    best: IntArray = np.argmin(np.where(planes.extent > 0.0, error, np.inf), axis=1)
+    return best
+
+
+def _find_noise(squares: FloatArray, cell_of: IntArray) -> FloatArray:
+    """Return the median of the residuals' squares in the cell of each point."""
+    order = np.lexsort((squares, cell_of))
+    ends = np.cumsum(np.bincount(cell_of))
+    starts = np.append(0, ends[:-1])
+    middles = np.minimum((starts + ends) // 2, len(order) - 1)
+    of_cell: FloatArray = squares[order[middles]]
+    return of_cell[cell_of]
+
+
+def _cut(count: int) -> Iterator[slice]:
+    """Cut rows into groups that fit into memory."""
+    for start in range(0, count, _ROWS_AT_ONCE):
+        yield slice(start, start + _ROWS_AT_ONCE)
