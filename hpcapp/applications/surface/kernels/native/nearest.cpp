@@ -11,8 +11,8 @@ namespace hpc {
 namespace {
 
 constexpr int RINGS = 3;          // of cells around one, at most: 15 spacings
-constexpr int LANES = 8;
-constexpr double GUESSED = 1.4;   // of the last point's squared distance
+constexpr int LANES = 16;
+constexpr double GUESSED = 1.2;   // of the last point's squared distance
 constexpr size_t MANY = 3;        // times what is wanted: more points around are worth a cut
 constexpr double SMALLER = 0.8;   // how wide what lies around a part may be, of the whole
 constexpr int64_t OUTERMOST = BIAS - RINGS - 1;  // cells whose neighbours have keys
@@ -39,11 +39,11 @@ HPC_CLONES void measure(const double* x, const double* y, const double* z, size_
 }
 
 // Count how many values are lower than each; there is room for whole vectors.
-HPC_CLONES void rank(const double* values, int count, int64_t* ranks) {
+HPC_CLONES void rank(const float* values, int count, int32_t* ranks) {
   for (int start = 0; start < count; start += LANES) {
-    int64_t lower[LANES] = {};
+    int32_t lower[LANES] = {};
     for (int j = 0; j < count; ++j) {
-      const double value = values[j];
+      const float value = values[j];
       HPC_LANES
       for (int lane = 0; lane < LANES; ++lane) lower[lane] += value < values[start + lane];
     }
@@ -98,11 +98,11 @@ NearestSearch::NearestSearch(const UnitPoints& points, int most, int reach)
     : points_(points), most_(most), reach_(reach * UNITS), guess_(reach_ * reach_) {
   for (int rings = 1; rings <= RINGS; ++rings)
     fingers_.emplace_back((2 * rings + 1) * (2 * rings + 1), Finger(points.keys.data(), points.cells()));
-  const size_t room = static_cast<size_t>(most) + 1;
+  const size_t room = 2 * (static_cast<size_t>(most) + 1) + LANES;
   for (auto* column : {&x_, &y_, &z_}) column->resize(room);
-  at_.resize(room);
-  held_.resize(room);
-  ties_.resize(room);
+  for (auto* column : {&order_, &at_}) column->resize(room);
+  for (auto* column : {&ranks_, &held_, &ties_}) column->resize(room);
+  rounded_.resize(room);
 }
 
 void NearestSearch::search(int64_t cell, const std::vector<int>& wanted, const Take& take) {
@@ -267,26 +267,31 @@ void NearestSearch::put_in_order(const Around& all, const double (&point)[3], in
     take_nearest(all.count, found);
     found = most_ + 1;
   }
-  const size_t room = (static_cast<size_t>(found) + LANES - 1) / LANES * LANES;
-  if (ranks_.size() < room) ranks_.resize(room);
-  near_squares_.resize(room);
-  for (int i = 0; i < found; ++i) near_squares_[i] = squares_[near_[i]];
-  rank(near_squares_.data(), found, ranks_.data());
-  std::fill(ties_.begin(), ties_.end(), 0);
-  std::fill(held_.begin(), held_.end(), found);
+  // Rounded distances tell nearly all of them apart: the rest is sorted.
+  for (int i = 0; i < found; ++i) rounded_[i] = static_cast<float>(squares_[near_[i]]);
+  rank(rounded_.data(), found, ranks_.data());
+  std::fill_n(ties_.begin(), found, 0);
+  int tied = 0;
   for (int i = 0; i < found; ++i) {
-    if (ranks_[i] > most_) continue;
-    const int lower = static_cast<int>(ranks_[i]), slot = lower + ties_[lower]++;
-    if (slot > most_) continue;
-    held_[slot] = lower;
-    const uint32_t row = near_[i];
-    x_[slot] = all.x[row] - point[0];
-    y_[slot] = all.y[row] - point[1];
-    z_[slot] = all.z[row] - point[2];
-    at_[slot] = all.at[row];
-    if (slot == most_) guess_ = GUESSED * near_squares_[i] + 1.0;
+    const int tie = ties_[ranks_[i]]++;
+    tied |= tie;
+    order_[ranks_[i] + tie] = near_[i];
   }
-  if (found <= most_) guess_ = reach_ * reach_;
+  const double* squares = squares_.data();
+  if (tied)
+    std::sort(order_.begin(), order_.begin() + found,
+              [squares](uint32_t a, uint32_t b) { return squares[a] < squares[b]; });
+  for (int i = 0; i <= most_; ++i) held_[i] = std::min(i, found);
+  const int listed = std::min(found, most_ + 1);
+  for (int i = 0; i < listed; ++i) {
+    const uint32_t row = order_[i];
+    if (i && squares[row] == squares[order_[i - 1]]) held_[i] = held_[i - 1];
+    x_[i] = all.x[row] - point[0];
+    y_[i] = all.y[row] - point[1];
+    z_[i] = all.z[row] - point[2];
+    at_[i] = all.at[row];
+  }
+  guess_ = found > most_ ? GUESSED * squares[order_[most_]] + 1.0 : reach_ * reach_;
 }
 
 }  // namespace hpc

@@ -82,9 +82,9 @@ class NearestSearch {
   std::vector<std::vector<Finger>> fingers_;
   std::deque<Around> stack_;
   std::vector<double> squares_, near_squares_, x_, y_, z_;
-  std::vector<int64_t> ranks_;
-  std::vector<uint32_t> near_, at_;
-  std::vector<int> held_, ties_;
+  std::vector<float> rounded_;
+  std::vector<uint32_t> near_, order_, at_;
+  std::vector<int32_t> ranks_, ties_, held_;
 };
 
 }  // namespace hpc

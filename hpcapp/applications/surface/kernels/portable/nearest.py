@@ -64,6 +64,6 @@ class Nearest:
         self.arms: FloatArray = units[self.rows] - units[rows, None]  # (m, most, 3)
 
     def count(self, most: int) -> IntArray:
-        """Return how many neighbours of each are nearer than the first beyond the `most` nearest."""
+        """Return how many neighbours of each are nearer than the first beyond so many."""
         nearer: IntArray = np.count_nonzero(self._far < self._far[:, most, None], axis=1)
         return nearer
