@@ -17,6 +17,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from hpcapp.applications.surface.kernels import link_groups
 from hpcapp.applications.surface.types.lattice import (
     cells_of,
     find_first,
@@ -54,8 +55,9 @@ _TIED = 1.0 + 1e-6  # by how much farther points must lie: less may be rounding
 LINKED = 8
 """Neighbours that a point links its patch to, and one more that is itself."""
 _REACH = 4.0  # spacings: farther points are no neighbours
+_ROUNDED = 2.0**-16  # spacings: more than distances change when positions are rounded
 
-MARGIN = _REACH + CELL * 3.0**0.5
+MARGIN = _REACH + CELL * 3.0**0.5 + _ROUNDED
 """Spacings: as far as what decides over a patch and its links lies."""
 
 
@@ -190,7 +192,7 @@ def find_patches(
         Between them.
     """
     grouped = _group_points(positions, vectors, low, spacing)
-    links = _link_patches(positions, own, grouped.patch_of, spacing)
+    links = Links(*link_groups(positions, own.astype(np.uint8), grouped.patch_of, low, spacing))
     wanted = np.zeros(len(grouped.patches), np.bool_)
     for rows in (grouped.patch_of[own], links.first, links.second):
         wanted[rows] = True
@@ -306,29 +308,6 @@ def _group_points(
         noise,
     )
     return _Grouped(patches, patch_of, opposed)
-
-
-def _link_patches(
-    positions: FloatArray, own: BoolArray, patch_of: IntArray, spacing: float
-) -> Links:
-    """Find the patches that lie among the neighbours of a region's own points."""
-    from scipy.spatial import cKDTree  # takes its time, and every task imports this module
-
-    rows = np.flatnonzero(own)
-    tree, found = cKDTree(positions), [np.zeros(0, np.int64)]
-    patches = int(patch_of.max(initial=-1)) + 1
-    for start in range(0, len(rows), 1 << 15):
-        some = rows[start : start + (1 << 15)]
-        far, near = tree.query(positions[some], LINKED + 2, distance_upper_bound=_REACH * spacing)
-        is_near = _TIED * far[:, :-1] < far[:, -1:]
-        first = np.broadcast_to(patch_of[some, None], is_near.shape)[is_near]
-        second = patch_of[near[:, :-1][is_near]]
-        differ = first != second
-        first, second = first[differ], second[differ]
-        found.append(np.minimum(first, second) * patches + np.maximum(first, second))
-    names, link_of = number_keys(np.concatenate(found))
-    contacts = np.bincount(link_of, minlength=len(names))
-    return Links(names // max(patches, 1), names % max(patches, 1), contacts)
 
 
 def _find_names(sides: Sides, wanted: Patches) -> IntArray:

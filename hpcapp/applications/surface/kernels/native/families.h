@@ -38,5 +38,6 @@ void bind_seams(nb::module_& module);
 void bind_balance(nb::module_& module);
 void bind_features(nb::module_& module);
 void bind_planes(nb::module_& module);
+void bind_links(nb::module_& module);
 
 }  // namespace hpc

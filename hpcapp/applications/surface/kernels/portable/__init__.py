@@ -49,6 +49,9 @@ from hpcapp.applications.surface.kernels.portable.keys import (
     spread_keys,
     unite_keys,
 )
+from hpcapp.applications.surface.kernels.portable.links import (
+    link_groups,
+)
 from hpcapp.applications.surface.kernels.portable.marching_cubes import (
     balance_vertices,
     grow_surface,
@@ -84,9 +87,9 @@ __all__ = [
     "count_boxes", "count_cells", "count_packed", "evaluate_bricks", "evaluate_residuals",
     "find_keys", "find_seams", "fit_corners", "fit_features", "fit_planes", "gather_points",
     "grow_surface", "inherit_level", "integrate_normals", "keep_memory", "label_cells",
-    "label_components", "look_near", "mark_ancestors", "mark_near", "merge_cells", "pack_records",
-    "parent_keys", "place_packed", "poll_normals", "rate_points", "sample_boxes", "sample_corners",
-    "sample_grid", "seed_bricks", "seed_packed", "signed_volume", "sort_packed", "sort_points",
-    "spread_keys", "sum_bricks", "sum_neighbours", "survey_mesh", "unite_keys", "unpack_records",
-    "unpack_within",
+    "label_components", "link_groups", "look_near", "mark_ancestors", "mark_near", "merge_cells",
+    "pack_records", "parent_keys", "place_packed", "poll_normals", "rate_points", "sample_boxes",
+    "sample_corners", "sample_grid", "seed_bricks", "seed_packed", "signed_volume", "sort_packed",
+    "sort_points", "spread_keys", "sum_bricks", "sum_neighbours", "survey_mesh", "unite_keys",
+    "unpack_records", "unpack_within",
 ]  # fmt: skip

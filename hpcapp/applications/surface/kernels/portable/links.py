@@ -1,0 +1,67 @@
+"""Which groups of points lie side by side."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from hpcapp.applications.surface.kernels.portable.nearest import Nearest, round_positions
+from hpcapp.applications.surface.types.lattice import merge_counts
+from hpcapp.applications.surface.types.points import ByteArray, FloatArray, IntArray
+
+__all__ = ["link_groups"]
+
+_LINKED = 8  # neighbours that a point links its group to, and one more that is itself
+_REACH = 4  # spacings: farther points are no neighbours
+_ROWS_AT_ONCE = 1 << 15
+
+
+def link_groups(
+    positions: FloatArray,
+    own: ByteArray,
+    group_of: IntArray,
+    low: FloatArray,
+    spacing: float,
+    threads: int = 1,
+) -> tuple[IntArray, IntArray, IntArray]:
+    """Find the groups that lie among the neighbours of points.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+    own : ndarray of uint8, shape (n,)
+        Not 0 for the points whose neighbours count.
+    group_of : ndarray of int64, shape (n,)
+        The group of each point, 0 to n - 1.
+    low : ndarray of float64, shape (3,)
+        As for `fit_planes`.
+    spacing : float
+        Of the cloud, in length units of the input.
+
+    Returns
+    -------
+    first, second : ndarray of int64, shape (l,)
+        Groups that touch, the lower one first; sorted by both.
+    contacts : ndarray of int64, shape (l,)
+        In how many neighbours, of the 8 of each point within 4 spacings. These are nearer than the
+        first that is left out (see `fit_planes`).
+    """
+    del threads  # numpy runs on one
+    if len(group_of) and not (group_of.min() >= 0 and group_of.max() < len(group_of)):
+        raise ValueError("group_of: a row is out of range")
+    rows, most = np.flatnonzero(own), _LINKED + 1
+    tree = cKDTree(round_positions(positions, low, spacing))
+    found = [np.zeros(0, np.int64)]
+    for start in range(0, len(rows), _ROWS_AT_ONCE):
+        some = rows[start : start + _ROWS_AT_ONCE]
+        nearest = Nearest(tree, some, most, _REACH)
+        is_near = np.arange(most) < nearest.count(most)[:, None]
+        first = np.broadcast_to(group_of[some, None], is_near.shape)[is_near]
+        second = group_of[nearest.rows[is_near]]
+        differ = first != second
+        first, second = first[differ], second[differ]
+        found.append(np.minimum(first, second) * len(positions) + np.maximum(first, second))
+    names = np.concatenate(found)
+    names, contacts = merge_counts(names, np.ones(len(names), np.int64))
+    groups = max(len(positions), 1)
+    return names // groups, names % groups, contacts
