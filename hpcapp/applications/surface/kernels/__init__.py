@@ -19,6 +19,7 @@ from hpcapp.applications.surface.kernels.constants import (
     COLUMNS,
     FINE,
     QUANTA,
+    SHEETS,
     UNSURE,
     WRONG,
 )
@@ -30,5 +31,5 @@ else:
     from hpcapp.applications.surface.kernels._native import *  # noqa: F403
     from hpcapp.applications.surface.kernels._native import __all__ as _kernels
 
-__all__ = ["BASIS", "COLUMNS", "FINE", "QUANTA", "UNSURE", "WRONG"]
+__all__ = ["BASIS", "COLUMNS", "FINE", "QUANTA", "SHEETS", "UNSURE", "WRONG"]
 __all__ += _kernels

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["BASIS", "COLUMNS", "FINE", "MONOMIALS", "QUANTA", "UNSURE", "WRONG"]
+__all__ = ["BASIS", "COLUMNS", "FINE", "MONOMIALS", "QUANTA", "SHEETS", "UNSURE", "WRONG"]
 
 BASIS = 10
 """Coefficients of a quadric."""
@@ -15,6 +15,9 @@ COLUMNS = MONOMIALS + 9
 
 QUANTA = 1 << 23
 """Along a block of arranged points: their middles fit into the significand of float32."""
+
+SHEETS = 12
+"""Groups of a cell's points that lie on one sheet each, at most: what is left then is the last."""
 
 FINE, UNSURE, WRONG = 0, 1, 2
 """What `poll_normals` finds of a normal."""

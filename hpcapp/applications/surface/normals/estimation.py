@@ -15,7 +15,7 @@ from hpcapp.applications.surface.kernels import bound_points, fit_planes
 from hpcapp.applications.surface.types.lattice import cells_of, pack_places
 from hpcapp.applications.surface.types.points import BoolArray, Float32Array, FloatArray
 
-__all__ = ["MARGIN", "estimate_normals", "keep_directions"]
+__all__ = ["MARGIN", "estimate_normals", "keep_directions", "refuse_wide"]
 
 _REACH = 12.0  # spacings: farther points are no neighbours
 _CELL = 5.0  # spacings: the noise is that of the median point of a cell
@@ -56,9 +56,7 @@ def estimate_normals(
     -----
     See `kernels.portable.planes.fit_planes`.
     """
-    if len(positions):
-        corners = cells_of(np.stack(bound_points(positions)), low, _CELL * spacing)
-        pack_places(np.floor(corners).astype(np.int64) + 1)  # refuses what is too wide
+    refuse_wide(positions, low, _CELL * spacing)
     return fit_planes(positions, asked.astype(np.uint8), low, spacing)
 
 
@@ -80,3 +78,24 @@ def keep_directions(vectors: Float32Array, normals: FloatArray | Float32Array) -
     lengths = np.sqrt(np.einsum("ij,ij->i", wide, wide))
     kept: Float32Array = (normals * lengths[:, None]).astype(np.float32)
     return kept
+
+
+def refuse_wide(positions: FloatArray, low: FloatArray, cell_size: float) -> None:
+    """Refuse positions that do not lie on a lattice.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+    low : ndarray of float64, shape (3,)
+        Where corner (0, 0, 0) lies.
+    cell_size : float
+        In length units of the input.
+
+    Raises
+    ------
+    InputError
+        They span more cells than a lattice has.
+    """
+    if len(positions):
+        corners = np.floor(cells_of(np.stack(bound_points(positions)), low, cell_size))
+        pack_places(corners.astype(np.int64) + 4)  # the last ones have no cells around them

@@ -17,14 +17,13 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from hpcapp.applications.surface.kernels import link_groups
+from hpcapp.applications.surface.kernels import SHEETS, group_sheets, link_groups
+from hpcapp.applications.surface.normals.estimation import refuse_wide
 from hpcapp.applications.surface.types.lattice import (
-    cells_of,
     find_first,
     find_keys,
     merge_counts,
     number_keys,
-    pack_places,
     unique_keys,
 )
 from hpcapp.applications.surface.types.points import BoolArray, Float32Array, FloatArray, IntArray
@@ -46,12 +45,6 @@ __all__ = [
 CELL = 4.0
 """Spacings: the edge of the cells that patches are made in."""
 
-SHEETS = 12
-"""Patches of a cell at most: what is left then goes to the last."""
-_AGREE = 0.75  # |cosine| between the normals of a patch and of its seed
-_THICK = 0.35  # spacings between a seed's plane and a point on it
-_NOISES = 2.0  # or so many standard deviations of the point, where that is more
-_TIED = 1.0 + 1e-6  # by how much farther points must lie: less may be rounding
 LINKED = 8
 """Neighbours that a point links its patch to, and one more that is itself."""
 _REACH = 4.0  # spacings: farther points are no neighbours
@@ -279,29 +272,13 @@ def _group_points(
     positions: FloatArray, vectors: FloatArray | Float32Array, low: FloatArray, spacing: float
 ) -> _Grouped:
     """Group the points of whole cells; what comes of cells that are not is no patch."""
+    refuse_wide(positions, low, CELL * spacing)
+    single = vectors.astype(np.float32, copy=False)
+    keys, ranks, patch_of, sides = group_sheets(positions, single, low, CELL * spacing, spacing)
     noise, normals = _split(vectors)
-    places = np.floor(cells_of(positions, low, CELL * spacing)).astype(np.int64)
-    keys, cell_of = number_keys(pack_places(places))
-    thick = np.maximum(_THICK * spacing, _NOISES * noise)
-    ranks = np.zeros(len(positions), np.int64)
-    opposed = np.zeros(len(positions), np.bool_)
-    left = np.argsort(cell_of, kind="stable")
-    for rank in range(SHEETS):
-        seeds = _find_seeds(positions, left, cell_of)
-        arms = positions[left] - positions[seeds]
-        cosines = _dot(normals[left], normals[seeds])
-        is_on = np.abs(_dot(arms, normals[seeds])) <= thick[left]
-        is_on &= np.abs(_dot(arms, normals[left])) <= thick[left]
-        is_on &= np.abs(cosines) >= _AGREE
-        is_on |= (left == seeds) | (rank == SHEETS - 1)
-        ranks[left[is_on]] = rank
-        opposed[left[is_on]] = cosines[is_on] < 0.0
-        left = left[~is_on]
-        if not len(left):
-            break
-    names, patch_of = number_keys(cell_of * SHEETS + ranks)
+    opposed = sides.view(np.bool_)
     patches = _describe(
-        (keys[names // SHEETS], names % SHEETS),
+        (keys, ranks),
         patch_of,
         positions,
         np.where(opposed[:, None], -normals, normals),
@@ -322,24 +299,6 @@ def _split(vectors: FloatArray | Float32Array) -> tuple[FloatArray, FloatArray]:
     wide = vectors.astype(np.float64)
     lengths = np.sqrt(_dot(wide, wide))
     return lengths, wide / np.maximum(lengths, 1e-300)[:, None]
-
-
-def _find_seeds(positions: FloatArray, rows: IntArray, cell_of: IntArray) -> IntArray:
-    """Return for each row the point of its cell nearest to the middle of the rows there.
-
-    Of several as near, as both of two are, it is the first.
-    The rows of a cell stand side by side.
-    """
-    cells = cell_of[rows]
-    starts = np.flatnonzero(np.append(True, cells[1:] != cells[:-1]))
-    group_of = np.repeat(np.arange(len(starts)), np.diff(np.append(starts, len(rows))))
-    middles = _means(positions[rows], group_of, len(starts))
-    arms = positions[rows] - middles[group_of]
-    squares = _dot(arms, arms)
-    nearest = np.minimum.reduceat(squares, starts)
-    candidates = np.flatnonzero(squares <= _TIED * nearest[group_of])
-    _, first = find_first(group_of[candidates])
-    return rows[candidates[first]][group_of]
 
 
 def _describe(
@@ -369,5 +328,6 @@ def _means(values: FloatArray, group_of: IntArray, groups: int) -> FloatArray:
 
 
 def _dot(first: FloatArray, second: FloatArray) -> FloatArray:
-    dots: FloatArray = np.einsum("ij,ij->i", first, second)
+    products = first * second
+    dots: FloatArray = products[:, 0] + products[:, 1] + products[:, 2]
     return dots

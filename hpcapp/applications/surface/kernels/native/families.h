@@ -39,5 +39,6 @@ void bind_balance(nb::module_& module);
 void bind_features(nb::module_& module);
 void bind_planes(nb::module_& module);
 void bind_links(nb::module_& module);
+void bind_sheets(nb::module_& module);
 
 }  // namespace hpc

@@ -81,15 +81,18 @@ from hpcapp.applications.surface.kernels.portable.planes import (
 from hpcapp.applications.surface.kernels.portable.robust import (
     rate_points,
 )
+from hpcapp.applications.surface.kernels.portable.sheets import (
+    group_sheets,
+)
 
 __all__ = [
     "accumulate_moments", "balance_vertices", "bound_free_memory", "bound_points", "corner_moments",
     "count_boxes", "count_cells", "count_packed", "evaluate_bricks", "evaluate_residuals",
     "find_keys", "find_seams", "fit_corners", "fit_features", "fit_planes", "gather_points",
-    "grow_surface", "inherit_level", "integrate_normals", "keep_memory", "label_cells",
-    "label_components", "link_groups", "look_near", "mark_ancestors", "mark_near", "merge_cells",
-    "pack_records", "parent_keys", "place_packed", "poll_normals", "rate_points", "sample_boxes",
-    "sample_corners", "sample_grid", "seed_bricks", "seed_packed", "signed_volume", "sort_packed",
-    "sort_points", "spread_keys", "sum_bricks", "sum_neighbours", "survey_mesh", "unite_keys",
-    "unpack_records", "unpack_within",
+    "group_sheets", "grow_surface", "inherit_level", "integrate_normals", "keep_memory",
+    "label_cells", "label_components", "link_groups", "look_near", "mark_ancestors", "mark_near",
+    "merge_cells", "pack_records", "parent_keys", "place_packed", "poll_normals", "rate_points",
+    "sample_boxes", "sample_corners", "sample_grid", "seed_bricks", "seed_packed", "signed_volume",
+    "sort_packed", "sort_points", "spread_keys", "sum_bricks", "sum_neighbours", "survey_mesh",
+    "unite_keys", "unpack_records", "unpack_within",
 ]  # fmt: skip
