@@ -17,15 +17,47 @@ constexpr size_t MANY = 3;        // times what is wanted: more points around ar
 constexpr double SMALLER = 0.8;   // how wide what lies around a part may be, of the whole
 constexpr int64_t OUTERMOST = BIAS - RINGS - 1;  // cells whose neighbours have keys
 
-// Find the place of a point; return whether it is on the lattice.
-inline bool place_point(const double* point, const double* low, double unit, double (&units)[3], Place& place) {
-  for (int axis = 0; axis < 3; ++axis) {
-    units[axis] = std::rint((point[axis] - low[axis]) / unit);
-    const double cell = std::floor(units[axis] / static_cast<double>(CELL_UNITS));
-    if (!(std::abs(cell) < static_cast<double>(OUTERMOST))) return false;
-    place[axis] = static_cast<int64_t>(cell);
+// Points are placed in chunks of so many: their coordinates are one row of lanes, axes in turn.
+constexpr int CHUNK = 64;
+
+struct Chunk {
+  double cells[3 * CHUNK], within[3 * CHUNK];  // in cells, and in units from their corners
+};
+
+// Find the cells of some points; return whether all are on the lattice.
+HPC_CLONES bool place_chunk(const double* points, int width, const double* low, double unit, Chunk& placed) {
+  constexpr double EDGE = static_cast<double>(CELL_UNITS), LIMIT = static_cast<double>(OUTERMOST);
+  double corner[3 * CHUNK];
+  int64_t off[3 * CHUNK];
+  for (int i = 0; i < 3 * CHUNK; ++i) corner[i] = low[i % 3];
+  HPC_LANES
+  for (int i = 0; i < 3 * width; ++i) {
+    const double units = std::rint((points[i] - corner[i]) / unit), cell = std::floor(units / EDGE);
+    placed.cells[i] = cell;
+    placed.within[i] = units - cell * EDGE;
+    off[i] = !(cell > -LIMIT) | !(cell < LIMIT);
   }
-  return true;
+  int64_t any = 0;
+  for (int i = 0; i < 3 * width; ++i) any |= off[i];
+  return !any;
+}
+
+inline Place place_at(const Chunk& placed, int i) {
+  Place place;
+  for (int axis = 0; axis < 3; ++axis) place[axis] = static_cast<int64_t>(placed.cells[3 * i + axis]);
+  return place;
+}
+
+// Call body(chunk, start, width) for chunks of points that are placed.
+template <class Body>
+void visit_chunks(const double* points, int64_t count, const double* low, double unit, const Body& body) {
+  Chunk placed;
+  for (int64_t start = 0; start < count; start += CHUNK) {
+    const int width = static_cast<int>(std::min<int64_t>(CHUNK, count - start));
+    if (!place_chunk(points + 3 * start, width, low, unit, placed))
+      refuse("positions: a point lies off the lattice (not finite, or too many cells away)");
+    body(placed, start, width);
+  }
 }
 
 HPC_CLONES void measure(const double* x, const double* y, const double* z, size_t count, const double* point,
@@ -54,41 +86,36 @@ HPC_CLONES void rank(const float* values, int count, int32_t* ranks) {
 }  // namespace
 
 UnitPoints place_points(const double* points, int64_t count, const double* low, double spacing) {
-  const double unit = spacing / UNITS;
-  double units[3] = {};
-  Place place, least, most;
-  for (int64_t i = 0; i < count; ++i) {
-    if (!place_point(points + 3 * i, low, unit, units, place))
-      refuse("positions: a point lies off the lattice (not finite, or too many cells away)");
-    if (!i) least = most = place;
-    for (int axis = 0; axis < 3; ++axis) {
-      least[axis] = std::min(least[axis], place[axis]);
-      most[axis] = std::max(most[axis], place[axis]);
-    }
-  }
   UnitPoints placed;
   placed.rows = make_buffer<uint32_t>(count);
   placed.places = make_buffer<int32_t>(3 * count);
-  if (count) {
-    const Span span(least, most);
-    Ranking ranked(count, span.bits());
-    for (int64_t i = 0; i < count; ++i) {
-      place_point(points + 3 * i, low, unit, units, place);
-      ranked.add(i, span.squeeze(place));
+  placed.offsets.push_back(0);
+  if (!count) return placed;
+  auto units = make_buffer<int32_t>(3 * count);  // as `places`, in the order of the cloud
+  const double unit = spacing / UNITS;
+  Place least = {BIAS, BIAS, BIAS}, most = {-BIAS, -BIAS, -BIAS};
+  visit_chunks(points, count, low, unit, [&](const Chunk& chunk, int64_t start, int width) {
+    for (int i = 0; i < 3 * width; ++i) units[3 * start + i] = static_cast<int32_t>(chunk.within[i]);
+    for (int i = 0; i < 3 * width; ++i) {
+      const int64_t cell = static_cast<int64_t>(chunk.cells[i]);
+      least[i % 3] = std::min(least[i % 3], cell);
+      most[i % 3] = std::max(most[i % 3], cell);
     }
-    ranked.sort();
-    for (int64_t i = 0; i < count; ++i) {
-      fetch(points + 3 * static_cast<int64_t>(ranked.row(std::min(i + AHEAD, count - 1))));
-      const int64_t row = ranked.row(i);
-      place_point(points + 3 * row, low, unit, units, place);
-      placed.rows[i] = static_cast<uint32_t>(row);
-      for (int axis = 0; axis < 3; ++axis)
-        placed.places[3 * i + axis] =
-            static_cast<int32_t>(units[axis] - static_cast<double>(place[axis] * CELL_UNITS));
-      if (!ranked.begins(i)) continue;
-      placed.keys.push_back(pack(place));
-      placed.offsets.push_back(i);
-    }
+  });
+  const Span span(least, most);
+  Ranking ranked(count, span.bits());
+  visit_chunks(points, count, low, unit, [&](const Chunk& chunk, int64_t start, int width) {
+    for (int i = 0; i < width; ++i) ranked.add(start + i, span.squeeze(place_at(chunk, i)));
+  });
+  ranked.sort();
+  for (int64_t i = 0; i < count; ++i) {
+    fetch(units.get() + 3 * static_cast<int64_t>(ranked.row(std::min(i + AHEAD, count - 1))));
+    placed.rows[i] = ranked.row(i);
+    for (int axis = 0; axis < 3; ++axis)
+      placed.places[3 * i + axis] = units[3 * static_cast<int64_t>(placed.rows[i]) + axis];
+    if (!ranked.begins(i)) continue;
+    placed.keys.push_back(pack(span.restore(ranked.key(i))));
+    if (i) placed.offsets.push_back(i);
   }
   placed.offsets.push_back(count);
   return placed;
@@ -166,17 +193,20 @@ void NearestSearch::solve(size_t depth, const std::vector<int>& wanted, std::vec
     Around& part = around(depth + 1);
     if (is_found && cut(all.box, part.box)) {
       all.some.clear();
+      all.octants.clear();
+      for (const int one : wanted) {
+        const int32_t* place = points_.places.get() + 3 * (first_ + one);
+        int octant = 0;
+        for (int axis = 0; axis < 3; ++axis) octant |= (place[axis] >= all.box.low[axis] + part.box.edge) << axis;
+        all.octants.push_back(octant);
+      }
       for (int octant = 0; octant < 8; ++octant) {
         const double edge = part.box.edge;
         for (int axis = 0; axis < 3; ++axis)
           part.box.low[axis] = all.box.low[axis] + (octant >> axis & 1 ? edge : 0.0);
         part.wanted.clear();
-        for (size_t i = next; i < wanted.size(); ++i) {
-          const int32_t* place = points_.places.get() + 3 * (first_ + wanted[i]);
-          int lies_in = 0;
-          for (int axis = 0; axis < 3; ++axis) lies_in |= (place[axis] >= all.box.low[axis] + edge) << axis;
-          if (lies_in == octant) part.wanted.push_back(wanted[i]);
-        }
+        for (size_t i = next; i < wanted.size(); ++i)
+          if (all.octants[i] == octant) part.wanted.push_back(wanted[i]);
         if (part.wanted.empty()) continue;
         filter(all, part);
         solve(depth + 1, part.wanted, all.some, take);

@@ -59,7 +59,7 @@ class NearestSearch {
     std::vector<double> x, y, z;
     std::vector<uint32_t> at;
     size_t count = 0;
-    std::vector<int> wanted, some, unsolved;
+    std::vector<int> wanted, octants, some, unsolved;
 
     void make_room(size_t most);
   };

@@ -89,7 +89,8 @@ def fit_planes(
     for some in _cut(len(last)):
         fitted = _fit(tree, rows[last[some]], _MORE_COUNTS)
         vectors[last[some]] = fitted.take(_choose(fitted, noise[last[some]]), spacing)
-    return vectors[is_asked[rows]].astype(np.float32)
+    single: Float32Array = vectors[is_asked[rows]].astype(np.float32)
+    return single
 
 
 @dataclass(frozen=True, slots=True, eq=False)
