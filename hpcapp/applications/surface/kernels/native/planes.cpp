@@ -153,16 +153,22 @@ class PlaneFitter {
       any = any || place(i) >= 0;
     }
     if (!any) return;
-    if (planes_.size() < wanted_.size()) planes_.resize(wanted_.size());
-    search_.search(cell, wanted_, [&](int i, const Neighbours& near) { fit(near, COUNTS, planes_[i]); });
-    squares_.clear();
-    for (int i = 0; i < count; ++i) squares_.push_back(planes_[i].squares[NOISE_FIT]);
-    const auto middle = squares_.begin() + count / 2;
-    std::nth_element(squares_.begin(), middle, squares_.end());
-    const double noise = *middle;
+    if (planes_.size() < wanted_.size()) {
+      planes_.resize(wanted_.size());
+      more_planes_.resize(wanted_.size());
+    }
+    const bool has_more = expects_more_;
+    const auto fit_more = [&](int i, const Neighbours& near) { fit(near, MORE_COUNTS, more_planes_[i]); };
+    (has_more ? more_ : search_).search(cell, wanted_, [&](int i, const Neighbours& near) {
+      fit(near, COUNTS, planes_[i]);
+      if (has_more) fit_more(i, near);
+    });
+    const double noise = find_noise(count);
     wanted_.clear();
+    int asked = 0;
     for (int i = 0; i < count; ++i) {
       if (place(i) < 0) continue;
+      ++asked;
       const int best = choose(planes_[i], FITS, noise);
       if (best == FITS - 1) {
         wanted_.push_back(i);
@@ -170,10 +176,10 @@ class PlaneFitter {
         take(planes_[i], best, unit_, vectors_ + 3 * place(i));
       }
     }
-    more_.search(cell, wanted_, [&](int i, const Neighbours& near) {
-      fit(near, MORE_COUNTS, planes_[i]);
-      take(planes_[i], choose(planes_[i], MORE_FITS, noise), unit_, vectors_ + 3 * place(i));
-    });
+    if (!has_more) more_.search(cell, wanted_, fit_more);
+    for (const int i : wanted_)
+      take(more_planes_[i], choose(more_planes_[i], MORE_FITS, noise), unit_, vectors_ + 3 * place(i));
+    expects_more_ = 2 * static_cast<int>(wanted_.size()) > asked;
   }
 
  private:
@@ -181,9 +187,19 @@ class PlaneFitter {
   const int64_t* place_of_;
   const double unit_;
   float* vectors_;
+  // Return the median of the residuals' squares.
+  double find_noise(int count) {
+    squares_.clear();
+    for (int i = 0; i < count; ++i) squares_.push_back(planes_[i].squares[NOISE_FIT]);
+    const auto middle = squares_.begin() + count / 2;
+    std::nth_element(squares_.begin(), middle, squares_.end());
+    return *middle;
+  }
+
   NearestSearch search_, more_;
+  bool expects_more_ = false;  // most points of the last cell were given more: one search finds all
   std::vector<int> wanted_;
-  std::vector<Planes> planes_;
+  std::vector<Planes> planes_, more_planes_;
   std::vector<double> squares_;
 };
 
