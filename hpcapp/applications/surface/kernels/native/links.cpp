@@ -43,7 +43,8 @@ void link_cells(const UnitPoints& points, const uint8_t* own, const int64_t* gro
       if (own[rows[i]]) wanted.push_back(static_cast<int>(i));
     search.search(cell, wanted, [&](int i, const Neighbours& near) {
       const int64_t group = group_of[rows[i]];
-      for (int k = 0; k < near.held[MOST]; ++k) {
+      const int nearer = near.count(MOST);
+      for (int k = 0; k < nearer; ++k) {
         const int64_t other = group_of[points.rows[near.at[k]]];
         if (other != group) found.push_back({std::min(group, other) * count + std::max(group, other), 1});
       }

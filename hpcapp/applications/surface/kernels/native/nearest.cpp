@@ -126,9 +126,9 @@ NearestSearch::NearestSearch(const UnitPoints& points, int most, int reach)
   for (int rings = 1; rings <= RINGS; ++rings)
     fingers_.emplace_back((2 * rings + 1) * (2 * rings + 1), Finger(points.keys.data(), points.cells()));
   const size_t room = 2 * (static_cast<size_t>(most) + 1) + LANES;
-  for (auto* column : {&x_, &y_, &z_}) column->resize(room);
+  for (auto* column : {&x_, &y_, &z_, &ordered_}) column->resize(room);
   for (auto* column : {&order_, &at_}) column->resize(room);
-  for (auto* column : {&ranks_, &held_, &ties_}) column->resize(room);
+  for (auto* column : {&ranks_, &ties_}) column->resize(room);
   rounded_.resize(room);
 }
 
@@ -262,8 +262,8 @@ bool NearestSearch::find(const Around& all, int one, const Take& take) {
   int found = take_below(all.count, bound);
   if (found <= most_ && bound < known) found = take_below(all.count, known);
   if (found <= most_ && within < reach_) return false;
-  put_in_order(all, point, found);
-  take(one, Neighbours{x_.data(), y_.data(), z_.data(), at_.data(), held_.data()});
+  const int listed = put_in_order(all, point, found);
+  take(one, Neighbours{x_.data(), y_.data(), z_.data(), ordered_.data(), at_.data(), listed});
   return true;
 }
 
@@ -291,8 +291,8 @@ void NearestSearch::take_nearest(size_t count, int found) {
     if (squares_[i] == last) near_[kept++] = static_cast<uint32_t>(i);
 }
 
-// Bring the listed points into the order of their distances.
-void NearestSearch::put_in_order(const Around& all, const double (&point)[3], int found) {
+// Bring the listed points into the order of their distances; return how many are kept.
+int NearestSearch::put_in_order(const Around& all, const double (&point)[3], int found) {
   if (found > 2 * (most_ + 1)) {
     take_nearest(all.count, found);
     found = most_ + 1;
@@ -311,17 +311,17 @@ void NearestSearch::put_in_order(const Around& all, const double (&point)[3], in
   if (tied)
     std::sort(order_.begin(), order_.begin() + found,
               [squares](uint32_t a, uint32_t b) { return squares[a] < squares[b]; });
-  for (int i = 0; i <= most_; ++i) held_[i] = std::min(i, found);
   const int listed = std::min(found, most_ + 1);
   for (int i = 0; i < listed; ++i) {
     const uint32_t row = order_[i];
-    if (i && squares[row] == squares[order_[i - 1]]) held_[i] = held_[i - 1];
+    ordered_[i] = squares[row];
     x_[i] = all.x[row] - point[0];
     y_[i] = all.y[row] - point[1];
     z_[i] = all.z[row] - point[2];
     at_[i] = all.at[row];
   }
-  guess_ = found > most_ ? GUESSED * squares[order_[most_]] + 1.0 : reach_ * reach_;
+  guess_ = found > most_ ? GUESSED * ordered_[most_] + 1.0 : reach_ * reach_;
+  return listed;
 }
 
 }  // namespace hpc

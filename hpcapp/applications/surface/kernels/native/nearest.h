@@ -1,6 +1,7 @@
 // The nearest neighbours of points, in whole numbers (see nearest.py).
 #pragma once
 
+#include <cmath>
 #include <deque>
 #include <functional>
 #include <vector>
@@ -25,11 +26,22 @@ struct UnitPoints {
 
 UnitPoints place_points(const double* points, int64_t count, const double* low, double spacing);
 
+constexpr double ROUNDED = 4.0;  // units: by less than these, distances may differ by rounding alone
+
 // The neighbours of a point, nearest first, itself among them.
 struct Neighbours {
-  const double *x, *y, *z;  // seen from the point, in units
-  const uint32_t* at;       // which they are, in the order of `UnitPoints`
-  const int* held;          // held[k]: how many are nearer than the first beyond the k nearest
+  const double *x, *y, *z, *squares;  // seen from the point, in units; and of their distances
+  const uint32_t* at;                 // which they are, in the order of `UnitPoints`
+  int listed;
+
+  // Return how many are nearer than the first beyond the `most` nearest.
+  int count(int most) const {
+    if (listed <= most) return listed;
+    const double bound = std::sqrt(squares[most]) - ROUNDED;
+    int nearer = most;
+    while (nearer && !(std::sqrt(squares[nearer - 1]) < bound)) --nearer;
+    return nearer;
+  }
 };
 
 // Finds the neighbours of the points of one cell after the other; each thread has its own.
@@ -72,7 +84,7 @@ class NearestSearch {
   bool find(const Around& all, int one, const Take& take);
   int take_below(size_t count, double bound);
   void take_nearest(size_t count, int found);
-  void put_in_order(const Around& all, const double (&point)[3], int found);
+  int put_in_order(const Around& all, const double (&point)[3], int found);
 
   const UnitPoints& points_;
   const int most_;
@@ -81,10 +93,10 @@ class NearestSearch {
   double guess_;       // of the squared distance that a point's neighbours lie within
   std::vector<std::vector<Finger>> fingers_;
   std::deque<Around> stack_;
-  std::vector<double> squares_, near_squares_, x_, y_, z_;
+  std::vector<double> squares_, near_squares_, x_, y_, z_, ordered_;
   std::vector<float> rounded_;
   std::vector<uint32_t> near_, order_, at_;
-  std::vector<int32_t> ranks_, ties_, held_;
+  std::vector<int32_t> ranks_, ties_;
 };
 
 }  // namespace hpc

@@ -94,7 +94,7 @@ void fit(const Neighbours& near, const int (&counts)[FITS_OF], Planes& planes) {
   Sums sums{};
   std::fill_n(planes.held, LANES, 1.0);
   for (int i = 0; i < FITS_OF; ++i) {
-    ends[i] = near.held[counts[i]];
+    ends[i] = near.count(counts[i]);
     planes.held[i] = std::max(ends[i], 1);
   }
   add_up(near, ends, FITS_OF, sums);

@@ -1,8 +1,8 @@
 """The nearest neighbours of points, in whole numbers.
 
 Positions are rounded to units of 2^-19 spacings. Within the 12 spacings that are looked at, squared
-distances and sums of products are whole numbers below 2^53, which float64 holds: sums are the same
-in any order, and points equally far away are told as such.
+distances and sums of products are whole numbers below 2^53, which float64 holds: they are the same
+in any order and on any processor.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ UNITS = 1 << 19
 """In a spacing."""
 
 _CELL = 5  # spacings
+_ROUNDED = 4.0  # units: by less than these, distances may differ by rounding alone
 
 
 def round_positions(positions: FloatArray, low: FloatArray, spacing: float) -> FloatArray:
@@ -65,5 +66,5 @@ class Nearest:
 
     def count(self, most: int) -> IntArray:
         """Return how many neighbours of each are nearer than the first beyond so many."""
-        nearer: IntArray = np.count_nonzero(self._far < self._far[:, most, None], axis=1)
+        nearer: IntArray = np.count_nonzero(self._far < self._far[:, most, None] - _ROUNDED, axis=1)
         return nearer

@@ -63,8 +63,9 @@ def fit_planes(
     first part is what noise does, the second what curvature, edges and other sheets do that a
     larger neighbourhood takes in. The plane with the least e is taken.
 
-    The k nearest are those nearer than the first that is left out, so that nothing depends on the
-    order of points equally far away. Distances and sums are exact (see `nearest`).
+    The k nearest are those nearer than the first that is left out, by more than rounding, so that
+    nothing depends on the order of points equally far away. Distances and sums are those of rounded
+    positions, and exact (see `nearest`).
     """
     del threads  # numpy runs on one
     units = round_positions(positions, low, spacing)
