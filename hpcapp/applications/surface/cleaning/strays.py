@@ -1,0 +1,85 @@
+"""Strays near a surface: points that lie apart from neighbours which lie close together.
+
+::
+
+    all points ── few others nearby ──> candidates ── 24 nearest ──> strays
+                                            │              ▲
+                                            └─ of each of these, the 24 nearest
+
+The distance of the 24th nearest point tells how sparse it is around a point. Around a stray it is
+far sparser than around most of its neighbours, which lie on a surface. Where a scan is sparse
+throughout, at its border, on a wire or in a crown, the neighbours have it no better. Twenty-four,
+so that a clump of eight is outnumbered.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.scale.local_scale import LocalScale
+from hpcapp.applications.surface.types.lattice import lay_lattice, unique_keys, unpack_keys
+from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
+
+__all__ = ["MARGIN", "ROUNDS", "find_strays"]
+
+_COUNT = 24  # neighbours; on a surface the last of them lies 2.8 spacings away
+_CROWDED = 3.6  # local spacings: with so many so near, a point is none
+_SPARSER = 1.8  # times as sparse as around the median neighbour
+_LIMIT = 12.0  # spacings of the whole cloud: farther points are no neighbours
+
+MARGIN = 2.0 * _LIMIT
+"""Spacings of the whole cloud: as far as what decides over a point lies."""
+
+ROUNDS = 4
+"""At most: once the outer ones of flying pixels are gone, the next ones lie apart."""
+
+
+def find_strays(
+    positions: FloatArray, own: BoolArray, low: FloatArray, scale: LocalScale
+) -> BoolArray:
+    """Tell which points of a region are strays.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+        All points of the cloud in a region and within `MARGIN` spacings of it.
+    own : ndarray of bool, shape (n,)
+        Which of them lie in the region.
+    low : ndarray of float64, shape (3,)
+        The least coordinates of the cloud.
+    scale : LocalScale
+        Of the cloud.
+
+    Returns
+    -------
+    ndarray of bool, shape (m,)
+        Of its own points.
+    """
+    edge = _CROWDED * scale.spacing
+    corner = lay_lattice(low, edge)
+    cells = kernels.sort_points(positions, corner, edge)
+    # A dense place has its own spacing. A sparse one has not: strays are sparse.
+    centres = corner + edge * (unpack_keys(cells[0]) + 0.5)
+    radii = _CROWDED * np.minimum(scale.at(centres), scale.spacing)
+    is_candidate = kernels.find_sparse(positions, *cells, radii, _COUNT)
+    candidates = np.flatnonzero(is_candidate & own)
+    limit = _LIMIT * scale.spacing
+
+    def search(rows: IntArray) -> tuple[FloatArray, IntArray]:
+        """Return how far their last neighbours are, as squares, and the neighbours."""
+        squares, nearest = kernels.find_nearest(positions, *cells, edge, rows, _COUNT, limit)
+        return np.minimum(squares[:, -1], limit * limit), nearest
+
+    reach, nearest = search(candidates)
+    neighbours = unique_keys(nearest.ravel())
+    neighbours = neighbours[neighbours < len(positions)]
+    # (n + 1,): of each neighbour; infinite where a point has none
+    reaches = np.full(len(positions) + 1, np.inf)
+    reaches[neighbours] = search(neighbours)[0]
+    ordered = np.sort(reaches[nearest], axis=1)
+    held = np.count_nonzero(nearest < len(positions), axis=1)
+    median = ordered[np.arange(len(ordered)), held // 2]
+    strays = np.zeros(len(positions), np.bool_)
+    strays[candidates] = reach > _SPARSER**2 * median
+    return strays[own]
