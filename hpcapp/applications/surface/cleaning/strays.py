@@ -23,9 +23,9 @@ from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntA
 
 __all__ = ["MARGIN", "ROUNDS", "find_strays"]
 
-_COUNT = 24  # neighbours; on a surface the last of them lies 2.8 spacings away
+_COUNTS = (8, 24)  # neighbours; on a surface the last of them lie 1.6 and 2.8 spacings away
 _CROWDED = 3.6  # local spacings: with so many so near, a point is none
-_SPARSER = 1.8  # times as sparse as around the median neighbour
+_SPARSER = (2.2, 1.7)  # times as sparse as around the median neighbour
 _LIMIT = 12.0  # spacings of the whole cloud: farther points are no neighbours
 
 MARGIN = 2.0 * _LIMIT
@@ -62,24 +62,25 @@ def find_strays(
     # A dense place has its own spacing. A sparse one has not: strays are sparse.
     centres = corner + edge * (unpack_keys(cells[0]) + 0.5)
     radii = _CROWDED * np.minimum(scale.at(centres), scale.spacing)
-    is_candidate = kernels.find_sparse(positions, *cells, radii, _COUNT)
+    is_candidate = kernels.find_sparse(positions, *cells, radii, _COUNTS[-1])
     candidates = np.flatnonzero(is_candidate & own)
     limit = _LIMIT * scale.spacing
 
     def search(rows: IntArray) -> tuple[FloatArray, IntArray]:
-        """Return how far their last neighbours are, as squares, and the neighbours."""
-        squares, nearest = kernels.find_nearest(positions, *cells, edge, rows, _COUNT, limit)
-        return np.minimum(squares[:, -1], limit * limit), nearest
+        """Return the squares of how far the last neighbours of each count are, and who all are."""
+        squares, nearest = kernels.find_nearest(positions, *cells, edge, rows, _COUNTS[-1], limit)
+        return np.minimum(squares[:, np.array(_COUNTS) - 1], limit * limit), nearest
 
     reach, nearest = search(candidates)
     neighbours = unique_keys(nearest.ravel())
     neighbours = neighbours[neighbours < len(positions)]
-    # (n + 1,): of each neighbour; infinite where a point has none
-    reaches = np.full(len(positions) + 1, np.inf)
+    # (n + 1, k): of each neighbour; infinite where a point has none
+    reaches = np.full((len(positions) + 1, len(_COUNTS)), np.inf)
     reaches[neighbours] = search(neighbours)[0]
-    ordered = np.sort(reaches[nearest], axis=1)
-    held = np.count_nonzero(nearest < len(positions), axis=1)
-    median = ordered[np.arange(len(ordered)), held // 2]
     strays = np.zeros(len(positions), np.bool_)
-    strays[candidates] = reach > _SPARSER**2 * median
+    for column, (count, sparser) in enumerate(zip(_COUNTS, _SPARSER, strict=True)):
+        ordered = np.sort(reaches[nearest[:, :count], column], axis=1)
+        held = np.count_nonzero(nearest[:, :count] < len(positions), axis=1)
+        median = ordered[np.arange(len(ordered)), held // 2]
+        strays[candidates] |= reach[:, column] > sparser**2 * median
     return strays[own]
