@@ -26,6 +26,7 @@ __all__ = ["MARGIN", "ROUNDS", "find_strays"]
 _COUNTS = (8, 24)  # neighbours; on a surface the last of them lie 1.6 and 2.8 spacings away
 _CROWDED = 3.6  # local spacings: with so many so near, a point is none
 _SPARSER = (2.2, 1.7)  # times as sparse as around the median neighbour
+_FLAT = 0.01  # share of the variance: a sparse sheet beside a dense one is flat
 _LIMIT = 12.0  # spacings of the whole cloud: farther points are no neighbours
 
 MARGIN = 2.0 * _LIMIT
@@ -83,4 +84,19 @@ def find_strays(
         held = np.count_nonzero(nearest[:, :count] < len(positions), axis=1)
         median = ordered[np.arange(len(ordered)), held // 2]
         strays[candidates] |= reach[:, column] > sparser**2 * median
+    found = np.flatnonzero(strays[candidates])
+    strays[candidates[found]] = ~_lie_flat(positions, candidates[found], nearest[found])
     return strays[own]
+
+
+def _lie_flat(positions: FloatArray, rows: IntArray, nearest: IntArray) -> BoolArray:
+    """Tell which points lie on one plane, or line, with their next neighbours."""
+    near = np.column_stack([rows, nearest[:, : _COUNTS[0]]])
+    held = (near < len(positions)).astype(np.float64)
+    arms = positions[np.where(held > 0, near, rows[:, None])] - positions[rows, None]
+    number = held.sum(axis=1)
+    arms -= (arms.sum(axis=1) / number[:, None])[:, None]
+    arms *= held[..., None]
+    variances = np.linalg.eigvalsh(np.einsum("nki,nkj->nij", arms, arms))
+    is_flat: BoolArray = variances[:, 0] <= _FLAT * variances.sum(axis=1)
+    return is_flat & (number > 4)
