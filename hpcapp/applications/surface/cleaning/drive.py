@@ -2,9 +2,12 @@
 
 ::
 
-    drop_far ── drop_repeated ── rank, judge ── outliers dropped ─┐
-                 ┌────────────────────────────────────────────────┘
-                 └─ strays near the surface dropped ── (normals) ── normals mended
+    drop_far ── drop_repeated ── outliers dropped ── strays dropped ── (normals) ── normals mended
+                                        ▲                  │
+                                        └──── once more ───┘
+
+Outliers lie far from every surface (see `outliers`), strays near one (see `strays`). Where some are
+gone, fewer are left that could vouch for the others.
 """
 
 from __future__ import annotations
@@ -79,20 +82,20 @@ def drop_strays(cloud_pass: PassT, spacing: float) -> tuple[PassT, Cleaned, floa
     spacing : float
         Of these.
     """
+    scale, margin = measure_scale(cloud_pass, spacing), MARGIN * spacing
     outliers = strays = 0
-    if (cells := _find_outliers(cloud_pass, spacing)) is not None:
-        cloud_pass, counts = cloud_pass.rewrite(tasks.drop_cells, cells)
-        outliers = sum(count for (count,) in counts)
-        spacing = measure_spacing(cloud_pass)
-    scale = measure_scale(cloud_pass, spacing)
     for _ in range(ROUNDS):
+        far = 0
+        if (cells := _find_outliers(cloud_pass, spacing)) is not None:
+            cloud_pass, counts = cloud_pass.rewrite(tasks.drop_cells, cells)
+            far = sum(count for (count,) in counts)
         given = cloud_pass.cloud.low, scale
-        cloud_pass, counts = cloud_pass.rewrite(tasks.drop_strays, *given, margin=MARGIN * spacing)
-        dropped = sum(count for (count,) in counts)
-        strays += dropped
-        if not dropped:
+        cloud_pass, counts = cloud_pass.rewrite(tasks.drop_strays, *given, margin=margin)
+        near = sum(count for (count,) in counts)
+        outliers, strays = outliers + far, strays + near
+        if not far + near:
             break
-    if strays:
+    if outliers + strays:
         spacing = measure_spacing(cloud_pass)
     return cloud_pass, Cleaned(outliers, strays), spacing
 

@@ -2,14 +2,14 @@
 
 ::
 
-    all points ── few others nearby ──> candidates ── 24 nearest ──> strays
-                                            │              ▲
-                                            └─ of each of these, the 24 nearest
+    all points ── few others nearby ──> candidates ── nearest points ──> strays
+                                             │               ▲
+                                             └── of each of these, the nearest
 
-The distance of the 24th nearest point tells how sparse it is around a point. Around a stray it is
-far sparser than around most of its neighbours, which lie on a surface. Where a scan is sparse
-throughout, at its border, on a wire or in a crown, the neighbours have it no better. Twenty-four,
-so that a clump of eight is outnumbered.
+How far the 8th and the 24th nearest point is tells how sparse it is around a point. Around a stray
+it is far sparser than around most of its neighbours, which lie on a surface. Where a scan is sparse
+throughout, at its border, on a wire or in a crown, the neighbours have it no better. Twenty-four
+outnumber a clump of eight. A sparse sheet beside a dense one stays: it is flat.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ _LIMIT = 12.0  # spacings of the whole cloud: farther points are no neighbours
 MARGIN = 2.0 * _LIMIT
 """Spacings of the whole cloud: as far as what decides over a point lies."""
 
-ROUNDS = 4
-"""At most: once the outer ones of flying pixels are gone, the next ones lie apart."""
+ROUNDS = 2
+"""At most: once some flying pixels are gone, the others lie apart."""
 
 
 def find_strays(
