@@ -26,7 +26,8 @@ __all__ = ["MARGIN", "ROUNDS", "find_strays"]
 _COUNTS = (8, 24)  # neighbours; on a surface the last of them lie 1.6 and 2.8 spacings away
 _CROWDED = 3.6  # local spacings: with so many so near, a point is none
 _SPARSER = (2.2, 1.7)  # times as sparse as around the median neighbour
-_FLAT = 0.01  # share of the variance: a sparse sheet beside a dense one is flat
+_FLAT_COUNT = 6  # neighbours: fewer than a clump of eight has of its own
+_FLAT = 0.01  # share of the variance: a sparse sheet beside a dense one is flat, a wire, too
 _LIMIT = 12.0  # spacings of the whole cloud: farther points are no neighbours
 
 MARGIN = 2.0 * _LIMIT
@@ -86,12 +87,13 @@ def find_strays(
         strays[candidates] |= reach[:, column] > sparser**2 * median
     found = np.flatnonzero(strays[candidates])
     strays[candidates[found]] = ~_lie_flat(positions, candidates[found], nearest[found])
-    return strays[own]
+    of_own: BoolArray = strays[own]
+    return of_own
 
 
 def _lie_flat(positions: FloatArray, rows: IntArray, nearest: IntArray) -> BoolArray:
     """Tell which points lie on one plane, or line, with their next neighbours."""
-    near = np.column_stack([rows, nearest[:, : _COUNTS[0]]])
+    near = np.column_stack([rows, nearest[:, :_FLAT_COUNT]])
     held = (near < len(positions)).astype(np.float64)
     arms = positions[np.where(held > 0, near, rows[:, None])] - positions[rows, None]
     number = held.sum(axis=1)
