@@ -27,6 +27,7 @@ _COUNTS = (8, 24)  # neighbours; on a surface the last of them lie 1.6 and 2.8 s
 _CROWDED = 3.6  # local spacings: with so many so near, a point is none
 _SPARSER = (2.2, 1.7)  # times as sparse as around the median neighbour
 _FLAT_COUNT = 6  # neighbours: fewer than a clump of eight has of its own
+_FEWEST = 4  # points may lie on a plane by chance
 _FLAT = 0.01  # share of the variance: a sparse sheet beside a dense one is flat, a wire, too
 _LIMIT = 12.0  # spacings of the whole cloud: farther points are no neighbours
 
@@ -101,4 +102,5 @@ def _lie_flat(positions: FloatArray, rows: IntArray, nearest: IntArray) -> BoolA
     arms *= held[..., None]
     variances = np.linalg.eigvalsh(np.einsum("nki,nkj->nij", arms, arms))
     is_flat: BoolArray = variances[:, 0] <= _FLAT * variances.sum(axis=1)
-    return is_flat & (number > 4)
+    is_flat &= number > _FEWEST
+    return is_flat

@@ -70,7 +70,7 @@ def test_a_wire_over_the_ground_stays(random: Random) -> None:
     wire = np.column_stack([along, np.full_like(along, 50.0), np.full_like(along, 8.0)])
     dropped = find_dropped(np.concatenate([plane(random, 10_000), wire]))
     assert dropped[-len(wire) :].mean() < 0.1
-    assert not dropped[: -len(wire)].any()
+    assert dropped[: -len(wire)].mean() < 0.001
 
 
 def test_a_sparse_sheet_close_to_a_dense_one_stays(random: Random) -> None:
