@@ -33,6 +33,9 @@ __all__ = [
 ]
 
 
+_MANY = 0.001  # of the points are strays: only then they have vouched for others
+
+
 @dataclass(frozen=True, slots=True)
 class Cleaned:
     """What was found wrong with a cloud.
@@ -93,7 +96,7 @@ def drop_strays(cloud_pass: PassT, spacing: float) -> tuple[PassT, Cleaned, floa
         cloud_pass, counts = cloud_pass.rewrite(tasks.drop_strays, *given, margin=margin)
         near = sum(count for (count,) in counts)
         outliers, strays = outliers + far, strays + near
-        if not far + near:
+        if near <= _MANY * len(cloud_pass.cloud):
             break
     if outliers + strays:
         spacing = measure_spacing(cloud_pass)
