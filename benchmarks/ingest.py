@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from hpcapp.applications.surface.cleaning.drive import drop_strays, mend_normals
-from hpcapp.applications.surface.cloud.cloud_pass import FolderPass, make_cloud_folder
+from hpcapp.applications.surface.cloud.folder_pass import FolderPass, make_cloud_folder
 from hpcapp.applications.surface.cloud.measure import measure_cloud, measure_spacing
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.hierarchical.estimates import choose_scale

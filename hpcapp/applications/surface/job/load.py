@@ -22,13 +22,9 @@ from hpcapp.applications.surface.cleaning.drive import (
     mend_normals,
 )
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, MemoryCloud, arrange_cloud
-from hpcapp.applications.surface.cloud.cloud_pass import (
-    CloudPass,
-    FolderPass,
-    MemoryPass,
-    make_cloud_folder,
-)
+from hpcapp.applications.surface.cloud.cloud_pass import CloudPass, MemoryPass
 from hpcapp.applications.surface.cloud.disk import open_disk_cloud
+from hpcapp.applications.surface.cloud.folder_pass import FolderPass, make_cloud_folder
 from hpcapp.applications.surface.cloud.measure import measure_cloud, measure_spacing
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.job.columns import Columns, FileColumns, MemoryColumns
