@@ -16,8 +16,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-from hpcapp.applications.surface.cleaning.drive import clean_cloud
-from hpcapp.applications.surface.cloud.cloud_pass import FolderPass, make_cloud_folder
+from hpcapp.applications.surface.cleaning.drive import drop_strays, mend_normals
+from hpcapp.applications.surface.cloud.folder_pass import FolderPass, make_cloud_folder
 from hpcapp.applications.surface.cloud.measure import measure_cloud, measure_spacing
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.hierarchical.estimates import choose_scale
@@ -83,7 +83,8 @@ def run(path: Path, folder: Path, backend_name: str, workers: int | None) -> Non
         ingested = take("ingest", lambda: ingest_file(source, arranged, those))
         read = FolderPass(ingested.cloud, folder, those)
         spacing = take("spacing", lambda: measure_spacing(read))
-        kept, cleaned, spacing = take("clean", lambda: clean_cloud(read, spacing))
+        kept, cleaned, spacing = take("clean", lambda: drop_strays(read, spacing))
+        kept, _ = take("mend", lambda: mend_normals(kept, spacing))
         cloud = take("sample", lambda: measure_cloud(kept, spacing)).cloud
         scale = take("noise", lambda: choose_scale(cloud.measure(), 0.0, 1.0, 1.0))
         coarse = 16.0 * scale.cell_size

@@ -8,7 +8,8 @@ import numpy as np
 from disk_clouds import DiskCloudWriter
 
 from hpcapp.applications.surface.cloud.arranged import MemoryCloud, arrange_cloud
-from hpcapp.applications.surface.cloud.cloud_pass import FolderPass, MemoryPass, make_cloud_folder
+from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
+from hpcapp.applications.surface.cloud.folder_pass import FolderPass, make_cloud_folder
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.backends.serial import SerialExecutor

@@ -101,7 +101,12 @@ def _readable(value: object) -> str:
     metavar="POINTS",
     help="Point cloud to write: .ply, .las, .laz, .e57, .xyz, .npz and others.",
 )
-def convert(points: tuple[str, ...], sample: int | None, output: str) -> None:
+@click.option(
+    "--rejected",
+    metavar="FILE",
+    help="Write the outliers and strays that a job drops into a point cloud of their own, too.",
+)
+def convert(points: tuple[str, ...], sample: int | None, output: str, rejected: str | None) -> None:
     """Convert the point clouds POINTS into one file of another format.
 
     What the output cannot hold is left out, with a warning.
@@ -122,6 +127,19 @@ def convert(points: tuple[str, ...], sample: int | None, output: str) -> None:
         for warning in source.findings.lines():
             log.warning("warning: %s: %s", files[0] if files else "standard input", warning)
         log.info("%s: %d points", output, written)
+        if rejected is not None:
+            with open_output(rejected, files, "points") as target:
+                _write_rejected(target, source, rejected)
+
+
+def _write_rejected(target: Path, source: PointSource, shown: str) -> None:
+    """Write the points of a source that a job drops."""
+    from hpcapp.applications.points.rejected import take_rejected
+    from hpcapp.io import read_whole, write_points
+
+    cloud, cleaned = take_rejected(read_whole(source), shown)
+    write_points(target, cloud, source.crs, source.unit, source.scans)
+    log.info("%s: %d outliers and %d strays", shown, cleaned.outliers, cleaned.strays)
 
 
 def _write_whole(target: Path, source: PointSource) -> int:

@@ -4,6 +4,7 @@
 
     region ── drop_repeated ──> without repeated points
     region ── rank_region ──> master ── judge_region ──> stray cells ── drop_cells ──> without them
+    region ── drop_strays ──> without points that lie apart from their neighbours
     region ── mend_region ──> inconsistent normals flipped
 """
 
@@ -20,13 +21,22 @@ from hpcapp.applications.surface.cleaning.patterns import (
     without_points,
 )
 from hpcapp.applications.surface.cleaning.repeated import find_repeated
+from hpcapp.applications.surface.cleaning.strays import find_strays
 from hpcapp.applications.surface.cloud.patterns import region_bytes
 from hpcapp.applications.surface.cloud.regions import RegionPoints, Replaced
 from hpcapp.applications.surface.normals.consistency import find_turned
+from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpccomponent.runtime.tasks import declare
 
-__all__ = ["drop_cells", "drop_repeated", "judge_region", "mend_region", "rank_region"]
+__all__ = [
+    "drop_cells",
+    "drop_repeated",
+    "drop_strays",
+    "judge_region",
+    "mend_region",
+    "rank_region",
+]
 
 
 @declare(result=without_points, limit=region_bytes(16))
@@ -72,6 +82,24 @@ def drop_cells(points: RegionPoints, cells: DroppedCells) -> tuple[Replaced | No
     """Drop the points in some cells (a task); return how many, too."""
     region = points.take()
     dropped = ~cells.find_kept(region.positions)
+    return region.drop(dropped), int(np.count_nonzero(dropped))
+
+
+@declare(result=without_points, limit=region_bytes(16))
+def drop_strays(
+    points: RegionPoints, low: FloatArray, scale: LocalScale
+) -> tuple[Replaced | None, int]:
+    """Drop the strays of a region (a task); return how many, too.
+
+    Parameters
+    ----------
+    points : RegionPoints
+        With a margin of `strays.MARGIN` spacings.
+    low, scale
+        As for `find_strays`.
+    """
+    region = points.take()
+    dropped = find_strays(region.positions, region.own, low, scale)
     return region.drop(dropped), int(np.count_nonzero(dropped))
 
 

@@ -15,15 +15,16 @@ import numpy as np
 from hpcapp.applications.surface.attributes.choice import CONFIDENCE
 from hpcapp.applications.surface.attributes.labels import find_labels
 from hpcapp.applications.surface.checkpoint import POINTS_NOTE
-from hpcapp.applications.surface.cleaning.drive import Cleaned, clean_cloud, drop_repeated
-from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, MemoryCloud, arrange_cloud
-from hpcapp.applications.surface.cloud.cloud_pass import (
-    CloudPass,
-    FolderPass,
-    MemoryPass,
-    make_cloud_folder,
+from hpcapp.applications.surface.cleaning.drive import (
+    Cleaned,
+    drop_repeated,
+    drop_strays,
+    mend_normals,
 )
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, MemoryCloud, arrange_cloud
+from hpcapp.applications.surface.cloud.cloud_pass import CloudPass, MemoryPass
 from hpcapp.applications.surface.cloud.disk import open_disk_cloud
+from hpcapp.applications.surface.cloud.folder_pass import FolderPass, make_cloud_folder
 from hpcapp.applications.surface.cloud.measure import (
     check_surface,
     measure_cloud,
@@ -143,6 +144,7 @@ class Loaded:
             (dropped.bad_normals, "dropped %d points whose normal is zero, NaN or Inf"),
             (cleaned.repeated, "dropped %d points at the place of another"),
             (cleaned.outliers, "dropped %d outliers"),
+            (cleaned.strays, "dropped %d stray points near the surface"),
             (cleaned.flipped, "flipped %d inconsistent normals"),
         ):
             if count:
@@ -217,7 +219,7 @@ def arrange_points(
             near = drop_far(points) if method.cleans else points
             cloud = arrange_cloud(near)
         cloud_pass, repeated = drop_repeated(MemoryPass(cloud))
-    cleaned = Cleaned(len(points) - len(near), 0, repeated)
+    cleaned = Cleaned(len(points) - len(near), repeated=repeated)
     columns = MemoryColumns(points.view(slice(0)), labels)
     return Read(cloud_pass, Dropped(0, 0), cleaned, columns, points.normals is not None)
 
@@ -237,7 +239,7 @@ def _read_into_folder(
     return Read(
         cloud_pass,
         ingested.dropped,
-        Cleaned(ingested.far, 0, repeated),
+        Cleaned(ingested.far, repeated=repeated),
         FileColumns.of(settings, source),
         source.has_normals,
         source.oriented,
@@ -264,7 +266,7 @@ def _find_sensor(settings: JobSettings, source: PointSource) -> Sensor:
 
 
 def prepare(settings: Settings, read: Read, clock: StageClock) -> Loaded:
-    """Give points that were read their normals, and clean them.
+    """Clean points that were read, and give them their normals.
 
     Parameters
     ----------
@@ -286,9 +288,14 @@ def prepare(settings: Settings, read: Read, clock: StageClock) -> Loaded:
     cloud_pass, method = read.cloud_pass, settings.method
     is_asked = settings.attributes.has_confidence
     keeps = is_asked and CONFIDENCE not in read.columns.layout.attributes
-    spacing = measure_spacing(cloud_pass)
+    spacing, cleaned = measure_spacing(cloud_pass), read.cleaned
     if not read.has_normals and (problem := check_surface(cloud_pass, spacing)) is not None:
         raise problem
+    if method.cleans:
+        with clock.stage("clean"):
+            cloud_pass, found, spacing = drop_strays(cloud_pass, spacing)
+        outliers = cleaned.outliers + found.outliers
+        cleaned = replace(cleaned, outliers=outliers, strays=found.strays)
     cloud_pass, oriented = orient_cloud(
         cloud_pass,
         spacing,
@@ -299,11 +306,10 @@ def prepare(settings: Settings, read: Read, clock: StageClock) -> Loaded:
         is_oriented=read.is_oriented,
         attribute=CONFIDENCE if keeps else None,
     )
-    cleaned = read.cleaned
     if method.cleans:
         with clock.stage("clean"):
-            cloud_pass, found, spacing = clean_cloud(cloud_pass, spacing)
-        cleaned = Cleaned(cleaned.outliers + found.outliers, found.flipped, cleaned.repeated)
+            cloud_pass, flipped = mend_normals(cloud_pass, spacing)
+        cleaned = replace(cleaned, flipped=flipped)
     if not method.needs_whole_cloud:
         cloud_pass = measure_cloud(cloud_pass, spacing)
     cloud = cloud_pass.cloud

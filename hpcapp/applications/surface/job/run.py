@@ -180,6 +180,7 @@ def _write(
         "bad_normals": loaded.dropped.bad_normals,
         "duplicates": loaded.cleaned.repeated,
         "outliers": loaded.cleaned.outliers,
+        "strays": loaded.cleaned.strays,
     }
     report["turned_normals"] = loaded.cleaned.flipped
     report["normals"] = loaded.oriented.to_json()

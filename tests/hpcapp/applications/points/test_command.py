@@ -81,3 +81,23 @@ def test_the_input_is_not_overwritten(scan: Path) -> None:
     with pytest.raises(OutputError, match="is the input itself"):
         run(scan, "-o", scan)
     assert scan.read_bytes() == before
+
+
+def test_what_a_job_drops_can_be_written_by_itself(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    random = np.random.default_rng(1)
+    flat = np.column_stack([random.uniform(0.0, 60.0, (3_600, 2)), np.zeros(3_600)])
+    above = np.column_stack([random.uniform(10.0, 50.0, (20, 2)), np.full(20, 6.0)])
+    colours = np.zeros((3_620, 3), np.uint8)
+    colours[3_600:] = 255
+    cloud = PointCloud(np.concatenate([flat, above]), None, colours)
+    write_points(tmp_path / "scan.ply", cloud)
+    caplog.set_level(logging.INFO)
+    run(tmp_path / "scan.ply", "-o", tmp_path / "a.ply", "--rejected", tmp_path / "r.ply")
+    rejected = read_points(tmp_path / "r.ply")
+    assert 15 <= len(rejected) <= 20
+    assert rejected.colours is not None
+    assert (rejected.colours == 255).all()
+    assert len(read_points(tmp_path / "a.ply")) == len(cloud)
+    assert "strays" in caplog.text

@@ -25,6 +25,7 @@ void bind_points(nb::module_& module);
 void bind_packing(nb::module_& module);
 void bind_lattice(nb::module_& module);
 void bind_outliers(nb::module_& module);
+void bind_neighbours(nb::module_& module);
 void bind_moments(nb::module_& module);
 void bind_hermite(nb::module_& module);
 void bind_inheritance(nb::module_& module);

@@ -13,6 +13,7 @@ NB_MODULE(_native, module) {
   hpc::bind_packing(module);
   hpc::bind_lattice(module);
   hpc::bind_outliers(module);
+  hpc::bind_neighbours(module);
   hpc::bind_moments(module);
   hpc::bind_hermite(module);
   hpc::bind_inheritance(module);

@@ -63,6 +63,10 @@ from hpcapp.applications.surface.kernels.portable.memory import (
 from hpcapp.applications.surface.kernels.portable.moments import (
     accumulate_moments,
 )
+from hpcapp.applications.surface.kernels.portable.neighbours import (
+    find_nearest,
+    find_sparse,
+)
 from hpcapp.applications.surface.kernels.portable.normals import (
     poll_normals,
 )
@@ -88,11 +92,12 @@ from hpcapp.applications.surface.kernels.portable.sheets import (
 __all__ = [
     "accumulate_moments", "balance_vertices", "bound_free_memory", "bound_points", "corner_moments",
     "count_boxes", "count_cells", "count_packed", "evaluate_bricks", "evaluate_residuals",
-    "find_keys", "find_seams", "fit_corners", "fit_features", "fit_planes", "gather_points",
-    "group_sheets", "grow_surface", "inherit_level", "integrate_normals", "keep_memory",
-    "label_cells", "label_components", "link_groups", "look_near", "mark_ancestors", "mark_near",
-    "merge_cells", "pack_records", "parent_keys", "place_packed", "poll_normals", "rate_points",
-    "sample_boxes", "sample_corners", "sample_grid", "seed_bricks", "seed_packed", "signed_volume",
-    "sort_packed", "sort_points", "spread_keys", "sum_bricks", "sum_neighbours", "survey_mesh",
+    "find_keys", "find_nearest", "find_seams", "find_sparse", "fit_corners", "fit_features",
+    "fit_planes", "gather_points", "group_sheets", "grow_surface", "inherit_level",
+    "integrate_normals", "keep_memory", "label_cells", "label_components", "link_groups",
+    "look_near", "mark_ancestors", "mark_near", "merge_cells", "pack_records", "parent_keys",
+    "place_packed", "poll_normals", "rate_points", "sample_boxes", "sample_corners", "sample_grid",
+    "seed_bricks", "seed_packed", "signed_volume", "sort_packed", "sort_points", "spread_keys",
+    "sum_bricks", "sum_neighbours", "survey_mesh",
     "unite_keys", "unpack_records", "unpack_within",
 ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""The native kernels of outliers and normals: numpy's results, the same bits, no crash."""
+"""The native kernels of outliers, strays and normals: numpy's results, the same bits, no crash."""
 
 from __future__ import annotations
 
@@ -29,6 +29,27 @@ def test_cells_and_their_neighbours(native: ModuleType, seed: int, count: int, e
         native.sum_neighbours(keys, values, wanted),
         portable.sum_neighbours(keys, values, wanted),
     )
+
+
+@given(st.integers(0, 2**32), st.integers(1, 400), st.booleans())
+@settings(deadline=None, max_examples=40)
+def test_neighbours(native: ModuleType, seed: int, points: int, is_gridded: bool) -> None:
+    random = np.random.default_rng(seed)
+    positions = random.normal(size=(points, 3)) * (1.0, 1.0, 0.1)
+    if is_gridded:  # many are equally far away
+        positions = np.round(4.0 * positions) / 4.0
+    edge = random.uniform(0.1, 1.5)
+    cells = portable.sort_points(positions, positions.min(axis=0) - 0.01, edge)
+    radii = edge * random.uniform(0.1, 1.0, len(cells[0]))
+    sparse = native.find_sparse(positions, *cells, radii, 5, 1)
+    np.testing.assert_array_equal(sparse, portable.find_sparse(positions, *cells, radii, 5))
+    assert native.find_sparse(positions, *cells, radii, 5, 3).tobytes() == sparse.tobytes()
+    asked = random.integers(0, points, random.integers(0, 40))
+    count, limit = int(random.integers(1, 30)), float(edge * random.uniform(0.3, 6.0))
+    found = native.find_nearest(positions, *cells, edge, asked, count, limit, 2)
+    expected = portable.find_nearest(positions, *cells, edge, asked, count, limit)
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 @given(st.integers(0, 2**32), st.floats(0.1, 0.6), st.floats(0.01, 0.3))
@@ -73,6 +94,19 @@ def test_contradictory_arguments(native: ModuleType, data: st.DataObject) -> Non
         ("count_cells", points, points[0], lengths[0]),
         ("sum_neighbours", keys, random.integers(-(2**62), 2**62, (len(keys), 4)), rows),
         ("poll_normals", points, points, keys, rows, asked, *lengths, 2),
+        ("find_sparse", points, keys, rows, rows.astype(np.uint32), points[0], 3, 2),
+        (
+            "find_nearest",
+            points,
+            keys,
+            rows,
+            rows.astype(np.uint32),
+            lengths[0],
+            rows,
+            3,
+            lengths[1],
+            2,
+        ),
     ]
     name, *values = data.draw(st.sampled_from(calls))
     with contextlib.suppress(ValueError):

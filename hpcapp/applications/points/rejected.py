@@ -1,0 +1,47 @@
+"""The points of a cloud that a job drops because they belong to no surface."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hpcapp.applications.surface.cleaning.drive import Cleaned, drop_repeated, drop_strays
+from hpcapp.applications.surface.cloud.arranged import arrange_cloud
+from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
+from hpcapp.applications.surface.cloud.measure import measure_spacing
+from hpcapp.applications.surface.reading.reach import drop_far
+from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.io import drop_unusable
+
+__all__ = ["take_rejected"]
+
+
+def take_rejected(cloud: PointCloud, source: str) -> tuple[PointCloud, Cleaned]:
+    """Return the outliers and the strays of a cloud, and how many they are.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+    source : str
+        Where it comes from, for the messages.
+
+    Raises
+    ------
+    InputError
+        There are fewer than ten usable points, or all are the same.
+    """
+    usable, _ = drop_unusable(cloud, source)
+    rows = {"row": np.arange(len(usable))}
+    near = drop_far(PointCloud(usable.positions, attributes=rows))
+    cloud_pass, _ = drop_repeated(MemoryPass(arrange_cloud(near)))
+    before = cloud_pass.cloud.points.attributes["row"]
+    cloud_pass, cleaned, _ = drop_strays(cloud_pass, measure_spacing(cloud_pass))
+    is_rejected = np.ones(len(usable), np.bool_)
+    is_rejected[near.attributes["row"]] = False
+    is_rejected[before] = True
+    is_rejected[cloud_pass.cloud.points.attributes["row"]] = False
+    far = len(usable) - len(near)
+    return usable.take(np.flatnonzero(is_rejected)), replace(
+        cleaned, outliers=cleaned.outliers + far
+    )

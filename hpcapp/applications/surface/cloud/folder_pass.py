@@ -1,0 +1,111 @@
+"""The pass through a cloud in a folder, region by region, by workers."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from operator import itemgetter
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from hpcapp.applications.surface.cloud.disk import DiskCloud, Part, write_index, write_part
+from hpcapp.applications.surface.cloud.measured import Measured
+from hpcapp.applications.surface.cloud.point_workers import PointWorkers
+from hpcapp.applications.surface.cloud.tasks import bound_region
+from hpcapp.applications.surface.types.points import FloatArray
+from hpccomponent.files.private_files import make_private_folder
+
+__all__ = ["FolderPass", "make_cloud_folder"]
+
+Result = TypeVar("Result")
+
+_PREFIX = "points-"  # of the folders of clouds
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FolderPass:
+    """The pass through a cloud in a folder, by whoever sees it.
+
+    Parameters
+    ----------
+    cloud : DiskCloud
+    place : Path
+        The folder in which clouds get folders: 24 bytes are written of each point that changes.
+    workers : PointWorkers
+        The points do not depend on it.
+    """
+
+    cloud: DiskCloud
+    place: Path
+    workers: PointWorkers
+
+    def each(self, task: Callable[..., Result], *given: Any, margin: float = 0.0) -> list[Result]:
+        """See `CloudPass`."""
+        results = self.workers.run(task, self.cloud, margin, given, None)
+        return [result for _, _, result in sorted(results, key=itemgetter(0))]
+
+    def rewrite(
+        self, task: Callable[..., Any], *given: Any, margin: float = 0.0
+    ) -> tuple[FolderPass, list[Any]]:
+        """See `CloudPass`."""
+        folder = make_cloud_folder(self.place)
+        parts: dict[int, Part] = {}
+        others: dict[int, tuple[Any, ...]] = {}
+        for index, is_written, (replaced, *rest) in self.workers.run(
+            task, self.cloud, margin, given, folder
+        ):
+            others[index] = tuple(rest)
+            if replaced is not None:
+                blocks = replaced if is_written else write_part(folder, index, [replaced])
+                parts[index] = Part.whole(index, *blocks)
+        cloud_pass = self if not parts else self._replace(folder, [parts[i] for i in sorted(parts)])
+        cloud_pass._remove_others()
+        return cloud_pass, [others[index] for index in sorted(others)]
+
+    def note(self, measured: Measured) -> FolderPass:
+        """See `CloudPass`."""
+        cloud = self.cloud
+        return self._index(cloud.folder, (cloud.low, cloud.high), cloud.parts, measured)
+
+    def _replace(self, folder: Path, parts: list[Part]) -> FolderPass:
+        """Return the pass through a cloud some of whose blocks are in new parts."""
+        cloud = self.cloud
+        changed = np.sort(np.concatenate([part.keys for part in parts]))
+        there = os.path.relpath(cloud.folder, folder)
+        kept = [part.without(changed, there) for part in cloud.parts]
+        written = [part for part in (*kept, *(part.filled() for part in parts)) if len(part.keys)]
+        replaced = self._index(folder, (cloud.low, cloud.high), written)
+        if len(replaced.cloud) == len(cloud):
+            return replaced
+        boxes = np.stack(replaced.each(bound_region))
+        box = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
+        return replaced._index(folder, box, written)
+
+    def _index(
+        self,
+        folder: Path,
+        box: tuple[FloatArray, FloatArray],
+        parts: list[Part],
+        measured: Measured | None = None,
+    ) -> FolderPass:
+        cloud = self.cloud
+        indexed = write_index(folder, cloud.arrangement, cloud.origin, box, parts, measured)
+        return replace(self, cloud=indexed)
+
+    def _remove_others(self) -> None:
+        """Remove the clouds that this one has come of, but for the parts that it still has."""
+        for folder in self.place.glob(f"{_PREFIX}*"):
+            if folder != self.cloud.folder and not self.cloud.uses(folder):
+                shutil.rmtree(folder, ignore_errors=True)  # one may write there still
+
+
+def make_cloud_folder(place: Path) -> Path:
+    """Make a folder for a cloud, of a name that no worker of an earlier run writes to."""
+    folder = place / f"{_PREFIX}{secrets.token_hex(4)}"
+    make_private_folder(folder)
+    return folder
