@@ -21,6 +21,7 @@ import numpy as np
 from hpcapp.applications.surface.boundary.clearance import SupportRule
 from hpcapp.applications.surface.boundary.lengths import Length
 from hpcapp.applications.surface.boundary.opening import OpeningSeams, OpeningSurvey
+from hpcapp.applications.surface.boundary.rim_shape import draws_together
 from hpcapp.applications.surface.boundary.seams import match_seams, place_foreign
 from hpcapp.applications.surface.boundary.tasks import (
     Near,
@@ -52,7 +53,9 @@ log = logging.getLogger("hpcapp")
 BARE_SHARE, TELLING_SHARE = 0.2, 0.05
 """A closed surface of which no point supports more than this share is left open; the second one
 where the normals face one way, or inwards, as those of no object do. Objects scanned from all sides
-have less than a tenth, views, terrains and rooms most often more than a third."""
+have less than a tenth, views, terrains and rooms most often more than a third. An object that
+stood on a table has as much, too, but its normals do not face one way, and at its border it draws
+together (`rim_shape`)."""
 
 _SPACINGS, _NOISES, _STEPS = 3.0, 4.0, 1.5  # of the trim distance that is chosen
 _FILL = 4.0  # times the trim distance: loops that are filled
@@ -252,6 +255,11 @@ def close_surface(
         is_room = is_telling and not is_one_way and faces_inwards(cloud.measure().sample)
         if share <= (TELLING_SHARE if is_one_way or is_room else BARE_SHARE):
             return surface, Closure(False, f"closed: points support {_percent(1.0 - share)} of it")
+        if not (is_one_way or is_room) and _stood_on_table(cloud.measure()):
+            return surface, Closure(
+                False,
+                f"closed: of something that stood on a side nobody saw, {_percent(share)} of it",
+            )
         seen = "from inside, as a room" if is_room else "in part"
         seen = "from one side, as a view or a terrain" if is_one_way else seen
         reason = f"open: seen {seen}; no point supports {_percent(share)} of the closed surface"
@@ -348,6 +356,14 @@ def _multiply(rule: SupportRule, factor: float) -> SupportRule:
 
 def _percent(share: float) -> str:
     return f"{100.0 * share:.0f} %"
+
+
+def _stood_on_table(measured: Measured) -> bool:
+    """Tell whether a cloud is of an object that draws together at its border."""
+    sample = measured.sample
+    assert sample.normals is not None  # noqa: S101 - they were measured
+    areas = measured.scale.at(sample.positions) ** 2
+    return draws_together(sample.positions, sample.normals.astype(np.float64), areas)
 
 
 def _faces_one_way(measured: Measured) -> bool:
