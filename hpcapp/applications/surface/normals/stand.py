@@ -40,12 +40,14 @@ def has_stand(patches: Patches, spacing: float) -> bool:
     The spread of a density is the logarithm of its .85 by its .15 quantile. For 343 places it is
     taken of the points per solid angle, and once of the points per area.
     """
+    if len(patches) <= _NEAREST:  # which are in too few directions from anywhere
+        return False
     counts = patches.counts.astype(np.float64)
     near = cKDTree(patches.centres)
     every = slice(None, None, -(-len(patches) // _SAMPLE))
     centres, sampled = patches.centres[every], counts[every]
-    far, rows = near.query(centres, min(_NEAREST + 1, len(patches)))
-    density = counts[rows].sum(axis=1) / np.maximum(far[:, -1], 1e-300) ** 2
+    far, rows = near.query(centres, _NEAREST + 1)
+    density = counts[rows].sum(axis=1) / np.maximum(far[:, -1] ** 2, 1e-300)
     order = np.argsort(density)
     below = np.cumsum(sampled[order]) / sampled.sum()
     low, high = (density[order[np.searchsorted(below, share)]] for share in (_LOW, _HIGH))

@@ -73,7 +73,12 @@ def test_points_alone_get_normals(method: str, sphere: PointCloud, tmp_path: Pat
         method=hpcapp.Paper() if method == "paper" else hpcapp.Hierarchical(),
     )
     report = run_job(settings, Progress())
-    assert report["normals"] == {"source": "estimated", "sure": 1.0, "turned": 0}
+    assert report["normals"] == {
+        "source": "estimated",
+        "sure": 1.0,
+        "turned": 0,
+        "seen": "from outside",
+    }
     assert (tmp_path / "api.ply").read_bytes() == (tmp_path / "job.ply").read_bytes()
 
 
