@@ -20,9 +20,9 @@ __all__ = ["mended_region", "ranked_region", "stray_cells", "without_points"]
 def without_points(points: StoredBlocks, *_: Any) -> Declared:
     """Return the pattern of what tasks write that drop points."""
     own = AssignedPoints.of(points)
-    written = Fixed(Array("<i8", "b", low=0, rises=True), Array("<i8", "b", low=0))
+    rest = Either(Nothing(), own.without_some(points.target))
     return Where(
-        Fixed(Either(Nothing(), written), Whole(0, own.points)),
+        Fixed(rest, Whole(0, own.points)),
         lambda result: own.lacks(*result),
         "blocks lack the points that are dropped",
     )

@@ -85,7 +85,7 @@ def drop_cells(points: RegionPoints, cells: DroppedCells) -> tuple[Replaced | No
     return region.drop(dropped), int(np.count_nonzero(dropped))
 
 
-@declare(result=without_points, limit=region_bytes(16))
+@declare(result=without_points, limit=region_bytes(40))
 def drop_strays(
     points: RegionPoints, low: FloatArray, scale: LocalScale
 ) -> tuple[Replaced | None, int]:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, Place
 from hpcapp.applications.surface.cloud.arrangement import Arrangement, PackedPoints
@@ -19,7 +20,7 @@ from hpcapp.applications.surface.cloud.disk import open_disk_cloud, open_place
 from hpcapp.applications.surface.cloud.regions import SentBlocks, StoredBlocks
 from hpcapp.applications.surface.scale.local_scale import ScaleCounts
 from hpcapp.applications.surface.types.lattice import find_keys, pack_places, unpack_keys
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.applications.surface.types.points import Float32Array, FloatArray, IntArray
 from hpcapp.applications.surface.types.result_patterns import (
     BOX,
     SMALL_BYTES,
@@ -150,15 +151,29 @@ class AssignedPoints:
             _SAME_BLOCKS,
         )
 
-    def lacks(self, blocks: tuple[IntArray, IntArray] | None, points: int) -> bool:
+    def lacks(self, rest: PackedPoints | tuple[IntArray, IntArray] | None, points: int) -> bool:
         """Tell whether blocks may be those that so many points were dropped from."""
-        if blocks is None:
+        if rest is None:
             return points == 0
-        rows = find_keys(self.keys, blocks[0])
+        keys, counts = (rest.keys, rest.counts) if isinstance(rest, PackedPoints) else rest
+        rows = find_keys(self.keys, keys)
         if not lie_within(rows, 0, len(self.keys)):
             return False
-        dropped = self.counts[rows] - blocks[1]
+        dropped = self.counts[rows] - counts
         return bool((dropped > 0).all()) and int(dropped.sum()) == points
+
+    def without_some(self, target: tuple[str, int] | None) -> Declared:
+        """Return the pattern of blocks that points were dropped from, written or to be sent."""
+        keys, counts = Array("<i8", "b", low=0, rises=True), Array("<i8", "b", low=0)
+        if target is not None:
+            return Fixed(keys, counts)
+        offsets = Array("<f4", "p", 3, low=0.0, high=_BELOW_ONE)
+        normals = Array("<f4", "p", 3)
+        return Where(
+            Record(PackedPoints, keys=keys, counts=counts, offsets=offsets, normals=normals),
+            self._are_left,
+            _SAME_BLOCKS,
+        )
 
     def samples(self, positions: FloatArray) -> bool:
         """Tell whether points in the blocks' box may be some of these, in their order."""
@@ -182,6 +197,29 @@ class AssignedPoints:
             return True
         own = find_keys(packed.keys, self.sent.keys) < len(packed.keys)
         return np.array_equal(packed.offsets, self.sent.offsets[np.repeat(own, self.sent.counts)])
+
+    def _are_left(self, packed: PackedPoints) -> bool:
+        """Tell whether points are some of those that were sent, in their order."""
+        if self.sent is None or int(packed.counts.sum()) != len(packed):
+            return False
+        chosen = find_keys(packed.keys, self.sent.keys) < len(packed.keys)
+        if np.count_nonzero(chosen) != len(packed.keys):
+            return False
+        rows = np.repeat(chosen, self.sent.counts)
+        before = _name_points(self.sent.counts[chosen], self.sent.offsets[rows])
+        after = _name_points(packed.counts, packed.offsets)
+        is_left = np.isin(before, after)
+        return np.array_equal(before[is_left], after) and np.array_equal(
+            self.sent.normals[rows][is_left], packed.normals
+        )
+
+
+def _name_points(counts: IntArray, offsets: Float32Array) -> NDArray[np.void]:
+    """Return one value for each point, of its block and its place there, where no other is."""
+    names = np.empty((len(offsets), 4), "<u4")
+    names[:, 0] = np.repeat(np.arange(len(counts)), counts)
+    names[:, 1:] = offsets.view("<u4")
+    return names.view("V16")[:, 0]
 
 
 def region_bytes(each: int) -> Callable[..., int]:
