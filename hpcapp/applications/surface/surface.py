@@ -185,7 +185,7 @@ class PartSurface:
         Where parts are kept.
     workers : list of str or None
         Who made each part, where that is known.
-    crumb : int, optional
+    crumb, points : int, optional
         See `plan_stitching`.
     """
 
@@ -195,6 +195,7 @@ class PartSurface:
     checkpoint: Checkpoint | None = None
     workers: list[str | None] = field(default_factory=list)
     crumb: int | None = None
+    points: int | None = None
     _plan: StitchingPlan | None = None
     _topology: Deferred[Topology] | None = None
     _checked: set[int] = field(default_factory=set)
@@ -203,7 +204,7 @@ class PartSurface:
     def plan(self) -> StitchingPlan:
         """How the parts become one mesh."""
         if self._plan is None:
-            self._plan = plan_stitching(self.summaries, self.crumb)
+            self._plan = plan_stitching(self.summaries, self.crumb, self.points)
         return self._plan
 
     def load(self, index: int) -> MeshPart:

@@ -51,12 +51,13 @@ class _Regions:
         origin: FloatArray,
         checkpoint: Checkpoint | None,
         show_part: ShowPart,
+        points: int,
     ) -> None:
         self._workforce = workforce
         self._show_part = show_part
         self._checkpoint = checkpoint
         self._exits: list[IntArray] = []
-        self.surface = PartSurface([], [], origin, checkpoint)
+        self.surface = PartSurface([], [], origin, checkpoint, points=points)
 
     def run(
         self,
@@ -146,6 +147,7 @@ def mesh_regions(
     workforce: Workforce,
     advance: Advance,
     origin: FloatArray,
+    points: int,
     checkpoint: Checkpoint | None = None,
     show_part: ShowPart = show_nothing,
 ) -> PartSurface:
@@ -160,6 +162,8 @@ def mesh_regions(
         Told (tiles done, tiles in all).
     origin : ndarray of float64, shape (3,)
         Of the cloud's local frame.
+    points : int
+        Of the cloud.
     checkpoint : Checkpoint, optional
         Where finished tiles are kept; by default they come back to this process.
     show_part : callable
@@ -176,14 +180,14 @@ def mesh_regions(
         The surface still grows after more rounds than any needs.
     """
     plan = coarse.plan
-    regions = _Regions(workforce, origin, checkpoint, show_part)
+    regions = _Regions(workforce, origin, checkpoint, show_part, points)
 
     def tiles() -> Iterator[tuple[str, tuple[Any, ...]]]:
         for index in range(len(tiling)):
             name = "" if checkpoint is None else checkpoint.name(plan, *tiling.groups(index))
             around = coarse.around(tiling.own(index))
-            points = tiling.tile(index)
-            yield name, (plan, points, tiling.tickets[index], around)
+            held = tiling.tile(index)
+            yield name, (plan, held, tiling.tickets[index], around)
 
     regions.run(mesh_tile, tiles(), len(tiling), advance)
     for _ in range(_MOST_ROUNDS):
@@ -193,8 +197,8 @@ def mesh_regions(
         near = tiling.near(_cells_around(plan, left))
         missing = tiling.cells[~near]
         name = "" if checkpoint is None else checkpoint.name(plan, left, missing)
-        points = tiling.around(tiling.cells[near])
-        gap = (plan, left, points, missing, coarse.whole())
+        nearby = tiling.around(tiling.cells[near])
+        gap = (plan, left, nearby, missing, coarse.whole())
         regions.run(mesh_gap, [(name, gap)], 1, lambda _done, _all: None)
     raise JobError("the surface does not come to an end", "report this, with the point cloud")
 

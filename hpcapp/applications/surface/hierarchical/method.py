@@ -290,6 +290,7 @@ class HierarchicalMethod:
                 workforce,
                 advance,
                 origin,
+                len(partition.cloud),
                 self.checkpoint,
                 self.show_part,
             )

@@ -59,7 +59,7 @@ def mesh_slabs(
     far = find_far(plan, sample_cells(pyramid.levels[plan.far]), threads)
     above, features, parents = fit_above(pyramid, plan.weights, None, far, threads)
     fields = SlabFields(pyramid, plan.weights, parents, above, features, far, plan.grid, threads)
-    surface = PartSurface([], [], cloud.origin)
+    surface = PartSurface([], [], cloud.origin, points=len(cloud))
     bounds = cut_slabs(fields, kinds)
     slabs = len(bounds) - 1
     for part, _ in grow_slabs(fields, kinds, bounds):

@@ -32,6 +32,8 @@ SMALL_SIZES = ((0.02, 0.0), (0.002, 0.5), (0.0005, 0.75))
 """A component stays that has so many faces, by those of the largest one, and of whose vertices so
 many are supported, by the share of the largest one's that are."""
 
+_CLUMP = 24.0  # points, by the faces that a point has: a clump of strays has no more
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StitchingPlan:
@@ -152,7 +154,9 @@ class StitchingPlan:
         return np.flatnonzero(~self.kept[self.bricks.labels_in(index)]).astype(np.int32)
 
 
-def plan_stitching(summaries: Sequence[PartSummary], crumb: int | None = None) -> StitchingPlan:
+def plan_stitching(
+    summaries: Sequence[PartSummary], crumb: int | None = None, points: int | None = None
+) -> StitchingPlan:
     """Plan the weld of all the parts of a mesh.
 
     Parameters
@@ -161,6 +165,8 @@ def plan_stitching(summaries: Sequence[PartSummary], crumb: int | None = None) -
         At least one; of guests that no part owns the first part's copy is taken.
     crumb : int, optional
         Components with fewer faces are dropped; by default those with few beside the largest.
+    points : int, optional
+        Of the cloud: without `crumb`, what a clump of strays would have made is dropped, too.
 
     Raises
     ------
@@ -174,7 +180,8 @@ def plan_stitching(summaries: Sequence[PartSummary], crumb: int | None = None) -
     total = int(component.max(initial=-1)) + 1
     faces = entries.count(entries.faces, total)
     if crumb is None:
-        large = find_large(faces, entries.count(entries.supports, total))
+        fewest = 0.0 if points is None else _CLUMP * int(faces.sum()) / points
+        large = find_large(faces, entries.count(entries.supports, total), fewest)
     else:
         large = faces >= max(crumb, 1)
     kept = large[component]
@@ -225,7 +232,7 @@ def _bound(bounds: FloatArray) -> FloatArray:
     return np.stack([bounds[:, :3].min(axis=0), bounds[:, 3:].max(axis=0)])
 
 
-def find_large(faces: IntArray, supports: IntArray) -> NDArray[np.bool_]:
+def find_large(faces: IntArray, supports: IntArray, fewest: float = 0.0) -> NDArray[np.bool_]:
     """Tell which components of a mesh are no mere crumbs of it.
 
     Parameters
@@ -234,6 +241,8 @@ def find_large(faces: IntArray, supports: IntArray) -> NDArray[np.bool_]:
         How many each component has; 0 for a vertex that no face uses.
     supports : ndarray of int64, shape (c,)
         How many of its vertices points support (see `MeshPart`).
+    fewest : float
+        Faces of a component beside the largest.
 
     Returns
     -------
@@ -252,4 +261,5 @@ def find_large(faces: IntArray, supports: IntArray) -> NDArray[np.bool_]:
     is_large = np.zeros(len(faces), np.bool_)
     for size, support in SMALL_SIZES:
         is_large |= (sizes >= size) & (shares >= support * shares[largest : largest + 1])
+    is_large &= (faces >= fewest) | (sizes >= 1.0)
     return is_large | bool(is_large[faces > 0].all())

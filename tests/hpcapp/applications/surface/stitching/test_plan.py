@@ -241,6 +241,13 @@ def test_where_nothing_is_small_what_no_face_uses_stays() -> None:
     assert not len(find_large(none[:0], none[:0]))
 
 
+def test_a_clump_of_strays_goes_whatever_supports_it() -> None:
+    faces, supports = np.array([4_000, 70, 120]), np.array([2_000, 35, 60])
+    assert find_large(faces, supports).all()
+    assert find_large(faces, supports, 100.0).tolist() == [True, False, True]
+    assert find_large(faces[:1], supports[:1], 9_000.0).all()
+
+
 @settings(max_examples=30, deadline=None)
 @given(st.data())
 def test_what_supports_a_mesh_is_counted_once_however_it_is_cut(data: st.DataObject) -> None:
