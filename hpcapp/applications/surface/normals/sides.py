@@ -70,10 +70,11 @@ class Oriented:
             )
         if self.sure < _DOUBTFUL and self.doubted is not None:
             place = ", ".join(f"{value:.6g}" for value in self.doubted)
+            # Above and below are along z: of no use where that is not up.
+            advice = "X,Y,Z" if self.how.startswith("along") else "above, inside, or X,Y,Z"
             found.append(
                 f"the side of {100.0 * (1.0 - self.sure):.1f} % of the normals is unsure, most of "
-                f"it around ({place}): say where it was scanned from (--viewpoint above, inside, "
-                "or X,Y,Z)"
+                f"it around ({place}): say where it was scanned from (--viewpoint {advice})"
             )
         return found
 
