@@ -34,7 +34,6 @@ BELIEVED: dict[str, set[str]] = {
     "zero": set(),
     "plus one": {
         "bound_range",  # how many points are near
-        "group_region",  # patches and links beside those, in a fog that has all sorts of them
         "judge_region",  # the cells beside those that are stray
         "sum_tile",  # how many finest cells a tile has, which is only reported
     },
@@ -173,7 +172,7 @@ def looked(tmp_path_factory: pytest.TempPathFactory) -> Looked:
         run_small(found.look, folder, replace(scan, normals=None), sees)
         run_small(found.look, folder, view, sees, grid=128, output=str(folder / f"{sees}.tiles"))
     run_small(found.look, folder, make_fog(5_000), True, grid=64)
-    run_small(found.look, folder, make_torus(3_000), None, grid=300)
+    run_small(found.look, folder, make_torus(3_000), None, grid=256)
     run_small(found.look, folder, make_torus(3_000), None, grid=32, method=Paper())
     return found
 
