@@ -307,7 +307,7 @@ def prepare(settings: Settings, read: Read, clock: StageClock) -> Loaded:
         attribute=CONFIDENCE if keeps else None,
     )
     if method.cleans:
-        with clock.stage("clean"):
+        with clock.stage("mend normals"):
             cloud_pass, flipped = mend_normals(cloud_pass, spacing)
         cleaned = replace(cleaned, flipped=flipped)
     if not method.needs_whole_cloud:

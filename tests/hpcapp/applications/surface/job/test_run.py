@@ -62,7 +62,8 @@ def test_preprocessing_runs_when_asked(sphere_file: Path, tmp_path: Path) -> Non
     )
     report = run_job(settings, SILENT)
     stages = list(report["stages"])
-    assert stages[:6] == ["read", "arrange", "clean", "remove outliers", "denoise", "resample"]
+    assert stages[:4] == ["read", "arrange", "clean", "mend normals"]
+    assert stages[4:7] == ["remove outliers", "denoise", "resample"]
     assert report["points"] < 1500
 
 
