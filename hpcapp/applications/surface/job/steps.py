@@ -177,7 +177,12 @@ def _warn(
     elif result.facts.get("room", False):
         warnings.append(
             "the points are taken for a room seen from inside, for their normals face inwards: "
-            "if they are of an object, turn them around"
+            "if they are of an object, "
+            + (
+                "turn them around"
+                if loaded.oriented.source == "file"
+                else "name a place outside (--viewpoint X,Y,Z)"
+            )
         )
     for warning in warnings:
         log.warning("warning: %s", warning)
