@@ -105,9 +105,12 @@ def orient_patches(
     """
     linked = LinkedPatches(patches, links)
     evidence = hear_sensor(patches, spacing, zero, sensor)
+    followed = None
     if evidence is None:
-        evidence = _weigh_hypotheses(patches, linked, spacing)
-    sides = _settle(patches, linked, spacing, evidence)
+        evidence, followed = _weigh_hypotheses(patches, linked, spacing)
+    elif not evidence.is_sensed:
+        followed = _follow(linked, evidence)
+    sides = _settle(patches, linked, spacing, evidence, followed)
     values = (evidence.certainty * np.clip(sides, -1.0, 1.0)).astype(np.float32)
     is_unsure = (np.abs(values) < SURE) & (not evidence.is_sensed)
     doubted = _find_doubted(patches, linked, is_unsure)
@@ -127,28 +130,31 @@ def _find_doubted(
     return middle
 
 
-def _weigh_hypotheses(patches: Patches, linked: LinkedPatches, spacing: float) -> Evidence:
-    """Return the evidence of the views that contradict themselves least."""
+def _weigh_hypotheses(
+    patches: Patches, linked: LinkedPatches, spacing: float
+) -> tuple[Evidence, FloatArray]:
+    """Return the evidence of the views that contradict themselves least, and what follows of it."""
     outside = look_outside(patches, linked.components(), spacing)
     inside = look_inside(patches, spacing)
     outer, inner = outside.toggled.evidence("from outside"), inside.evidence("from inside")
-    if has_stand(patches, spacing):
-        return inner
     content = _share_coherent(patches, linked, outside.is_content)
-    if _share_coherent(patches, linked, inside.is_hidden) < _SHOWN * content - _TRIFLE:
-        return inner
-    sides = [_follow(linked, evidence) for evidence in (outer, inner)]
-    broken = [linked.share_broken(some) for some in sides]
-    ground = _face_ground(patches, linked, outside.views, sides[0])
+    is_room = _share_coherent(patches, linked, inside.is_hidden) < _SHOWN * content - _TRIFLE
+    if is_room or has_stand(patches, spacing):
+        return inner, _follow(linked, inner)
+    sides = _follow(linked, outer)
+    ground = _face_ground(patches, linked, outside.views, sides)
     if ground is not None:
         return ground
-    if broken[0] > _BROKEN and broken[1] < _BETTER * broken[0]:
-        return inner
+    broken = linked.share_broken(sides)
+    if broken > _BROKEN:
+        others = _follow(linked, inner)
+        if linked.share_broken(others) < _BETTER * broken:
+            return inner, others
     # A flat tangle may be a forest, which hides its ground from wherever nobody was.
-    is_tangle = broken[0] > _TANGLED and _is_flat(patches, 2)
+    is_tangle = broken > _TANGLED and _is_flat(patches, 2)
     if is_tangle or share_of(patches, outside.is_content) > _HIDING:
-        return replace(outer, certainty=_GUESSED, how="from outside, maybe")
-    return outer
+        outer = replace(outer, certainty=_GUESSED, how="from outside, maybe")
+    return outer, sides
 
 
 def _is_flat(patches: Patches, axis: int) -> bool:
@@ -165,8 +171,8 @@ def _share_coherent(patches: Patches, linked: LinkedPatches, chosen: BoolArray) 
 
 def _face_ground(
     patches: Patches, linked: LinkedPatches, outside: Views, sides: FloatArray
-) -> Evidence | None:
-    """Return the evidence that a flat sheet faces up; None of anything else."""
+) -> tuple[Evidence, FloatArray] | None:
+    """Return the evidence that a flat sheet faces up, and what follows; None of anything else."""
     areas = np.minimum(patches.counts / CELL**2, 1.0)
     areas /= areas.sum()
     front, back = outside.front, outside.back
@@ -183,10 +189,9 @@ def _face_ground(
     facing = np.sign(upwards) * patches.normals[:, axis]
     if float((areas * facing).sum()) < _LEVEL * float((areas * np.abs(facing)).sum()):
         return None
-    if axis == 2:
-        return up
-    # Nobody knows which way is up.
-    return replace(up, certainty=_GUESSED, how=f"along {'xyz'[axis]}, maybe")
+    if axis != 2:  # nobody knows which way is up
+        up = replace(up, certainty=_GUESSED, how=f"along {'xyz'[axis]}, maybe")
+    return up, upwards
 
 
 def _follow(linked: LinkedPatches, evidence: Evidence) -> FloatArray:
@@ -196,17 +201,24 @@ def _follow(linked: LinkedPatches, evidence: Evidence) -> FloatArray:
 
 
 def _settle(
-    patches: Patches, linked: LinkedPatches, spacing: float, evidence: Evidence
+    patches: Patches,
+    linked: LinkedPatches,
+    spacing: float,
+    evidence: Evidence,
+    followed: FloatArray | None,
 ) -> FloatArray:
-    """Return the sides that evidence, links and far field agree on."""
+    """Return the sides that evidence, links and far field agree on.
+
+    `followed` are those that follow of evidence by links; None where a ray has told, which the far
+    field does not contradict.
+    """
     weights, leanings = evidence.weights, evidence.leanings
-    if evidence.is_sensed:  # what a ray has told, the far field does not contradict
+    if followed is None:
         sides = linked.spread(_LEAN * weights, leanings, np.zeros(len(patches)))
         asked = 1.0 - weights
     else:
-        sides = _follow(linked, evidence)
-        weights = np.where(sides * leanings > 0.0, weights, 0.0)
-        sides /= 2.0 * max(float(np.median(np.abs(sides))), 1e-300)
+        weights = np.where(followed * leanings > 0.0, weights, 0.0)
+        sides = followed / (2.0 * max(float(np.median(np.abs(followed))), 1e-300))
         asked = np.ones(len(patches))
     total = weights + asked
     for _ in range(_ROUNDS):
