@@ -94,6 +94,8 @@ def test_scaled_and_shifted_points_have_the_same_surface(
     found = hpcapp.reconstruct(scale * positions + shift, normals, grid=96, executor="serial")
     np.testing.assert_array_equal(found.faces, expected.faces)
     moved = np.abs((found.vertices - shift) / scale - expected.vertices) / diagonal
-    # Points are rounded to 2e-9 of the diagonal, estimated normals to 24 bits.
-    assert moved.max() < 1e-6
+    # Points are rounded to 2e-9 of the diagonal, estimated normals to 24 bits. Of these the last
+    # one moves a few vertices more, where the field is flat, and what tips far more.
+    assert moved.max() < (1e-6 if normals is not None else 1e-5)
+    assert np.quantile(moved, 0.999) < 1e-6
     assert np.median(moved) < 1e-9
