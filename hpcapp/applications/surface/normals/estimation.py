@@ -54,7 +54,7 @@ def estimate_normals(
 
     Notes
     -----
-    See `kernels.portable.planes.fit_planes`.
+    See `kernels.portable.around.planes.fit_planes`.
     """
     refuse_wide(positions, low, _CELL * spacing)
     return fit_planes(positions, asked.astype(np.uint8), low, spacing)

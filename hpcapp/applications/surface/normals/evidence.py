@@ -22,6 +22,7 @@ __all__ = [
     "Evidence",
     "Outside",
     "Views",
+    "areas_of",
     "face_along",
     "hear_sensor",
     "look_inside",
@@ -110,9 +111,15 @@ class Views:
         return Evidence(leanings, weights, how, is_sensed)
 
 
+def areas_of(patches: Patches) -> FloatArray:
+    """Return how much area patches have, 0 to 1: in faces of a cell."""
+    areas: FloatArray = np.minimum(patches.counts / CELL**2, 1.0)
+    return areas
+
+
 def share_of(patches: Patches, chosen: BoolArray) -> float:
     """Return the share of the area that some patches have."""
-    areas = np.minimum(patches.counts / CELL**2, 1.0)
+    areas = areas_of(patches)
     return float(areas[chosen].sum() / areas.sum())
 
 
@@ -205,10 +212,11 @@ def look_outside(patches: Patches, components: IntArray, spacing: float) -> Outs
     is_content = whole.is_hidden
     rows = np.arange(len(patches))
     for shell in range(_SHELLS):
+        # Of the patches that are left: their components, and which of these are seen enough.
         some, numbers = patches.take(rows), components[rows]
         counts = np.maximum(np.bincount(numbers, some.counts), 1.0)
         taken = (np.bincount(numbers, some.counts * ~shown.is_hidden) > _SHOWN * counts)[numbers]
-        if shell:
+        if shell:  # what is closed lines a cavity, or lies in one
             alike = np.bincount(numbers, some.counts * shown.is_alike)
             is_content[rows[taken & (alike < _CLOSED * counts)[numbers]]] = False
         sides = (front, back) if shell % 2 == 0 else (back, front)

@@ -17,6 +17,7 @@ from hpcapp.applications.surface.kernels import integrate_normals, sample_grid
 from hpcapp.applications.surface.normals.evidence import (
     Evidence,
     Views,
+    areas_of,
     face_along,
     hear_sensor,
     look_inside,
@@ -173,7 +174,7 @@ def _face_ground(
     patches: Patches, linked: LinkedPatches, outside: Views, sides: FloatArray
 ) -> tuple[Evidence, FloatArray] | None:
     """Return the evidence that a flat sheet faces up, and what follows; None of anything else."""
-    areas = np.minimum(patches.counts / CELL**2, 1.0)
+    areas = areas_of(patches)
     areas /= areas.sum()
     front, back = outside.front, outside.back
     excess = float((areas * np.where(sides < 0.0, back - front, front - back)).sum())
@@ -238,7 +239,7 @@ def _ask_field(patches: Patches, sides: FloatArray, spacing: float) -> FloatArra
     step = _PADDING * extent / _NODES
     origin = 0.5 * (low + high) - 0.5 * step * _NODES
     places = (patches.centres - origin) / step
-    areas = np.minimum(patches.counts / CELL**2, 1.0) * (CELL * spacing / step) ** 2
+    areas = areas_of(patches) * (CELL * spacing / step) ** 2
     held = _held_rows((low - origin) / step, (high - origin) / step)
     values = np.zeros((_NODES,) * 3, np.float32)
     values[tuple(slice(*bounds) for bounds in held)] = integrate_normals(

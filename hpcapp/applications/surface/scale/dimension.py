@@ -95,7 +95,7 @@ def look_around(positions: FloatArray, counts: tuple[int, ...]) -> Neighbourhood
 
     Notes
     -----
-    Distances are found between q = 256 points and all: O(q n), and as many bytes eightfold.
+    Distances are found between 128 points and all: 4 kB a point.
     """
     step = -(-len(positions) // _QUERIES)
     # (q, 3, n): all points as seen from each of q.

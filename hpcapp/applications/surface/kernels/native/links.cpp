@@ -1,4 +1,4 @@
-// Which groups of points lie side by side (see links.py).
+// Which groups of points lie side by side (see around/links.py).
 #include <mutex>
 
 #include "families.h"

@@ -1,4 +1,4 @@
-// The nearest neighbours of points, in whole numbers (see nearest.py).
+// The nearest neighbours of points, in whole numbers (see around/nearest.py).
 #pragma once
 
 #include <cmath>

@@ -1,4 +1,4 @@
-// How crowded it is around points, and which points are nearest to them (see neighbours.py).
+// How crowded it is around points, and which points are nearest to them (see around/sparse.py).
 #include "families.h"
 #include <limits>
 #include <utility>

@@ -1,4 +1,4 @@
-// Planes through as many neighbours of each point as noise and curvature allow (see planes.py).
+// Planes through as many neighbours of each point as noise and curvature allow (see around/planes.py).
 #include <cmath>
 
 #include "clones.h"

@@ -1,4 +1,4 @@
-// Points of one cell on one sheet, whose normals agree up to their signs (see sheets.py).
+// Points of one cell on one sheet, whose normals agree up to their signs (see around/sheets.py).
 #include <cmath>
 
 #include "families.h"

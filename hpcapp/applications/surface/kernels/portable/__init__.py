@@ -1,5 +1,18 @@
 """The kernels in numpy: the specification of the native ones, and what runs without a compiler."""
 
+from hpcapp.applications.surface.kernels.portable.around.links import (
+    link_groups,
+)
+from hpcapp.applications.surface.kernels.portable.around.planes import (
+    fit_planes,
+)
+from hpcapp.applications.surface.kernels.portable.around.sheets import (
+    group_sheets,
+)
+from hpcapp.applications.surface.kernels.portable.around.sparse import (
+    find_nearest,
+    find_sparse,
+)
 from hpcapp.applications.surface.kernels.portable.bricks import (
     seed_bricks,
 )
@@ -49,9 +62,6 @@ from hpcapp.applications.surface.kernels.portable.keys import (
     spread_keys,
     unite_keys,
 )
-from hpcapp.applications.surface.kernels.portable.links import (
-    link_groups,
-)
 from hpcapp.applications.surface.kernels.portable.marching_cubes import (
     balance_vertices,
     grow_surface,
@@ -62,10 +72,6 @@ from hpcapp.applications.surface.kernels.portable.memory import (
 )
 from hpcapp.applications.surface.kernels.portable.moments import (
     accumulate_moments,
-)
-from hpcapp.applications.surface.kernels.portable.neighbours import (
-    find_nearest,
-    find_sparse,
 )
 from hpcapp.applications.surface.kernels.portable.normals import (
     poll_normals,
@@ -79,14 +85,8 @@ from hpcapp.applications.surface.kernels.portable.packing import (
     unpack_records,
     unpack_within,
 )
-from hpcapp.applications.surface.kernels.portable.planes import (
-    fit_planes,
-)
 from hpcapp.applications.surface.kernels.portable.robust import (
     rate_points,
-)
-from hpcapp.applications.surface.kernels.portable.sheets import (
-    group_sheets,
 )
 
 __all__ = [

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from hpcapp.applications.surface.kernels.portable.nearest import (
+from hpcapp.applications.surface.kernels.portable.around.nearest import (
     UNITS,
     Nearest,
     cells_of_units,

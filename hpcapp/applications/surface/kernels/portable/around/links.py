@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from hpcapp.applications.surface.kernels.portable.nearest import Nearest, round_positions
+from hpcapp.applications.surface.kernels.portable.around.nearest import Nearest, round_positions
 from hpcapp.applications.surface.types.lattice import merge_counts
 from hpcapp.applications.surface.types.points import ByteArray, FloatArray, IntArray
 
