@@ -14,7 +14,7 @@ from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io.ply.columns import VertexProperties
 from hpcapp.io.ply.comments import keep
 from hpcapp.io.points.column_roles import AXES, name_columns
-from hpcapp.io.points.point_source import PointSource
+from hpcapp.io.points.point_source import SCAN, PointSource
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import InputError
 
@@ -22,7 +22,6 @@ __all__ = ["write_joined"]
 
 log = logging.getLogger("hpcapp")
 
-SCAN = "scan"
 _ROWS_AT_ONCE = 1 << 18
 _COUNT_DIGITS = 20  # the count is known when the last point is written
 

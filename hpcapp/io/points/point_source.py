@@ -17,10 +17,13 @@ from hpcapp.io.batches import cut_points, join_points
 from hpcapp.io.frame import to_local
 from hpccomponent.errors import InputError
 
-__all__ = ["Findings", "PointSource", "Scan", "keep_small", "read_whole", "translated"]
+__all__ = ["SCAN", "Findings", "PointSource", "Scan", "keep_small", "read_whole", "translated"]
 
 _ROWS_AT_ONCE = 1 << 20
 _SMALL = 1 << 16  # points
+
+SCAN = "scan"
+"""The attribute that has the number of each point's scan."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

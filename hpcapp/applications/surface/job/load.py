@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+from collections.abc import Iterable
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
@@ -36,11 +37,12 @@ from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.normals.sides import Oriented, orient_cloud
 from hpcapp.applications.surface.reading.drive import ingest_file
 from hpcapp.applications.surface.reading.reach import drop_far
+from hpcapp.applications.surface.reading.registration import check_registration
 from hpcapp.applications.surface.settings import JobSettings, Settings
 from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.applications.surface.viewpoint import Viewpoint
 from hpcapp.io import PointSource, drop_unusable, open_points, read_whole
-from hpcapp.io.points.point_source import Findings
+from hpcapp.io.points.point_source import SCAN, Findings
 from hpcapp.io.points.usable import Dropped, refuse_too_few
 from hpcapp.progress import StageClock
 from hpccomponent.errors import JobError
@@ -183,7 +185,10 @@ def load(settings: JobSettings, clock: StageClock, folder: PointFolder | None = 
 
 def _read_into_memory(settings: JobSettings, source: PointSource, clock: StageClock) -> Read:
     with clock.stage("read"):
-        columns = settings.attributes.select(read_whole(source), settings.shown)
+        whole = read_whole(source)
+        _check_scans([whole], source)
+        columns = settings.attributes.select(whole, settings.shown)
+        del whole
         labels = find_labels(columns.attributes)
         points, dropped = drop_unusable(columns, str(settings.points))
         del columns
@@ -232,6 +237,7 @@ def _read_into_folder(
         folder.workers.workforce.defer(partial(import_module, module))
     place = make_cloud_folder(folder.path)
     with clock.stage("read"):
+        _check_scans(source.chunks(folder.workers.points), source)
         ingested = ingest_file(source, place, folder.workers, drop_far=settings.method.cleans)
     with clock.stage("arrange"):
         cloud_pass = FolderPass(ingested.cloud, folder.path, folder.workers)
@@ -245,6 +251,14 @@ def _read_into_folder(
         source.oriented,
         _find_sensor(settings, source),
     )
+
+
+def _check_scans(chunks: Iterable[PointCloud], source: PointSource) -> None:
+    """Find out whether the scans of a file fit together, where it tells them apart."""
+    if len(source.scans) > 1 or SCAN in source.columns:
+        warning = check_registration(chunks, source.scans)
+        if warning is not None:
+            source.findings.warn(warning)
 
 
 def told_sensor(viewpoint: Viewpoint) -> Sensor:
