@@ -10,7 +10,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-__all__ = ["METRES", "UNIT_CODES", "Crs", "parse_epsg", "parse_geokeys", "parse_wkt"]
+__all__ = ["METRES", "UNIT_CODES", "UNKNOWN", "Crs", "parse_epsg", "parse_geokeys", "parse_wkt"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +39,17 @@ class Crs:
             return 1.0
         scale = METRES[self.height_unit] / METRES[self.unit]
         return scale if abs(scale - 1.0) > _SAME_FEET else 1.0
+
+    @property
+    def stated(self) -> dict[str, str]:
+        """What is known, by name, on one line each; the heights' unit where it is another one."""
+        height_unit = None if self.height_scale == 1.0 else self.height_unit
+        known = {"unit": self.unit, "height_unit": height_unit, "crs": self.text}
+        lines = {name: " ".join(value.split()) for name, value in known.items() if value}
+        return {name: "".join(filter(str.isprintable, line)) for name, line in lines.items()}
+
+
+UNKNOWN = Crs(None, None)
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,7 @@ from typing import Literal
 
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.io.crs import Crs
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.points.point_source import PointSource, Scan, read_whole, translated
 from hpcapp.io.points.recognition import recognise
@@ -135,6 +136,7 @@ def write_points(
     crs: str | None = None,
     unit: str | None = None,
     scans: Sequence[Scan] = (),
+    height_unit: str | None = None,
 ) -> None:
     """Write a point cloud, in the input's coordinates.
 
@@ -153,6 +155,8 @@ def write_points(
         Of the coordinates: ``m``, ``ft``, ``US ft``, ``mm``, ``cm``, ``km``.
     scans : sequence of Scan
         Where the scanners stood.
+    height_unit : str, optional
+        Of z, where it has another unit.
 
     Raises
     ------
@@ -162,9 +166,9 @@ def write_points(
         The library that writes the format is not installed.
     """
     writer = find_point_writer(Path(path))
-    if lost := writer.find_losses(cloud, crs, unit, scans):
+    if lost := writer.find_losses(cloud, Crs(crs, unit, height_unit), scans):
         log.warning("warning: %s", _say_losses(path, lost, "points", [".ply"]))
-    writer.write(Path(path), cloud, crs, unit, scans)
+    writer.write(Path(path), cloud, crs, unit, scans, height_unit)
 
 
 def write_mesh(path: str | PathLike[str], mesh: Mesh | MeshStream) -> None:
@@ -189,18 +193,25 @@ def write_mesh(path: str | PathLike[str], mesh: Mesh | MeshStream) -> None:
     """
     writer = find_mesh_writer(Path(path))
     stream = as_stream(mesh)
-    if losses := describe_losses(path, stream.layout):
-        log.warning("warning: %s", losses)
+    for loss in describe_losses(path, stream):
+        log.warning("warning: %s", loss)
     writer.write(Path(path), stream)
 
 
-def describe_losses(path: str | PathLike[str], layout: PointCloud) -> str | None:
-    """Say in a line what vertices of this layout carry that the format does not hold."""
-    lost = find_mesh_writer(Path(path)).find_losses(layout)
-    if not lost:
-        return None
-    others = list_suffixes(lambda one: one.mesh_writer and one.mesh_writer.holds_all)
-    return _say_losses(path, lost, "vertices", others)
+def describe_losses(path: str | PathLike[str], mesh: MeshStream) -> list[str]:
+    """Say in a line each what a mesh has that its file does not hold, and what that means."""
+    writer = find_mesh_writer(Path(path))
+    losses = []
+    if lost := writer.find_losses(mesh.layout):
+        others = list_suffixes(lambda one: one.mesh_writer and one.mesh_writer.holds_all)
+        losses.append(_say_losses(path, lost, "vertices", others))
+    if not writer.has_frame and mesh.crs.stated:
+        kept = ", ".join(mesh.crs.stated)
+        losses.append(f"{path}: {Path(path).suffix} does not say what coordinates mean: {kept}")
+    if not writer.has_frame and mesh.origin.any():
+        shift = " ".join(f"{coordinate:.17g}" for coordinate in mesh.origin)
+        losses.append(f"{path}: in local coordinates: add {shift} for those of the input")
+    return losses
 
 
 def _say_losses(

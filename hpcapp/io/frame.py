@@ -1,16 +1,26 @@
 """The local frame: far from zero, float64 arithmetic on coordinates loses what a scan measured.
 
-Used by every reader of this package; writers put the origin back.
+Used by every reader of this package; writers put the origin back. Heights of
+another unit than x and y are scaled as well.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from hpcapp.applications.surface.kernels import bound_points
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 
-__all__ = ["FAR_IN_DIAGONALS", "choose_origin", "finite_bounds", "needs_double", "to_local"]
+__all__ = [
+    "FAR_IN_DIAGONALS",
+    "choose_origin",
+    "finite_bounds",
+    "needs_double",
+    "scale_heights",
+    "to_local",
+]
 
 FAR_IN_DIAGONALS = 10.0
 """Coordinates beyond so many diagonals of the bounding box count as georeferenced."""
@@ -83,3 +93,22 @@ def finite_bounds(positions: FloatArray) -> tuple[FloatArray, FloatArray]:
         return low, high
     finite = positions[np.isfinite(positions).all(axis=1)]
     return bound_points(finite) if len(finite) else (np.zeros(3), np.zeros(3))
+
+
+def scale_heights(cloud: PointCloud, factor: float) -> PointCloud:
+    """Multiply z by a factor; normals stay across the surface, of unit length where they have any.
+
+    Examples
+    --------
+    >>> slope = PointCloud(np.array([[1.0, 0.0, 1.0]]), np.array([[-0.8, 0.0, 0.6]]))
+    >>> scale_heights(slope, 0.75).normals.round(3).tolist()
+    [[-0.707, 0.0, 0.707]]
+    """
+    scales = np.array([1.0, 1.0, factor])
+    normals = cloud.normals
+    if normals is not None:
+        normals = normals / scales
+        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+        normals /= np.where(lengths > 0.0, lengths, 1.0)
+    origin = cloud.origin * scales
+    return replace(cloud, positions=cloud.positions * scales, normals=normals, origin=origin)

@@ -19,6 +19,7 @@ from hpccomponent.errors import OutputError, UsageError
 if TYPE_CHECKING:
     from hpcapp.applications.surface.types.mesh import Mesh
     from hpcapp.applications.surface.types.points import PointCloud
+    from hpcapp.io.crs import Crs
     from hpcapp.io.meshes.mesh_stream import MeshStream
     from hpcapp.io.points.point_source import PointSource, Scan
 
@@ -106,7 +107,7 @@ class PointWriter:
 
     Parameters
     ----------
-    takes : tuple of {"crs", "unit", "scans"}
+    takes : tuple of {"crs", "unit", "height_unit", "scans"}
         What the function is given by name, beside a path and a cloud.
     choose_attributes : callable, optional
         Names the only attributes of a cloud that are held; all by default.
@@ -129,24 +130,26 @@ class PointWriter:
         crs: str | None,
         unit: str | None,
         scans: Sequence[Scan],
+        height_unit: str | None,
     ) -> None:
         """Write a file."""
-        known = {"crs": crs, "unit": unit, "scans": scans}
+        known = {"crs": crs, "unit": unit, "scans": scans, "height_unit": height_unit}
         _call(self.function, path, cloud, **{name: known[name] for name in self.takes})
 
-    def find_losses(
-        self, cloud: PointCloud, crs: str | None, unit: str | None, scans: Sequence[Scan]
-    ) -> list[str]:
+    def find_losses(self, cloud: PointCloud, frame: Crs, scans: Sequence[Scan]) -> list[str]:
         """Return what is not held: names of attributes, and words for the rest."""
         lost: list[str] = []
         if self.choose_attributes is not None:
             kept = self.choose_attributes(cloud)
             lost += [name for name in cloud.attributes if name not in kept]
+        crs, unit = frame.text, frame.unit
         if crs and not self.holds_crs(crs):
             shown = crs if len(crs) <= _LONGEST else f"{crs[:_LONGEST]}..."
             lost.append(f"CRS ({shown})")
         if unit and not self.holds_unit(unit, crs):
             lost.append(f"unit ({unit})")
+        if frame.height_scale != 1.0 and "height_unit" not in self.takes:
+            lost.append(f"unit of heights ({frame.height_unit})")
         if "scans" not in self.takes and any(scan.scanner is not None for scan in scans):
             lost.append("scanner positions")
         return lost
@@ -160,6 +163,8 @@ class MeshWriter:
     ----------
     makes_folder : bool
         Of files, in place of one file.
+    has_frame : bool
+        Whether a file says where its mesh lies, and what coordinates mean.
     """
 
     function: str
@@ -167,6 +172,7 @@ class MeshWriter:
     colours: bool = False
     attributes: bool = False
     makes_folder: bool = False
+    has_frame: bool = True
 
     def write(self, path: Path, mesh: MeshStream) -> None:
         """Write a file."""
@@ -218,7 +224,10 @@ def _is_unit_in_las(unit: str, crs: str | None) -> bool:
 _TEXT = PointReader("text.points:open_text", 6)
 _NUMPY = PointReader("points.npy:open_npy", 3, states_count=True)
 _LAS = PointWriter(
-    "las.writer:write_las", ("crs", "unit"), holds_crs=_is_in_las, holds_unit=_is_unit_in_las
+    "las.writer:write_las",
+    ("crs", "unit", "height_unit"),
+    holds_crs=_is_in_las,
+    holds_unit=_is_unit_in_las,
 )
 
 FORMATS = (
@@ -228,7 +237,7 @@ FORMATS = (
         MeshReader("ply.format:read_ply_mesh", "ply.format:holds_ply_faces"),
         PointWriter(
             "ply.format:write_ply_points",
-            ("crs", "unit", "scans"),
+            ("crs", "unit", "height_unit", "scans"),
             holds_crs=lambda _: True,
             holds_unit=lambda *_: True,
         ),
@@ -280,7 +289,7 @@ FORMATS = (
         PointReader("points.mesh_points:open_stl", 8),
         MeshReader("meshes.stl:read_stl"),
         None,
-        MeshWriter("meshes.stl:write_stl"),
+        MeshWriter("meshes.stl:write_stl", has_frame=False),
     ),
     Format((".vtk",), PointReader("points.vtk:open_vtk", 6)),
     Format((".pcd",), PointReader("points.pcd:open_pcd", 3, states_count=True)),

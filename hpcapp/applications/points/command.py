@@ -65,7 +65,8 @@ def info(
     if by_spacing and png is None:
         raise UsageError("--by-spacing is for the picture", "add --png FILE, or leave it out")
     if png is not None:
-        scanner = source.scans[0].scanner if len(source.scans) == 1 else None
+        scans = source.isotropic().scans
+        scanner = scans[0].scanner if len(scans) == 1 else None
         write_thumbnail(png, colour_by_spacing(cloud) if by_spacing else cloud, scanner)
     if as_json:
         echo_json(facts)
@@ -136,9 +137,11 @@ def _write_rejected(target: Path, source: PointSource, shown: str) -> None:
     """Write the points of a source that a job drops."""
     from hpcapp.applications.points.rejected import take_rejected
     from hpcapp.io import read_whole, write_points
+    from hpcapp.io.frame import scale_heights
 
-    cloud, cleaned = take_rejected(read_whole(source), shown)
-    write_points(target, cloud, source.crs, source.unit, source.scans)
+    cloud, cleaned = take_rejected(read_whole(source.isotropic()), shown)
+    cloud = scale_heights(cloud, 1.0 / source.frame.height_scale)
+    write_points(target, cloud, source.crs, source.unit, source.scans, source.height_unit)
     log.info("%s: %d outliers and %d strays", shown, cleaned.outliers, cleaned.strays)
 
 
@@ -147,5 +150,5 @@ def _write_whole(target: Path, source: PointSource) -> int:
     from hpcapp.io import read_whole, write_points
 
     cloud = read_whole(source)
-    write_points(target, cloud, source.crs, source.unit, source.scans)
+    write_points(target, cloud, source.crs, source.unit, source.scans, source.height_unit)
     return len(cloud)

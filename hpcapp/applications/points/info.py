@@ -5,21 +5,20 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.spatial import cKDTree
 
+from hpcapp.applications.points.rejected import reject_points
 from hpcapp.applications.surface.cleaning.repeated import find_repeated
 from hpcapp.applications.surface.cloud.surface_check import find_no_surface_in
 from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.reading.reach import drop_far
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io import PointSource, drop_unusable, read_whole
+from hpcapp.io.frame import scale_heights
 from hpcapp.io.points.column_roles import tell_use
 from hpcapp.io.points.point_source import Findings
 from hpccomponent.errors import InputError
 
-__all__ = ["describe", "describe_file"]
-
-_MOST_QUERIES = 20_000
+__all__ = ["describe", "describe_file", "measure_typical"]
 
 
 def describe_file(source: PointSource) -> tuple[dict[str, object], Findings, PointCloud]:
@@ -32,21 +31,26 @@ def describe_file(source: PointSource) -> tuple[dict[str, object], Findings, Poi
         ``normals``: where they are from, ``file`` or ``faces``, or None; ``is_oriented``:
         False where their signs are not known, None without them; ``attributes``: names
         of other columns that are kept; ``scans``: for each its ``points``, ``scanner`` and
-        ``grid``, or None; ``grid`` of the first; ``crs``; ``unit``; ``up``: which way that is, and
-        why; ``dropped``: points that are no part of the cloud, by reason; ``warnings``; and all
-        that `describe` tells.
+        ``grid``, or None; ``grid`` of the first; ``crs``; ``unit``; ``height_unit``: of z, where
+        it is stated of that alone; ``up``: which way that is, and why; ``dropped``: points that
+        are no part of the cloud, by reason; ``warnings``; and all that `describe` tells.
+
+    cloud : PointCloud
+        The points, z in the unit of x and y.
 
     Raises
     ------
     InputError
         The file is damaged.
     """
-    cloud = read_whole(source)
-    warnings = [*source.findings.warnings, *_tell_no_surface(cloud)]
+    cloud, factor = read_whole(source), source.frame.height_scale
+    upright = cloud if factor == 1.0 else scale_heights(cloud, factor)
+    warnings = [*source.findings.warnings, *_tell_no_surface(upright)]
     findings = Findings(warnings, _count_dropped(source, cloud))
     facts = {
         "format": source.format,
         **describe(cloud),
+        "spacing": measure_typical(upright),
         "normals": source.normals_from if cloud.normals is not None else None,
         "is_oriented": source.oriented if cloud.normals is not None else None,
         "attributes": list(cloud.attributes),
@@ -62,11 +66,12 @@ def describe_file(source: PointSource) -> tuple[dict[str, object], Findings, Poi
         "grid": None if source.scans[0].grid is None else list(source.scans[0].grid),
         "crs": source.crs,
         "unit": source.unit,
+        "height_unit": source.height_unit,
         "up": source.up,
         "dropped": findings.dropped,
         "warnings": findings.warnings,
     }
-    return facts, findings, cloud
+    return facts, findings, upright
 
 
 def _tell_no_surface(cloud: PointCloud) -> list[str]:
@@ -103,20 +108,13 @@ def describe(cloud: PointCloud) -> dict[str, object]:
     -------
     dict
         JSON values. ``points``: how many; ``has_normals``, ``has_colours``; ``bounds`` (lowest
-        and highest corner, in the input's coordinates), ``extent`` (per axis), ``diagonal`` and
-        ``spacing`` (median distance to the nearest neighbour that is not a duplicate), in
-        length units of the input, over finite points and None where there are too few;
+        and highest corner, in the input's coordinates), ``extent`` (per axis) and ``diagonal``, in
+        length units of the input, over finite points and None where there are none;
         ``origin``: what was subtracted on reading; ``non_finite_points`` and
         ``non_finite_normals``: rows with NaN or infinity; ``zero_normals``; ``duplicates``:
         finite points at the place of another, the first at each place not counted.
-
-    Notes
-    -----
-    The spacing is taken at no more than 20,000 points, evenly picked in the file's order,
-    among all points.
     """
     finite = cloud.positions[np.isfinite(cloud.positions).all(axis=1)]
-    distinct = finite[~find_repeated(finite)]
     return {
         "points": len(cloud),
         "has_normals": cloud.normals is not None,
@@ -125,8 +123,7 @@ def describe(cloud: PointCloud) -> dict[str, object]:
         "origin": cloud.origin.tolist(),
         "non_finite_points": len(cloud) - len(finite),
         **_count_normals(cloud.normals),
-        "duplicates": len(finite) - len(distinct),
-        "spacing": _spacing(distinct),
+        "duplicates": int(find_repeated(finite).sum()),
     }
 
 
@@ -150,9 +147,16 @@ def _count_normals(normals: FloatArray | None) -> dict[str, int]:
     }
 
 
-def _spacing(distinct: FloatArray) -> float | None:
-    if len(distinct) < 2:
+def measure_typical(cloud: PointCloud) -> float | None:
+    """Measure how far apart points are, as a job does; None where it would refuse them.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        As it was read, z in the unit of x and y.
+    """
+    try:
+        usable, _ = drop_unusable(cloud, "the cloud")
+        return reject_points(usable)[2]
+    except InputError:
         return None
-    step = -(-len(distinct) // _MOST_QUERIES)
-    distances, _ = cKDTree(distinct).query(distinct[::step], k=2, workers=-1)
-    return float(np.median(distances[:, 1]))

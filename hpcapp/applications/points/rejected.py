@@ -11,10 +11,10 @@ from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
 from hpcapp.applications.surface.cloud.measure import measure_spacing
 from hpcapp.applications.surface.reading.reach import drop_far
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.applications.surface.types.points import BoolArray, PointCloud
 from hpcapp.io import drop_unusable
 
-__all__ = ["take_rejected"]
+__all__ = ["reject_points", "take_rejected"]
 
 
 def take_rejected(cloud: PointCloud, source: str) -> tuple[PointCloud, Cleaned]:
@@ -32,16 +32,39 @@ def take_rejected(cloud: PointCloud, source: str) -> tuple[PointCloud, Cleaned]:
         There are fewer than ten usable points, or all are the same.
     """
     usable, _ = drop_unusable(cloud, source)
+    is_rejected, cleaned, _ = reject_points(usable)
+    return usable.take(np.flatnonzero(is_rejected)), cleaned
+
+
+def reject_points(usable: PointCloud) -> tuple[BoolArray, Cleaned, float]:
+    """Find the outliers and the strays of a cloud as a job does; normals are not asked.
+
+    Parameters
+    ----------
+    usable : PointCloud
+        Finite; z in the unit of x and y.
+
+    Returns
+    -------
+    is_rejected : ndarray of bool, shape (n,)
+    cleaned : Cleaned
+        How many they are.
+    spacing : float
+        Of the others, in length units of the input: the one that the job tells.
+
+    Raises
+    ------
+    InputError
+        All points are the same.
+    """
     rows = {"row": np.arange(len(usable))}
     near = drop_far(PointCloud(usable.positions, attributes=rows))
     cloud_pass, _ = drop_repeated(MemoryPass(arrange_cloud(near)))
     before = cloud_pass.cloud.points.attributes["row"]
-    cloud_pass, cleaned, _ = drop_strays(cloud_pass, measure_spacing(cloud_pass))
+    cloud_pass, cleaned, spacing = drop_strays(cloud_pass, measure_spacing(cloud_pass))
     is_rejected = np.ones(len(usable), np.bool_)
     is_rejected[near.attributes["row"]] = False
     is_rejected[before] = True
     is_rejected[cloud_pass.cloud.points.attributes["row"]] = False
-    far = len(usable) - len(near)
-    return usable.take(np.flatnonzero(is_rejected)), replace(
-        cleaned, outliers=cleaned.outliers + far
-    )
+    outliers = cleaned.outliers + len(usable) - len(near)
+    return is_rejected, replace(cleaned, outliers=outliers), spacing

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol, cast
 
@@ -31,6 +31,7 @@ from hpcapp.applications.surface.types.lattice import number_keys
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpcapp.io import describe_losses, needs_double, write_mesh
+from hpcapp.io.crs import Crs
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.registry import TILES_SUFFIX
 from hpcapp.simplification.mesh import Target
@@ -301,14 +302,14 @@ class PartSurface:
             assert self.checkpoint is not None  # noqa: S101 - it is shared
             self._topology = self._topology or workforce.defer(self.plan.judge)
             write = self._share_ply if suffix == ".ply" else self._share_tiles
-            write(path, workforce, self.checkpoint.place)
+            write(path, workforce, self.checkpoint.place, carrying.crs)
             return
         with self._fetched() as load:
             if suffix == TILES_SUFFIX:
                 from hpcapp.io.meshes.tiles import write_tiles
 
-                if losses := describe_losses(path, carrying.columns):
-                    log.warning("warning: %s", losses)
+                for loss in describe_losses(path, carrying.to_stream(self.stream())):
+                    log.warning("warning: %s", loss)
                 tiles = stream_tiles(self.plan, load, self.origin)
                 write_tiles(path, ((index, carrying.to_tile(tile)) for index, tile in tiles))
             else:
@@ -329,25 +330,26 @@ class PartSurface:
                 near.put(str(index), self.load(index))
             yield lambda index: cast(MeshPart, near.get(str(index)))
 
-    def _share_ply(self, path: Path, workforce: Workforce, place: str) -> None:
+    def _share_ply(self, path: Path, workforce: Workforce, place: str, crs: Crs) -> None:
         """Let the workers write a PLY."""
         from hpcapp.io.ply.format import shared_ply
 
         plan = self.plan
         counts = (plan.vertex_count, plan.face_count)
-        with shared_ply(path, counts, self.origin, plan.box) as shared:
+        with shared_ply(path, counts, self.origin, plan.box, crs) as shared:
             batches = (
                 ((place, name), plan.places(index), shared) for index, name in enumerate(self.parts)
             )
             for index in _left_undone(workforce, write_kept, batches):
                 write_part(self.load(index), plan.places(index), shared)
 
-    def _share_tiles(self, path: Path, workforce: Workforce, place: str) -> None:
+    def _share_tiles(self, path: Path, workforce: Workforce, place: str, crs: Crs) -> None:
         """Let the workers write a folder of tiles."""
         from hpcapp.io.meshes.tiles import shared_tiles
+        from hpcapp.io.ply.comments import keep
 
         plan = self.plan
-        is_double = needs_double(plan.box, self.origin)
+        is_double, comments = needs_double(plan.box, self.origin), tuple(keep(crs))
         with shared_tiles(path) as file_of:
 
             def batch(index: int) -> tuple[Any, ...]:
@@ -355,14 +357,14 @@ class PartSurface:
                 parts, rows = plan.locate_foreign(index, foreign)
                 near, owners = number_keys(parts)
                 names = tuple(self.parts[part] for part in near.tolist())
-                file = (str(file_of(index)), str(path), is_double, self.origin)
+                file = (str(file_of(index)), str(path), is_double, self.origin, comments)
                 return (place, self.parts[index]), plan.places(index), (names, owners, rows), file
 
             batches = map(batch, range(len(self.parts)))
             for index in _left_undone(workforce, write_kept_tile, batches):
                 tile = take_tile(plan, self.load, self.origin, index)
                 if tile.face_count:
-                    write_mesh(file_of(index), tile)
+                    write_mesh(file_of(index), replace(tile, crs=crs))
 
 
 def simplify_surface(surface: Surface, target: Target) -> WholeSurface:

@@ -51,11 +51,6 @@ def open_las(path: Path) -> PointSource:
             find_library(header, path)
     layout = find_layout(header, path)
     crs = find_crs(header.records)
-    if crs is not None and crs.height_scale != 1.0:
-        findings.warn(
-            f"x and y are in {crs.unit}, heights in {crs.height_unit}: a surface in these numbers "
-            f"is distorted, multiply the heights by {crs.height_scale:.5g}"
-        )
 
     def scan(rows: int) -> Iterator[PointCloud]:
         findings.dropped.clear()  # they are counted anew
@@ -74,6 +69,7 @@ def open_las(path: Path) -> PointSource:
         scans=(Scan(header.count),),
         crs=crs.text if crs else None,
         unit=crs.unit if crs else None,
+        height_unit=crs.height_unit if crs else None,
         findings=findings,
     )
     return keep_small(source) if header.is_compressed else source

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io.columns import Numbers
-from hpcapp.io.crs import UNIT_CODES, parse_epsg
+from hpcapp.io.crs import UNIT_CODES, Crs, parse_epsg
 from hpcapp.io.frame import finite_bounds
 from hpcapp.io.las.layout import DEGREES_A_STEP
 from hpcapp.io.points.usable import drop_non_finite
@@ -44,7 +44,11 @@ _STEEPEST = 180.0  # degrees of the scan angle
 
 
 def write_las(
-    path: Path, cloud: PointCloud, crs: str | None = None, unit: str | None = None
+    path: Path,
+    cloud: PointCloud,
+    crs: str | None = None,
+    unit: str | None = None,
+    height_unit: str | None = None,
 ) -> None:
     """Write a point cloud as LAS, or as LAZ where the suffix says so.
 
@@ -59,6 +63,8 @@ def write_las(
         Coordinate reference system, as WKT or an EPSG code; a mere name is not kept.
     unit : str or None
         Of the coordinates, as `UNIT_CODES` names it; WKT states it by itself.
+    height_unit : str or None
+        Of the heights, likewise.
 
     Raises
     ------
@@ -82,7 +88,7 @@ def write_las(
     header.add_extra_dims(
         [laspy.ExtraBytesParams(name, values.dtype) for name, values in extras.items()]
     )
-    _add_crs(laspy, header, crs, unit, path)
+    _add_crs(laspy, header, Crs(crs, unit, height_unit), path)
     is_compressed = path.suffix.lower() == ".laz"
     with (
         replacing(path) as file,
@@ -197,12 +203,11 @@ def _free_name(name: str, taken: Mapping[str, object]) -> str:
     return free
 
 
-def _add_crs(
-    laspy: _Foreign, header: _Foreign, crs: str | None, unit: str | None, path: Path
-) -> None:
+def _add_crs(laspy: _Foreign, header: _Foreign, crs: Crs, path: Path) -> None:
     """Add the coordinate reference system and the unit: as WKT, or GeoTIFF keys without it."""
-    is_wkt = crs is not None and "[" in crs
-    record = crs.encode() + b"\0" if crs is not None and is_wkt else _encode_keys(crs, unit)
+    wkt = crs.text if crs.text is not None and "[" in crs.text else None
+    is_wkt = wkt is not None
+    record = _encode_keys(crs) if wkt is None else wkt.encode() + b"\0"
     if len(record) > _LONGEST_RECORD:
         raise OutputError(
             f"{path}: the coordinate reference system has {len(record)} bytes",
@@ -213,9 +218,9 @@ def _add_crs(
         header.vlrs.append(laspy.VLR("LASF_Projection", 2112 if is_wkt else 34735, "", record))
 
 
-def _encode_keys(crs: str | None, unit: str | None) -> bytes:
-    """Return GeoTIFF keys for the code of a coordinate reference system and for a unit."""
-    code = parse_epsg(crs) if crs else None
+def _encode_keys(crs: Crs) -> bytes:
+    """Return GeoTIFF keys for the code of a coordinate reference system and for its units."""
+    code, unit = parse_epsg(crs.text) if crs.text else None, crs.unit
     is_geographic = code is not None and 4000 <= code < 5000  # set aside for them by EPSG
     keys = {}
     if code is not None:
@@ -223,6 +228,8 @@ def _encode_keys(crs: str | None, unit: str | None) -> bytes:
     if unit in UNIT_CODES and not is_geographic:
         keys.setdefault(3072, _USER_DEFINED)
         keys[3076] = UNIT_CODES[unit]
+    if crs.height_unit in UNIT_CODES:
+        keys[4099] = UNIT_CODES[crs.height_unit]
     if not keys:
         return b""
     keys = {1024: 2 if is_geographic else 1, **keys}

@@ -24,7 +24,7 @@ from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import OutputError
 
-__all__ = ["write_glb"]
+__all__ = ["say_frame", "write_glb"]
 
 _MAGIC, _VERSION = b"glTF", 2
 _JSON, _BINARY = b"JSON", b"BIN\0"
@@ -55,7 +55,8 @@ def write_glb(path: Path, mesh: Mesh | MeshStream, turns_up: bool = False) -> No
     mesh : Mesh or MeshStream
         Vertices are written in single precision, in the local frame; the origin is the
         translation of the node. Colours keep their bytes, attributes become ``float`` under their
-        names in capitals, after an underscore; NaN, which glTF forbids, becomes zero.
+        names in capitals, after an underscore; NaN, which glTF forbids, becomes zero. What the
+        input's coordinates mean is in the extras of the asset.
     turns_up : bool
         Whether the node turns z, which is up, into the y of glTF, and leaves the origin out, as
         3D Tiles want it.
@@ -152,7 +153,7 @@ def _describe(
     indices = {"bufferView": len(arrays), "componentType": _UINT, "count": 3 * stream.face_count}
     targets = [_VERTICES] * len(arrays) + [_FACES]
     return {
-        "asset": {"version": "2.0", "generator": "hpcapp"},
+        "asset": {"version": "2.0", "generator": "hpcapp"} | say_frame(stream),
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0, "name": "mesh", **place}],
@@ -164,6 +165,11 @@ def _describe(
         ],
         "buffers": [{"byteLength": sum(sizes)}],
     }
+
+
+def say_frame(stream: MeshStream) -> dict[str, object]:
+    """Return what an asset says of the input's coordinates."""
+    return {"extras": stream.crs.stated} if stream.crs.stated else {}
 
 
 def _columns(vertices: PointCloud) -> Iterator[Numbers]:

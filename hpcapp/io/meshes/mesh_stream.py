@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
-from hpcapp.io.frame import finite_bounds
+from hpcapp.io.crs import UNKNOWN, Crs
+from hpcapp.io.frame import finite_bounds, scale_heights
 
-__all__ = ["MeshStream", "as_stream", "find_vertices", "make_mesh"]
+__all__ = ["MeshStream", "as_stream", "find_vertices", "make_mesh", "scale_mesh_heights"]
 
 _ROWS_AT_ONCE = 1 << 16
 
@@ -34,6 +35,8 @@ class MeshStream:
         Returns blocks of the faces' corners, shape (n, 3, 3), in the local frame.
     layout : PointCloud
         Without points: tells which normals, colours and attributes the vertices carry.
+    crs : Crs
+        What the input's coordinates mean.
     """
 
     vertex_count: int
@@ -44,6 +47,7 @@ class MeshStream:
     faces: Callable[[], Iterator[IntArray]]
     corners: Callable[[], Iterator[FloatArray]]
     layout: PointCloud = field(default_factory=lambda: PointCloud(np.empty((0, 3))))
+    crs: Crs = UNKNOWN
 
 
 def as_stream(mesh: Mesh | MeshStream) -> MeshStream:
@@ -60,6 +64,20 @@ def as_stream(mesh: Mesh | MeshStream) -> MeshStream:
         lambda: (mesh.faces[rows] for rows in _blocks(len(mesh.faces))),
         lambda: (mesh.vertices[mesh.faces[rows]] for rows in _blocks(len(mesh.faces))),
         vertices.view(slice(0)),
+    )
+
+
+def scale_mesh_heights(stream: MeshStream, factor: float) -> MeshStream:
+    """Return a mesh with z multiplied by a factor, and its normals across its faces."""
+    if factor == 1.0:
+        return stream
+    scales = np.array([1.0, 1.0, factor])
+    return replace(
+        stream,
+        origin=stream.origin * scales,
+        box=stream.box * scales,
+        vertices=lambda: (scale_heights(block, factor) for block in stream.vertices()),
+        corners=lambda: (block * scales for block in stream.corners()),
     )
 
 

@@ -10,13 +10,14 @@ import numpy as np
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.io.columns import Ragged
+from hpcapp.io.crs import Crs
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.meshes.polygons import mesh_of_polygons
 from hpcapp.io.rows import Line, line_error, numbered, parse_index, parse_table, write_rows
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import InputError
 
-__all__ = ["coordinate_format", "holds_obj_faces", "read_obj", "write_obj"]
+__all__ = ["comment_lines", "coordinate_format", "holds_obj_faces", "read_obj", "write_obj"]
 
 
 def read_obj(path: Path) -> Mesh:
@@ -76,7 +77,8 @@ def write_obj(path: Path, mesh: Mesh | MeshStream) -> None:
     """Write a triangle mesh as OBJ, in the input's frame.
 
     Coordinates are written to the last digit if an origin was subtracted, else to the nine digits
-    that tell one ``float`` from another; colours behind them, from 0 to 1.
+    that tell one ``float`` from another; colours behind them, from 0 to 1. Comments say what
+    coordinates mean.
     """
     stream = as_stream(mesh)
     formats = [coordinate_format(stream.origin)] * 3
@@ -86,6 +88,7 @@ def write_obj(path: Path, mesh: Mesh | MeshStream) -> None:
     has_normals = stream.layout.normals is not None
     face = "f %d//%d %d//%d %d//%d\n" if has_normals else "f %d %d %d\n"
     with replacing(path) as file:
+        file.writelines(comment_lines(stream.crs))
         for vertices in stream.vertices():
             places = vertices.positions + stream.origin
             if vertices.colours is not None:
@@ -96,6 +99,11 @@ def write_obj(path: Path, mesh: Mesh | MeshStream) -> None:
         for faces in stream.faces():
             corners = np.repeat(faces, 2, axis=1) if has_normals else faces
             file.writelines(write_rows(face, corners + 1))
+
+
+def comment_lines(crs: Crs) -> list[bytes]:
+    """Return the comments that say what coordinates mean."""
+    return [f"# {name} {value}\n".encode() for name, value in crs.stated.items()]
 
 
 def coordinate_format(origin: FloatArray) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.io.columns import Ragged
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
-from hpcapp.io.meshes.obj import coordinate_format
+from hpcapp.io.meshes.obj import comment_lines, coordinate_format
 from hpcapp.io.meshes.polygons import mesh_of_polygons
 from hpcapp.io.rows import (
     Line,
@@ -90,7 +90,9 @@ def write_off(path: Path, mesh: Mesh | MeshStream) -> None:
     stream = as_stream(mesh)
     row = " ".join([coordinate_format(stream.origin)] * 3) + "\n"
     with replacing(path) as file:
-        file.write(f"OFF\n{stream.vertex_count} {stream.face_count} 0\n".encode("ascii"))
+        file.write(b"OFF\n")
+        file.writelines(comment_lines(stream.crs))
+        file.write(f"{stream.vertex_count} {stream.face_count} 0\n".encode("ascii"))
         for vertices in stream.vertices():
             file.writelines(write_rows(row, vertices.positions + stream.origin))
         for faces in stream.faces():

@@ -83,7 +83,7 @@ def write_stl(path: Path, mesh: Mesh | MeshStream) -> None:
     stream = as_stream(mesh)
     head = "hpcapp"
     if stream.origin.any():
-        head += " origin " + " ".join(f"{coordinate:.0f}" for coordinate in stream.origin)
+        head += " origin " + " ".join(f"{coordinate:.17g}" for coordinate in stream.origin)
     with replacing(path) as file:
         file.write(head.encode("ascii")[:_HEAD_BYTES].ljust(_HEAD_BYTES))
         file.write(stream.face_count.to_bytes(4, "little"))

@@ -12,12 +12,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
+from xml.sax.saxutils import escape
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 import numpy as np
 
 from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.applications.surface.types.points import IntArray
+from hpcapp.io.crs import METRES, Crs
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.rows import write_rows
 from hpcapp.io.staging import replacing
@@ -36,26 +38,28 @@ _LINKS = b"""<?xml version="1.0" encoding="UTF-8"?>
 Type="http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"/>
 </Relationships>
 """
-_BEGIN = b"""<?xml version="1.0" encoding="UTF-8"?>
-<model unit="millimeter" xml:lang="en-US" \
+_BEGIN = """<?xml version="1.0" encoding="UTF-8"?>
+<model unit="{}" xml:lang="en-US" \
 xmlns="http://schemas.microsoft.com/3dmanufacturing/core/2015/02" \
 xmlns:m="http://schemas.microsoft.com/3dmanufacturing/material/2015/02">
 <metadata name="Application">hpcapp</metadata>
-<resources>
+{}<resources>
 """
 _END = """</mesh></object>
 </resources>
 <build><item objectid="1"{}/></build>
 </model>
 """
+_UNITS = {"m": "meter", "ft": "foot", "mm": "millimeter", "cm": "centimeter"}
 
 
 def write_3mf(path: Path, mesh: Mesh | MeshStream) -> None:
     """Write a triangle mesh as 3MF.
 
     Vertices are written in the local frame, with nine digits; the origin is the translation of the
-    build item. Lengths are written as they are, and read as millimetres. Colours are those of the
-    triangles' corners, blended between them.
+    build item. The unit is that of the input, millimetres where it states none; one that 3MF does
+    not know is scaled to metres by the build item, and so are heights of another one. Colours are
+    those of the triangles' corners, blended between them.
     """
     stream = as_stream(mesh)
     with replacing(path) as file, ZipFile(file, "w") as package:
@@ -73,7 +77,9 @@ def _entry(name: str) -> ZipInfo:
 
 
 def _write_model(model: IO[bytes], stream: MeshStream) -> None:
-    model.write(_BEGIN)
+    crs = stream.crs
+    described = f'<metadata name="Description">{escape(crs.text)}</metadata>\n' if crs.text else ""
+    model.write(_BEGIN.format(_choose_unit(crs)[0], described).encode())
     palette: IntArray | None = None
     if stream.layout.colours is not None:
         palette = np.unique(np.concatenate([np.empty(0, np.int64), *_codes(stream)]))
@@ -96,7 +102,7 @@ def _write_model(model: IO[bytes], stream: MeshStream) -> None:
         for faces in stream.faces():
             model.writelines(write_rows(row, np.hstack([faces, colour[faces]])))
     model.write(b"</triangles>")
-    model.write(_END.format(_placement(stream.origin)).encode())
+    model.write(_END.format(_placement(stream)).encode())
 
 
 def _codes(stream: MeshStream) -> Iterator[IntArray]:
@@ -106,9 +112,18 @@ def _codes(stream: MeshStream) -> Iterator[IntArray]:
             yield vertices.colours.astype(np.int64) @ np.array([1 << 16, 1 << 8, 1])
 
 
-def _placement(origin: FloatArray) -> str:
-    """Return the attribute that moves the object to its origin."""
-    if not origin.any():
+def _choose_unit(crs: Crs) -> tuple[str, float]:
+    """Return the unit of a model, and how many of it that of the input is."""
+    if crs.unit in _UNITS:
+        return _UNITS[crs.unit], 1.0
+    return ("meter", METRES[crs.unit]) if crs.unit in METRES else ("millimeter", 1.0)
+
+
+def _placement(stream: MeshStream) -> str:
+    """Return the attribute that moves the object to its origin, and scales it to its unit."""
+    _, scale = _choose_unit(stream.crs)
+    scales = scale * np.array([1.0, 1.0, stream.crs.height_scale])
+    if not stream.origin.any() and (scales == 1.0).all():
         return ""
-    moved = " ".join(f"{value:.17g}" for value in origin)
-    return f' transform="1 0 0 0 1 0 0 0 1 {moved}"'
+    numbers = [*np.diag(scales).ravel(), *(stream.origin * scales)]
+    return f' transform="{" ".join(f"{value:.17g}" for value in numbers)}"'

@@ -24,7 +24,7 @@ import numpy as np
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpcapp.io.batches import join_points
-from hpcapp.io.meshes.glb import write_glb
+from hpcapp.io.meshes.glb import say_frame, write_glb
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream, find_vertices, make_mesh
 from hpcapp.io.staging import replacing_folder
 from hpcapp.simplification.mesh import Target, simplify_mesh
@@ -51,7 +51,8 @@ def write_tileset(path: Path, mesh: Mesh | MeshStream, tile_faces: int = TILE_FA
     UsageError
         The mesh needs coarser levels, and pyfqmr is not installed.
     """
-    whole = _collect(as_stream(mesh))
+    stream = as_stream(mesh)
+    whole = _collect(stream)
     if len(whole.faces) > tile_faces:
         Target(faces=tile_faces).check()
     with replacing_folder(path) as folder:
@@ -60,7 +61,7 @@ def write_tileset(path: Path, mesh: Mesh | MeshStream, tile_faces: int = TILE_FA
         if whole.origin.any():
             root["transform"] = [*np.eye(4)[:3].ravel().tolist(), *whole.origin.tolist(), 1.0]
         tileset = {
-            "asset": {"version": "1.1", "generator": "hpcapp"},
+            "asset": {"version": "1.1", "generator": "hpcapp"} | say_frame(stream),
             "geometricError": max(2.0 * float(np.linalg.norm(tile.half_sides)), tile.error),
             "root": root,
         }

@@ -20,6 +20,7 @@ from hpcapp.applications.surface.stitching.shared_ply import vertex_rows
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io.columns import Numbers
+from hpcapp.io.crs import Crs
 from hpcapp.io.frame import needs_double
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.staging import replacing
@@ -55,7 +56,8 @@ def write_vtp(path: Path, mesh: Mesh | MeshStream) -> None:
     """Write a triangle mesh as VTP, in the input's frame.
 
     Coordinates are written like those of a PLY file; attributes are arrays of their names and
-    types, normals and colours arrays called ``Normals`` and ``RGB``.
+    types, normals and colours arrays called ``Normals`` and ``RGB``. Field data say what
+    coordinates mean.
     """
     stream = as_stream(mesh)
     is_double = needs_double(stream.box, stream.origin)
@@ -127,6 +129,7 @@ def _head(
         '<?xml version="1.0"?>',
         '<VTKFile type="PolyData" version="1.0" byte_order="LittleEndian" header_type="UInt64">',
         "<PolyData>",
+        *_say_frame(stream.crs),
         f'<Piece NumberOfPoints="{stream.vertex_count}" NumberOfVerts="0" NumberOfLines="0" '
         f'NumberOfStrips="0" NumberOfPolys="{stream.face_count}">',
         "<PointData>",
@@ -144,6 +147,17 @@ def _head(
         "_",
     ]
     return "\n".join(lines).encode()
+
+
+def _say_frame(crs: Crs) -> Iterator[str]:
+    """Yield field data that say what coordinates mean, each character of a text as its number."""
+    if crs.stated:
+        yield "<FieldData>"
+        for name, value in crs.stated.items():
+            codes = " ".join(map(str, (*value.encode(), 0)))
+            yield f'<DataArray type="String" Name="{name}" NumberOfTuples="1" format="ascii">'
+            yield f"{codes}</DataArray>"
+        yield "</FieldData>"
 
 
 def _write_arrays(

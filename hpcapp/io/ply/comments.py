@@ -3,6 +3,7 @@
 ::
 
     comment unit m
+    comment height_unit ft              where heights have another one
     comment crs EPSG:2180
     comment scanner 0 1.5 2 0.25        the number of the scan, and where its scanner stood
 """
@@ -15,6 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.io.crs import Crs
 from hpcapp.io.points.point_source import Scan
 
 __all__ = ["Kept", "keep", "parse_comments"]
@@ -25,16 +27,15 @@ class Kept:
     """What comments say of a file's points; where the scanners stood, by the number of the scan."""
 
     unit: str | None = None
+    height_unit: str | None = None
     crs: str | None = None
     scanners: dict[int, FloatArray] = field(default_factory=dict)
 
 
-def keep(crs: str | None, unit: str | None, scans: Sequence[Scan]) -> Iterator[str]:
+def keep(crs: Crs, scans: Sequence[Scan] = ()) -> Iterator[str]:
     """Yield the comment lines that keep what is known of some points; scans in order."""
-    if unit:
-        yield f"comment unit {unit}"
-    if crs:
-        yield f"comment crs {' '.join(crs.split())}"
+    for name, value in crs.stated.items():
+        yield f"comment {name} {value}"
     for number, scan in enumerate(scans):
         if scan.scanner is not None:
             yield "comment scanner {} {!r} {!r} {!r}".format(number, *scan.scanner.tolist())
@@ -47,6 +48,8 @@ def parse_comments(comments: Sequence[Sequence[str]]) -> Kept:
         match words:
             case ["unit", *rest] if 0 < len(rest) < 3:
                 kept.unit = " ".join(rest)
+            case ["height_unit", *rest] if 0 < len(rest) < 3:
+                kept.height_unit = " ".join(rest)
             case ["crs", *rest] if rest:
                 kept.crs = " ".join(rest)
             case ["scanner", number, *place] if number.isdecimal() and len(place) == 3:

@@ -26,6 +26,7 @@ from hpcapp.applications.surface.stitching.shared_ply import (
 )
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.io.crs import UNKNOWN, Crs
 from hpcapp.io.frame import needs_double
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.meshes.polygons import mesh_of_polygons
@@ -91,6 +92,7 @@ def write_ply_points(
     crs: str | None = None,
     unit: str | None = None,
     scans: Sequence[Scan] = (),
+    height_unit: str | None = None,
 ) -> None:
     """Write a point cloud as binary little-endian PLY.
 
@@ -102,7 +104,8 @@ def write_ply_points(
     """
     is_double = needs_double(cloud.positions, cloud.origin)
     properties = VertexProperties.of(cloud)
-    lines = [*keep(crs, unit, scans), *coordinate_lines(len(cloud), is_double), *properties.lines]
+    kept = keep(Crs(crs, unit, height_unit), scans)
+    lines = [*kept, *coordinate_lines(len(cloud), is_double), *properties.lines]
     with replacing(path) as file:
         file.write(ply_header(lines))
         for start in range(0, len(cloud), _ROWS_AT_ONCE):
@@ -114,14 +117,15 @@ def write_ply_mesh(path: Path, mesh: Mesh | MeshStream) -> None:
     """Write a triangle mesh as binary little-endian PLY.
 
     Vertices are written like the points of `write_ply_points`, with all that they carry: normals as
-    ``float``, colours as ``uchar``, attributes under their names.
+    ``float``, colours as ``uchar``, attributes under their names. What its coordinates mean is in
+    comments of the header.
     """
     stream = as_stream(mesh)
     is_double = needs_double(stream.box, stream.origin)
     carried = VertexProperties.of(stream.layout)
     counts = stream.vertex_count, stream.face_count
     with replacing(path) as file:
-        file.write(_mesh_header(counts, is_double, carried.lines))
+        file.write(_mesh_header(counts, is_double, carried.lines, stream.crs))
         for vertices in stream.vertices():
             file.write(_make_rows(vertices, stream.origin, is_double, carried).data)
         for faces in stream.faces():
@@ -130,7 +134,7 @@ def write_ply_mesh(path: Path, mesh: Mesh | MeshStream) -> None:
 
 @contextmanager
 def shared_ply(
-    path: Path, counts: tuple[int, int], origin: FloatArray, box: FloatArray
+    path: Path, counts: tuple[int, int], origin: FloatArray, box: FloatArray, crs: Crs = UNKNOWN
 ) -> Iterator[SharedPly]:
     """Open a mesh's PLY file for many to write: the file that `write_ply_mesh` would write.
 
@@ -142,6 +146,8 @@ def shared_ply(
         Vertices and faces.
     origin, box : ndarray of float64, shape (3,) and (2, 3)
         See `MeshStream`.
+    crs : Crs
+        What the coordinates mean.
 
     Yields
     ------
@@ -150,7 +156,7 @@ def shared_ply(
         until the block ends.
     """
     is_double = needs_double(box, origin)
-    header = _mesh_header(counts, is_double)
+    header = _mesh_header(counts, is_double, crs=crs)
     face_start = len(header) + counts[0] * vertex_size(is_double)
     with replacing(path) as file:
         file.write(header)
@@ -175,11 +181,14 @@ def _make_rows(
 
 
 def _mesh_header(
-    counts: tuple[int, int], is_double: bool, property_lines: Sequence[str] = ()
+    counts: tuple[int, int],
+    is_double: bool,
+    property_lines: Sequence[str] = (),
+    crs: Crs = UNKNOWN,
 ) -> bytes:
     if counts[0] > _MOST_VERTICES:
         raise OutputError(
             f"{counts[0]} vertices are more than the faces of a PLY file can name",
             "choose an output that ends in .tiles",
         )
-    return mesh_header(*counts, is_double, property_lines)
+    return mesh_header(*counts, is_double, property_lines, tuple(keep(crs)))

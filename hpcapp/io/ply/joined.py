@@ -11,6 +11,7 @@ import numpy as np
 
 from hpcapp.applications.surface.stitching.shared_ply import coordinate_lines, ply_header
 from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.io.crs import Crs
 from hpcapp.io.ply.columns import VertexProperties
 from hpcapp.io.ply.comments import keep
 from hpcapp.io.points.column_roles import AXES, name_columns
@@ -61,11 +62,11 @@ def write_joined(path: Path, sources: Sequence[PointSource]) -> int:
 
 def _refuse_mixed(sources: Sequence[PointSource]) -> None:
     """Refuse sources whose coordinates do not mean the same."""
-    for what in ("unit", "crs"):
+    for what in ("unit", "height_unit", "crs"):
         known = [(source, getattr(source, what)) for source in sources if getattr(source, what)]
         for source, value in known[1:]:
             if value != known[0][1]:
-                name = "unit" if what == "unit" else "coordinate reference system"
+                name = "coordinate reference system" if what == "crs" else "unit"
                 raise InputError(
                     f"{source.path} has another {name} than {known[0][0].path}: "
                     f"{str(value)[:60]}, not {str(known[0][1])[:60]}",
@@ -117,10 +118,12 @@ def _select(part: PointCloud, layout: PointCloud, first_scan: int) -> PointCloud
 
 def _make_header(count: int, properties: VertexProperties, sources: Sequence[PointSource]) -> bytes:
     """Return the header; as long for any count."""
-    crs = next((source.crs for source in sources if source.crs), None)
-    unit = next((source.unit for source in sources if source.unit), None)
+    known = [
+        next((value for source in sources if (value := getattr(source, what))), None)
+        for what in ("crs", "unit", "height_unit")
+    ]
     scans = [scan for source in sources for scan in source.scans]
     filling = "comment ".ljust(8 + _COUNT_DIGITS - len(str(count)), "-")
     return ply_header(
-        [*keep(crs, unit, scans), *coordinate_lines(count, True), *properties.lines, filling]
+        [*keep(Crs(*known), scans), *coordinate_lines(count, True), *properties.lines, filling]
     )

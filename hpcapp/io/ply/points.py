@@ -96,6 +96,7 @@ def open_ply(path: Path) -> PointSource:
         findings,
         "file" if polygons is None else "faces",
         oriented=not splats,
+        height_unit=kept.height_unit,
     )
 
 

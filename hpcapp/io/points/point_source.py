@@ -14,7 +14,8 @@ from typing import Literal
 from hpcapp.applications.surface.reading.point_records import PointRecords
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io.batches import cut_points, join_points
-from hpcapp.io.frame import to_local
+from hpcapp.io.crs import Crs
+from hpcapp.io.frame import scale_heights, to_local
 from hpccomponent.errors import InputError
 
 __all__ = ["SCAN", "Findings", "PointSource", "Scan", "keep_small", "read_whole", "translated"]
@@ -116,6 +117,8 @@ class PointSource:
         Whether what the file holds tells that the points were measured from above.
     is_projected : bool
         Whether x and y are coordinates of a map.
+    height_unit : str or None
+        Of z, where it is stated of that alone.
     """
 
     path: Path
@@ -135,6 +138,12 @@ class PointSource:
     oriented: bool = True
     is_flown: bool = False
     is_projected: bool = False
+    height_unit: str | None = None
+
+    @property
+    def frame(self) -> Crs:
+        """What the file's coordinates mean."""
+        return Crs(self.crs, self.unit, self.height_unit)
 
     @property
     def up(self) -> str:
@@ -167,6 +176,22 @@ class PointSource:
             return (replace(part, normals=None) for part in self.scan(rows))
 
         return replace(self, scan=scan, has_normals=False, records=records)
+
+    def isotropic(self) -> PointSource:
+        """Return the same points with z in the unit of x and y; `frame` stays that of the file."""
+        factor = self.frame.height_scale
+        if factor == 1.0:
+            return self
+        scales = (1.0, 1.0, factor)
+        scans = [
+            one if one.scanner is None else replace(one, scanner=one.scanner * scales)
+            for one in self.scans
+        ]
+
+        def scan(rows: int) -> Iterator[PointCloud]:
+            return (scale_heights(part, factor) for part in self.scan(rows))
+
+        return replace(self, is_double=True, scan=scan, scans=tuple(scans), records=None)
 
     def check(self) -> None:
         """Find out, given `records`, whether all of the file but its points is as it should be."""

@@ -153,6 +153,11 @@ def recognise(source: PointSource) -> PointSource:
         )
 
     unit = "degree" if is_degree else source.unit
+    if (factor := source.frame.height_scale) != 1.0:
+        findings.warn(
+            f"x and y are in {unit}, heights in {source.height_unit}: heights are multiplied by "
+            f"{factor:.5g} for the surface, which is written in the file's own coordinates"
+        )
 
     def scan(rows: int) -> Iterator[PointCloud]:
         findings.dropped.clear()

@@ -1,5 +1,7 @@
 import os
+import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +17,8 @@ from hpcapp.io import (
     write_mesh,
     write_points,
 )
+from hpcapp.io.crs import Crs
+from hpcapp.io.meshes.mesh_stream import as_stream
 from hpccomponent.errors import InputError, UsageError
 
 Make = Callable[..., Path]
@@ -138,8 +142,86 @@ def test_what_a_format_does_not_hold_is_said(
     if lost is None:
         assert not caplog.messages
     else:
-        (message,) = caplog.messages
+        message = caplog.messages[0]
         assert f"mesh{suffix}: {suffix} holds {lost}" in message
     caplog.clear()
     write_mesh(tmp_path / f"plain{suffix}", tetrahedron)
     assert not caplog.messages
+
+
+LOCAL_FRAME = Crs("EPSG:25832", "m", "ft")
+
+
+def read_bytes(path: Path) -> bytes:
+    """Return the bytes of a file, of all files of a folder, or of what is packed in one."""
+    if path.is_dir():
+        return b"".join(file.read_bytes() for file in sorted(path.iterdir()))
+    if path.suffix == ".3mf":
+        return zipfile.ZipFile(path).read("3D/3dmodel.model")
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("suffix", "said"),
+    [
+        (".ply", ["comment crs EPSG:25832\n", "comment unit m\n", "comment height_unit ft\n"]),
+        (".tiles", ["comment crs EPSG:25832\n", "comment unit m\n", "comment height_unit ft\n"]),
+        (".obj", ["# crs EPSG:25832\n", "# unit m\n", "# height_unit ft\n"]),
+        (".off", ["# crs EPSG:25832\n", "# unit m\n", "# height_unit ft\n"]),
+        (".glb", ['"extras":{"unit":"m","height_unit":"ft","crs":"EPSG:25832"}']),
+        (".3dtiles", ['"crs": "EPSG:25832"', '"unit": "m"']),
+        (".vtp", ['Name="crs"', "109 0</DataArray>"]),
+        (".3mf", ['<model unit="meter"', '"Description">EPSG:25832<']),
+    ],
+)
+def test_a_mesh_says_what_its_coordinates_mean(
+    tmp_path: Path,
+    tetrahedron: Mesh,
+    caplog: pytest.LogCaptureFixture,
+    suffix: str,
+    said: list[str],
+) -> None:
+    path = tmp_path / f"mesh{suffix}"
+    write_mesh(path, replace(as_stream(tetrahedron), crs=LOCAL_FRAME))
+    written = read_bytes(path)
+    for text in said:
+        assert text.encode() in written
+    if suffix not in (".tiles", ".3dtiles", ".3mf"):
+        assert (read_mesh(path).vertices == tetrahedron.vertices).all()
+    assert not caplog.messages
+
+
+def test_an_stl_says_neither_unit_nor_place(
+    tmp_path: Path, tetrahedron: Mesh, caplog: pytest.LogCaptureFixture
+) -> None:
+    moved = replace(tetrahedron, origin=np.array([4.5e5, 5.4e6, 300.25]))
+    write_mesh(tmp_path / "mesh.stl", replace(as_stream(moved), crs=LOCAL_FRAME))
+    meaning, place = caplog.messages
+    assert meaning.endswith(".stl does not say what coordinates mean: unit, height_unit, crs")
+    assert place.endswith("in local coordinates: add 450000 5400000 300.25 for those of the input")
+    assert b"origin 450000 5400000 300.25" in (tmp_path / "mesh.stl").read_bytes()[:80]
+
+
+def test_a_coordinate_system_is_one_line_of_a_header(tmp_path: Path, tetrahedron: Mesh) -> None:
+    wild = Crs('PROJCS["a",\n UNIT["metre",1]]\x01\nend_header', "m")
+    write_mesh(tmp_path / "mesh.ply", replace(as_stream(tetrahedron), crs=wild))
+    assert (read_mesh(tmp_path / "mesh.ply").vertices == tetrahedron.vertices).all()
+
+
+@pytest.mark.parametrize(
+    ("unit", "name", "scale"),
+    [
+        ("m", "meter", None), ("ft", "foot", None), ("mm", "millimeter", None),
+        ("cm", "centimeter", None), ("km", "meter", 1000.0), ("US ft", "meter", 1200 / 3937),
+        (None, "millimeter", None), ("degree", "millimeter", None),
+    ],
+)  # fmt: skip
+def test_a_3mf_has_the_unit_of_the_input(
+    tmp_path: Path, tetrahedron: Mesh, unit: str | None, name: str, scale: float | None
+) -> None:
+    write_mesh(tmp_path / "mesh.3mf", replace(as_stream(tetrahedron), crs=Crs(None, unit)))
+    model = read_bytes(tmp_path / "mesh.3mf").decode()
+    assert f'unit="{name}"' in model
+    number = f"{scale or 1.0:.17g}"
+    placed = f'transform="{number} 0 0 0 {number} 0 0 0 {number} 0 0 0"'
+    assert (placed in model) == (scale is not None)

@@ -17,7 +17,8 @@ import numpy as np
 from hpcapp.applications.surface.attributes.vertex_normals import add_face_normals, scale_normals
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
-from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
+from hpcapp.io.crs import UNKNOWN, Crs
+from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream, scale_mesh_heights
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.attributes.carry import Carried
@@ -45,17 +46,22 @@ class Carrying:
         Of the points, in length units of the input, where the support is asked for.
     has_normals : bool
         Whether the vertices get normals.
+    crs : Crs
+        What the input's coordinates mean. Heights of another unit than x and y, which were scaled
+        for the surface, get their own again.
     """
 
     layout: PointCloud
     evaluate: Evaluate | None = None
     spacing: float | None = None
     has_normals: bool = False
+    crs: Crs = UNKNOWN
 
     @property
     def is_something(self) -> bool:
-        """Whether the vertices get anything at all."""
-        return self.has_normals or self.evaluate is not None
+        """Whether the vertices get anything at all, or other heights."""
+        has_columns = self.has_normals or self.evaluate is not None
+        return has_columns or self.crs.height_scale != 1.0
 
     @property
     def names(self) -> list[str]:
@@ -74,16 +80,18 @@ class Carrying:
         return PointCloud(none, normals, self.layout.colours, attributes)
 
     def to_stream(self, stream: MeshStream) -> MeshStream:
-        """Return a mesh whose vertices carry it.
+        """Return a mesh whose vertices carry it, in the input's coordinates.
 
         Returns
         -------
         MeshStream
             Vertices are looked up as they are asked for.
         """
+        known = replace(stream, crs=self.crs)
         if not self.is_something:
-            return stream
-        return replace(stream, vertices=lambda: self._carry(stream), layout=self.columns)
+            return known
+        carried = replace(known, vertices=lambda: self._carry(stream), layout=self.columns)
+        return scale_mesh_heights(carried, 1.0 / self.crs.height_scale)
 
     def to_tile(self, tile: MeshStream) -> MeshStream:
         """Return a tile of a mesh whose vertices carry it, but for normals.
@@ -98,7 +106,7 @@ class Carrying:
         Returns
         -------
         Mesh
-            The same vertices and faces.
+            The same vertices and faces, in the input's coordinates.
         """
         if not self.is_something:
             return mesh
@@ -109,6 +117,8 @@ class Carrying:
         colours = [block.colours for block in blocks if block.colours is not None]
         return replace(
             mesh,
+            vertices=np.concatenate([layout.positions, *(block.positions for block in blocks)]),
+            origin=stream.origin,
             normals=np.concatenate(normals) if normals else None,
             colours=np.concatenate(colours) if colours else None,
             attributes={

@@ -31,7 +31,7 @@ def carry_columns(
         reason = loaded.columns.why_no_confidence
         log.warning("warning: --attributes %s: left out: %s", CONFIDENCE, reason)
     if layout.colours is None and not layout.attributes and not choice.has_support:
-        return Carrying(layout, has_normals=choice.has_normals)
+        return Carrying(layout, has_normals=choice.has_normals, crs=loaded.crs)
     at_once = min(choose_tile(settings, outcome.backend) or _MOST_AT_ONCE, _MOST_AT_ONCE)
     threads = choose_threads(outcome.backend.workforce, len(cloud))
     with clock.stage("attributes"):
@@ -40,4 +40,4 @@ def carry_columns(
             spacing = cloud.measure().spacing
         evaluate = loaded.columns.open(cloud, spacing, threads, at_once)
     support = spacing if choice.has_support else None
-    return Carrying(layout, evaluate, support, choice.has_normals)
+    return Carrying(layout, evaluate, support, choice.has_normals, loaded.crs)

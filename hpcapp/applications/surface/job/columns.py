@@ -116,7 +116,7 @@ class FileColumns:
         folder = Path(str(cloud.place)).parent / f"columns-{secrets.token_hex(4)}"
         make_private_folder(folder)
         columns, search = ColumnBlocks(folder, cloud, self.layout), LabelSearch()
-        for part in open_points(self.settings.points).chunks(at_once):
+        for part in open_points(self.settings.points).isotropic().chunks(at_once):
             chosen = self.settings.attributes.select(part, self.settings.shown)
             search.add(chosen.attributes)
             local = chosen.positions - cloud.origin if cloud.origin.any() else chosen.positions

@@ -40,7 +40,7 @@ def may_pay_in_folder(settings: JobSettings) -> bool:
         if not is_here or free < _BYTES_PER_POINT * points:
             return False
     is_ply = settings.points.suffix.lower() == ".ply"
-    return is_ply and open_points(settings.points).records is not None
+    return is_ply and open_points(settings.points).isotropic().records is not None
 
 
 def choose_tile(settings: Settings, backend: Backend) -> int | None:

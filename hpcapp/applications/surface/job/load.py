@@ -42,6 +42,7 @@ from hpcapp.applications.surface.settings import JobSettings, Settings
 from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.applications.surface.viewpoint import Viewpoint
 from hpcapp.io import PointSource, drop_unusable, open_points, read_whole
+from hpcapp.io.crs import UNKNOWN, Crs
 from hpcapp.io.points.point_source import SCAN, Findings
 from hpcapp.io.points.usable import Dropped, refuse_too_few
 from hpcapp.progress import StageClock
@@ -95,6 +96,8 @@ class Read:
         Whether the points have normals, and whether the input says that these have a side.
     sensor : Sensor
         Where they were measured from.
+    crs : Crs
+        What the file's coordinates mean; heights are in the unit of x and y here.
     """
 
     cloud_pass: CloudPass
@@ -104,6 +107,7 @@ class Read:
     has_normals: bool
     is_oriented: bool = True
     sensor: Sensor = field(default_factory=Sensor)
+    crs: Crs = UNKNOWN
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,6 +125,8 @@ class Loaded:
         How its normals came about.
     findings : Findings
         What is odd about the file.
+    crs : Crs
+        What the file's coordinates mean.
     """
 
     cloud: ArrangedCloud
@@ -129,6 +135,7 @@ class Loaded:
     columns: Columns
     oriented: Oriented
     findings: Findings
+    crs: Crs
 
     def report(self, shown: str) -> None:
         """Log what was left out of the input.
@@ -165,9 +172,9 @@ def load(settings: JobSettings, clock: StageClock, folder: PointFolder | None = 
         Where the points are put; into memory by default. They are the same, bit for bit. With
         `resume`, what is in the folder is taken, if it is whole.
     """
-    source = open_points(settings.points)
+    source = open_points(settings.points).isotropic()
     if folder is not None and settings.resume:
-        loaded = _find_loaded(folder.path, FileColumns.of(settings, source))
+        loaded = _find_loaded(folder.path, FileColumns.of(settings, source), source.frame)
         if loaded is not None:
             return loaded
     if settings.normals == "estimate":
@@ -198,6 +205,7 @@ def _read_into_memory(settings: JobSettings, source: PointSource, clock: StageCl
         dropped=dropped,
         is_oriented=source.oriented,
         sensor=_find_sensor(settings, source),
+        crs=source.frame,
     )
 
 
@@ -250,6 +258,7 @@ def _read_into_folder(
         source.has_normals,
         source.oriented,
         _find_sensor(settings, source),
+        source.frame,
     )
 
 
@@ -271,6 +280,8 @@ def told_sensor(viewpoint: Viewpoint) -> Sensor:
 def _find_sensor(settings: JobSettings, source: PointSource) -> Sensor:
     """Return where the points were measured from: as the user says, else as the file does."""
     told = told_sensor(settings.viewpoint)
+    if told.places is not None:
+        return replace(told, places=told.places * (1.0, 1.0, source.frame.height_scale))
     if told.is_told:
         return told
     known = [scan.scanner for scan in source.scans if scan.scanner is not None]
@@ -328,7 +339,7 @@ def prepare(settings: Settings, read: Read, clock: StageClock) -> Loaded:
         cloud_pass = measure_cloud(cloud_pass, spacing)
     cloud = cloud_pass.cloud
     columns = read.columns.of_cloud(cloud)
-    return Loaded(cloud, read.dropped, cleaned, columns, oriented, Findings())
+    return Loaded(cloud, read.dropped, cleaned, columns, oriented, Findings(), read.crs)
 
 
 def _note(folder: Path, loaded: Loaded) -> None:
@@ -343,7 +354,7 @@ def _note(folder: Path, loaded: Loaded) -> None:
     FolderStore(folder).put(_NOTE, told)
 
 
-def _find_loaded(folder: Path, columns: Columns) -> Loaded | None:
+def _find_loaded(folder: Path, columns: Columns, crs: Crs) -> Loaded | None:
     """Return the points that another run has put into a folder; None if they are not whole."""
     try:
         os.lstat(folder / _NOTE)
@@ -367,4 +378,5 @@ def _find_loaded(folder: Path, columns: Columns) -> Loaded | None:
         columns,
         Oriented(**told["oriented"]),
         Findings(**told["findings"]),
+        crs,
     )

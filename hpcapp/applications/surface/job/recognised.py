@@ -18,8 +18,8 @@ def describe_input(settings: JobSettings) -> dict[str, Any]:
     -------
     dict
         JSON values: ``files`` as the user named them, ``format``, ``columns`` (what each was taken
-        for, by its name), ``crs`` and ``unit`` where the file tells, ``up`` (which way that is, and
-        why).
+        for, by its name), ``crs``, ``unit`` and ``height_unit`` where the file tells, ``up``
+        (which way that is, and why).
     """
     source = open_points(settings.points)
     first = next(source.chunks(1))
@@ -29,5 +29,6 @@ def describe_input(settings: JobSettings) -> dict[str, Any]:
         "columns": {name: tell_use(name, first) for name in source.columns},
         "crs": source.crs,
         "unit": source.unit,
+        "height_unit": source.height_unit,
         "up": source.up,
     }

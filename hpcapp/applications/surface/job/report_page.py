@@ -15,8 +15,10 @@ from scipy.spatial import cKDTree
 from hpcapp.applications.surface.attributes.carrying import SUPPORT, Carrying
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
-from hpcapp.io import read_mesh, read_points, take_finite
-from hpcapp.io.meshes.mesh_stream import MeshStream
+from hpcapp.io import open_points, read_mesh, read_whole, take_finite
+from hpcapp.io.crs import UNKNOWN
+from hpcapp.io.frame import scale_heights
+from hpcapp.io.meshes.mesh_stream import MeshStream, find_vertices, make_mesh
 from hpcapp.pages.job import describe_job
 from hpcapp.pages.owners import TILE, Owners, mark_tiles, take_labels
 from hpcapp.pages.page import Section, build_page, make_table, write_page
@@ -71,8 +73,12 @@ class Shown:
 
 
 def show_job(loaded: Loaded, outcome: Outcome, carrying: Carrying) -> Shown:
-    """Gather what the page of a job draws, at bounded memory."""
-    stream = replace(carrying, has_normals=False).to_stream(outcome.result.surface.stream())
+    """Gather what the page of a job draws, at bounded memory.
+
+    It is drawn undistorted: heights are in the unit of x and y.
+    """
+    bare = replace(carrying, has_normals=False, crs=UNKNOWN)
+    stream = bare.to_stream(outcome.result.surface.stream())
     owners = find_owners(outcome.result)
     if owners is not None:
         stream = _with_column(stream, TILE, owners.tiles)
@@ -134,10 +140,14 @@ def show_files(mesh: Path, points: Path, report: Mapping[str, Any]) -> Shown:
     InputError
         One of them cannot be read.
     """
+    source = open_points(points).isotropic()
     whole = read_mesh(mesh)
+    if (factor := source.frame.height_scale) != 1.0:
+        vertices = scale_heights(replace(find_vertices(whole), origin=whole.origin), factor)
+        whole = make_mesh(vertices, whole.faces, vertices.origin)
     marked, workers = mark_tiles(whole, mesh, report, "the head's report")
     thin, labels = take_labels(thin_mesh(marked), workers)
-    cloud = take_finite(read_points(points), str(points))
+    cloud = take_finite(read_whole(source), str(points))
     cloud = replace(cloud, positions=cloud.positions + (cloud.origin - whole.origin))
     distances: FloatArray = cKDTree(cloud.positions).query(thin.vertices, workers=-1)[0]
     return Shown(thin, len(whole.faces), cloud, distances, tuple(labels))

@@ -167,12 +167,12 @@ def _write(
         topology = outcome.result.surface.check()
     report = _describe(settings, outcome, topology)
     report["attributes"] = carrying.names
-    losses = describe_losses(target, carrying.columns)
+    written = carrying.to_stream(outcome.result.surface.stream())
     report["warnings"] = [
         *loaded.findings.warnings,
         *loaded.oriented.warnings,
         *outcome.warnings,
-        *([losses] if losses else []),
+        *describe_losses(target, written),
     ]
     report["dropped"] = {
         **loaded.findings.dropped,

@@ -94,7 +94,11 @@ def ply_header(element_lines: list[str]) -> bytes:
 
 
 def mesh_header(
-    vertex_count: int, face_count: int, is_double: bool, property_lines: Sequence[str] = ()
+    vertex_count: int,
+    face_count: int,
+    is_double: bool,
+    property_lines: Sequence[str] = (),
+    comment_lines: Sequence[str] = (),
 ) -> bytes:
     """Return the header of a mesh.
 
@@ -105,9 +109,12 @@ def mesh_header(
         Whether coordinates are float64, not float32.
     property_lines : sequence of str
         Further properties of the vertices.
+    comment_lines : sequence of str
+        What the coordinates mean.
     """
     return ply_header(
         [
+            *comment_lines,
             *coordinate_lines(vertex_count, is_double),
             *property_lines,
             f"element face {face_count}",

@@ -58,7 +58,7 @@ def write_kept_tile(
     kept: tuple[str, str],
     places: PartPlaces,
     foreign: tuple[tuple[str, ...], IntArray, IntArray],
-    ply: tuple[str, str, bool, FloatArray],
+    ply: tuple[str, str, bool, FloatArray, tuple[str, ...]],
 ) -> bool:
     """Write a part that is kept into a folder of tiles (a task).
 
@@ -73,7 +73,8 @@ def write_kept_tile(
         Names of other parts, and of each foreign vertex which of them has it, and in which row.
     ply : tuple
         The file, in a folder that has another name while it is written; the name that the folder
-        will have; whether coordinates are ``double``; what is to be added to them.
+        will have; whether coordinates are ``double``; what is to be added to them; comments of
+        the header.
 
     Returns
     -------
@@ -89,7 +90,7 @@ def write_kept_tile(
         A part cannot be read.
     """
     leave_for_files()  # what tiles have left
-    (place, name), (path, target, is_double, origin) = kept, ply
+    (place, name), (path, target, is_double, origin, comments) = kept, ply
     if not os.access(os.path.dirname(path), os.W_OK | os.X_OK):
         return False
     store = hold_store(place)
@@ -110,7 +111,7 @@ def write_kept_tile(
         # Not cut to nothing first: who is late must not damage what is done.
         with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT, 0o666), "wb") as file:
             for piece in (
-                mesh_header(len(vertices), len(faces), is_double),
+                mesh_header(len(vertices), len(faces), is_double, (), comments),
                 vertex_rows(vertices, origin, is_double).data,
                 face_rows(faces).data,
             ):

@@ -4,9 +4,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hpcapp.applications.points.info import describe, describe_file
+from hpcapp.applications.points.info import describe, describe_file, measure_typical
+from hpcapp.applications.surface.job.run import JobSettings, run_job
 from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import open_points
+from hpcapp.progress import Progress
 
 
 def grid(step: float = 0.25) -> np.ndarray:
@@ -20,7 +22,6 @@ def test_a_grid_is_measured() -> None:
     assert facts["bounds"] == [[0, 0, 0], [2, 2, 2]]
     assert facts["extent"] == [2, 2, 2]
     assert facts["diagonal"] == pytest.approx(np.sqrt(12))
-    assert facts["spacing"] == pytest.approx(0.25)
     assert facts["duplicates"] == 0
     assert not facts["has_normals"]
     assert not facts["has_colours"]
@@ -54,23 +55,29 @@ def test_what_is_wrong_is_counted_and_does_not_disturb() -> None:
     assert facts["non_finite_normals"] == 1
     assert facts["zero_normals"] == 3
     assert facts["duplicates"] == 6
-    assert facts["spacing"] == pytest.approx(0.25)
     assert facts["bounds"] == [[0, 0, 0], [2, 2, 2]]
     assert facts["has_normals"]
     assert facts["has_colours"]
 
 
-def test_many_points_are_measured_from_some() -> None:
-    line = np.zeros((50_001, 3))
-    line[:, 0] = np.arange(50_001) / 8
-    assert describe(PointCloud(line))["spacing"] == 1 / 8
+def test_the_spacing_is_that_of_the_job(tmp_path: Path) -> None:
+    """Strays and repeated points do not count; so many points lie on a ball, evenly."""
+    rng = np.random.default_rng(7)
+    ball = rng.normal(size=(20_000, 3))
+    ball /= np.linalg.norm(ball, axis=1, keepdims=True)
+    scan = np.vstack([ball, ball[:300], rng.uniform(-3, 3, (60, 3))])
+    np.savetxt(tmp_path / "scan.xyz", scan)
+    facts, _, _ = describe_file(open_points(tmp_path / "scan.xyz"))
+    settings = JobSettings(tmp_path / "scan.xyz", str(tmp_path / "m.ply"), grid=32)
+    assert facts["spacing"] == run_job(settings, Progress())["spacing"]
+    assert facts["spacing"] == pytest.approx(np.sqrt(4 * np.pi / len(ball)), rel=0.2)
 
 
 @pytest.mark.parametrize("positions", [np.empty((0, 3)), np.full((3, 3), np.nan)])
 def test_nothing_to_measure_is_none(positions: np.ndarray) -> None:
     facts = describe(PointCloud(positions))
     assert facts["bounds"] is None
-    assert facts["spacing"] is None
+    assert measure_typical(PointCloud(positions)) is None
     assert facts["points"] == len(positions)
 
 

@@ -93,12 +93,12 @@ def test_cut_after_opening(make_las: MakeLas) -> None:
         list(source.chunks(10))
 
 
-def test_heights_of_another_unit_are_warned_of(make_las: MakeLas) -> None:
+def test_heights_of_another_unit_are_told(make_las: MakeLas) -> None:
     wkt = b'COMPD_CS["a",PROJCS["b",UNIT["f",0.3048]],VERT_CS["c",UNIT["m",1]]]'
-    source = open_las(make_las([old_point(0)], vlrs=[(b"LASF_Projection", 2112, wkt)]))
+    source = open_points(make_las([old_point(0)], vlrs=[(b"LASF_Projection", 2112, wkt)]))
     (warning,) = source.findings.warnings
     assert warning.startswith("x and y are in ft, heights in m: ")
-    assert warning.endswith("multiply the heights by 3.2808")
+    assert "multiplied by 3.2808 for the surface" in warning
 
 
 def test_what_was_flown_over_is_found_in_the_points(make_las: MakeLas) -> None:
