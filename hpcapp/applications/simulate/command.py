@@ -27,6 +27,14 @@ SCENE_OPTIONS = {"points", "noise", "drift", "seed", *RAW_OPTIONS}
 POINTS = click.Path(dir_okay=False, path_type=Path)
 
 
+def _complete_shape(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
+    """Return the names of models that begin so."""
+    del ctx, param
+    from hpcapp.applications.simulate.shapes import SHAPES
+
+    return [name for name in SHAPES if name.startswith(incomplete)]
+
+
 @click.command(
     cls=Verb,
     examples=[
@@ -44,7 +52,12 @@ POINTS = click.Path(dir_okay=False, path_type=Path)
         ),
     ],
 )
-@click.option("--shape", help="Which model; an unknown name lists all.")
+@click.option(
+    "--shape",
+    metavar="NAME",
+    shell_complete=_complete_shape,
+    help="Which model; an unknown name lists all.",
+)
 @click.option("--scene", type=click.Choice(SCENES), help="A raw scan, with its truth beside it.")
 @click.option("--scanner", type=click.Choice(SCANNERS), help="Of a scene; its usual one without.")
 @click.option("-o", "--output", required=True, type=POINTS, help="Point cloud to write.")
