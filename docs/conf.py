@@ -22,6 +22,7 @@ autodoc_member_order = "bysource"
 napoleon_google_docstring = False
 html_theme = "furo"
 html_title = "hpcapp"
+smartquotes = False  # options and commands stand in running text
 
 
 def setup(app: Sphinx) -> None:
