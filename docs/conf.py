@@ -22,9 +22,7 @@ autodoc_member_order = "bysource"
 napoleon_google_docstring = False
 html_theme = "furo"
 html_title = "hpcapp"
-man_pages = [
-    ("reference/generated/command-line", "hpcapp", "watertight meshes from point clouds", "", 1)
-]
+smartquotes = False  # options and commands stand in running text
 
 
 def setup(app: Sphinx) -> None:

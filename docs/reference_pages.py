@@ -10,37 +10,13 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin
 
-import click
+from command_pages import describe_commands
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
 import hpcapp
-from hpcapp.cli import hpcapp as command_line
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.provider import ProviderSpec
-
-
-def describe_commands() -> Iterator[str]:
-    """Yield the page of the command line, made from click."""
-    yield "# Command line\n"
-    yield "Every command has `--help`. Exit codes: 0 done, 1 job failed, 2 usage or configuration,"
-    yield "3 bad input, 4 cloud or provisioning, 130 interrupted.\n"
-    root = click.Context(command_line, info_name="hpcapp")
-    for name in sorted(command_line.list_commands(root)):
-        command = command_line.get_command(root, name)
-        if command is None:  # listed, but not to be loaded
-            continue
-        context = click.Context(command, info_name=name, parent=root)
-        yield f"## {name}\n"
-        yield f"{inspect.cleandoc(command.help or '')}\n"
-        yield f"```\n{context.get_usage().removeprefix('Usage: ')}\n```\n"
-        rows = [option.get_help_record(context) for option in command.get_params(context)]
-        if table := [row for row in rows if row is not None]:
-            yield "| option | meaning |\n|---|---|"
-            yield from (
-                f"| `{flag.replace('|', chr(92) + '|')}` | {_cell(text)} |" for flag, text in table
-            )
-            yield ""
 
 
 def describe_cluster_file() -> Iterator[str]:

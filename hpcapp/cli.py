@@ -18,7 +18,9 @@ import click
 from hpcapp.interrupts import EXIT_INTERRUPTED, obey_signals
 from hpccomponent.errors import ConfigError, HpcError
 from hpccomponent.runtime.garbage_collection import rare_collections
-from hpccomponent.terminal import VisibleFormatter, echo, visible_line, visible_text, write_block
+from hpccomponent.terminal import echo, write_block
+from hpccomponent.verb import COMMON
+from hpccomponent.verbosity import Verbosity, set_verbosity
 
 __all__ = ["hpcapp", "main"]
 
@@ -34,20 +36,70 @@ SHIPPED = {
     "reproduce": "hpcapp.applications.reproduce.command:reproduce",
 }
 EXIT_FAILED, EXIT_USAGE = 1, 2
-# What these log is raised too, and said in our words: a user sees it with --debug only.
-FOREIGN = ("boto3", "botocore", "paramiko", "s3transfer", "urllib3")
+# The verbs as help shows them; those of a plug-in come last.
+SECTIONS = {
+    "Mesh": ("reconstruct", "simplify", "convert"),
+    "Look": ("info", "view", "compare"),
+    "Clusters": (
+        "validate", "plan", "doctor", "up", "status", "ls", "scale", "ssh", "exec", "put", "get",
+        "adopt", "down", "reap",
+    ),
+    "Jobs on a cluster": ("submit", "jobs", "logs", "attach", "cancel", "fetch"),
+    "Paper and lab": ("simulate", "reproduce", "quadrature"),
+}  # fmt: skip
+OTHERS = "Others"
 
 
 class Verbs(click.Group):
     """A group whose commands are imported when they are used."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the names of all verbs, shipped ones first."""
+        """Return the names of all verbs, as help shows them."""
+        return [name for names in self.list_sections(ctx).values() for name in names]
+
+    def list_sections(self, ctx: click.Context) -> dict[str, list[str]]:
+        """Return the names of all verbs below their headings."""
         del ctx
         from importlib.metadata import entry_points  # 20 ms that a shipped verb can save
 
-        others = {entry.name for entry in entry_points(group="hpc.commands")} - set(SHIPPED)
-        return [*SHIPPED, *sorted(others)]
+        installed = {*SHIPPED, *(entry.name for entry in entry_points(group="hpc.commands"))}
+        sections = {
+            title: [name for name in names if name in installed]
+            for title, names in SECTIONS.items()
+        }
+        sections[OTHERS] = sorted(installed.difference(*sections.values()))
+        return sections
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the verbs, section by section, in columns of one width."""
+        sections = self.list_sections(ctx)
+        width = max(map(len, self.list_commands(ctx)))
+        for title, names in sections.items():
+            commands = [(name, self.get_command(ctx, name)) for name in names]
+            rows = [
+                (f"{name:<{width}}", command.get_short_help_str(formatter.width - width - 6))
+                for name, command in commands
+                if command is not None and not command.hidden
+            ]
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Have the logs shown as usual, until an option asks for more or less."""
+        set_verbosity(Verbosity.NORMAL)
+        return super().parse_args(ctx, args)
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the verb; name those that are spelled alike where there is none."""
+        try:
+            return super().resolve_command(ctx, args)
+        except click.exceptions.NoSuchCommand as error:
+            raise click.exceptions.NoSuchCommand(
+                error.command_name, possibilities=self.list_commands(ctx), ctx=ctx
+            ) from None
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Import the verb `cmd_name`; None where there is none."""
@@ -66,29 +118,6 @@ class Verbs(click.Group):
         return command
 
 
-class _Lines(logging.Formatter):
-    """Writes a record without the traceback that it may carry."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        """Return its message; what was put into it, which may be others' words, breaks no line."""
-        if not isinstance(record.args, tuple) or not record.args:
-            return visible_text(record.getMessage())
-        words = (a if isinstance(a, int | float) else visible_line(str(a)) for a in record.args)
-        return visible_text(str(record.msg) % tuple(words))
-
-
-class _LogLines(logging.Handler):
-    """Writes to whatever stderr is at the time: bars put a stream there that spares them."""
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Write one record."""
-        try:
-            sys.stderr.write(self.format(record) + "\n")
-            sys.stderr.flush()
-        except OSError:
-            self.handleError(record)
-
-
 def _print_version(ctx: click.Context, param: click.Parameter, value: bool) -> None:
     del param
     if value and not ctx.resilient_parsing:
@@ -100,29 +129,24 @@ def _print_version(ctx: click.Context, param: click.Parameter, value: bool) -> N
         ctx.exit()
 
 
-@click.group(cls=Verbs, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(
+    cls=Verbs,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    subcommand_metavar="VERB [ARGUMENTS]",
+)
 @click.option("--version", is_flag=True, expose_value=False, is_eager=True,
               callback=_print_version, help="Print the version and leave.")  # fmt: skip
-@click.option("--debug", is_flag=True, help="Log everything; show the traceback of an error.")
-def hpcapp(debug: bool) -> None:
-    """Turn point clouds into watertight meshes, on one machine or on many."""
-    lines = _LogLines()
-    lines.setFormatter(VisibleFormatter("%(name)s: %(message)s") if debug else _Lines())
-    logging.basicConfig(
-        level=logging.INFO if debug else logging.WARNING,  # of the libraries that we use
-        handlers=[lines],
-        force=True,
-    )
-    for name in ("hpcapp", "hpccomponent"):
-        logging.getLogger(name).setLevel(logging.DEBUG if debug else logging.INFO)
-    for name in FOREIGN:
-        logging.getLogger(name).setLevel(logging.INFO if debug else logging.CRITICAL)
-    logging.raiseExceptions = debug  # a log that cannot be written must not end the job
-    logging.captureWarnings(True)
+def hpcapp() -> None:
+    """Turn point clouds into watertight meshes, on one machine or on many.
+
+    'hpcapp VERB --help' has the options of a verb, and examples.
+    """
     from hpccomponent.files.held_folders import remove_killed  # --help needs no such thing
 
     remove_killed()
-    logging.getLogger("py.warnings").setLevel(logging.WARNING if debug else logging.ERROR)
+
+
+hpcapp.params += COMMON
 
 
 def _report(text: str) -> None:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, TextIO
 
 from hpcapp.progress import ProgressObserver
 from hpccomponent.errors import OutputError
+from hpccomponent.verbosity import is_quiet
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bars
@@ -177,6 +178,9 @@ def open_events(path: Path | None, dashboard: str | None = None) -> Iterator[Pro
 @contextmanager
 def open_progress(stream: TextIO) -> Iterator[ProgressObserver]:
     """Yield the display that fits a stream: bars where it is a terminal, lines elsewhere."""
+    if is_quiet():
+        yield ProgressObserver()
+        return
     if not stream.isatty():
         yield ProgressLines(stream)
         return

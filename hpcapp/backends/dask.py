@@ -16,6 +16,7 @@ from contextlib import contextmanager, nullcontext
 from typing import TypeVar
 
 from hpcapp.backends.retrying import RetryingExecutor
+from hpcapp.extras import how_to_install
 from hpccomponent.errors import NoWorkersError, UsageError
 
 try:
@@ -23,9 +24,7 @@ try:
     from distributed import Client, Security
     from distributed.scheduler import KilledWorker
 except ImportError as error:
-    raise UsageError(
-        f"Dask is not installed here ({error})", "pip install 'hpcapp[dask]'"
-    ) from None
+    raise UsageError(f"Dask is not installed here ({error})", how_to_install("dask")) from None
 
 __all__ = ["DaskExecutor", "borrow_client", "open_dask"]
 

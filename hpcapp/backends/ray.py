@@ -38,6 +38,7 @@ from typing import Any, TypeVar
 
 from hpcapp.backends.ray_watcher import watched
 from hpcapp.backends.retrying import RetryingExecutor
+from hpcapp.extras import how_to_install
 from hpccomponent.errors import (
     HpcError,
     JobError,
@@ -65,7 +66,6 @@ LOOPBACK = "127.0.0.1"
 LONGEST_PLACE = 20  # Ray's sockets lie below it; a socket's path has 107 bytes at most
 SHORT_PLACE = "/tmp"  # noqa: S108 - what is made there is private
 LOST_ADVICE = "look at Ray's logs and its memory; 'ray status' says which nodes it has"
-INSTALL = "pip install 'hpcapp[ray]'"
 ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in THREAD_VARIABLES}
 
 QUIET = {
@@ -275,7 +275,7 @@ def count_losses(error: BaseException) -> int:
 def check_ray() -> None:
     """Raise UsageError where Ray is not installed."""
     if find_spec("ray") is None:
-        raise UsageError("Ray is not installed here", INSTALL)
+        raise UsageError("Ray is not installed here", how_to_install("ray"))
 
 
 @contextmanager
@@ -365,7 +365,7 @@ def _connect(address: str) -> Iterator[tuple[ModuleType, Head]]:
     with _environment(variables):
         ray = _import_ray()
         if scheme and find_spec("grpc") is None:
-            raise UsageError("Ray's client is not installed here", INSTALL)
+            raise UsageError("Ray's client is not installed here", how_to_install("ray"))
         with _joined(ray, address=address):
             yield ray, head or _find_head(ray)
 
@@ -437,7 +437,7 @@ def _import_ray() -> ModuleType:
         import ray
         import ray.util.client.common
     except ImportError as error:
-        raise UsageError(f"Ray is not installed here ({error})", INSTALL) from None
+        raise UsageError(f"Ray is not installed here ({error})", how_to_install("ray")) from None
     logging.getLogger("ray").setLevel(
         logging.CRITICAL
     )  # a lost connection is told in one line: ours

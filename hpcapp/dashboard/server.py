@@ -13,6 +13,7 @@ from functools import partial
 from typing import TYPE_CHECKING, cast
 
 from hpcapp.dashboard.watched_job import WatchedJob
+from hpcapp.extras import how_to_install
 from hpccomponent.errors import UsageError
 
 if TYPE_CHECKING:
@@ -24,7 +25,6 @@ __all__ = ["open_dashboard", "parse_address"]
 
 log = logging.getLogger("hpcapp")
 
-INSTALL = "pip install 'hpcapp[dashboard]'"
 BACKLOG = 64  # connections that are taken in at once
 FAREWELL_S = 2  # for pages to read the end
 LEAVE_S = 5.0
@@ -113,7 +113,9 @@ def _make_server(job: WatchedJob, token: str) -> uvicorn.Server:
         from hpcapp.dashboard.app import make_app
         from hpcapp.dashboard.unauthenticated import TrackedProtocol, UnauthenticatedConnections
     except ImportError as error:
-        raise UsageError(f"the dashboard is not installed here ({error})", INSTALL) from None
+        raise UsageError(
+            f"the dashboard is not installed here ({error})", how_to_install("dashboard")
+        ) from None
     connections = UnauthenticatedConnections()
     config = uvicorn.Config(
         make_app(job, token, connections),

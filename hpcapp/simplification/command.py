@@ -8,14 +8,33 @@ from pathlib import Path
 import click
 
 from hpccomponent.errors import UsageError
+from hpccomponent.verb import Verb
 
 __all__ = ["simplify"]
 
 log = logging.getLogger("hpcapp")
 
 
-@click.command()
-@click.argument("mesh", type=click.Path(dir_okay=False, path_type=Path))
+@click.command(
+    cls=Verb,
+    examples=[
+        (
+            "hpcapp simplify mesh.ply -o light.glb --faces 50000",
+            "Leave 50,000 triangles, for a viewer.",
+        ),
+        (
+            "hpcapp simplify mesh.ply -o light.ply --tolerance 0.002",
+            "Leave what keeps the surface within 0.002 of where it is.",
+        ),
+        (
+            "hpcapp simplify mesh.stl -o print.3mf --faces 200000 --tolerance 0.1",
+            "Stop at whichever is met first.",
+        ),
+    ],
+)
+@click.argument(
+    "mesh", type=click.Path(dir_okay=False, path_type=Path), help="A .ply, .obj, .off or .stl."
+)
 @click.option(
     "-o",
     "--output",
@@ -32,7 +51,7 @@ log = logging.getLogger("hpcapp")
     help="Simplify it while its surface moves by less, in its own units.",
 )
 def simplify(mesh: Path, output: str, faces: int | None, tolerance: float | None) -> None:
-    """Simplify the mesh of a .ply, .obj, .off or .stl, with all that its vertices carry."""
+    """Simplify a mesh, with all that its vertices carry."""
     from hpcapp.io import read_mesh, write_mesh
     from hpcapp.io.output import open_output
     from hpcapp.simplification.mesh import Target, simplify_mesh

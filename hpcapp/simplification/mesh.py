@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.extras import how_to_install
 from hpccomponent.errors import UsageError
 
 __all__ = ["Target", "simplify_faces", "simplify_mesh", "unite_vertices"]
@@ -70,9 +71,7 @@ class Target:
             try:
                 import pyfqmr  # noqa: F401
             except ImportError:
-                raise UsageError(
-                    "fewer faces need pyfqmr", "install it: pip install 'hpcapp[light]'"
-                ) from None
+                raise UsageError("fewer faces need pyfqmr", how_to_install("light")) from None
 
 
 def simplify_mesh(mesh: Mesh, target: Target) -> Mesh:

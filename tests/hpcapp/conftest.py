@@ -22,6 +22,7 @@ from stopping import SITECUSTOMIZE
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.cli import _run
 from hpcapp.io import write_points
+from hpccomponent.verbosity import Verbosity, set_verbosity
 
 WriteCloud = Callable[..., Path]
 StartCommand = Callable[..., "subprocess.Popen[str]"]
@@ -162,6 +163,7 @@ def run(
         return code, captured.out, captured.err
 
     yield run
+    set_verbosity(Verbosity.NORMAL)
     logging.captureWarnings(False)
     logging.raiseExceptions = True
     logging.getLogger().handlers.clear()

@@ -214,7 +214,7 @@ def test_info_and_simulate_speak_of_one_scan(run: Run) -> None:
 def test_without_a_verb_the_help_is_shown(run: Run) -> None:
     code, _, stderr = run()
     assert code == 2
-    assert "Commands:\n  reconstruct" in stderr
+    assert "Mesh:\n  reconstruct" in stderr
     assert run("reconstrukt")[0] == 2
     assert run("--version")[1].startswith("hpcapp ")
 

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import click
 
 from hpccomponent.errors import HpcError, OutdatedError
+from hpccomponent.verb import Verb
+from hpcdeploy.cli.arguments import FILE
 from hpcdeploy.cli.asking import ask_name, say
 
 if TYPE_CHECKING:
@@ -16,17 +18,29 @@ if TYPE_CHECKING:
 
 __all__ = ["adopt"]
 
-FILE = click.Path(dir_okay=False, path_type=Path)
 WAIT_S = 30.0  # the head has just let us in
 
 
-@click.command()
-@click.argument("file", type=FILE)
+@click.command(
+    cls=Verb,
+    examples=[
+        (
+            "hpcapp adopt lab.yaml --key owner.pem",
+            "Show whose it is and what runs there, ask, and take it over.",
+        ),
+        ("hpcapp adopt lab.yaml", "Take it over with the key that is here."),
+        ("hpcapp adopt lab.yaml --key owner.pem -y", "Do not ask."),
+    ],
+)
+@FILE
 @click.option("--key", type=click.Path(exists=True, dir_okay=False, path_type=Path), metavar="KEY",
               help="Its owner's private key; it is copied.")  # fmt: skip
 @click.option("-y", "--yes", is_flag=True, help="Do not ask.")
 def adopt(file: Path, key: Path | None, yes: bool) -> None:
-    """Take over the cluster of FILE, which was made elsewhere, with its owner's key."""
+    """Take over a cluster that was made elsewhere.
+
+    It needs its owner's key.
+    """
     from hpcdeploy.reconcile.adoption import check_way_in, take_over
     from hpcdeploy.reconcile.cluster import open_cluster
 

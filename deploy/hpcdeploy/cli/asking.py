@@ -11,6 +11,7 @@ import click
 
 from hpccomponent.errors import CloudError, UsageError
 from hpccomponent.terminal import echo
+from hpccomponent.verbosity import is_quiet
 
 if TYPE_CHECKING:
     from hpcdeploy.provider import Observed
@@ -24,7 +25,7 @@ _NEWLINE_OF_OTHERS = re.compile(r"\n(?! {4})")
 
 
 def say(line: str) -> None:
-    """Tell the user something that no script reads.
+    """Tell the user something that no script reads, and that is no error.
 
     Parameters
     ----------
@@ -33,7 +34,8 @@ def say(line: str) -> None:
         comes from a machine that would say a line of ours, right before a question perhaps: it is
         written out.
     """
-    echo(_NEWLINE_OF_OTHERS.sub(r"\\n", line), err=True)
+    if not is_quiet():
+        echo(_NEWLINE_OF_OTHERS.sub(r"\\n", line), err=True)
 
 
 def ask_to_go_on(cluster: Cluster) -> None:
@@ -107,6 +109,8 @@ def name_foreign(
 
 
 def _ask(cluster: Cluster, ask: Callable[[], T], advice: str) -> T:
+    if is_quiet():  # what is asked about has not been said
+        raise UsageError("-q shows no question", advice)
     try:
         return ask()
     except click.Abort:

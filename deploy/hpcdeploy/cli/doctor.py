@@ -9,19 +9,29 @@ import click
 
 from hpccomponent.errors import CloudError
 from hpccomponent.terminal import echo
+from hpccomponent.verb import Verb
+from hpcdeploy.cli.arguments import FILE
 
 if TYPE_CHECKING:
     from hpcdeploy.provider import Problem
 
 __all__ = ["doctor"]
 
-FILE = click.Path(dir_okay=False, path_type=Path)
 
-
-@click.command()
-@click.argument("file", type=FILE)
+@click.command(
+    cls=Verb,
+    examples=[
+        ("hpcapp doctor lab.yaml", "Name what would make 'up' fail, and what mends it."),
+        ("hpcapp -q doctor lab.yaml", "Check in a script: by the exit code."),
+        ("hpcapp doctor lab.yaml --debug", "Show what was asked of the cloud."),
+    ],
+)
+@FILE
 def doctor(file: Path) -> None:
-    """Check credentials, rights, image, types, wheels and machines of the cluster file FILE."""
+    """Check all that 'up' needs; changes nothing.
+
+    Looks at credentials, rights, image, types, wheels, and the machines that are there.
+    """
     from hpcdeploy.reconcile.cluster import open_cluster
     from hpcdeploy.reconcile.examination import examine
 

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 import click
 
 from hpccomponent.terminal import echo, echo_json, visible_line
+from hpccomponent.verb import Verb
+from hpcdeploy.cli.arguments import FILE, JOB, PATH
 
 if TYPE_CHECKING:
     from hpcdeploy.spec.job_folder import JobStatus
@@ -20,9 +22,6 @@ __all__ = ["attach", "cancel", "fetch", "jobs", "logs", "submit"]
 log = logging.getLogger("hpcapp")
 
 VERB = "reconstruct"
-PATH = click.Path(dir_okay=False, path_type=Path)
-FILE = click.argument("file", type=PATH)
-JOB = click.argument("job", required=False)
 DASHBOARD = click.option(
     "--dashboard", is_flag=True, help="Lead to the job's page from this machine; print its address."
 )
@@ -31,10 +30,28 @@ AS_JSON = click.option(
 )
 
 
-@click.command()
+@click.command(
+    cls=Verb,
+    examples=[
+        (
+            "hpcapp submit lab.yaml scan.laz -o mesh.ply",
+            "Send the points, wait for the job, and fetch the mesh.",
+        ),
+        (
+            "hpcapp submit lab.yaml scan.laz -o mesh.ply --detach",
+            "Leave once the job is in the queue.",
+        ),
+        (
+            "hpcapp submit lab.yaml scan.laz -o mesh.ply -- --grid 512 --close no",
+            "Pass options on to 'reconstruct'.",
+        ),
+    ],
+)
 @FILE
-@click.argument("points", type=PATH)
-@click.argument("options", nargs=-1, type=click.UNPROCESSED)
+@click.argument("points", type=PATH, help="A point cloud of any format that is read.")
+@click.argument(
+    "options", nargs=-1, type=click.UNPROCESSED, help="Options of 'hpcapp reconstruct', after --."
+)
 @click.option("-o", "--output", required=True, type=PATH, metavar="MESH", help="Mesh to write.")
 @click.option("--detach", is_flag=True, help="Leave once the job is in the queue.")
 @DASHBOARD
@@ -48,7 +65,10 @@ def submit(
     dashboard: bool,
     as_json: bool,
 ) -> None:
-    """Run `reconstruct` with OPTIONS (after --) on the points of POINTS on the cluster of FILE."""
+    """Run 'reconstruct' on a cluster, as a job in its queue.
+
+    The job goes on whatever becomes of this machine.
+    """
     from hpcdeploy.jobs import cluster_job
     from hpcdeploy.jobs.queries import open_jobs
     from hpcdeploy.reconcile.cluster import open_cluster
@@ -69,11 +89,21 @@ def submit(
         _tell_report(output, cluster_job.fetch(opened, status, output), as_json)
 
 
-@click.command()
+@click.command(
+    cls=Verb,
+    examples=[
+        ("hpcapp jobs lab.yaml", "List all jobs, and how they stand."),
+        ("hpcapp jobs lab.yaml --json", "The same for a program, a line each."),
+        ("hpcapp -q jobs lab.yaml", "List them without any news."),
+    ],
+)
 @FILE
 @AS_JSON
 def jobs(file: Path, as_json: bool) -> None:
-    """List the jobs of the cluster of FILE; exit code 4 where one of them cannot be read."""
+    """List the jobs of a cluster.
+
+    The exit code is 4 where one of them cannot be read.
+    """
     from hpcdeploy.jobs.queries import open_jobs, raise_damage
     from hpcdeploy.reconcile.cluster import open_cluster
 
@@ -83,12 +113,19 @@ def jobs(file: Path, as_json: bool) -> None:
     raise_damage(listed)
 
 
-@click.command()
+@click.command(
+    cls=Verb,
+    examples=[
+        ("hpcapp logs lab.yaml", "Print the log of the last job."),
+        ("hpcapp logs lab.yaml 3", "Print that of job 3."),
+        ("hpcapp logs lab.yaml -f", "Go on until the last job has ended."),
+    ],
+)
 @FILE
 @JOB
 @click.option("-f", "--follow", is_flag=True, help="Go on until the job has ended.")
 def logs(file: Path, job: str | None, follow: bool) -> None:
-    """Print what JOB, by default the last one, has said."""
+    """Print what a job has said."""
     from hpcdeploy.jobs.display import JobDisplay
     from hpcdeploy.jobs.queries import open_jobs
     from hpcdeploy.reconcile.cluster import open_cluster
@@ -107,12 +144,22 @@ def logs(file: Path, job: str | None, follow: bool) -> None:
             echo(line)
 
 
-@click.command()
+@click.command(
+    cls=Verb,
+    examples=[
+        ("hpcapp attach lab.yaml", "Show the last job, with bars."),
+        ("hpcapp attach lab.yaml 3", "Show job 3."),
+        ("hpcapp attach lab.yaml 3 --dashboard", "Lead to its page, too."),
+    ],
+)
 @FILE
 @JOB
 @DASHBOARD
 def attach(file: Path, job: str | None, dashboard: bool) -> None:
-    """Show JOB, by default the last one, until it has ended; leave with its exit code."""
+    """Show a job until it has ended.
+
+    Leaves with its exit code.
+    """
     from hpcdeploy.jobs import cluster_job
     from hpcdeploy.jobs.queries import open_jobs, raise_failure
     from hpcdeploy.reconcile.cluster import open_cluster
@@ -125,11 +172,18 @@ def attach(file: Path, job: str | None, dashboard: bool) -> None:
         log.info("%s: %s", status.mesh, opened.report(status)["summary"])
 
 
-@click.command()
+@click.command(
+    cls=Verb,
+    examples=[
+        ("hpcapp cancel lab.yaml", "End the last job."),
+        ("hpcapp cancel lab.yaml 3", "End job 3, or take it from the queue."),
+        ("hpcapp cancel lab.yaml 3 -q", "End it without a word."),
+    ],
+)
 @FILE
 @JOB
 def cancel(file: Path, job: str | None) -> None:
-    """End JOB, by default the last one."""
+    """End a job."""
     from hpcdeploy.jobs.queries import open_jobs, raise_damage
     from hpcdeploy.reconcile.cluster import open_cluster
 
@@ -140,7 +194,14 @@ def cancel(file: Path, job: str | None) -> None:
         log.info("job %s is %s", status.job, status.state)
 
 
-@click.command()
+@click.command(
+    cls=Verb,
+    examples=[
+        ("hpcapp fetch lab.yaml", "Fetch the mesh of the last job, as it was called."),
+        ("hpcapp fetch lab.yaml 3 -o mesh.ply", "Fetch that of job 3 as mesh.ply."),
+        ("hpcapp fetch lab.yaml 3 --json", "Print the job's report, too."),
+    ],
+)
 @FILE
 @JOB
 @click.option("-o", "--output", type=PATH, metavar="MESH",
@@ -148,7 +209,7 @@ def cancel(file: Path, job: str | None) -> None:
               "submitted.")  # fmt: skip
 @AS_JSON
 def fetch(file: Path, job: str | None, output: Path | None, as_json: bool) -> None:
-    """Fetch the mesh of JOB, by default of the last one."""
+    """Fetch the mesh of a job."""
     from hpcdeploy.jobs import cluster_job
     from hpcdeploy.jobs.queries import open_jobs, raise_failure
     from hpcdeploy.reconcile.cluster import open_cluster

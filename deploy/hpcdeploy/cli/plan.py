@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 from hpccomponent.terminal import echo, echo_json, visible_line
+from hpccomponent.verb import Verb
+from hpcdeploy.cli.arguments import FILE
 
 if TYPE_CHECKING:
     from hpcdeploy.provider import Problem
@@ -17,13 +19,18 @@ if TYPE_CHECKING:
 
 __all__ = ["plan", "validate"]
 
-FILE = click.Path(dir_okay=False, path_type=Path)
 
-
-@click.command()
-@click.argument("file", type=FILE)
+@click.command(
+    cls=Verb,
+    examples=[
+        ("hpcapp validate lab.yaml", "Check a cluster file."),
+        ("hpcapp -q validate lab.yaml", "Check it in a script: by the exit code, 0 or 2."),
+        ("hpcapp validate lab.yaml --debug", "Show where an error came from."),
+    ],
+)
+@FILE
 def validate(file: Path) -> None:
-    """Name every mistake in the cluster file FILE; asks no network."""
+    """Name every mistake in a cluster file; asks no network."""
     from hpcdeploy.spec.cluster import read_spec
 
     spec = read_spec(file)
@@ -33,13 +40,20 @@ def validate(file: Path) -> None:
     )
 
 
-@click.command()
-@click.argument("file", type=FILE)
+@click.command(
+    cls=Verb,
+    examples=[
+        ("hpcapp plan lab.yaml", "Show the machines to be made and the cost of an hour."),
+        ("hpcapp plan lab.yaml --json", "The same for a program."),
+        ("hpcapp -v plan lab.yaml", "Say what is asked of the cloud meanwhile."),
+    ],
+)
+@FILE
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def plan(file: Path, as_json: bool) -> None:
-    """Show what `up` would do with the cluster file FILE, and what that costs.
+    """Show what 'up' would do, and what it costs; changes nothing.
 
-    Changes nothing. Names the wheels that are missing; refuses what the file's limits forbid.
+    Names the wheels that are missing; refuses what the file's limits forbid.
     """
     from hpcdeploy.install.probe import check_this_python
     from hpcdeploy.install.wheels.requirements import check_wheels

@@ -7,26 +7,36 @@ from pathlib import Path
 import click
 
 from hpccomponent.terminal import echo
+from hpccomponent.verb import Verb
+from hpcdeploy.cli.arguments import FILES
+from hpcdeploy.cli.asking import say
 
 __all__ = ["reap"]
 
 
-@click.command()
-@click.argument("files", nargs=-1, type=click.Path(dir_okay=False, path_type=Path))
+@click.command(
+    cls=Verb,
+    examples=[
+        (
+            "hpcapp reap --dry-run",
+            "Say what would be removed from the AWS account of the environment.",
+        ),
+        ("hpcapp reap lab.yaml --dry-run", "Say it of the cloud of a cluster file."),
+        ("hpcapp reap lab.yaml", "Remove it."),
+    ],
+)
+@FILES
 @click.option("--dry-run", is_flag=True, help="Only say what would be removed.")
 def reap(files: tuple[Path, ...], dry_run: bool) -> None:
-    """Remove what has expired or belongs to nobody, by the cloud's own lists.
+    """Remove what has expired or belongs to nobody.
 
-    Looks at the clouds of the cluster files FILES, or at the AWS account of the environment.
+    Goes by the clouds' own lists.
     """
     from hpcdeploy.providers.clouds import open_clouds
     from hpcdeploy.reconcile.reap import overdue
     from hpcdeploy.reconcile.reap import reap as remove_overdue
     from hpcdeploy.reconcile.removal import describe
     from hpcdeploy.spec.polling import utc_now
-
-    def say(line: str) -> None:
-        echo(line, err=True)
 
     for where, provider in open_clouds(files):
         if dry_run:

@@ -12,6 +12,8 @@ import click
 from hpccomponent.errors import CloudError, HpcError, UsageError
 from hpccomponent.files.paths import check_regular
 from hpccomponent.terminal import echo, echo_output
+from hpccomponent.verb import Verb
+from hpcdeploy.cli.arguments import FILE
 
 if TYPE_CHECKING:
     from hpcdeploy.login.access import Access
@@ -21,17 +23,26 @@ if TYPE_CHECKING:
 
 __all__ = ["exec_", "get", "put", "ssh"]
 
-FILE = click.Path(dir_okay=False, path_type=Path)
 WAIT_S = 30.0  # these machines have answered before
 AT_ONCE = 16
 
 
-@click.command(context_settings={"allow_interspersed_args": False})
-@click.argument("file", type=FILE)
-@click.argument("node", default="head")
-@click.argument("command", nargs=-1, type=click.UNPROCESSED)
+@click.command(
+    cls=Verb,
+    context_settings={"allow_interspersed_args": False},
+    examples=[
+        ("hpcapp ssh lab.yaml", "Open a terminal on the head."),
+        ("hpcapp ssh lab.yaml worker-1", "Open one on a worker."),
+        ("hpcapp ssh lab.yaml head top", "Run a program that needs a terminal."),
+    ],
+)
+@FILE
+@click.argument("node", default="head", help="Where: head (without one), worker-1, ...")
+@click.argument(
+    "command", nargs=-1, type=click.UNPROCESSED, help="What to run; a login shell without."
+)
 def ssh(file: Path, node: str, command: tuple[str, ...]) -> None:
-    """Open a terminal on a NODE of the cluster file FILE, or run a COMMAND in one."""
+    """Open a terminal on a machine, or run a command in one."""
     from hpcdeploy.reconcile.cluster import open_cluster
 
     with open_cluster(file) as cluster, _open_one(cluster, node) as shell:
@@ -39,16 +50,28 @@ def ssh(file: Path, node: str, command: tuple[str, ...]) -> None:
     raise click.exceptions.Exit(code)
 
 
-@click.command("exec", context_settings={"ignore_unknown_options": True})
-@click.argument("file", type=FILE)
+@click.command(
+    "exec",
+    cls=Verb,
+    context_settings={"ignore_unknown_options": True},
+    examples=[
+        ("hpcapp exec lab.yaml uptime", "Run a command on the head."),
+        ("hpcapp exec lab.yaml --all df /", "Run it on every machine at once."),
+        (
+            "hpcapp exec lab.yaml --node worker-1 -- ls --all",
+            "Put -- before a command with options of these names.",
+        ),
+    ],
+)
+@FILE
 @click.option("--node", "nodes", multiple=True, metavar="NAME", help="Where; more than once.")
 @click.option("--all", "is_all", is_flag=True, help="On every machine.")
-@click.argument("command", nargs=-1, required=True, type=click.UNPROCESSED)
+@click.argument("command", nargs=-1, required=True, type=click.UNPROCESSED, help="What to run.")
 def exec_(file: Path, nodes: tuple[str, ...], is_all: bool, command: tuple[str, ...]) -> None:
-    """Run a COMMAND on the head of the cluster file FILE, on some nodes, or on all at once.
+    """Run a command on the head, on some machines, or on all.
 
     Every line of output has its node's name before it; leaves with the largest exit code, 4 where
-    a machine cannot be reached. Where the command has options of the names above, put -- before it.
+    a machine cannot be reached. Where the command has options of the names below, put -- before it.
     Escape codes are written out on a terminal, and kept for a file or a pipe.
     """
     from concurrent.futures import ThreadPoolExecutor
@@ -69,17 +92,30 @@ def exec_(file: Path, nodes: tuple[str, ...], is_all: bool, command: tuple[str, 
     _tell(silent, codes)
 
 
-@click.command()
-@click.argument("file", type=FILE)
-@click.argument("source", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.argument("target", default="")
+@click.command(
+    cls=Verb,
+    examples=[
+        ("hpcapp put lab.yaml scan.laz", "Send a file to the head's home."),
+        ("hpcapp put lab.yaml scan.laz scans/", "Send it into a folder there."),
+        ("hpcapp put lab.yaml settings.txt --all", "Send it to every machine."),
+    ],
+)
+@FILE
+@click.argument(
+    "source", type=click.Path(exists=True, dir_okay=False, path_type=Path), help="A file here."
+)
+@click.argument(
+    "target",
+    default="",
+    help="Where it goes, from the login user's home on; a folder ends in /. Its own name without.",
+)
 @click.option("--node", "nodes", multiple=True, metavar="NAME", help="Where; more than once.")
 @click.option("--all", "is_all", is_flag=True, help="To every machine.")
 def put(file: Path, source: Path, target: str, nodes: tuple[str, ...], is_all: bool) -> None:
-    """Send the file SOURCE to the head of the cluster file FILE; an interrupted one goes on.
+    """Send a file to machines of a cluster.
 
-    TARGET is relative to the login user's home; by default it is the file's own name. Machines
-    that cannot be reached are named, the others get it, and the exit code is 4.
+    What was interrupted goes on. Machines that cannot be reached are named, the others get it, and
+    the exit code is 4.
     """
     from hpcdeploy.reconcile.cluster import open_cluster
 
@@ -98,15 +134,27 @@ def put(file: Path, source: Path, target: str, nodes: tuple[str, ...], is_all: b
     _tell(failures, [0])
 
 
-@click.command()
-@click.argument("file", type=FILE)
-@click.argument("source")
-@click.argument("target", default=".", type=click.Path(path_type=Path))
+@click.command(
+    cls=Verb,
+    examples=[
+        ("hpcapp get lab.yaml mesh.ply", "Fetch a file from the head into this folder."),
+        ("hpcapp get lab.yaml out/mesh.ply lab_mesh.ply", "Fetch it under another name."),
+        ("hpcapp get lab.yaml loader.log --node worker-2", "Fetch one from a worker."),
+    ],
+)
+@FILE
+@click.argument("source", help="A file there, from the login user's home on.")
+@click.argument(
+    "target",
+    default=".",
+    type=click.Path(path_type=Path),
+    help="A file or folder here; this folder without.",
+)
 @click.option("--node", default="head", metavar="NAME", help="From where.")
 def get(file: Path, source: str, target: Path, node: str) -> None:
-    """Fetch the file SOURCE from the head of the cluster file FILE; an interrupted one goes on.
+    """Fetch a file from a machine of a cluster.
 
-    SOURCE is relative to the login user's home.
+    What was interrupted goes on.
     """
     from hpcdeploy.reconcile.cluster import open_cluster
 

@@ -8,21 +8,28 @@ from typing import TYPE_CHECKING
 import click
 
 from hpccomponent.terminal import echo, echo_json
+from hpccomponent.verb import Verb
+from hpcdeploy.cli.arguments import FILE, FILES
 
 if TYPE_CHECKING:
     from hpcdeploy.reconcile.status import ClusterLine
 
 __all__ = ["ls", "status"]
 
-FILE = click.Path(dir_okay=False, path_type=Path)
 
-
-@click.command()
-@click.argument("file", type=FILE)
+@click.command(
+    cls=Verb,
+    examples=[
+        ("hpcapp status lab.yaml", "Show all machines, and whether their loaders run."),
+        ("hpcapp status lab.yaml --offline", "Ask the cloud only, and no machine."),
+        ("hpcapp status lab.yaml --json", "The same for a program."),
+    ],
+)
+@FILE
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @click.option("--offline", is_flag=True, help="Do not ask the machines, only the cloud.")
 def status(file: Path, as_json: bool, offline: bool) -> None:
-    """Show the machines of the cluster file FILE, their loaders, the lease and the cost."""
+    """Show a cluster's machines, loaders, lease and cost."""
     from hpcdeploy.reconcile.cluster import open_cluster
     from hpcdeploy.reconcile.status import describe_cluster, write_table
 
@@ -34,12 +41,19 @@ def status(file: Path, as_json: bool, offline: bool) -> None:
         echo(write_table(described))
 
 
-@click.command()
-@click.argument("files", nargs=-1, type=FILE)
+@click.command(
+    cls=Verb,
+    examples=[
+        ("hpcapp ls lab.yaml cloud.yaml", "List the clusters of two files."),
+        ("hpcapp ls --all", "List all of the AWS account of the environment."),
+        ("hpcapp ls lab.yaml --all --json", "List all of one cloud, for a program."),
+    ],
+)
+@FILES
 @click.option("--all", "is_all", is_flag=True, help="Every cluster of the account.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def ls(files: tuple[Path, ...], is_all: bool, as_json: bool) -> None:
-    """List the clusters of the files FILES, or all of their accounts.
+    """List clusters, by the clouds' own lists.
 
     With --all and no file, all of the AWS account of the environment.
     """

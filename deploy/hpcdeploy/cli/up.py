@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import click
 
 from hpccomponent.errors import OutdatedError
+from hpccomponent.verb import Verb
+from hpcdeploy.cli.arguments import FILE
 from hpcdeploy.cli.asking import ask_to_go_on, name_foreign, say
 from hpcdeploy.spec.names import MOST_WORKERS
 
@@ -17,7 +19,6 @@ if TYPE_CHECKING:
 
 __all__ = ["down", "scale", "up"]
 
-FILE = click.Path(dir_okay=False, path_type=Path)
 YES = click.option("-y", "--yes", is_flag=True, help="Do not ask.")
 UNCHECKED = click.option(
     "--skip-checks", "is_unchecked", is_flag=True,
@@ -28,25 +29,45 @@ KEEP = click.option(
 )
 
 
-@click.command()
-@click.argument("file", type=FILE)
+@click.command(
+    cls=Verb,
+    examples=[
+        ("hpcapp up lab.yaml", "Show what will be made and what it costs, ask, and make it."),
+        ("hpcapp up lab.yaml -y", "Do not ask, in a script."),
+        (
+            "hpcapp up lab.yaml --keep",
+            "Leave what was made where the cluster cannot be made whole.",
+        ),
+    ],
+)
+@FILE
 @YES
 @KEEP
 @UNCHECKED
 def up(file: Path, yes: bool, keep: bool, is_unchecked: bool) -> None:
-    """Make the machines of the cluster file FILE and set them up; run again, it converges."""
+    """Make a cluster's machines and set them up.
+
+    Run again, it makes and mends what is missing.
+    """
     from hpcdeploy.reconcile.cluster import open_cluster
 
     with open_cluster(file) as cluster:
         _bring_up(cluster, yes, keep, is_unchecked)
 
 
-@click.command()
-@click.argument("file", type=FILE)
+@click.command(
+    cls=Verb,
+    examples=[
+        ("hpcapp down lab.yaml", "Take the cluster away."),
+        ("hpcapp down lab.yaml -y", "Never ask, in a script."),
+        ("hpcapp down lab.yaml --name lab", "Take away a cluster that was made from another home."),
+    ],
+)
+@FILE
 @YES
 @click.option("--name", default="", metavar="CLUSTER", help="Its name, where it is another's.")
 def down(file: Path, yes: bool, name: str) -> None:
-    """Take away all machines of the cluster file FILE, and prove that nothing is left.
+    """Take away all machines, and prove that nothing is left.
 
     A cluster that was made elsewhere goes only where its name is typed, or given by --name.
     """
@@ -67,14 +88,27 @@ def down(file: Path, yes: bool, name: str) -> None:
             return
 
 
-@click.command()
-@click.argument("file", type=FILE)
-@click.argument("workers", type=click.IntRange(0, MOST_WORKERS))
+@click.command(
+    cls=Verb,
+    examples=[
+        ("hpcapp scale lab.yaml 8", "Show what eight workers cost, ask, and bring it to eight."),
+        ("hpcapp scale lab.yaml 0 -y", "Keep the head alone."),
+        (
+            "hpcapp scale lab.yaml 3 --skip-checks",
+            "Launch machines even where something is known to be missing.",
+        ),
+    ],
+)
+@FILE
+@click.argument("workers", type=click.IntRange(0, MOST_WORKERS), help="How many there are to be.")
 @YES
 @KEEP
 @UNCHECKED
 def scale(file: Path, workers: int, yes: bool, keep: bool, is_unchecked: bool) -> None:
-    """Bring the cluster of FILE to so many WORKERS; the file stays as it is."""
+    """Bring a cluster to another number of workers.
+
+    The file stays as it is: the next 'up' goes back to its number.
+    """
     from dataclasses import replace
 
     from hpcdeploy.reconcile.cluster import open_cluster

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated, TextIO
 
 from msgspec import Meta
 
+from hpccomponent.verbosity import is_quiet
+
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
@@ -133,7 +135,7 @@ def open_display(stream: TextIO) -> Iterator[JobDisplay]:
     JobDisplay
         With a bar where `stream` is a terminal.
     """
-    if not stream.isatty():
+    if is_quiet() or not stream.isatty():
         yield JobDisplay()
         return
     from hpccomponent.bars import make_bars

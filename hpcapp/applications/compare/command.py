@@ -15,6 +15,7 @@ import click
 from hpcapp.applications.view.command import check_page
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.terminal import echo, echo_json
+from hpccomponent.verb import Verb
 
 if TYPE_CHECKING:
     from hpcapp.applications.compare.metrics import Measures
@@ -26,9 +27,27 @@ log = logging.getLogger("hpcapp")
 _THRESHOLDS = (0.02, 0.1, 0.5)
 
 
-@click.command()
-@click.argument("mesh", type=click.Path(dir_okay=False, path_type=Path))
-@click.argument("truth")
+@click.command(
+    cls=Verb,
+    examples=[
+        (
+            "hpcapp compare mesh.ply truth.ply",
+            "Print the distances, and the share within thresholds.",
+        ),
+        (
+            "hpcapp compare mesh.ply shape:knot --json",
+            "Measure against a model of 'hpcapp simulate'.",
+        ),
+        (
+            "hpcapp compare mesh.ply scan.laz --html compare.html",
+            "Show on a page where the mesh is off its points.",
+        ),
+    ],
+)
+@click.argument(
+    "mesh", type=click.Path(dir_okay=False, path_type=Path), help="The mesh to be judged."
+)
+@click.argument("truth", help="A mesh, points, or shape:NAME, a model of 'hpcapp simulate'.")
 @click.option(
     "--samples",
     type=click.IntRange(100, 10_000_000),
@@ -65,11 +84,10 @@ def compare(
     as_json: bool,
     html: Path | None,
 ) -> None:
-    """Measure the distances between MESH and TRUTH.
+    """Measure the distances between a mesh and the truth.
 
-    TRUTH is a mesh, points, or shape:NAME (a model of 'hpcapp simulate'). Distances are taken from
-    points spread evenly over either surface to the other surface, exactly, and are in per cent of
-    the diagonal of TRUTH's bounding box.
+    Distances are taken from points spread evenly over either surface to the other surface, exactly,
+    and are in per cent of the diagonal of TRUTH's bounding box.
     """
     check_page(html, "--html")
     if not all(map(isfinite, thresholds)):

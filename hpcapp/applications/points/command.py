@@ -13,6 +13,7 @@ import click
 
 from hpccomponent.errors import UsageError
 from hpccomponent.terminal import echo, echo_json, visible_line
+from hpccomponent.verb import Verb
 
 if TYPE_CHECKING:
     from hpcapp.io import PointSource
@@ -22,7 +23,14 @@ __all__ = ["INPUTS", "SAMPLE", "convert", "info"]
 log = logging.getLogger("hpcapp")
 
 _LONGEST = 120  # characters of a coordinate system that are shown to people
-INPUTS = click.argument("points", nargs=-1, required=True, type=click.Path(dir_okay=False))
+INPUTS = click.argument(
+    "points",
+    nargs=-1,
+    required=True,
+    type=click.Path(dir_okay=False),
+    help="Files of any format that is read (.ply, .las, .laz, .e57, .xyz and others), or patterns "
+    "as 'scans/*.laz', in quotes; several are one cloud. - is the standard input.",
+)
 SAMPLE = click.option(
     "--sample",
     type=click.IntRange(10),
@@ -31,7 +39,20 @@ SAMPLE = click.option(
 )
 
 
-@click.command()
+@click.command(
+    cls=Verb,
+    examples=[
+        (
+            "hpcapp info scan.laz",
+            "Say how many points there are, where, how dense, and with which columns.",
+        ),
+        ("hpcapp info 'scans/*.e57' --json", "The same of many scans as one, for a program."),
+        (
+            "hpcapp info scan.ply --png spacing.png --by-spacing",
+            "Draw where the points are dense, and where sparse.",
+        ),
+    ],
+)
 @INPUTS
 @SAMPLE
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
@@ -49,7 +70,7 @@ SAMPLE = click.option(
 def info(
     points: tuple[str, ...], sample: int | None, as_json: bool, png: Path | None, by_spacing: bool
 ) -> None:
-    """Print what the point clouds POINTS hold, and what of it was taken for what."""
+    """Print what point clouds hold, and what was taken for what."""
     from hpcapp.applications.points.info import describe_file
     from hpcapp.applications.points.spacing_colours import colour_by_spacing
     from hpcapp.io import open_points
@@ -92,7 +113,17 @@ def _readable(value: object) -> str:
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
 
 
-@click.command()
+@click.command(
+    cls=Verb,
+    examples=[
+        ("hpcapp convert scan.e57 -o scan.laz", "Write an E57 as LAZ, with its colours."),
+        ("hpcapp convert 'scans/*.laz' -o all.ply", "Join many files into one."),
+        (
+            "hpcapp convert scan.ply -o scan.xyz --rejected strays.ply",
+            "Write the outliers and strays of a scan into a file of their own.",
+        ),
+    ],
+)
 @INPUTS
 @SAMPLE
 @click.option(
@@ -108,7 +139,7 @@ def _readable(value: object) -> str:
     help="Write the outliers and strays that a job drops into a point cloud of their own, too.",
 )
 def convert(points: tuple[str, ...], sample: int | None, output: str, rejected: str | None) -> None:
-    """Convert the point clouds POINTS into one file of another format.
+    """Convert point clouds into one file of another format.
 
     What the output cannot hold is left out, with a warning.
     """

@@ -5,14 +5,22 @@ from __future__ import annotations
 import click
 
 from hpccomponent.terminal import echo
+from hpccomponent.verb import Verb
 
 __all__ = ["quadrature"]
 
 
-@click.command()
-@click.argument("integrand")
-@click.argument("left", type=float)
-@click.argument("right", type=float)
+@click.command(
+    cls=Verb,
+    examples=[
+        ("hpcapp quadrature peak 0 1", "Integrate a narrow peak from 0 to 1."),
+        ("hpcapp quadrature wave 0 10 --tolerance 1e-12", "Integrate more precisely."),
+        ("hpcapp quadrature root 0 1 --backend zmq --workers 2", "Integrate on two workers."),
+    ],
+)
+@click.argument("integrand", help="peak, root or wave.")
+@click.argument("left", type=float, help="Where it begins.")
+@click.argument("right", type=float, help="Where it ends.")
 @click.option(
     "--tolerance", type=float, default=1e-9, show_default=True, help="Largest absolute error."
 )
@@ -27,7 +35,10 @@ __all__ = ["quadrature"]
 def quadrature(
     integrand: str, left: float, right: float, tolerance: float, backend: str, workers: int | None
 ) -> None:
-    """Integrate INTEGRAND (peak, root or wave) from LEFT to RIGHT: the tutorial's application."""
+    """Integrate a function, as an example of an application.
+
+    It is the one that the documentation builds in "Write an application".
+    """
     from hpcapp.applications.quadrature.application import integrate
     from hpcapp.backends.selection import open_executor
 

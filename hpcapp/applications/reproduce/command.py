@@ -14,6 +14,7 @@ from click.core import ParameterSource
 
 from hpccomponent.errors import OutputError, UsageError
 from hpccomponent.terminal import echo
+from hpccomponent.verb import Verb
 
 if TYPE_CHECKING:
     import numpy as np
@@ -38,9 +39,23 @@ _OPTIONS = {
 _GRIDS = {"fig6": 96, "fig7": 128, "fig8": 128, "table1": 64}
 
 
-@click.command()
-@click.argument("figure", type=click.Choice(list(_OPTIONS)))
-@click.argument("points", type=click.Path(dir_okay=False, path_type=Path), required=False)
+@click.command(
+    cls=Verb,
+    examples=[
+        ("hpcapp reproduce fig2", "Draw Figure 2, and print its table."),
+        ("hpcapp reproduce fig6 scan.ply --out figures --up y", "Make Figure 6 of another scan."),
+        ("hpcapp reproduce table1 --cluster lab.yaml", "Make Table 1 on a cluster of your own."),
+    ],
+)
+@click.argument(
+    "figure", type=click.Choice(list(_OPTIONS)), metavar="FIGURE", help="Which, as above."
+)
+@click.argument(
+    "points",
+    type=click.Path(dir_okay=False, path_type=Path),
+    required=False,
+    help="A point cloud of any format that is read; a simulated scan without.",
+)
 @click.option(
     "--out",
     type=click.Path(file_okay=False, path_type=Path),
@@ -78,7 +93,9 @@ def reproduce(
     rounds: int,
     cluster: Path | None,
 ) -> None:
-    """Make a FIGURE of the paper again, with a table beside the paper's numbers.
+    """Make the paper's figures and its Table 1 again.
+
+    Each is a picture, and a table beside the paper's numbers.
 
     \b
     fig2    patches of the kd-tree, by both readings of the normal cone
@@ -87,8 +104,6 @@ def reproduce(
     fig7    time by the number of workers: fits handed out, and tiles
     fig8    speed-up by the number of workers: the same
     table1  one head that works and three workers, deployed
-
-    POINTS is a point cloud of any format that is read; a simulated scan by default.
     """  # noqa: D301 - click's mark
     _check_options(ctx, figure)
     cells = grid or _GRIDS.get(figure, 0)

@@ -15,6 +15,7 @@ from hpcapp.applications.reproduce.scaling import (
     limit_of_fits,
     summarise,
 )
+from hpcapp.extras import how_to_install
 from hpccomponent.errors import UsageError
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ def check_plots() -> None:
     if find_spec("matplotlib") is None:
         raise UsageError(
             "fig7 and fig8 are drawn by matplotlib, which is not installed",
-            "pip install 'hpcapp[plots]'",
+            how_to_install("plots"),
         )
 
 

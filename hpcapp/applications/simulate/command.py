@@ -13,6 +13,7 @@ import click
 from click.core import ParameterSource
 
 from hpccomponent.errors import UsageError
+from hpccomponent.verb import Verb
 
 __all__ = ["simulate"]
 
@@ -26,8 +27,37 @@ SCENE_OPTIONS = {"points", "noise", "drift", "seed", *RAW_OPTIONS}
 POINTS = click.Path(dir_okay=False, path_type=Path)
 
 
-@click.command()
-@click.option("--shape", help="Which model; an unknown name lists all.")
+def _complete_shape(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
+    """Return the names of models that begin so."""
+    del ctx, param
+    from hpcapp.applications.simulate.shapes import SHAPES
+
+    return [name for name in SHAPES if name.startswith(incomplete)]
+
+
+@click.command(
+    cls=Verb,
+    examples=[
+        (
+            "hpcapp simulate --shape knot -o knot.ply",
+            "Scan a model from 20 places: 100,000 points.",
+        ),
+        (
+            "hpcapp simulate --shape gear --noise 0.002 --outliers 0.01 -o gear.ply",
+            "The same with noise, and with one wrong point in a hundred.",
+        ),
+        (
+            "hpcapp simulate --scene town --scanner airborne -n 500000 -o town.laz",
+            "Fly over a town.",
+        ),
+    ],
+)
+@click.option(
+    "--shape",
+    metavar="NAME",
+    shell_complete=_complete_shape,
+    help="Which model; an unknown name lists all.",
+)
 @click.option("--scene", type=click.Choice(SCENES), help="A raw scan, with its truth beside it.")
 @click.option("--scanner", type=click.Choice(SCANNERS), help="Of a scene; its usual one without.")
 @click.option("-o", "--output", required=True, type=POINTS, help="Point cloud to write.")
@@ -141,7 +171,10 @@ def simulate(
     output: Path,
     **settings: Any,
 ) -> None:
-    """Scan a model or a scene, whose true surface is known, and write the points."""
+    """Scan a model or a scene whose true surface is known.
+
+    Writes the points, and of a scene its true surface and the scanner's way, too.
+    """
     given = {name for name in settings if ctx.get_parameter_source(name) is not DEFAULT}
     if scene is not None:
         _refuse(given - SCENE_OPTIONS, "is for a model alone", "leave out --scene, or this")

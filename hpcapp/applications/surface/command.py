@@ -34,6 +34,7 @@ from hpcapp.progress import Progress
 from hpcapp.timeline import Timeline
 from hpccomponent.errors import UsageError
 from hpccomponent.terminal import echo_json
+from hpccomponent.verb import Verb
 
 __all__ = ["check_flags", "reconstruct"]
 
@@ -162,15 +163,45 @@ def check_flags(ctx: click.Context) -> None:
     _check_method_options(ctx)
 
 
+GROUPS = {
+    "What people need first": (
+        "output", "grid", "viewpoint", "close", "attributes", "faces", "report", "png",
+        "max_memory", "cluster",
+    ),
+    "The points": ("sample", "normals", "clean", "outliers", "denoise", "resample"),
+    "The surface": (
+        "voxel_size", "depth", "uniform", "smoothness", "detail", "trim", "fill_holes",
+        "tolerance", "method",
+    ),
+    "With --method paper": option_names(find_method("paper")),
+    "Where it runs": ("backend", "workers", "policy", "verify", "temp_dir", "resume"),
+    "What it tells": ("as_json", "details", "dashboard", "events", "trace"),
+}  # fmt: skip
+
+
 def _add_method_options(command: click.Command) -> click.Command:
     """Give a command the options of all methods, each once."""
     for method in METHODS:
-        command.params += make_click_options(find_method(method), f"{method}: ")
+        command.params += make_click_options(find_method(method))
     return command
 
 
 @_add_method_options
-@click.command()
+@click.command(
+    cls=Verb,
+    groups=GROUPS,
+    examples=[
+        ("hpcapp reconstruct scan.laz -o mesh.ply", "Mesh a scan as finely as it resolves."),
+        (
+            "hpcapp reconstruct '*.e57' -o house.glb --faces 500000 --report house.html",
+            "Mesh many scans as one, with 500,000 triangles, and say on a page what was decided.",
+        ),
+        (
+            "hpcapp reconstruct survey.laz -o survey.tiles --cluster lab.yaml",
+            "Mesh a survey on the machines of a cluster file, into a folder of tiles.",
+        ),
+    ],
+)
 @INPUTS
 @SAMPLE
 @click.option(
@@ -342,9 +373,10 @@ def _add_method_options(command: click.Command) -> click.Command:
 )
 @click.pass_context
 def reconstruct(ctx: click.Context, /, **options: Any) -> None:
-    """Reconstruct a mesh, watertight where the points are of an object, from the files POINTS.
+    """Reconstruct a mesh from the point clouds POINTS.
 
-    Patterns as 'scans/*.laz' stand for all files that fit; - is the standard input.
+    It is watertight where the points are of an object, and open where they are of a view, a
+    terrain or a room. All of a scan's colours and values are on its vertices.
     """
     check_flags(ctx)
     as_json = options.pop("as_json")

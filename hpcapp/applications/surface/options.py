@@ -142,15 +142,8 @@ def check_exclusive(settings: type[Options], given: set[str]) -> None:
                 )
 
 
-def make_click_options(settings: type[Options], prefix: str) -> Iterator[click.Option]:
-    """Make the command line's options of a method's settings.
-
-    Parameters
-    ----------
-    settings : type
-    prefix : str
-        Stands before each help text.
-    """
+def make_click_options(settings: type[Options]) -> Iterator[click.Option]:
+    """Make the command line's options of a method's settings."""
     for name, asked, kind in _options(settings):
         default = settings.__dataclass_fields__[name].default
         flag = "--" + name.replace("_", "-")
@@ -160,7 +153,7 @@ def make_click_options(settings: type[Options], prefix: str) -> Iterator[click.O
             default=default,
             show_default=default is not None,
             metavar=None if asked.choices or kind is bool else _METAVARS[kind],
-            help=f"{prefix}{asked.help}",
+            help=asked.help,
         )
 
 
@@ -183,7 +176,7 @@ def typed_options(ctx: click.Context, without: Collection[str]) -> list[str]:
     for parameter in ctx.command.params:
         name = parameter.name or ""
         is_typed = ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
-        if not is_typed or name in without:
+        if not is_typed or name in without or not parameter.expose_value:
             continue
         value = ctx.params[name]
         if isinstance(parameter, click.Option) and parameter.multiple:

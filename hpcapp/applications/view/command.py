@@ -13,6 +13,7 @@ import click
 
 from hpccomponent.errors import UsageError
 from hpccomponent.terminal import echo_output
+from hpccomponent.verb import Verb
 
 __all__ = ["check_page", "check_picture", "view"]
 
@@ -55,8 +56,25 @@ def _parse_eye(
     return azimuth, elevation
 
 
-@click.command()
-@click.argument("file", type=FILE)
+@click.command(
+    cls=Verb,
+    examples=[
+        ("hpcapp view mesh.ply", "Open a page on which the mesh can be turned."),
+        (
+            "hpcapp view mesh.ply --points scan.laz -o page.html --no-open",
+            "Write a page that shows how far the mesh is from its points.",
+        ),
+        (
+            "hpcapp view mesh.ply --png mesh.png --eye 60,15 --size 1200",
+            "Draw a picture, seen from there.",
+        ),
+    ],
+)
+@click.argument(
+    "file",
+    type=FILE,
+    help="A mesh (.ply, .obj, .stl, .off, .glb, .vtp), or points of any format that is read.",
+)
 @click.option(
     "--points",
     type=FILE,
@@ -101,10 +119,9 @@ def view(
     up: str,
     is_opened: bool,
 ) -> None:
-    """Look at the mesh or the points FILE, on a page that works offline.
+    """Look at a mesh or at points on a page that works offline.
 
-    FILE is a mesh (.ply, .obj, .stl, .off, .glb, .vtp), or points of any format that is read. With
-    --png and without -o only the picture is made.
+    With --png and without -o only the picture is made.
     """
     check_page(output, "--output")
     check_picture(png, "--png")

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from hpcapp.applications.surface.types.points import FloatArray, Int32Array, PointCloud
+from hpcapp.extras import how_to_install
 from hpcapp.io.batches import batch_points
 from hpcapp.io.columns import Numbers
 from hpcapp.io.e57.document import Element, read_document, refuse
@@ -62,7 +63,7 @@ def open_e57(path: Path) -> PointSource:
         The file is damaged, or holds no scan or no points.
     """
     if find_spec("pye57") is None:
-        raise UsageError(f"{path}: E57 needs the package pye57", "pip install 'hpcapp[e57]'")
+        raise UsageError(f"{path}: E57 needs the package pye57", how_to_install("e57"))
     findings = Findings()
     root = read_document(path)
     try:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.extras import how_to_install
 from hpcapp.io.columns import Numbers
 from hpcapp.io.frame import finite_bounds
 from hpcapp.io.points.usable import drop_non_finite
@@ -61,9 +62,7 @@ def _load_library(path: Path) -> _Foreign:
     try:
         return import_module("pye57.libe57")
     except ImportError as error:
-        raise UsageError(
-            f"{path}: E57 needs the package pye57", "pip install 'hpcapp[e57]'"
-        ) from error
+        raise UsageError(f"{path}: E57 needs the package pye57", how_to_install("e57")) from error
 
 
 def _write_image(library: _Foreign, image: _Foreign, cloud: PointCloud, crs: str | None) -> None:

@@ -11,6 +11,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from hpcapp.applications.surface.types.points import ByteArray
+from hpcapp.extras import how_to_install
 from hpcapp.io.las.header import LasHeader
 from hpccomponent.decoding.laz import read_items
 from hpccomponent.decoding.process import open_decoder
@@ -44,7 +45,7 @@ def find_library(header: LasHeader, path: Path) -> str:
         if find_spec(library) is not None:
             return library
     raise UsageError(
-        f"{path}: compressed points need the package {libraries[0]}", "pip install 'hpcapp[las]'"
+        f"{path}: compressed points need the package {libraries[0]}", how_to_install("las")
     )
 
 

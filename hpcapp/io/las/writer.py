@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.extras import how_to_install
 from hpcapp.io.columns import Numbers
 from hpcapp.io.crs import UNIT_CODES, Crs, parse_epsg
 from hpcapp.io.frame import finite_bounds
@@ -139,7 +140,7 @@ def _load_laspy(path: Path) -> _Foreign:
         return import_module("laspy")
     except ImportError as error:
         raise UsageError(
-            f"{path}: LAS is written with the package laspy", "pip install 'hpcapp[las]'"
+            f"{path}: LAS is written with the package laspy", how_to_install("las")
         ) from error
 
 

@@ -225,7 +225,8 @@ def test_without_ray_the_command_says_what_to_install(tmp_path: Path) -> None:
         text=True,
     )
     assert done.returncode == 2
-    assert done.stderr == "hpcapp: Ray is not installed here; pip install 'hpcapp[ray]'\n"
+    assert done.stderr.startswith("hpcapp: Ray is not installed here; ")
+    assert done.stderr.endswith(" -m pip install 'ray[client]>=2.52'\n")
 
 
 class StandingRay:

@@ -193,5 +193,5 @@ def test_no_points(tmp_path: Path) -> None:
 
 def test_no_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "laspy", None)
-    with pytest.raises(UsageError, match=r"pip install 'hpcapp\[las\]'"):
+    with pytest.raises(UsageError, match=r"pip install 'laspy\["):
         write_points(tmp_path / "a.las", PointCloud(np.eye(3)))

@@ -1,0 +1,98 @@
+"""A verb of the command: click's command with grouped options, examples, and -v, -q and --debug.
+
+Imported for every ``--help``: nothing heavy is imported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import click
+
+from hpccomponent.verbosity import Verbosity, set_verbosity
+
+__all__ = ["COMMON", "Verb"]
+
+
+def _obey(ctx: click.Context, param: click.Parameter, value: bool) -> None:
+    if value and not ctx.resilient_parsing:
+        set_verbosity(Verbosity[str(param.name).upper()])
+
+
+def _flag(names: Sequence[str], words: str) -> click.Option:
+    return click.Option(names, is_flag=True, expose_value=False, callback=_obey, help=words)
+
+
+COMMON = (
+    _flag(["-v", "--verbose"], "Say more: the whole log, with times."),
+    _flag(["-q", "--quiet"], "Say nothing but errors."),
+    _flag(["--debug"], "Log everything; show the traceback of an error."),
+)
+"""Options of the command and of each of its verbs; the last that was typed holds."""
+
+
+class Verb(click.Command):
+    """A verb of the command.
+
+    Parameters
+    ----------
+    groups : mapping of str to sequence of str
+        Headings, and below each the names of parameters in the order in which help shows them.
+    examples : sequence of (str, str)
+        Commands that can be typed, and what each does.
+    """
+
+    def __init__(
+        self,
+        name: str | None,
+        *,
+        callback: Callable[..., Any] | None = None,
+        params: list[click.Parameter] | None = None,
+        help: str | None = None,  # noqa: A002 - as click calls it
+        context_settings: dict[str, Any] | None = None,
+        groups: Mapping[str, Sequence[str]] | None = None,
+        examples: Sequence[tuple[str, str]] = (),
+    ) -> None:
+        super().__init__(name, context_settings, callback, params, help)
+        self.groups = groups or {}
+        self.examples = examples
+
+    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
+        """Return the verb's own parameters, and the common ones.
+
+        A verb that passes options on to another program leaves these to it.
+        """
+        own = super().get_params(ctx)
+        passes_on = self.context_settings.get("ignore_unknown_options")
+        return own if passes_on else [*own[:-1], *COMMON, own[-1]]
+
+    def group_options(self, ctx: click.Context) -> dict[str, list[click.Option]]:
+        """Return the options below their headings, the common ones last."""
+        shown = [p for p in self.get_params(ctx) if isinstance(p, click.Option)]
+        common = [option for option in shown if option in (*COMMON, shown[-1])]  # help is the last
+        options = {option.name: option for option in shown if option not in common}
+        grouped = {
+            title: [options.pop(name) for name in names] for title, names in self.groups.items()
+        }
+        grouped["Other options" if grouped else "Options"] = list(options.values())
+        grouped["Of every verb"] = common
+        return {title: below for title, below in grouped.items() if below}
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options, group by group."""
+        for title, options in self.group_options(ctx).items():
+            with formatter.section(title):
+                records = (option.get_help_record(ctx) for option in options)
+                formatter.write_dl([record for record in records if record is not None])
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the examples."""
+        del ctx
+        if not self.examples:
+            return
+        with formatter.section("Examples"):
+            for command, meaning in self.examples:
+                formatter.write(f"{'':{formatter.current_indent}}{command}\n")
+                with formatter.indentation():
+                    formatter.write_text(meaning)
