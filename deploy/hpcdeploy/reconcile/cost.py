@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from hpccomponent.errors import UsageError
+from hpcdeploy.provider import MachineSeen
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.names import HEAD
 from hpcdeploy.spec.prices import read_prices
@@ -18,6 +20,8 @@ __all__ = [
     "describe_limits",
     "estimate_cost",
     "hourly_cost",
+    "price_machines",
+    "write_dollars",
 ]
 
 
@@ -119,6 +123,32 @@ def hourly_cost(spec: ClusterSpec) -> float | None:
     return None if cost.unknown or not cost.hourly else cost.hourly
 
 
+def price_machines(spec: ClusterSpec, machines: Iterable[MachineSeen]) -> float | None:
+    """Return what machines cost an hour at most, in dollars.
+
+    Parameters
+    ----------
+    machines : iterable of MachineSeen
+        Of the cluster; spot machines cost at most as much as those on demand.
+
+    Returns
+    -------
+    float or None
+        None where a price is not known, or where machines are there anyway.
+    """
+    cloud = spec.provider.cloud
+    if cloud is None:
+        return None
+    total = 0.0
+    for machine in machines:
+        profile = spec.profile(machine.name.node)
+        hourly = None if profile is None else cloud.hourly(profile, machine.instance_type)
+        if hourly is None:
+            return None
+        total += hourly
+    return total
+
+
 def check_limits(spec: ClusterSpec, cost: Cost) -> None:
     """Hold a cluster to the limits of its file.
 
@@ -139,8 +169,8 @@ def check_limits(spec: ClusterSpec, cost: Cost) -> None:
     for name, limit, estimate, span in _money(spec, cost):
         if limit is not None and estimate > limit + 1e-9:
             raise UsageError(
-                f"the cluster costs an estimated {_dollars(estimate)} {span}, more than "
-                f"limits.{name}, {_dollars(limit)}",
+                f"the cluster costs an estimated {write_dollars(estimate)} {span}, more than "
+                f"limits.{name}, {write_dollars(limit)}",
                 "take fewer or smaller machines or a shorter lease, or raise the limit",
             )
 
@@ -168,7 +198,7 @@ def describe_cost(cost: Cost) -> list[str]:
         + (
             f"no price is known: give provider.profiles.{line.profile}.hourly_cost"
             if line.hourly is None
-            else f"{_dollars(line.hourly)} an hour each"
+            else f"{write_dollars(line.hourly)} an hour each"
         )
         for line in cost.lines
     ]
@@ -177,8 +207,8 @@ def describe_cost(cost: Cost) -> list[str]:
     known = "not known in all; what is known " if cost.unknown else ""
     at_most = "at least" if cost.unknown else "at most"
     lines.append(
-        f"cost: {known}together {_dollars(cost.hourly)} an hour, {at_most} "
-        f"{_dollars(cost.total_at_most)} until the lease of {cost.lease_s / 3600:g} h ends"
+        f"cost: {known}together {write_dollars(cost.hourly)} an hour, {at_most} "
+        f"{write_dollars(cost.total_at_most)} until the lease of {cost.lease_s / 3600:g} h ends"
     )
     lines.append(f"prices: {sources}; the dearest type of each profile is counted, traffic is not")
     return lines
@@ -190,16 +220,15 @@ def describe_limits(spec: ClusterSpec, cost: Cost) -> list[str]:
     if cost.unknown or not cost.hourly:
         return []
     idle = cost.hourly * limits.idle / 3600
-    lines = [f"limits: {limits.idle / 60:g} min idle end it before, and cost {_dollars(idle)}"]
+    lines = [f"limits: {limits.idle / 60:g} min idle end it before, and cost {write_dollars(idle)}"]
     for name, limit, estimate, span in _money(spec, cost):
         if limit is not None:
             verdict = "within" if estimate <= limit + 1e-9 else "beyond"
-            lines.append(
-                f"limits: {_dollars(estimate)} {span} is {verdict} {name}, {_dollars(limit)}"
-            )
+            amounts = write_dollars(estimate), write_dollars(limit)
+            lines.append(f"limits: {amounts[0]} {span} is {verdict} {name}, {amounts[1]}")
     return lines
 
 
-def _dollars(amount: float) -> str:
+def write_dollars(amount: float) -> str:
     """Write an amount so that a cheap machine is not free."""
     return f"${amount:.2f}" if amount >= 1 or not amount else f"${amount:.4f}"

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from datetime import datetime
 from typing import TYPE_CHECKING, TypedDict
 
 from hpccomponent.errors import CloudError, HpcError
-from hpccomponent.terminal import visible_line
+from hpccomponent.terminal import align_rows
+from hpccomponent.units import write_duration
 from hpcdeploy.install.loader_service import is_running_command
 from hpcdeploy.install.probe import RELEASE_COMMAND
 from hpcdeploy.login.parallel import connections_at_once, run_parallel
 from hpcdeploy.login.shell import Shell
 from hpcdeploy.provider import MachineSeen, Observed, State
 from hpcdeploy.reconcile.cluster import describe_elsewhere, node_order, require_ours
+from hpcdeploy.reconcile.cost import price_machines, write_dollars
+from hpcdeploy.reconcile.plan import LIVE
 from hpcdeploy.spec.layout import machine_folder
 from hpcdeploy.spec.names import HEAD, without_node
 from hpcdeploy.spec.polling import utc_now
@@ -44,7 +47,10 @@ class MachineStatus(TypedDict):
 
 
 class ClusterStatus(TypedDict):
-    """A cluster as JSON has it; nodes are hidden whose machine cannot be looked at."""
+    """A cluster as JSON has it; nodes are hidden whose machine cannot be looked at.
+
+    `hourly_cost`, of the machines that are there, is in dollars; null where it is not known.
+    """
 
     cluster: str
     provider: str
@@ -54,6 +60,7 @@ class ClusterStatus(TypedDict):
     hidden: list[str]
     missing: list[str]
     unwanted: list[str]
+    hourly_cost: float | None
     machines: list[MachineStatus]
 
 
@@ -99,6 +106,7 @@ def describe_cluster(cluster: Cluster, ask_machines: bool = True) -> ClusterStat
         "hidden": unseen,
         "missing": [node for node in wanted if node not in running_nodes and node not in unseen],
         "unwanted": [node for node in running_nodes if node not in wanted],
+        "hourly_cost": price_machines(cluster.spec, (m for m in machines if m.state in LIVE)),
         "machines": rows,
     }
 
@@ -138,13 +146,13 @@ def list_clusters(where: str, observed: Observed) -> list[ClusterLine]:
 
 
 def write_table(status: ClusterStatus) -> str:
-    """Write what `describe_cluster` returns for people."""
+    """Write what `describe_cluster` returns for people; columns without a word are left out."""
     lines = [("NODE", "STATE", "TYPE", "MARKET", "PUBLIC", "PRIVATE", "AGE", "LEASE", "LOADER")] + [
         (
             machine["node"],
             machine["state"],
             machine["instance_type"],
-            machine["market"],
+            machine["market"] if machine["instance_type"] else "",
             machine["public_address"],
             machine["private_address"],
             _duration(machine["age_s"]),
@@ -156,7 +164,10 @@ def write_table(status: ClusterStatus) -> str:
     heads = [f"cluster {status['cluster']} ({status['provider']}): {_verdict(status)}"]
     if status["made_elsewhere"]:
         heads.append(status["made_elsewhere"])
-    return "\n".join([*heads, *(_aligned(lines) if status["machines"] else [])])
+    if status["hourly_cost"]:
+        heads.append(f"cost: {write_dollars(status['hourly_cost'])} an hour at most")
+    columns = [column for column in zip(*lines, strict=True) if set(column[1:]) - {"", "-"}]
+    return "\n".join([*heads, *align_rows(list(zip(*columns, strict=True)))])
 
 
 def _verdict(status: ClusterStatus) -> str:
@@ -192,7 +203,7 @@ def write_list(rows: list[ClusterLine]) -> str:
         states = states or "none; hpcapp down or reap removes what is left"
         kinds = ", ".join(row["instance_types"])
         lines.append((row["cluster"], row["cloud"], states, kinds, _duration(row["lease_left_s"])))
-    return "\n".join(_aligned(lines))
+    return "\n".join(align_rows(lines))
 
 
 def _state(machine: MachineSeen) -> str:
@@ -258,20 +269,7 @@ def _loader_version(cluster: str, shell: Shell) -> str:
 
 
 def _duration(seconds: float | None) -> str:
-    """Write seconds as people say them: 1h05, 12m, over."""
+    """Write a time that may be over, or not known."""
     if seconds is None:
         return "-"
-    if seconds < 0:
-        return "over"
-    minutes = int(seconds // 60)
-    return f"{minutes // 60}h{minutes % 60:02}" if minutes >= 60 else f"{minutes}m"
-
-
-def _aligned(rows: Sequence[tuple[str, ...]]) -> list[str]:
-    """Pad columns to their widest cell; what a machine has said stays in its own."""
-    rows = [tuple(map(visible_line, row)) for row in rows]
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return [
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in rows
-    ]
+    return "over" if seconds < 0 else write_duration(seconds)

@@ -58,8 +58,20 @@ def test_a_cluster_that_is_up(cloud: MemoryProvider) -> None:
     assert found["machines"][0]["lease_left_s"] == pytest.approx(7195, abs=5)
     table = write_table(found).splitlines()
     assert table[0] == "cluster bunny (memory): up"
-    assert table[2].split()[:4] == ["head", "running", "m6i.large", "on_demand"]
-    assert table[2].split()[-3:] == ["0m", "1h59", "0.1.0"]
+    assert table[1].startswith("cost: $0.27")
+    assert table[2].split()[2:4] == ["TYPE", "MARKET"]
+    assert table[3].split()[:4] == ["head", "running", "m6i.large", "on_demand"]
+    assert table[3].split()[-2:] == ["1h59", "0.1.0"]
+
+
+def test_machines_that_nobody_rents_have_no_columns_for_it(cloud: MemoryProvider) -> None:
+    bring_up(cluster_on(cloud), lambda line: None)
+    found = describe_cluster(cluster_on(cloud), ask_machines=False)
+    found["hourly_cost"] = None
+    for machine in found["machines"]:
+        machine["instance_type"], machine["lease_left_s"] = "", None
+    heading = write_table(found).splitlines()[1]
+    assert heading.split() == ["NODE", "STATE", "PUBLIC", "PRIVATE", "AGE"]
 
 
 def test_a_machine_that_does_not_answer_says_why(cloud: MemoryProvider) -> None:
