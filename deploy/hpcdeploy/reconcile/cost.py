@@ -223,9 +223,9 @@ def describe_limits(spec: ClusterSpec, cost: Cost) -> list[str]:
     lines = [f"limits: {limits.idle / 60:g} min idle end it before, and cost {write_dollars(idle)}"]
     for name, limit, estimate, span in _money(spec, cost):
         if limit is not None:
-            verdict = "within" if estimate <= limit + 1e-9 else "beyond"
+            verdict = "keeps" if estimate <= limit + 1e-9 else "breaks"
             amounts = write_dollars(estimate), write_dollars(limit)
-            lines.append(f"limits: {amounts[0]} {span} is {verdict} {name}, {amounts[1]}")
+            lines.append(f"limits: {amounts[0]} {span} {verdict} {name}, {amounts[1]}")
     return lines
 
 

@@ -152,7 +152,7 @@ def test_offline_a_plan_asks_nobody_and_says_where_its_prices_come_from(
     told = capsys.readouterr().out
     assert told.startswith("offline, nothing looked up: ")
     for part in ("would launch head as m6i.large", "would launch worker-2", "together $0.45",
-                 "prices: Amazon's list of 2025-06", "$0.45", "within max_hourly_cost, $0.50",
+                 "prices: Amazon's list of 2025-06", "an hour keeps max_hourly_cost, $0.50",
                  "15 min idle end it before, and cost $0.11"):  # fmt: skip
         assert part in told
     assert run("plan", "--offline", file, "--json") == 0
@@ -169,7 +169,7 @@ def test_offline_what_the_limits_forbid_is_refused_too(
     file.write_text(file.read_text().replace("{lease: 2h", "{max_total_cost: 0.8, lease: 2h"))
     assert run("plan", "--offline", file) == 2
     told = capsys.readouterr()
-    assert "beyond max_total_cost, $0.8000" in told.out
+    assert "breaks max_total_cost, $0.8000" in told.out
     assert "more than limits.max_total_cost, $0.8000" in told.err
 
 
