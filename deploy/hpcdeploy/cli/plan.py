@@ -137,7 +137,7 @@ def _look(file: Path, spec: ClusterSpec, as_json: bool) -> _Ahead:
         try:
             cluster = stack.enter_context(open_cluster(file))
         except CloudError:
-            _plan_alone(file, spec, "nothing could be looked up, see below: ").show(as_json)
+            _plan_alone(file, spec, "nothing could be looked up, see below").show(as_json)
             raise
         ahead = look_ahead(cluster)
         decided = cluster.provider.decided()
@@ -145,13 +145,15 @@ def _look(file: Path, spec: ClusterSpec, as_json: bool) -> _Ahead:
     return _Ahead(file, spec, ahead, "", drift, decided, describe_elsewhere(cluster))
 
 
-def _plan_alone(file: Path, spec: ClusterSpec, why: str = "offline, nothing looked up: ") -> _Ahead:
+def _plan_alone(
+    file: Path, spec: ClusterSpec, why: str = "offline: nothing was looked up"
+) -> _Ahead:
     """Return the plan of a file where nothing is there yet; no network is asked."""
     from hpcdeploy.provider import Observed
     from hpcdeploy.reconcile.plan import make_plan
     from hpcdeploy.spec.polling import utc_now
 
-    told = f"{why}this is what {file} makes where nothing of it is there yet"
+    told = f"{why}; from nothing {file} makes this:"
     return _Ahead(file, spec, make_plan(spec, Observed(), utc_now()), told)
 
 

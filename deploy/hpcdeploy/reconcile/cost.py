@@ -210,7 +210,8 @@ def describe_cost(cost: Cost) -> list[str]:
         f"cost: {known}together {write_dollars(cost.hourly)} an hour, {at_most} "
         f"{write_dollars(cost.total_at_most)} until the lease of {cost.lease_s / 3600:g} h ends"
     )
-    lines.append(f"prices: {sources}; the dearest type of each profile is counted, traffic is not")
+    lines.append(f"prices: {sources}")
+    lines.append("prices: the dearest type of each profile is counted; traffic is not")
     return lines
 
 

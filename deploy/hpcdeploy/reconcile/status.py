@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from datetime import datetime
 from typing import TYPE_CHECKING, TypedDict
 
@@ -166,8 +166,7 @@ def write_table(status: ClusterStatus) -> str:
         heads.append(status["made_elsewhere"])
     if status["hourly_cost"]:
         heads.append(f"cost: {write_dollars(status['hourly_cost'])} an hour at most")
-    columns = [column for column in zip(*lines, strict=True) if set(column[1:]) - {"", "-"}]
-    return "\n".join([*heads, *align_rows(list(zip(*columns, strict=True)))])
+    return "\n".join([*heads, *_align_filled(lines)])
 
 
 def _verdict(status: ClusterStatus) -> str:
@@ -203,7 +202,13 @@ def write_list(rows: list[ClusterLine]) -> str:
         states = states or "none; hpcapp down or reap removes what is left"
         kinds = ", ".join(row["instance_types"])
         lines.append((row["cluster"], row["cloud"], states, kinds, _duration(row["lease_left_s"])))
-    return "\n".join(align_rows(lines))
+    return "\n".join(_align_filled(lines))
+
+
+def _align_filled(rows: Sequence[tuple[str, ...]]) -> list[str]:
+    """Align rows below a heading, without the columns in which nothing stands."""
+    columns = [column for column in zip(*rows, strict=True) if set(column[1:]) - {"", "-"}]
+    return align_rows(list(zip(*columns, strict=True)))
 
 
 def _state(machine: MachineSeen) -> str:

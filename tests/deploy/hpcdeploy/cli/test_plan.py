@@ -150,7 +150,7 @@ def test_offline_a_plan_asks_nobody_and_says_where_its_prices_come_from(
     file.write_text(file.read_text().replace("{lease: 2h", "{max_hourly_cost: 0.5, lease: 2h"))
     assert run("plan", "--offline", file) == 0
     told = capsys.readouterr().out
-    assert told.startswith("offline, nothing looked up: ")
+    assert told.startswith("offline: nothing was looked up; from nothing ")
     for part in ("would launch head as m6i.large", "would launch worker-2", "together $0.45",
                  "prices: Amazon's list of 2025-06", "an hour keeps max_hourly_cost, $0.50",
                  "15 min idle end it before, and cost $0.11"):  # fmt: skip
@@ -183,7 +183,7 @@ def test_without_keys_the_plan_of_the_file_is_shown_before_it_is_refused(
     monkeypatch.setenv("AWS_CONFIG_FILE", str(tmp_path / "none"))
     assert run("plan", file) == 4
     told = capsys.readouterr()
-    assert told.out.startswith("nothing could be looked up, see below: ")
+    assert told.out.startswith("nothing could be looked up, see below; from nothing ")
     assert "cost: together $0.45" in told.out
     [error] = told.err.splitlines()
     assert "no keys" in error
