@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from cloud import StrictCloud
 from simulated import FILE, SetUp, make_cluster
 from simulated.memory import MemoryProvider
 
@@ -208,3 +209,33 @@ def test_each_example_has_a_price_or_says_why_not(
 ) -> None:
     assert run("plan", "--offline", path) == 0
     assert PRICES[path.stem] in capsys.readouterr().out
+
+
+def test_what_a_plan_says_offline_it_says_of_an_empty_cloud_too(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    file = tmp_path / "cluster.yaml"
+
+    def launches(*options: str) -> tuple[int, list[object], object]:
+        code = run("plan", file, "--json", *options)
+        told = json.loads(capsys.readouterr().out)
+        nodes = [action for action in told["actions"] if action["kind"] == "LaunchNode"]
+        return code, nodes, told["cost"]
+
+    with StrictCloud("aws") as cloud:
+        for name, value in cloud.environment().items():
+            monkeypatch.setenv(name, value)
+        block = cloud.provider_block()
+        file.write_text(json.dumps({"version": 1, "cluster": "bunny", "provider": block}))
+        there = launches()
+        assert cloud.calls
+        cloud.calls.clear()
+        offline = launches("--offline")
+        assert not cloud.calls
+    assert there == offline
+    assert (there[0], len(there[1])) == (0, 2)
+    assert run("plan", file) == 4  # the cloud is gone
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert len(told.err.splitlines()) == 1
