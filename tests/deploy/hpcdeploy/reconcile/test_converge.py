@@ -197,7 +197,7 @@ def test_what_up_does_is_what_was_shown_before(simulation: Simulation, set_up: S
     asked = [str(action) for action in ahead.actions if isinstance(action, Terminate | LaunchNode)]
     assert [line.split(" (")[0] for line in asked] == [
         "terminate worker-1",
-        "launch worker-1 as c6i.xlarge",
+        "launch worker-1 as c6i.xlarge or c6a.xlarge",
     ]
     bring_up(cluster, simulation.lines.append, polling=simulation.time.polling(), agreed=ahead)
     assert simulation.alive() == ["head", "worker-1"]
