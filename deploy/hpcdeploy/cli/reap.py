@@ -28,7 +28,7 @@ def reap(files: tuple[Path, ...], dry_run: bool) -> None:
     def say(line: str) -> None:
         echo(line, err=True)
 
-    for where, provider in open_clouds(files):
+    for where, provider, _ in open_clouds(files):
         if dry_run:
             remains = describe(overdue(provider.observe(None), utc_now()))
             echo(f"{where}: {f'would remove {remains}' if remains else 'nothing to remove'}")

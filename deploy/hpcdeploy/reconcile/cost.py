@@ -123,30 +123,26 @@ def hourly_cost(spec: ClusterSpec) -> float | None:
     return None if cost.unknown or not cost.hourly else cost.hourly
 
 
-def price_machines(spec: ClusterSpec, machines: Iterable[MachineSeen]) -> float | None:
+def price_machines(cloud: CloudSpec | None, machines: Iterable[MachineSeen]) -> float | None:
     """Return what machines cost an hour at most, in dollars.
 
     Parameters
     ----------
+    cloud : CloudSpec, optional
+        Of their cluster's file, or of another one; None where machines are there anyway.
     machines : iterable of MachineSeen
-        Of the cluster; spot machines cost at most as much as those on demand.
+        Spot machines cost at most as much as those on demand.
 
     Returns
     -------
     float or None
-        None where a price is not known, or where machines are there anyway.
+        None where a price is not known.
     """
-    cloud = spec.provider.cloud
     if cloud is None:
         return None
-    total = 0.0
-    for machine in machines:
-        profile = spec.profile(machine.name.node)
-        hourly = None if profile is None else cloud.hourly(profile, machine.instance_type)
-        if hourly is None:
-            return None
-        total += hourly
-    return total
+    prices = [cloud.dearest(machine.instance_type) for machine in machines]
+    known = [price for price in prices if price is not None]
+    return sum(known) if len(known) == len(prices) else None
 
 
 def check_limits(spec: ClusterSpec, cost: Cost) -> None:

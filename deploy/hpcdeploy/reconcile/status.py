@@ -24,6 +24,7 @@ from hpcdeploy.spec.polling import utc_now
 
 if TYPE_CHECKING:
     from hpcdeploy.reconcile.cluster import Cluster
+    from hpcdeploy.spec.provider import CloudSpec
 
 __all__ = ["ClusterLine", "describe_cluster", "list_clusters", "write_list", "write_table"]
 
@@ -65,12 +66,13 @@ class ClusterStatus(TypedDict):
 
 
 class ClusterLine(TypedDict):
-    """A cluster in a list, as JSON has it."""
+    """A cluster in a list, as JSON has it; `hourly_cost` as in `ClusterStatus`."""
 
     cloud: str
     cluster: str
     states: dict[str, int]
     instance_types: list[str]
+    hourly_cost: float | None
     lease_left_s: float | None
 
 
@@ -106,12 +108,14 @@ def describe_cluster(cluster: Cluster, ask_machines: bool = True) -> ClusterStat
         "hidden": unseen,
         "missing": [node for node in wanted if node not in running_nodes and node not in unseen],
         "unwanted": [node for node in running_nodes if node not in wanted],
-        "hourly_cost": price_machines(cluster.spec, (m for m in machines if m.state in LIVE)),
+        "hourly_cost": _price(cluster.spec.provider.cloud, machines),
         "machines": rows,
     }
 
 
-def list_clusters(where: str, observed: Observed) -> list[ClusterLine]:
+def list_clusters(
+    where: str, observed: Observed, spec: CloudSpec | None = None
+) -> list[ClusterLine]:
     """Return a line for every cluster of a cloud.
 
     Parameters
@@ -120,6 +124,8 @@ def list_clusters(where: str, observed: Observed) -> list[ClusterLine]:
         What the cloud is called in the lines.
     observed : Observed
         Of all clusters of the cloud.
+    spec : CloudSpec, optional
+        The cloud as a file has it, for its prices.
 
     Returns
     -------
@@ -139,6 +145,7 @@ def list_clusters(where: str, observed: Observed) -> list[ClusterLine]:
                 "cluster": name,
                 "states": dict(Counter(map(_state, machines))),
                 "instance_types": sorted({m.instance_type for m in machines} - {""}),
+                "hourly_cost": _price(spec, machines),
                 "lease_left_s": (min(leases) - now).total_seconds() if leases else None,
             }
         )
@@ -196,13 +203,20 @@ def write_list(rows: list[ClusterLine]) -> str:
     """Write what `list_clusters` returns for people."""
     if not rows:
         return "no clusters"
-    lines = [("CLUSTER", "CLOUD", "MACHINES", "TYPES", "LEASE")]
+    lines = [("CLUSTER", "CLOUD", "MACHINES", "TYPES", "HOURLY", "LEASE")]
     for row in rows:
         states = ", ".join(f"{count} {state}" for state, count in row["states"].items())
         states = states or "none; hpcapp down or reap removes what is left"
         kinds = ", ".join(row["instance_types"])
-        lines.append((row["cluster"], row["cloud"], states, kinds, _duration(row["lease_left_s"])))
+        hourly = write_dollars(row["hourly_cost"]) if row["hourly_cost"] else "-"
+        left = _duration(row["lease_left_s"])
+        lines.append((row["cluster"], row["cloud"], states, kinds, hourly, left))
     return "\n".join(_align_filled(lines))
+
+
+def _price(cloud: CloudSpec | None, machines: Iterable[MachineSeen]) -> float | None:
+    """Return what those of the machines that may work cost an hour."""
+    return price_machines(cloud, (machine for machine in machines if machine.state in LIVE))
 
 
 def _align_filled(rows: Sequence[tuple[str, ...]]) -> list[str]:

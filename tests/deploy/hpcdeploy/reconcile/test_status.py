@@ -120,12 +120,17 @@ def test_every_cluster_of_a_cloud_is_listed_even_what_is_left_of_one(
 ) -> None:
     bring_up(cluster_on(cloud), lambda line: None)
     cloud.create_group("forgotten", "life", NOBODY)
-    rows = list_clusters("here", cloud.observe(None))
+    spec = make_spec().provider.cloud
+    assert spec is not None
+    rows = list_clusters("here", cloud.observe(None), spec)
     assert [row["cluster"] for row in rows] == ["bunny", "forgotten"]
     assert rows[0]["states"] == {"running": 2}
     assert rows[0]["instance_types"] == ["c6i.xlarge", "m6i.large"]
     text = write_list(rows).splitlines()
-    assert text[1].split() == ["bunny", "here", "2", "running", "c6i.xlarge,", "m6i.large", "1h59"]
+    assert text[1].split()[:6] == ["bunny", "here", "2", "running", "c6i.xlarge,", "m6i.large"]
+    assert text[1].split()[6:] == ["$0.2778", "1h59"]
+    assert rows[0]["hourly_cost"] == describe_cluster(cluster_on(cloud), False)["hourly_cost"]
+    assert text[2].split()[-2:] == ["-", "-"]
     take_down(cluster_on(cloud), lambda line: None)
     assert [row["cluster"] for row in list_clusters("here", cloud.observe(None))] == ["forgotten"]
     assert write_list([]) == "no clusters"
