@@ -13,9 +13,11 @@ import logging
 import os
 import re
 import sys
+from collections.abc import Sequence
 
 __all__ = [
     "VisibleFormatter",
+    "align_rows",
     "echo",
     "echo_json",
     "echo_output",
@@ -80,6 +82,22 @@ def write_block(excerpt: str) -> str:
         \x1b[2Jnot syncing
     """
     return "\n".join(f"    {visible_line(line)}" for line in excerpt.splitlines() if line.strip())
+
+
+def align_rows(rows: Sequence[Sequence[str]]) -> list[str]:
+    r"""Return rows as lines whose columns are as wide as their widest cell, each cell visible.
+
+    Examples
+    --------
+    >>> align_rows([("JOB", "STATE"), ("1", "do\nne"), ("12", "")])
+    ['JOB  STATE', '1    do\\nne', '12']
+    """
+    cells = [[visible_line(cell) for cell in row] for row in rows]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    return [
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in cells
+    ]
 
 
 def echo(text: str, *, err: bool = False) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-__all__ = ["parse_duration", "parse_size"]
+__all__ = ["parse_duration", "parse_size", "write_duration"]
 
 _SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", re.IGNORECASE)
 _DURATION = re.compile(r"(\d+(?:\.\d+)?)\s*([smhd])")
@@ -62,3 +62,17 @@ def parse_duration(text: object) -> float:
     if not seconds:
         raise ValueError("should be longer than nothing")
     return seconds
+
+
+def write_duration(seconds: float) -> str:
+    """Return a duration in its two largest units.
+
+    Examples
+    --------
+    >>> write_duration(42.9), write_duration(245), write_duration(3900)
+    ('42s', '4m05', '1h05')
+    """
+    minutes, rest = divmod(int(seconds), 60)
+    if minutes >= 60:
+        return f"{minutes // 60}h{minutes % 60:02}"
+    return f"{minutes}m{rest:02}" if minutes else f"{rest}s"

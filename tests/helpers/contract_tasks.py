@@ -65,7 +65,7 @@ def append_line(path: str) -> None:
 def wait_for_file(path: str) -> str:
     """Return once a file exists: the test says when."""
     while not Path(path).exists():
-        time.sleep(0.005)
+        time.sleep(0.005)  # between two looks; no event crosses to a worker of another engine
     return path
 
 

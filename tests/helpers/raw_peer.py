@@ -175,7 +175,7 @@ def drip(peer: RawPeer, session: str) -> None:
     del session
     while True:
         peer.send([bytes(64 << 10)], is_last=False)
-        time.sleep(0.005)
+        time.sleep(0.005)  # the slowness is what this peer is for
 
 
 def send_heartbeats(peer: RawPeer, session: str) -> None:

@@ -101,7 +101,7 @@ def _read_address(contact: Path) -> str:
     while True:
         with suppress(OSError, ValueError):
             return str(json.loads(contact.read_text())["address"])
-        time.sleep(0.01)
+        time.sleep(0.01)  # between two looks: Dask tells of its file by nothing else
 
 
 class StandingDask:

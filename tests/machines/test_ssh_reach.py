@@ -14,11 +14,12 @@ from typing import Any
 
 import pytest
 from click.testing import CliRunner
+from machines.openssh import open_sshd
 from machines.rude import ACTS, open_rude
 from machines.servers import USER, Server
 
 from hpcapp.cli import hpcapp
-from hpccomponent.errors import HpcError
+from hpccomponent.errors import CloudError, HpcError
 from hpccomponent.runtime.numerics import package_version
 from hpcdeploy.login.parallel import run_parallel
 from hpcdeploy.providers import ssh_hosts
@@ -96,6 +97,35 @@ def test_each_verb_tells_the_causes_apart(
             assert "Traceback" not in said
         said = run("ls", file)
         assert all(cause in said for cause in causes.values()), said
+
+
+def test_a_plan_of_hosts_that_refuse_says_so_in_a_line_each_and_by_its_exit_code(
+    file: Path, hosts: tuple[Server, Server], tmp_path: Path
+) -> None:
+    """A real sshd under two names: of one the host key is known, and our key is not let in."""
+    folder = tmp_path / "sshd"
+    folder.mkdir()
+    with open_rude(ACTS["shut"]) as gone:
+        pass
+    with open_sshd(folder) as target:
+        kind, key = (folder / "host.pub").read_text().split()[:2]
+        with (tmp_path / "user/.ssh/known_hosts").open("a") as known:
+            known.write(f"[127.0.0.1]:{target.port} {kind} {key}\n")
+        there = {"port": target.port, "user": target.user}
+        closed = {"address": "127.0.0.1", "port": gone, "user": USER}
+        refusing = [there | {"address": "127.0.0.1"}, there | {"address": "localhost"}, closed]
+        write_hosts(file, [host(hosts[0]), *refusing])
+        done = CliRunner().invoke(hpcapp, ["plan", str(file)], standalone_mode=False)
+    lines = [line for line in done.output.splitlines() if "cannot be looked at" in line]
+    assert [line.split(" (")[0] for line in lines] == ["worker-1", "worker-2", "worker-3"]
+    for line, cause in zip(
+        lines, ("refuses our key", "host key unknown", "unreachable"), strict=True
+    ):
+        assert f"cannot be looked at: {cause}" in line
+    assert "would launch head" in done.output
+    assert isinstance(done.exception, CloudError)
+    assert done.exception.exit_code == 4
+    assert "3 of 4 hosts cannot be looked at: worker-1, worker-2, worker-3" in str(done.exception)
 
 
 @pytest.mark.usefixtures("hosts")

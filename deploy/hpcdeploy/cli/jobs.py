@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hpccomponent.terminal import echo, echo_json, visible_line
+from hpccomponent.terminal import align_rows, echo, echo_json
+from hpccomponent.units import write_duration
 from hpccomponent.verb import Verb
 from hpcdeploy.cli.arguments import FILE, JOB, PATH
 
@@ -73,20 +74,24 @@ def submit(
     from hpcdeploy.jobs.queries import open_jobs
     from hpcdeploy.reconcile.cluster import open_cluster
 
+    typed = ["submit", str(file), str(points), "-o", str(output)]
+    typed += [*(["--dashboard"] if dashboard else []), *(["--", *options] if options else [])]
     if dashboard:
         options = (*options, "--dashboard")
     with open_cluster(file) as cluster:
         told = cluster_job.check_job(cluster, VERB, points, output, options)
         opened = open_jobs(cluster)
-        status = cluster_job.submit(opened, VERB, points, output.name, told)
+        request = cluster_job.make_request(cluster, typed)
+        status = cluster_job.submit(opened, VERB, points, output.name, told, request)
         if detach:
-            _tell([status], as_json)
+            if as_json:
+                _tell_json([status])
             log.info("hpcapp attach %s %s%s shows it, hpcapp fetch %s %s brings the mesh",
                      file, status.job, " --dashboard" if dashboard else "",
                      file, status.job)  # fmt: skip
             return
         status = cluster_job.watch(cluster, opened, status, has_page=dashboard)
-        _tell_report(output, cluster_job.fetch(opened, status, output), as_json)
+        _tell_report(status, output, cluster_job.fetch(opened, status, output), as_json)
 
 
 @click.command(
@@ -100,16 +105,19 @@ def submit(
 @FILE
 @AS_JSON
 def jobs(file: Path, as_json: bool) -> None:
-    """List the jobs of a cluster.
+    """List the jobs of a cluster; the exit code is 4 where one of them cannot be read.
 
-    The exit code is 4 where one of them cannot be read.
+    COST is what the cluster costs at most in the time that a job ran, where it has a price.
     """
     from hpcdeploy.jobs.queries import open_jobs, raise_damage
     from hpcdeploy.reconcile.cluster import open_cluster
 
     with open_cluster(file) as cluster:
         listed = open_jobs(cluster).all()
-    _tell(listed, as_json)
+    if as_json:
+        _tell_json(listed)
+    else:
+        echo(_write_table(listed))
     raise_damage(listed)
 
 
@@ -219,26 +227,47 @@ def fetch(file: Path, job: str | None, output: Path | None, as_json: bool) -> No
         status = opened.find(job)
         raise_failure(status)
         target = output or cluster_job.new_mesh_here(status)
-        _tell_report(target, cluster_job.fetch(opened, status, target), as_json)
+        _tell_report(status, target, cluster_job.fetch(opened, status, target), as_json)
 
 
-def _tell_report(mesh: Path, report: dict[str, object], as_json: bool) -> None:
+def _tell_report(status: JobStatus, mesh: Path, report: dict[str, object], as_json: bool) -> None:
     if as_json:
-        echo_json(report)
+        command = status.request.command(str(Path.cwd()))
+        echo_json(report | ({"command": command} if command else {}))  # the head has typed its own
     else:
         log.info("%s: %s", mesh, report["summary"])
 
 
-def _tell(statuses: Sequence[JobStatus], as_json: bool) -> None:
-    """Print jobs, one a line."""
-    from hpcdeploy.spec.job_folder import JobState
+def _tell_json(statuses: Sequence[JobStatus]) -> None:
+    """Print jobs, one JSON object a line."""
+    from hpcdeploy.spec.polling import utc_now
 
+    here, now = str(Path.cwd()), utc_now()
     for status in statuses:
-        if as_json:
-            echo_json(asdict(status))
-            continue
-        when = status.ended or status.started or status.submitted
-        line = f"{status.job:>4}  {status.state:<9}  {when}  {status.title} -> {status.mesh}"
-        if status.state is JobState.DAMAGED:
-            line = f"{status.job:>4}  {status.state:<9}"
-        echo(visible_line(f"{line}  {status.reason}".rstrip()))
+        told = asdict(status)
+        del told["request"]
+        times = {"seconds": status.seconds(now), "cost": status.cost(now)}
+        echo_json(told | times | {"command": status.request.command(here)})
+
+
+def _write_table(statuses: Sequence[JobStatus]) -> str:
+    """Write jobs for people; of one that is damaged nothing but its state is known."""
+    from hpcdeploy.reconcile.cost import write_dollars
+    from hpcdeploy.spec.polling import utc_now
+
+    now = utc_now()
+    rows = [("JOB", "STATE", "SUBMITTED (UTC)", "TIME", "COST", "POINTS -> MESH")]
+    for status in statuses:
+        seconds, cost = status.seconds(now), status.cost(now)
+        files = f"{status.title} -> {status.mesh}" if status.submitted else ""
+        rows.append(
+            (
+                status.job,
+                status.state,
+                status.submitted[:16].replace("T", " ") or "-",
+                "-" if seconds is None else write_duration(seconds),
+                "-" if cost is None else write_dollars(cost),
+                f"{files}  {status.reason}".strip(),
+            )
+        )
+    return "\n".join(align_rows(rows)) if statuses else "no jobs"

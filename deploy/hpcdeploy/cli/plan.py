@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from hpccomponent.errors import CloudError
 from hpccomponent.terminal import echo, echo_json, visible_line
 from hpccomponent.verb import Verb
 from hpcdeploy.cli.arguments import FILE
@@ -16,6 +19,7 @@ if TYPE_CHECKING:
     from hpcdeploy.provider import Problem
     from hpcdeploy.reconcile.cost import Cost
     from hpcdeploy.reconcile.plan import Plan
+    from hpcdeploy.spec.cluster import ClusterSpec
 
 __all__ = ["plan", "validate"]
 
@@ -44,73 +48,136 @@ def validate(file: Path) -> None:
     cls=Verb,
     examples=[
         ("hpcapp plan lab.yaml", "Show the machines to be made and the cost of an hour."),
+        ("hpcapp plan lab.yaml --offline", "The same, by the file alone: no keys are needed."),
         ("hpcapp plan lab.yaml --json", "The same for a program."),
-        ("hpcapp -v plan lab.yaml", "Say what is asked of the cloud meanwhile."),
     ],
 )
 @FILE
+@click.option("--offline", is_flag=True, help="Ask no network: the plan of the file alone.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def plan(file: Path, as_json: bool) -> None:
+def plan(file: Path, offline: bool, as_json: bool) -> None:
     """Show what 'up' would do, and what it costs; changes nothing.
 
-    Names the wheels that are missing; refuses what the file's limits forbid.
+    Names the wheels that are missing; refuses what the file's limits forbid. The exit code is 4
+    where the cloud or a host cannot be looked at; without keys of the cloud, after what --offline
+    shows.
     """
     from hpcdeploy.install.probe import check_this_python
-    from hpcdeploy.install.wheels.requirements import check_wheels
-    from hpcdeploy.reconcile.cluster import describe_elsewhere, open_cluster
-    from hpcdeploy.reconcile.converge import look_ahead
     from hpcdeploy.reconcile.cost import check_limits, estimate_cost
-    from hpcdeploy.reconcile.drift import describe_drift
+    from hpcdeploy.spec.cluster import read_spec
 
-    with open_cluster(file) as cluster:
-        ahead = look_ahead(cluster)
-        decided = cluster.provider.decided()
-    spec = cluster.spec
-    drift, elsewhere = describe_drift(spec, ahead.kept, file), describe_elsewhere(cluster)
-    missing = check_wheels(spec, file.absolute().parent)
-    cost = estimate_cost(spec)
-    if as_json:
-        report = _as_json(spec.cluster, ahead, cost, missing, decided)
-        echo_json(report | {"drift": drift, "elsewhere": elsewhere})
-    else:
-        lines = _lines(spec.cluster, ahead, cost, missing, [*drift, *decided])
-        echo("\n".join(map(visible_line, lines)))
-    check_limits(spec, cost)
+    spec = read_spec(file)
+    ahead = _plan_alone(file, spec) if offline else _look(file, spec, as_json)
+    ahead.show(as_json)
+    check_limits(spec, estimate_cost(spec))
     if spec.provider.is_here:  # other machines would have to be asked
         check_this_python(spec.env.python)
+    if hidden := ahead.plan.hidden:
+        nodes = ", ".join(machine.name.node for machine in hidden)
+        raise CloudError(
+            f"{len(hidden)} of {len(spec.nodes())} hosts cannot be looked at: {nodes}",
+            f"hpcapp doctor {file} looks closer",
+        )
 
 
-def _lines(
-    name: str, ahead: Plan, cost: Cost, missing: Sequence[Problem], remarks: Sequence[str]
-) -> list[str]:
-    """Write a plan for people."""
-    from hpcdeploy.reconcile.cost import describe_cost
+@dataclass(frozen=True, slots=True)
+class _Ahead:
+    """A plan with what is said beside it.
 
-    planned = [*(f"would {action}" for action in ahead.actions), *ahead.obstacles()]
-    return [
-        *(planned or [f"cluster {name}: nothing to create or change"]),
-        *remarks,
-        *describe_cost(cost),
-        *(f"missing: {problem.what}; {problem.advice}" for problem in missing),
-    ]
+    Parameters
+    ----------
+    told : str
+        Why nothing was looked up; empty where the cloud was.
+    """
+
+    path: Path
+    spec: ClusterSpec
+    plan: Plan
+    told: str = ""
+    drift: Sequence[str] = ()
+    decided: Sequence[str] = ()
+    elsewhere: str = ""
+
+    def show(self, as_json: bool) -> None:
+        """Print it for people, or for programs."""
+        from hpcdeploy.install.wheels.requirements import check_wheels
+        from hpcdeploy.reconcile.cost import estimate_cost
+
+        missing = check_wheels(self.spec, self.path.absolute().parent)
+        cost = estimate_cost(self.spec)
+        if as_json:
+            echo_json(self._as_json(cost, missing))
+        else:
+            echo("\n".join(map(visible_line, self._lines(cost, missing))))
+
+    def _lines(self, cost: Cost, missing: Sequence[Problem]) -> list[str]:
+        from hpcdeploy.reconcile.cost import describe_cost, describe_limits
+
+        planned = [f"would {action}" for action in self.plan.actions] + self.plan.obstacles()
+        nothing = f"cluster {self.spec.cluster}: nothing to create or change"
+        return [
+            *([self.told] if self.told else []),
+            *(planned or [nothing]),
+            *self.drift,
+            *self.decided,
+            *describe_cost(cost),
+            *describe_limits(self.spec, cost),
+            *(f"missing: {problem.what}; {problem.advice}" for problem in missing),
+        ]
+
+    def _as_json(self, cost: Cost, missing: Sequence[Problem]) -> dict[str, object]:
+        """Return it for programs; money is in dollars, and null where a price is not known."""
+        actions = self.plan.actions
+        return {
+            "cluster": self.spec.cluster,
+            "is_looked_up": not self.told,
+            "actions": [{"kind": action.kind, "description": str(action)} for action in actions],
+            "obstacles": self.plan.obstacles(),
+            "decided": list(self.decided),
+            "cost": _cost_as_json(cost),
+            "missing": [{"what": problem.what, "advice": problem.advice} for problem in missing],
+            "drift": list(self.drift),
+            "elsewhere": self.elsewhere,
+        }
 
 
-def _as_json(
-    name: str, ahead: Plan, cost: Cost, missing: Sequence[Problem], decided: Sequence[str]
-) -> dict[str, object]:
-    """Write a plan for programs; money is in dollars, and null where a price is not known."""
+def _look(file: Path, spec: ClusterSpec, as_json: bool) -> _Ahead:
+    """Look the cluster up; without keys, show the plan of the file alone before it is refused."""
+    from hpcdeploy.reconcile.cluster import describe_elsewhere, open_cluster
+    from hpcdeploy.reconcile.converge import look_ahead
+    from hpcdeploy.reconcile.drift import describe_drift
+
+    with ExitStack() as stack:
+        try:
+            cluster = stack.enter_context(open_cluster(file))
+        except CloudError:
+            _plan_alone(file, spec, "nothing could be looked up, see below").show(as_json)
+            raise
+        ahead = look_ahead(cluster)
+        decided = cluster.provider.decided()
+    drift = describe_drift(spec, ahead.kept, file)
+    return _Ahead(file, spec, ahead, "", drift, decided, describe_elsewhere(cluster))
+
+
+def _plan_alone(
+    file: Path, spec: ClusterSpec, why: str = "offline: nothing was looked up"
+) -> _Ahead:
+    """Return the plan of a file where nothing is there yet; no network is asked."""
+    from hpcdeploy.provider import Observed
+    from hpcdeploy.reconcile.plan import make_plan
+    from hpcdeploy.spec.polling import utc_now
+
+    told = f"{why}; from nothing {file} makes this:"
+    return _Ahead(file, spec, make_plan(spec, Observed(), utc_now()), told)
+
+
+def _cost_as_json(cost: Cost) -> dict[str, object]:
     return {
-        "cluster": name,
-        "actions": [{"kind": action.kind, "description": str(action)} for action in ahead.actions],
-        "obstacles": ahead.obstacles(),
-        "decided": list(decided),
-        "cost": {
-            "hourly": None if cost.unknown else cost.hourly,
-            "total_at_most": None if cost.unknown else cost.total_at_most,
-            "lease_s": cost.lease_s,
-            "priced_as_of": cost.priced_as_of,
-            "is_estimate": True,
-            "no_price_known_of": [line.instance_type for line in cost.unknown],
-        },
-        "missing": [{"what": problem.what, "advice": problem.advice} for problem in missing],
+        "hourly": None if cost.unknown else cost.hourly,
+        "total_at_most": None if cost.unknown else cost.total_at_most,
+        "lease_s": cost.lease_s,
+        "priced_as_of": cost.priced_as_of,
+        "priced_by": sorted({line.priced_by for line in cost.lines} - {""}),
+        "is_estimate": True,
+        "no_price_known_of": [line.instance_type for line in cost.unknown],
     }

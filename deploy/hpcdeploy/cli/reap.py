@@ -38,7 +38,7 @@ def reap(files: tuple[Path, ...], dry_run: bool) -> None:
     from hpcdeploy.reconcile.removal import describe
     from hpcdeploy.spec.polling import utc_now
 
-    for where, provider in open_clouds(files):
+    for where, provider, _ in open_clouds(files):
         if dry_run:
             remains = describe(overdue(provider.observe(None), utc_now()))
             echo(f"{where}: {f'would remove {remains}' if remains else 'nothing to remove'}")

@@ -67,9 +67,9 @@ def ls(files: tuple[Path, ...], is_all: bool, as_json: bool) -> None:
     names = None if is_all else {read_spec(path).cluster for path in files}
     rows: list[ClusterLine] = []
     silent: list[CloudError] = []
-    for where, provider in open_clouds(files):
+    for where, provider, spec in open_clouds(files):
         try:
-            listed = list_clusters(where, provider.observe(None))
+            listed = list_clusters(where, provider.observe(None), spec)
         except CloudError as error:  # the other clouds are listed all the same
             silent.append(error)
             continue

@@ -24,14 +24,22 @@ from hpcdeploy.jobs.display import ForwardingDisplay, open_display
 from hpcdeploy.jobs.queries import Jobs, open_jobs
 from hpcdeploy.provider import State
 from hpcdeploy.reconcile.cluster import as_desired, open_cluster
-from hpcdeploy.reconcile.cost import estimate_cost
-from hpcdeploy.spec.job_folder import JobStatus
+from hpcdeploy.reconcile.cost import hourly_cost
+from hpcdeploy.spec.job_folder import UNTOLD, JobStatus, Request
 from hpcdeploy.spec.layout import machine_folder
 
 if TYPE_CHECKING:
     from hpcdeploy.reconcile.cluster import Cluster
 
-__all__ = ["check_job", "fetch", "new_mesh_here", "run_on_cluster", "submit", "watch"]
+__all__ = [
+    "check_job",
+    "fetch",
+    "make_request",
+    "new_mesh_here",
+    "run_on_cluster",
+    "submit",
+    "watch",
+]
 
 log = logging.getLogger("hpcapp")
 
@@ -40,7 +48,12 @@ QUICK_S, LEAVE_S = 1.0, 60.0  # until the replacing of workers has ended: withou
 
 
 def run_on_cluster(
-    path: Path, verb: str, points: Path, target: Path, options: Sequence[str]
+    path: Path,
+    verb: str,
+    points: Path,
+    target: Path,
+    options: Sequence[str],
+    typed: Sequence[str] = (),
 ) -> dict[str, object]:
     """Run a verb on a cluster: up if needed, submit, watch, fetch, and down if it was us.
 
@@ -48,6 +61,8 @@ def run_on_cluster(
     ----------
     path : pathlib.Path
         The cluster file.
+    typed : sequence of str
+        The command line, without the program's name.
 
     Returns
     -------
@@ -68,7 +83,8 @@ def run_on_cluster(
         replacements = _replacing_lost(cluster)
         try:
             jobs = open_jobs(cluster)
-            status = submit(jobs, verb, points, target.name, options)
+            request = make_request(cluster, typed)
+            status = submit(jobs, verb, points, target.name, options, request)
             try:
                 with replacements:
                     status = _follow(cluster, jobs, status, has_page="--dashboard" in options)
@@ -93,11 +109,11 @@ def run_on_cluster(
 
 def _describe_cost(cluster: Cluster, seconds: float) -> dict[str, object]:
     """Return what a job has cost at most, for its report; nothing where that is not known."""
-    cost = estimate_cost(cluster.spec)
-    if cost.unknown or not cost.hourly:
+    hourly = hourly_cost(cluster.spec)
+    if hourly is None:
         return {}
-    job = cost.hourly * seconds / 3600.0
-    return {"cost": {"dollars_an_hour": round(cost.hourly, 4), "dollars_job": round(job, 4)}}
+    job = hourly * seconds / 3600.0
+    return {"cost": {"dollars_an_hour": round(hourly, 4), "dollars_job": round(job, 4)}}
 
 
 def check_job(
@@ -145,8 +161,33 @@ def _is_set_up(cluster: Cluster) -> bool:
     return head.run(f"test -f {inventory}").exit_code == 0
 
 
-def submit(jobs: Jobs, verb: str, points: Path, mesh: str, options: Sequence[str]) -> JobStatus:
+def make_request(cluster: Cluster, typed: Sequence[str]) -> Request:
+    """Return what the head is to remember of a job: the command, and the cluster's price by now.
+
+    Parameters
+    ----------
+    typed : sequence of str
+        The command line, without the program's name.
+    """
+    if cluster.spec.provider.cloud is not None:  # nothing else has a price
+        cluster = as_desired(cluster, cluster.provider.observe(cluster.spec.cluster))
+    return Request(tuple(typed), str(Path.cwd()), hourly_cost(cluster.spec))
+
+
+def submit(
+    jobs: Jobs,
+    verb: str,
+    points: Path,
+    mesh: str,
+    options: Sequence[str],
+    request: Request = UNTOLD,
+) -> JobStatus:
     """Put a job into the queue, and show how its points travel.
+
+    Parameters
+    ----------
+    request : Request
+        See `make_request`.
 
     Raises
     ------
@@ -156,7 +197,8 @@ def submit(jobs: Jobs, verb: str, points: Path, mesh: str, options: Sequence[str
         The head or the bucket cannot be reached, or does not take it.
     """
     with open_display(sys.stderr) as display:
-        status = jobs.submit(verb, points, mesh, options, partial(display.show_bytes, "send"))
+        on_progress = partial(display.show_bytes, "send")
+        status = jobs.submit(verb, points, mesh, options, on_progress, request)
     log.info("job %s of %s is %s", status.job, points, status.state)
     return status
 

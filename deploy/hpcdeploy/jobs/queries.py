@@ -24,7 +24,7 @@ from hpccomponent.foreign_json import convert, decode
 from hpcdeploy.jobs.display import JobDisplay, JobEvent
 from hpcdeploy.login.shell import Shell, sha256_of
 from hpcdeploy.provider import Bucket
-from hpcdeploy.spec.job_folder import JobOrder, JobState, JobStatus, Number, Words
+from hpcdeploy.spec.job_folder import UNTOLD, JobOrder, JobState, JobStatus, Number, Request, Words
 from hpcdeploy.spec.layout import machine_folder
 
 if TYPE_CHECKING:
@@ -78,6 +78,7 @@ class Jobs:
         mesh: str,
         options: Sequence[str] = (),
         on_progress: Callable[[int, int], None] | None = None,
+        request: Request = UNTOLD,
     ) -> JobStatus:
         """Send the points, and put a job into the queue.
 
@@ -87,6 +88,8 @@ class Jobs:
             What `hpcapp` is to do.
         points : pathlib.Path
             The input; a cloud that is on the head already is not sent again.
+        request : Request
+            What was typed; the head remembers it for `JobStatus`.
 
         Raises
         ------
@@ -102,7 +105,7 @@ class Jobs:
                 f"{points}: cannot be read ({error.strerror})", "name a file that you may read"
             ) from error
         name = f"points/{digest}{points.suffix}"
-        order = JobOrder(verb, name, mesh, tuple(options), points.name)
+        order = JobOrder(verb, name, mesh, tuple(options), points.name, request=request)
         if self._bucket is not None:
             order = self._bucket.send(points, digest, order, on_progress)
         else:

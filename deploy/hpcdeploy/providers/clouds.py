@@ -5,13 +5,15 @@ from __future__ import annotations
 import os
 from collections.abc import Collection, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from hpccomponent.config.reader import parse_config
 from hpcdeploy.provider import Provider
 from hpcdeploy.providers import open_provider
 from hpcdeploy.spec.cluster import ClusterSpec, read_spec
+from hpcdeploy.spec.provider import CloudSpec
 
-__all__ = ["open_clouds", "places_of"]
+__all__ = ["OpenCloud", "open_clouds", "places_of"]
 
 ANY_CLUSTER = """
 version: 1
@@ -21,6 +23,22 @@ provider:
   region: {region}
   profiles: {{any: {{image: {{id: ami-0}}, instance_type: any}}}}
 """
+
+
+class OpenCloud(NamedTuple):
+    """A cloud that can be asked.
+
+    Parameters
+    ----------
+    place : str
+        A name to print.
+    spec : CloudSpec or None
+        Its block of a file, for prices; None where machines are there anyway.
+    """
+
+    place: str
+    provider: Provider
+    spec: CloudSpec | None
 
 
 def places_of(spec: ClusterSpec, hosts: Collection[str] | None = None) -> tuple[str, ...]:
@@ -55,8 +73,8 @@ def places_of(spec: ClusterSpec, hosts: Collection[str] | None = None) -> tuple[
     return (f"{place}, with the keys of {source}" if source else place,)
 
 
-def open_clouds(files: Sequence[Path]) -> list[tuple[str, Provider]]:
-    """Return the clouds of some cluster files, each once, with a name to print.
+def open_clouds(files: Sequence[Path]) -> list[OpenCloud]:
+    """Return the clouds of some cluster files, each once.
 
     Without a file, the AWS account and region of the environment.
 
@@ -72,11 +90,12 @@ def open_clouds(files: Sequence[Path]) -> list[tuple[str, Provider]]:
 
         region = os.environ.get("AWS_REGION") or default_region() or "us-east-1"
         spec = parse_config(ANY_CLUSTER.format(region=region), "the environment", ClusterSpec)
-        return [(f"aws {region}", open_provider(spec, Path.cwd()))]
-    clouds: dict[str, tuple[str, Provider]] = {}
+        return [OpenCloud(f"aws {region}", open_provider(spec, Path.cwd()), spec.provider.cloud)]
+    clouds: dict[str, OpenCloud] = {}
     for path in files:
         spec = read_spec(path)
         place = spec.provider.model_dump_json(exclude={"profiles"})
         if place not in clouds:
-            clouds[place] = (str(path), open_provider(spec, path.absolute().parent))
+            provider = open_provider(spec, path.absolute().parent)
+            clouds[place] = OpenCloud(str(path), provider, spec.provider.cloud)
     return list(clouds.values())

@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from hpccomponent.errors import UsageError
+from hpcdeploy.provider import MachineSeen
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.names import HEAD
 from hpcdeploy.spec.prices import read_prices
 from hpcdeploy.spec.provider import CloudSpec, Profile
 
-__all__ = ["Cost", "CostLine", "check_limits", "describe_cost", "estimate_cost"]
+__all__ = [
+    "Cost",
+    "CostLine",
+    "check_limits",
+    "describe_cost",
+    "describe_limits",
+    "estimate_cost",
+    "hourly_cost",
+    "price_machines",
+    "write_dollars",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +38,8 @@ class CostLine:
     hourly : float, optional
         Of one machine on demand, in dollars; None where no price is known. Spot machines cost
         at most as much.
+    priced_by : str
+        Where the price comes from; empty where none is known.
     """
 
     who: str
@@ -33,6 +47,7 @@ class CostLine:
     profile: str
     instance_type: str
     hourly: float | None
+    priced_by: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +106,8 @@ def estimate_cost(spec: ClusterSpec, workers: int | None = None) -> Cost:
         profile = spec.profile(node)
         if cloud is not None and profile is not None and number:
             instance_type, hourly = _dearest(cloud, profile)
-            lines.append(CostLine(who, number, spec.profile_name(node), instance_type, hourly))
+            by = "" if hourly is None else cloud.priced_by(profile)
+            lines.append(CostLine(who, number, spec.profile_name(node), instance_type, hourly, by))
     return Cost(tuple(lines), spec.limits.lease, read_prices().as_of)
 
 
@@ -99,6 +115,34 @@ def _dearest(cloud: CloudSpec, profile: Profile) -> tuple[str, float | None]:
     """Return the dearest type of a profile and its price; one without a price comes first."""
     priced = [(name, cloud.hourly(profile, name)) for name in profile.instance_types]
     return max(priced, key=lambda pair: float("inf") if pair[1] is None else pair[1])
+
+
+def hourly_cost(spec: ClusterSpec) -> float | None:
+    """Return what a cluster costs an hour at most, in dollars; None where it has no price."""
+    cost = estimate_cost(spec)
+    return None if cost.unknown or not cost.hourly else cost.hourly
+
+
+def price_machines(cloud: CloudSpec | None, machines: Iterable[MachineSeen]) -> float | None:
+    """Return what machines cost an hour at most, in dollars.
+
+    Parameters
+    ----------
+    cloud : CloudSpec, optional
+        Of their cluster's file, or of another one; None where machines are there anyway.
+    machines : iterable of MachineSeen
+        Spot machines cost at most as much as those on demand.
+
+    Returns
+    -------
+    float or None
+        None where a price is not known.
+    """
+    if cloud is None:
+        return None
+    prices = [cloud.dearest(machine.instance_type) for machine in machines]
+    known = [price for price in prices if price is not None]
+    return sum(known) if len(known) == len(prices) else None
 
 
 def check_limits(spec: ClusterSpec, cost: Cost) -> None:
@@ -118,28 +162,39 @@ def check_limits(spec: ClusterSpec, cost: Cost) -> None:
             f"give provider.profiles.{line.profile}.hourly_cost (0 where nobody bills), or drop "
             "limits.max_hourly_cost and limits.max_total_cost",
         )
-    for name, limit, estimate, span in (
-        ("max_hourly_cost", limits.max_hourly_cost, cost.hourly, "an hour"),
-        ("max_total_cost", limits.max_total_cost, cost.total_at_most, "within the lease"),
-    ):
+    for name, limit, estimate, span in _money(spec, cost):
         if limit is not None and estimate > limit + 1e-9:
             raise UsageError(
-                f"the cluster costs an estimated {_dollars(estimate)} {span}, more than "
-                f"limits.{name}, {_dollars(limit)}",
+                f"the cluster costs an estimated {write_dollars(estimate)} {span}, more than "
+                f"limits.{name}, {write_dollars(limit)}",
                 "take fewer or smaller machines or a shorter lease, or raise the limit",
             )
+
+
+def _money(
+    spec: ClusterSpec, cost: Cost
+) -> tuple[tuple[str, float | None, float, str], tuple[str, float | None, float, str]]:
+    """Return for each limit of money its key, its value, what it is held against, and its span."""
+    limits = spec.limits
+    return (
+        ("max_hourly_cost", limits.max_hourly_cost, cost.hourly, "an hour"),
+        ("max_total_cost", limits.max_total_cost, cost.total_at_most, "within the lease"),
+    )
 
 
 def describe_cost(cost: Cost) -> list[str]:
     """Return the lines in which people read it."""
     if not cost.lines:
         return ["cost: none that is known of: the machines are there anyway"]
+    sources = " and ".join(dict.fromkeys(line.priced_by for line in cost.lines if line.priced_by))
+    if not cost.unknown and not cost.hourly:
+        return [f"cost: none, by {sources}"]
     lines = [
         f"cost: {line.who}: {line.count} x {line.instance_type}, "
         + (
             f"no price is known: give provider.profiles.{line.profile}.hourly_cost"
             if line.hourly is None
-            else f"{_dollars(line.hourly)} an hour each"
+            else f"{write_dollars(line.hourly)} an hour each"
         )
         for line in cost.lines
     ]
@@ -148,16 +203,29 @@ def describe_cost(cost: Cost) -> list[str]:
     known = "not known in all; what is known " if cost.unknown else ""
     at_most = "at least" if cost.unknown else "at most"
     lines.append(
-        f"cost: {known}together {_dollars(cost.hourly)} an hour, {at_most} "
-        f"{_dollars(cost.total_at_most)} until the lease of {cost.lease_s / 3600:g} h ends"
+        f"cost: {known}together {write_dollars(cost.hourly)} an hour, {at_most} "
+        f"{write_dollars(cost.total_at_most)} until the lease of {cost.lease_s / 3600:g} h ends"
     )
-    lines.append(
-        "cost: an estimate from above: the dearest type on demand, by hourly_cost or Amazon's list "
-        f"prices of {cost.priced_as_of} with disk and address; traffic is not counted"
-    )
+    lines.append(f"prices: {sources}")
+    lines.append("prices: the dearest type of each profile is counted; traffic is not")
     return lines
 
 
-def _dollars(amount: float) -> str:
+def describe_limits(spec: ClusterSpec, cost: Cost) -> list[str]:
+    """Return the lines in which people read what a file's limits come to; none without prices."""
+    limits = spec.limits
+    if cost.unknown or not cost.hourly:
+        return []
+    idle = cost.hourly * limits.idle / 3600
+    lines = [f"limits: {limits.idle / 60:g} min idle end it before, and cost {write_dollars(idle)}"]
+    for name, limit, estimate, span in _money(spec, cost):
+        if limit is not None:
+            verdict = "keeps" if estimate <= limit + 1e-9 else "breaks"
+            amounts = write_dollars(estimate), write_dollars(limit)
+            lines.append(f"limits: {amounts[0]} {span} {verdict} {name}, {amounts[1]}")
+    return lines
+
+
+def write_dollars(amount: float) -> str:
     """Write an amount so that a cheap machine is not free."""
     return f"${amount:.2f}" if amount >= 1 or not amount else f"${amount:.4f}"

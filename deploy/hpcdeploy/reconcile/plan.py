@@ -54,9 +54,17 @@ class LaunchNode:
     desired: Desired | None = None
 
     def __str__(self) -> str:
-        kinds = " or ".join(str(choice) for choice in self.choices if choice.instance_type)
+        kinds = _describe_choices(self.choices) if self.choices[0].instance_type else ""
         again = f", generation {self.name.generation}" if self.name.generation > 1 else ""
         return f"launch {self.name.node}{f' as {kinds}' if kinds else ''}{again}"
+
+
+def _describe_choices(choices: Sequence[LaunchChoice]) -> str:
+    """Return in a few words what `launch_choices` has made of types, markets and places."""
+    types = " or ".join(dict.fromkeys(choice.instance_type for choice in choices))
+    markets = ", else ".join(dict.fromkeys(choice.market for choice in choices))
+    places = " or ".join(dict.fromkeys(choice.place for choice in choices if choice.place))
+    return f"{types} ({markets}{f', in {places}' if places else ''})"
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,19 +8,23 @@ from datetime import datetime
 from typing import TYPE_CHECKING, TypedDict
 
 from hpccomponent.errors import CloudError, HpcError
-from hpccomponent.terminal import visible_line
+from hpccomponent.terminal import align_rows
+from hpccomponent.units import write_duration
 from hpcdeploy.install.loader_service import is_running_command
 from hpcdeploy.install.probe import RELEASE_COMMAND
 from hpcdeploy.login.parallel import connections_at_once, run_parallel
 from hpcdeploy.login.shell import Shell
 from hpcdeploy.provider import MachineSeen, Observed, State
 from hpcdeploy.reconcile.cluster import describe_elsewhere, node_order, require_ours
+from hpcdeploy.reconcile.cost import price_machines, write_dollars
+from hpcdeploy.reconcile.plan import LIVE
 from hpcdeploy.spec.layout import machine_folder
 from hpcdeploy.spec.names import HEAD, without_node
 from hpcdeploy.spec.polling import utc_now
 
 if TYPE_CHECKING:
     from hpcdeploy.reconcile.cluster import Cluster
+    from hpcdeploy.spec.provider import CloudSpec
 
 __all__ = ["ClusterLine", "describe_cluster", "list_clusters", "write_list", "write_table"]
 
@@ -44,7 +48,10 @@ class MachineStatus(TypedDict):
 
 
 class ClusterStatus(TypedDict):
-    """A cluster as JSON has it; nodes are hidden whose machine cannot be looked at."""
+    """A cluster as JSON has it; nodes are hidden whose machine cannot be looked at.
+
+    `hourly_cost`, of the machines that are there, is in dollars; null where it is not known.
+    """
 
     cluster: str
     provider: str
@@ -54,16 +61,18 @@ class ClusterStatus(TypedDict):
     hidden: list[str]
     missing: list[str]
     unwanted: list[str]
+    hourly_cost: float | None
     machines: list[MachineStatus]
 
 
 class ClusterLine(TypedDict):
-    """A cluster in a list, as JSON has it."""
+    """A cluster in a list, as JSON has it; `hourly_cost` as in `ClusterStatus`."""
 
     cloud: str
     cluster: str
     states: dict[str, int]
     instance_types: list[str]
+    hourly_cost: float | None
     lease_left_s: float | None
 
 
@@ -99,11 +108,14 @@ def describe_cluster(cluster: Cluster, ask_machines: bool = True) -> ClusterStat
         "hidden": unseen,
         "missing": [node for node in wanted if node not in running_nodes and node not in unseen],
         "unwanted": [node for node in running_nodes if node not in wanted],
+        "hourly_cost": _price(cluster.spec.provider.cloud, machines),
         "machines": rows,
     }
 
 
-def list_clusters(where: str, observed: Observed) -> list[ClusterLine]:
+def list_clusters(
+    where: str, observed: Observed, spec: CloudSpec | None = None
+) -> list[ClusterLine]:
     """Return a line for every cluster of a cloud.
 
     Parameters
@@ -112,6 +124,8 @@ def list_clusters(where: str, observed: Observed) -> list[ClusterLine]:
         What the cloud is called in the lines.
     observed : Observed
         Of all clusters of the cloud.
+    spec : CloudSpec, optional
+        The cloud as a file has it, for its prices.
 
     Returns
     -------
@@ -131,6 +145,7 @@ def list_clusters(where: str, observed: Observed) -> list[ClusterLine]:
                 "cluster": name,
                 "states": dict(Counter(map(_state, machines))),
                 "instance_types": sorted({m.instance_type for m in machines} - {""}),
+                "hourly_cost": _price(spec, machines),
                 "lease_left_s": (min(leases) - now).total_seconds() if leases else None,
             }
         )
@@ -138,13 +153,13 @@ def list_clusters(where: str, observed: Observed) -> list[ClusterLine]:
 
 
 def write_table(status: ClusterStatus) -> str:
-    """Write what `describe_cluster` returns for people."""
+    """Write what `describe_cluster` returns for people; columns without a word are left out."""
     lines = [("NODE", "STATE", "TYPE", "MARKET", "PUBLIC", "PRIVATE", "AGE", "LEASE", "LOADER")] + [
         (
             machine["node"],
             machine["state"],
             machine["instance_type"],
-            machine["market"],
+            machine["market"] if machine["instance_type"] else "",
             machine["public_address"],
             machine["private_address"],
             _duration(machine["age_s"]),
@@ -156,7 +171,9 @@ def write_table(status: ClusterStatus) -> str:
     heads = [f"cluster {status['cluster']} ({status['provider']}): {_verdict(status)}"]
     if status["made_elsewhere"]:
         heads.append(status["made_elsewhere"])
-    return "\n".join([*heads, *(_aligned(lines) if status["machines"] else [])])
+    if status["hourly_cost"]:
+        heads.append(f"cost: {write_dollars(status['hourly_cost'])} an hour at most")
+    return "\n".join([*heads, *_align_filled(lines)])
 
 
 def _verdict(status: ClusterStatus) -> str:
@@ -186,13 +203,26 @@ def write_list(rows: list[ClusterLine]) -> str:
     """Write what `list_clusters` returns for people."""
     if not rows:
         return "no clusters"
-    lines = [("CLUSTER", "CLOUD", "MACHINES", "TYPES", "LEASE")]
+    lines = [("CLUSTER", "CLOUD", "MACHINES", "TYPES", "HOURLY", "LEASE")]
     for row in rows:
         states = ", ".join(f"{count} {state}" for state, count in row["states"].items())
         states = states or "none; hpcapp down or reap removes what is left"
         kinds = ", ".join(row["instance_types"])
-        lines.append((row["cluster"], row["cloud"], states, kinds, _duration(row["lease_left_s"])))
-    return "\n".join(_aligned(lines))
+        hourly = write_dollars(row["hourly_cost"]) if row["hourly_cost"] else "-"
+        left = _duration(row["lease_left_s"])
+        lines.append((row["cluster"], row["cloud"], states, kinds, hourly, left))
+    return "\n".join(_align_filled(lines))
+
+
+def _price(cloud: CloudSpec | None, machines: Iterable[MachineSeen]) -> float | None:
+    """Return what those of the machines that may work cost an hour."""
+    return price_machines(cloud, (machine for machine in machines if machine.state in LIVE))
+
+
+def _align_filled(rows: Sequence[tuple[str, ...]]) -> list[str]:
+    """Align rows below a heading, without the columns in which nothing stands."""
+    columns = [column for column in zip(*rows, strict=True) if set(column[1:]) - {"", "-"}]
+    return align_rows(list(zip(*columns, strict=True)))
 
 
 def _state(machine: MachineSeen) -> str:
@@ -258,20 +288,7 @@ def _loader_version(cluster: str, shell: Shell) -> str:
 
 
 def _duration(seconds: float | None) -> str:
-    """Write seconds as people say them: 1h05, 12m, over."""
+    """Write a time that may be over, or not known."""
     if seconds is None:
         return "-"
-    if seconds < 0:
-        return "over"
-    minutes = int(seconds // 60)
-    return f"{minutes // 60}h{minutes % 60:02}" if minutes >= 60 else f"{minutes}m"
-
-
-def _aligned(rows: Sequence[tuple[str, ...]]) -> list[str]:
-    """Pad columns to their widest cell; what a machine has said stays in its own."""
-    rows = [tuple(map(visible_line, row)) for row in rows]
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return [
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in rows
-    ]
+    return "over" if seconds < 0 else write_duration(seconds)

@@ -25,6 +25,7 @@ import fcntl
 import json
 import os
 import re
+import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
@@ -40,10 +41,12 @@ from hpccomponent.foreign_json import decode
 
 __all__ = [
     "EXIT_CANCELLED",
+    "UNTOLD",
     "JobFolder",
     "JobOrder",
     "JobState",
     "JobStatus",
+    "Request",
     "all_jobs",
     "create_job",
     "now",
@@ -81,6 +84,52 @@ class JobState(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class Request:
+    """What was typed for a job, and what its cluster costs.
+
+    Parameters
+    ----------
+    words : tuple of str
+        Of the command line, without the program's name.
+    folder : str
+        In which they were typed.
+    hourly_cost : float, optional
+        Of the cluster as it was then, at most, in dollars; None where it has no price.
+    """
+
+    words: tuple[Words, ...] = ()
+    folder: Words = ""
+    hourly_cost: Annotated[float, Meta(ge=0, le=1e9)] | None = None
+
+    def command(self, folder: str) -> str:
+        """Return the command for a shell that stands in a folder, to be typed again.
+
+        Whatever words a head tells, it is one command, and `hpcapp`.
+
+        Returns
+        -------
+        str
+            Empty where nothing is known of it.
+
+        Examples
+        --------
+        >>> request = Request(("submit", "lab.yaml", "my scan.ply", "-o", "mesh.ply"), "/home/me")
+        >>> request.command("/home/me")
+        "hpcapp submit lab.yaml 'my scan.ply' -o mesh.ply"
+        >>> request.command("/tmp")
+        "cd /home/me && hpcapp submit lab.yaml 'my scan.ply' -o mesh.ply"
+        """
+        if not self.words:
+            return ""
+        line = shlex.join(("hpcapp", *self.words))
+        return line if self.folder == folder else f"cd {shlex.quote(self.folder)} && {line}"
+
+
+UNTOLD = Request()
+"""Of an order by an earlier release."""
+
+
+@dataclass(frozen=True, slots=True)
 class JobOrder:
     """What a job is to do.
 
@@ -100,6 +149,8 @@ class JobOrder:
         What the output is called there.
     ca_bundle : str
         Certificates (PEM) by which the bucket's own is checked; the system's by default.
+    request : Request
+        What the user typed.
     """
 
     verb: str
@@ -111,6 +162,7 @@ class JobOrder:
     mesh_url: str = ""
     mesh_key: str = ""
     ca_bundle: str = ""
+    request: Request = UNTOLD
 
     @classmethod
     def from_json(cls, text: str | bytes) -> JobOrder:
@@ -136,6 +188,8 @@ class JobStatus:
         Process id, and id of the process group.
     mesh_key, mesh_sha256 : str
         Of a mesh that lies in the bucket as well.
+    request : Request
+        What the user typed.
     """
 
     job: Number
@@ -150,6 +204,19 @@ class JobStatus:
     runner: Annotated[int, Meta(ge=0, le=1 << 30)] = 0
     mesh_key: Annotated[str, Meta(max_length=1024)] = ""
     mesh_sha256: Annotated[str, Meta(pattern=r"^([0-9a-f]{64})?\Z")] = ""
+    request: Request = UNTOLD
+
+    def seconds(self, present: datetime) -> float | None:
+        """Return how long the job ran, up to the present where it still does; None before that."""
+        if not self.started or (self.state.is_over and not self.ended):
+            return None
+        end = datetime.fromisoformat(self.ended) if self.ended else present
+        return max((end - datetime.fromisoformat(self.started)).total_seconds(), 0.0)
+
+    def cost(self, present: datetime) -> float | None:
+        """Return what the cluster cost at most while the job ran, in dollars; None if not known."""
+        seconds, hourly = self.seconds(present), self.request.hourly_cost
+        return None if seconds is None or hourly is None else hourly * seconds / 3600.0
 
     def to_json(self) -> str:
         """Return the status as one line."""
@@ -298,7 +365,14 @@ def create_job(folder: Path, order: JobOrder) -> tuple[JobFolder, int]:
         lock = job.take_lock()
         job.write_order(order)
         job.write_status(
-            JobStatus(str(number), JobState.QUEUED, order.title, order.mesh, submitted=now())
+            JobStatus(
+                str(number),
+                JobState.QUEUED,
+                order.title,
+                order.mesh,
+                submitted=now(),
+                request=order.request,
+            )
         )
     finally:
         os.close(queue)

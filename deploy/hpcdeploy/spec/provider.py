@@ -393,6 +393,24 @@ class _Cloud(_Provider):
             return read_prices().hourly(instance_type, self.region, profile.disk_gb)
         return 0.0 if self.is_free else None
 
+    def dearest(self, instance_type: str) -> float | None:
+        """Return what a machine costs an hour at most, whichever profile it was launched by."""
+        named = (p for p in self.profiles.values() if instance_type in p.instance_types)
+        prices = [self.hourly(profile, instance_type) for profile in named]
+        if not prices and self.has_list_prices:
+            return read_prices().hourly(instance_type, self.region)
+        known = [price for price in prices if price is not None]
+        return max(known) if known and len(known) == len(prices) else None
+
+    def priced_by(self, profile: Profile) -> str:
+        """Return where the prices of `hourly` come from; empty where none is known."""
+        if profile.hourly_cost is not None:
+            return "the file's hourly_cost"
+        if self.has_list_prices:
+            return f"Amazon's list of {read_prices().as_of}, on demand, with disk and address"
+        nobody = "default: a Eucalyptus bills nobody unless hourly_cost says so"
+        return nobody if self.is_free else ""
+
     @property
     def signed_region(self) -> str:
         """The region that requests are signed for."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Collection
 from pathlib import Path
 from typing import Any
@@ -120,8 +121,9 @@ def run_on_cluster(ctx: click.Context) -> dict[str, Any]:
         is_detailed = ctx.params["details"]
         if ctx.params["report"] is not None and not is_detailed:
             words.append("--details")
-        report: dict[str, Any] = run(cluster, "reconstruct", points, target, words)
-        report["command"] = list(typed_command(ctx))  # the head has typed its own
+        program, *typed = typed_command(ctx)
+        report: dict[str, Any] = run(cluster, "reconstruct", points, target, words, typed)
+        report["command"] = shlex.join([program, *typed])  # the head has typed its own
         _show(ctx, report, target, points)
     return {name: told for name, told in report.items() if is_detailed or name not in DETAILS}
 

@@ -169,11 +169,11 @@ class ClusterLife(RuleBasedStateMachine):
 
     @rule(seconds=st.sampled_from([1, 10, 600, 3600]))
     def wait(self, seconds: int) -> None:
-        self.world.time.sleep(seconds)
+        self.world.time.advance(seconds)
 
     @rule()
     def reap_when_all_is_over(self) -> None:
-        self.world.time.sleep(3 * 3600)
+        self.world.time.advance(3 * 3600)
         assert self.world.run(reap, self.world.cloud) == "done"
         assert self.world.left() == Observed()
 
@@ -236,7 +236,7 @@ def test_what_a_command_has_launched_is_known_to_the_next_one_however_it_ended(
             world = World(patch, tmp_path / str(at))
             assert world.up(3, 3, "on_demand") == "done"
             world.cloud.interrupt("worker-2")
-            world.time.sleep(60)
+            world.time.advance(60)
             if verb == "up":
                 world.up(3, 0, "on_demand", fault=fault, at=at)
             else:

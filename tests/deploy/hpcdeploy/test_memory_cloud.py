@@ -28,13 +28,13 @@ def test_a_machine_is_pending_then_runs_then_ends_then_is_gone_then_forgotten() 
     cloud = MemoryProvider(time.now, boot_s=30, end_s=20, listed_s=100)
     machine = cloud.launch(LAUNCH)
     assert machine.state is State.PENDING
-    time.sleep(30)
+    time.advance(30)
     assert states(cloud) == [State.RUNNING]
     cloud.terminate([machine])
     assert states(cloud) == [State.ENDING]
-    time.sleep(20)
+    time.advance(20)
     assert states(cloud) == [State.GONE]
-    time.sleep(101)
+    time.advance(101)
     assert states(cloud) == []
 
 

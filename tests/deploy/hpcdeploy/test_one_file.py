@@ -130,7 +130,7 @@ def test_the_pages_policy_allows_what_is_called_and_nothing_else(
     cluster.provider.check()
     bring_up(cluster, lines.append, polling=time.polling())
     cluster.provider.console(cluster.head())
-    time.sleep(timedelta(hours=1).total_seconds())
+    time.advance(timedelta(hours=1).total_seconds())
     auth = cluster.spec.auth.model_copy(update={"allow_from": ("198.51.100.0/24",)})
     elsewhere = replace(cluster, spec=cluster.spec.model_copy(update={"auth": auth}))
     bring_up(elsewhere, lines.append, polling=time.polling())

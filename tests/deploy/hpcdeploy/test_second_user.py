@@ -229,7 +229,7 @@ class TwoUsers(RuleBasedStateMachine):
 
     @rule(seconds=st.sampled_from([1, 10, 600, 3600]))
     def wait(self, seconds: int) -> None:
-        self.lab.time.sleep(seconds)
+        self.lab.time.advance(seconds)
 
     @invariant()
     def nobodys_healthy_machine_is_lost(self) -> None:
@@ -249,14 +249,14 @@ def test_the_last_number_of_workers_holds_whatever_runs_inside_what(
             lab = Lab(patch, tmp_path / str(at))
             assert lab.run("anna", "up", count=2) == "done"
             lab.cloud.interrupt("worker-1")
-            lab.time.sleep(60)
+            lab.time.advance(60)
             lab.guest = ("clara", its)
             lab.run("anna", verb, "guest", at, count=3)
             if lab.guest is not None and lab.countdown > 0:  # there are no more calls
                 break
             if lab.guest is not None:  # the call is one of a thread
                 continue
-            lab.time.sleep(60)
+            lab.time.advance(60)
             seen = lab.cloud.observe("bunny")
             desired = seen.desired("bunny")
             assert desired is not None
@@ -271,7 +271,7 @@ def lose_a_worker(lab: Lab) -> None:
     """Have Clara make a cluster and lose a worker, and get no answer of the next one."""
     lab.run("clara", "up", count=2)
     lab.cloud.interrupt("worker-1")
-    lab.time.sleep(60)
+    lab.time.advance(60)
     lab.unreachable = {("clara", "worker-1")}
 
 

@@ -56,7 +56,7 @@ def key_pairs_of(observed: Observed) -> list[KeyPairSeen]:
 
 @dataclass
 class SimulatedTime:
-    """A clock that stands still until somebody sleeps."""
+    """A clock that stands still until somebody sleeps by it or advances it."""
 
     passed: float = 0.0
     lock: threading.Lock = field(default_factory=threading.Lock)
@@ -64,12 +64,12 @@ class SimulatedTime:
     def now(self) -> datetime:
         return START + timedelta(seconds=self.passed)
 
-    def sleep(self, seconds: float) -> None:
+    def advance(self, seconds: float) -> None:
         with self.lock:
             self.passed += seconds
 
     def polling(self, **changes: Any) -> Polling:
-        return Polling(now=self.now, sleep=self.sleep, **changes)
+        return Polling(now=self.now, sleep=self.advance, **changes)
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 import logging
+import shlex
 from contextlib import ExitStack, nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -185,7 +186,7 @@ def _write(
     report["turned_normals"] = loaded.cleaned.flipped
     report["normals"] = loaded.oriented.to_json()
     report["input"] = describe_input(settings)
-    report["command"] = list(settings.command)
+    report["command"] = shlex.join(settings.command)
     if verification.machines or verification.liars:
         report["verification"] = verification.to_json()
     if settings.details:

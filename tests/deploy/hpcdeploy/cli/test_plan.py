@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from cloud import StrictCloud
 from simulated import FILE, SetUp, make_cluster
 from simulated.memory import MemoryProvider
 
@@ -140,3 +141,101 @@ def test_what_a_machine_has_said_stands_in_a_block_of_its_own(
         "    Kernel panic - not syncing",
         r"    \x1b[2JVFS: no root",
     ]
+
+
+def test_offline_a_plan_asks_nobody_and_says_where_its_prices_come_from(
+    file: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("socket.socket.connect", lambda *given: pytest.fail("a network was asked"))
+    monkeypatch.setattr("socket.getaddrinfo", lambda *given, **more: pytest.fail("a name was"))
+    file.write_text(file.read_text().replace("{lease: 2h", "{max_hourly_cost: 0.5, lease: 2h"))
+    assert run("plan", "--offline", file) == 0
+    told = capsys.readouterr().out
+    assert told.startswith("offline: nothing was looked up; from nothing ")
+    for part in ("would launch head as m6i.large", "would launch worker-2", "together $0.45",
+                 "prices: Amazon's list of 2025-06", "an hour keeps max_hourly_cost, $0.50",
+                 "15 min idle end it before, and cost $0.11"):  # fmt: skip
+        assert part in told
+    assert run("plan", "--offline", file, "--json") == 0
+    report = json.loads(capsys.readouterr().out)
+    assert not report["is_looked_up"]
+    assert [action["kind"] for action in report["actions"]] == ["LaunchNode"] * 3
+    assert report["cost"]["total_at_most"] == pytest.approx(2 * report["cost"]["hourly"])
+    assert report["cost"]["priced_by"][0].startswith("Amazon's list of 2025-06")
+
+
+def test_offline_what_the_limits_forbid_is_refused_too(
+    file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file.write_text(file.read_text().replace("{lease: 2h", "{max_total_cost: 0.8, lease: 2h"))
+    assert run("plan", "--offline", file) == 2
+    told = capsys.readouterr()
+    assert "breaks max_total_cost, $0.8000" in told.out
+    assert "more than limits.max_total_cost, $0.8000" in told.err
+
+
+def test_without_keys_the_plan_of_the_file_is_shown_before_it_is_refused(
+    file: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY", "AWS_PROFILE"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("AWS_EC2_METADATA_DISABLED", "true")
+    monkeypatch.setenv("AWS_SHARED_CREDENTIALS_FILE", str(tmp_path / "none"))
+    monkeypatch.setenv("AWS_CONFIG_FILE", str(tmp_path / "none"))
+    assert run("plan", file) == 4
+    told = capsys.readouterr()
+    assert told.out.startswith("nothing could be looked up, see below; from nothing ")
+    assert "cost: together $0.45" in told.out
+    [error] = told.err.splitlines()
+    assert "no keys" in error
+    assert run("plan", file, "--json") == 4
+    assert json.loads(capsys.readouterr().out)["is_looked_up"] is False
+
+
+EXAMPLES = sorted((Path(__file__).parents[4] / "deploy/examples").glob("*.yaml"))
+PRICES = {
+    "aws": "cost: together $0.63",
+    "ec2": "cost: together $0.7200 an hour",
+    "eucalyptus": "cost: none, by default: a Eucalyptus bills nobody",
+    "paper-table-1": "cost: none, by default: a Eucalyptus bills nobody",
+    "ssh": "the machines are there anyway",
+    "local": "the machines are there anyway",
+}
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_each_example_has_a_price_or_says_why_not(
+    path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("plan", "--offline", path) == 0
+    assert PRICES[path.stem] in capsys.readouterr().out
+
+
+def test_what_a_plan_says_offline_it_says_of_an_empty_cloud_too(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    file = tmp_path / "cluster.yaml"
+
+    def launches(*options: str) -> tuple[int, list[object], object]:
+        code = run("plan", file, "--json", *options)
+        told = json.loads(capsys.readouterr().out)
+        nodes = [action for action in told["actions"] if action["kind"] == "LaunchNode"]
+        return code, nodes, told["cost"]
+
+    with StrictCloud("aws") as cloud:
+        for name, value in cloud.environment().items():
+            monkeypatch.setenv(name, value)
+        block = cloud.provider_block()
+        file.write_text(json.dumps({"version": 1, "cluster": "bunny", "provider": block}))
+        there = launches()
+        assert cloud.calls
+        cloud.calls.clear()
+        offline = launches("--offline")
+        assert not cloud.calls
+    assert there == offline
+    assert (there[0], len(there[1])) == (0, 2)
+    assert run("plan", file) == 4  # the cloud is gone
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert len(told.err.splitlines()) == 1

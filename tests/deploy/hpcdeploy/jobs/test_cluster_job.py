@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import signal
 import socket
 import subprocess
@@ -150,7 +151,16 @@ def test_a_job_is_submitted_listed_attached_to_and_fetched(cluster: Place) -> No
     output, _ = cluster.run("jobs", "cluster.yaml", "--json")
     [status] = [line for line in map(json.loads, output.splitlines()) if line["job"] == job]
     assert (status["state"], status["title"]) == ("done", "sphere.xyz")
-    cluster.run("fetch", "cluster.yaml", job)
+    command = "hpcapp submit cluster.yaml sphere.xyz -o there.ply -- --grid 32 --backend zmq"
+    assert status["command"] == command
+    assert (status["cost"], status["seconds"] >= 0) == (None, True)
+    heading, *rows = cluster.run("jobs", "cluster.yaml")[0].splitlines()
+    assert heading.split()[:6] == ["JOB", "STATE", "SUBMITTED", "(UTC)", "TIME", "COST"]
+    [row] = [row for row in rows if row.split()[0] == job]
+    assert row.split()[1] == "done"
+    assert row.split()[5:] == ["-", "sphere.xyz", "->", "there.ply"]
+    output, _ = cluster.run("fetch", "cluster.yaml", job, "--json")
+    assert json.loads(output)["command"] == command
     assert cluster.same("there.ply")
     cluster.run("fetch", "cluster.yaml", job, "-o", "nowhere/m.ply", code=2)
     assert not (cluster.folder / "nowhere").exists()
@@ -161,6 +171,32 @@ def test_a_job_is_submitted_listed_attached_to_and_fetched(cluster: Place) -> No
     )
     assert errors.splitlines()[-1] == f"direct.ply: {local}"
     assert cluster.same("direct.ply")
+
+
+@pytest.mark.slow
+def test_the_command_of_a_job_can_be_pasted_into_a_shell(cluster: Place, tmp_path: Path) -> None:
+    """From the folder that it was typed in, and from another one, with names that need quotes."""
+    name = "a scan; it's $HOME"
+    (cluster.folder / f"{name}.xyz").write_bytes((cluster.folder / "sphere.xyz").read_bytes())
+    words = ("submit", "cluster.yaml", f"{name}.xyz", "-o", f"{name}.ply")
+    output, _ = cluster.run(*words, "--json", "--", *OPTIONS)
+    told = json.loads(output)["command"]
+    assert shlex.split(told) == ["hpcapp", *words, "--", *OPTIONS]
+    cluster.run("reconstruct", "sphere.xyz", "-o", "r.ply", *OPTIONS, "--cluster", "cluster.yaml")
+    programs = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    state = str(cluster.folder / "state")
+    env = {**os.environ, "PATH": programs, "XDG_STATE_HOME": state}
+    listed = subprocess.run(
+        ["hpcapp", "jobs", cluster.folder / "cluster.yaml", "--json"],
+        cwd=tmp_path, env=env, check=True, stdout=subprocess.PIPE,
+    ).stdout.splitlines()  # fmt: skip
+    submitted, reconstructed = (json.loads(line)["command"] for line in listed[-2:])
+    (cluster.folder / "r.ply").unlink()
+    (cluster.folder / f"{name}.ply").unlink()
+    for line, folder in ((told, cluster.folder), (submitted, tmp_path), (reconstructed, tmp_path)):
+        subprocess.run(["/bin/sh", "-c", line], cwd=folder, env=env, check=True)
+    assert cluster.same("r.ply")
+    assert cluster.same(f"{name}.ply")
 
 
 @pytest.mark.slow

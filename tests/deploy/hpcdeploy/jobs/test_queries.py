@@ -25,6 +25,8 @@ from hpcdeploy.login.access import Access
 from hpcdeploy.login.local_shell import LocalShell
 from hpcdeploy.provider import MachineSeen, State, Tags
 from hpcdeploy.reconcile.converge import bring_up
+from hpcdeploy.reconcile.cost import estimate_cost
+from hpcdeploy.reconcile.status import describe_cluster
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.job_folder import JobState, JobStatus
 from hpcdeploy.spec.names import Desired, NodeName
@@ -443,6 +445,20 @@ def test_who_watches_is_told_once_of_workers_that_the_limits_forbid(
     [warning] = [line for level, line in said if level == "WARNING"]
     assert warning.startswith("warning: lost workers are not replaced: ")
     assert "max_hourly_cost" in warning
+
+
+def test_a_job_is_priced_by_the_cluster_as_it_was_scaled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setattr("hpcdeploy.install.bootstrap.set_up", SetUp())
+    monkeypatch.setattr("hpcdeploy.install.user_data.user_data", lambda *about: f"#!{about}")
+    cloud, spec = MemoryProvider(), make_spec(1)
+    bring_up(make_cluster(spec.scaled(4), cloud), lambda _: None)
+    cluster = make_cluster(spec, cloud)
+    hourly = cluster_job.make_request(cluster, ["submit", "x"]).hourly_cost
+    assert hourly == pytest.approx(estimate_cost(spec, workers=4).hourly)
+    assert describe_cluster(cluster, ask_machines=False)["hourly_cost"] == pytest.approx(hourly)
 
 
 def test_a_worker_that_vanishes_is_replaced_while_somebody_watches(

@@ -101,7 +101,7 @@ def test_up_again_makes_no_call_that_changes_anything(simulation: Simulation) ->
 
 def test_up_again_after_a_while_only_extends_the_lease(simulation: Simulation) -> None:
     simulation.up(3)
-    simulation.time.sleep(1800)
+    simulation.time.advance(1800)
     simulation.up(3)
     assert CHANGES & simulation.calls.keys() == {"tag"}
 
@@ -110,7 +110,7 @@ def test_up_follows_the_file(simulation: Simulation) -> None:
     simulation.up(3)
     simulation.up(1)
     assert simulation.alive() == ["head", "worker-1"]
-    simulation.time.sleep(60)
+    simulation.time.advance(60)
     simulation.up(2)
     assert simulation.alive() == ["head", "worker-1", "worker-2"]
 
@@ -171,7 +171,7 @@ def test_a_failed_growth_leaves_what_was_there(simulation: Simulation, set_up: S
     set_up.broken_nodes = {"worker-2"}
     with pytest.raises(CloudError, match="worker-2 cannot be had: pip is missing"):
         simulation.up(2)
-    simulation.time.sleep(60)
+    simulation.time.advance(60)
     assert simulation.alive() == ["head", "worker-1"]
 
 
@@ -190,14 +190,14 @@ def test_what_up_does_is_what_was_shown_before(simulation: Simulation, set_up: S
     cluster = make_cluster(make_spec(1, 1), simulation.cloud)
     with pytest.raises(CloudError, match="worker-1 cannot be had"):
         bring_up(cluster, simulation.lines.append, keep=True, polling=simulation.time.polling())
-    simulation.time.sleep(60)
+    simulation.time.advance(60)
     assert simulation.alive() == ["head", "worker-1"]
     set_up.broken_nodes = set()
     ahead = look_ahead(cluster)
     asked = [str(action) for action in ahead.actions if isinstance(action, Terminate | LaunchNode)]
     assert [line.split(" (")[0] for line in asked] == [
         "terminate worker-1",
-        "launch worker-1 as c6i.xlarge",
+        "launch worker-1 as c6i.xlarge or c6a.xlarge",
     ]
     bring_up(cluster, simulation.lines.append, polling=simulation.time.polling(), agreed=ahead)
     assert simulation.alive() == ["head", "worker-1"]
@@ -217,7 +217,7 @@ def test_a_smaller_cluster_will_do_where_min_allows_it(
 ) -> None:
     set_up.broken_nodes = {"worker-2"}
     simulation.up(3, least=2)
-    simulation.time.sleep(60)
+    simulation.time.advance(60)
     assert simulation.alive() == ["head", "worker-1", "worker-3"]
     assert set_up.calls[-1] == ("head", "worker-1", "worker-3")
     assert simulation.lines[-1] == "going without worker-2: pip is missing"
@@ -228,7 +228,7 @@ def test_a_machine_that_never_boots_is_replaced_then_done_without(
 ) -> None:
     simulation.cloud.never_boot = {"worker-1"}
     simulation.up(2, least=1)
-    simulation.time.sleep(60)
+    simulation.time.advance(60)
     assert simulation.alive() == ["head", "worker-2"]
     said = "\n".join(simulation.lines)
     assert "not running after 300 s" in said
@@ -279,7 +279,7 @@ def test_lost_workers_are_replaced_and_nothing_else_is_changed(
     replace_lost(cluster, simulation.lines.append, polling=simulation.time.polling())
     assert len(set_up.calls) == 1
     simulation.cloud.interrupt("worker-2")
-    simulation.time.sleep(3600)
+    simulation.time.advance(3600)
     simulation.calls.clear()
     replace_lost(cluster, simulation.lines.append, polling=simulation.time.polling())
     assert simulation.alive() == ["head", "worker-1", "worker-2"]
@@ -303,7 +303,7 @@ def test_who_watches_goes_by_the_last_number_of_workers(simulation: Simulation, 
     simulation.up(count)
     nodes = simulation.alive()
     for _ in range(2):
-        simulation.time.sleep(60)
+        simulation.time.advance(60)
         watched = replace_lost(watched, simulation.lines.append, polling=simulation.time.polling())
         assert simulation.alive() == nodes
     word = "grew" if count > 3 else "shrank"
@@ -348,7 +348,7 @@ def test_who_watches_sets_up_what_an_earlier_one_has_left_half_done(
     simulation.up(2)
     cluster = make_cluster(make_spec(2), simulation.cloud)
     simulation.cloud.interrupt("worker-2")
-    simulation.time.sleep(60)
+    simulation.time.advance(60)
 
     def leave() -> None:
         set_up.during = lambda: None
@@ -371,7 +371,7 @@ def test_what_is_launched_for_a_lost_worker_goes_again_where_it_is_not_wanted_an
     simulation.up(2)
     watched = make_cluster(make_spec(2), simulation.cloud)
     simulation.cloud.interrupt("worker-2")
-    simulation.time.sleep(60)
+    simulation.time.advance(60)
 
     def scale(moment: str, call: str) -> None:
         if (moment, call) == ("before", "launch"):
@@ -415,7 +415,7 @@ def test_a_worker_that_was_given_up_does_not_count_once_nobody_wants_it(
     set_up.broken_nodes = {"worker-3"}
     set_up.during = scale_once_it_is_given_up
     simulation.up(3, least=1)
-    simulation.time.sleep(60)
+    simulation.time.advance(60)
     assert simulation.alive() == ["head", "worker-1"]
     assert not any(line.startswith("going without") for line in simulation.lines)
 
@@ -429,7 +429,7 @@ def test_a_failed_growth_is_not_made_good_by_who_watches(
     with pytest.raises(CloudError, match="worker-2 cannot be had"):
         simulation.up(2)
     set_up.broken_nodes = set()
-    simulation.time.sleep(60)
+    simulation.time.advance(60)
     replace_lost(watched, simulation.lines.append, polling=simulation.time.polling())
     assert simulation.alive() == ["head", "worker-1"]
 
@@ -438,7 +438,7 @@ def test_a_head_that_is_replaced_bears_the_number_of_workers(simulation: Simulat
     simulation.up(3)
     simulation.up(1)
     simulation.cloud.interrupt("head")
-    simulation.time.sleep(60)
+    simulation.time.advance(60)
     simulation.up(2)
     watched = make_cluster(make_spec(3), simulation.cloud)
     replace_lost(watched, simulation.lines.append, polling=simulation.time.polling())

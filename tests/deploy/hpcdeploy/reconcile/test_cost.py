@@ -120,3 +120,16 @@ def test_what_has_no_price_is_never_written_as_nothing() -> None:
     told = describe_cost(estimate_cost(spec_of(strange)))
     assert told[-1] == "cost: not known"
     assert "$0" not in " ".join(told)
+
+
+def test_a_machine_that_no_profile_names_has_the_list_price_where_there_is_a_list() -> None:
+    elsewhere = AWS.replace("type: aws", "type: ec2\n  endpoint_url: http://cloud.example/")
+    aws, generic = (spec_of(provider).provider.cloud for provider in (AWS, elsewhere))
+    assert aws is not None
+    assert generic is not None
+    prices = read_prices()
+    assert aws.dearest("m5.large") == prices.hourly("m5.large", "us-east-1")
+    assert aws.dearest("m6i.large") == prices.hourly("m6i.large", "us-east-1", 20)
+    assert aws.dearest("x9.large") is None
+    assert generic.dearest("m5.large") is None
+    assert generic.dearest("m6i.large") is None

@@ -205,7 +205,7 @@ def test_from_nothing_the_group_comes_first_and_the_machines_last() -> None:
         "allow SSH from 192.0.2.0/24, port 7070 inside",
         "create the key pair",
         "launch head as m6i.large (on_demand)",
-        "launch worker-1 as c6i.xlarge (on_demand) or c6a.xlarge (on_demand)",
+        "launch worker-1 as c6i.xlarge or c6a.xlarge (on_demand)",
     ]
 
 
@@ -217,7 +217,7 @@ def test_a_bad_machine_is_replaced_by_the_next_generation() -> None:
     )
     assert [str(action) for action in plan.actions] == [
         "terminate worker-1 (new-worker-1-1): it could not be set up",
-        "launch worker-1 as c6i.xlarge (on_demand) or c6a.xlarge (on_demand), generation 2",
+        "launch worker-1 as c6i.xlarge or c6a.xlarge (on_demand), generation 2",
     ]
 
 
@@ -277,6 +277,9 @@ def test_all_places_come_before_the_next_type() -> None:
         "c6i.xlarge (spot, a)", "c6i.xlarge (spot, b)", "c6a.xlarge (spot, a)",
         "c6a.xlarge (spot, b)", "c6i.xlarge (on_demand, a)",
     ]  # fmt: skip
+    launch = LaunchNode(NodeName("worker-1"), "fast", launch_choices(zoned))
+    told = "launch worker-1 as c6i.xlarge or c6a.xlarge (spot, else on_demand, in a or b)"
+    assert str(launch) == told
     subnets = ("subnet-1", "subnet-2")
     assert {choice.place for choice in launch_choices(profile, subnets=subnets)} == set(subnets)
     one = profile.model_copy(update={"zone": "a"})

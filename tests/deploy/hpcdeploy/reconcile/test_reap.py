@@ -77,7 +77,7 @@ def test_a_machine_that_runs_without_a_lease_stays_and_is_named(tmp_path: Path) 
     time = SimulatedTime()
     cloud = MemoryProvider(time.now)
     seen = cloud.launch(Launch("bunny", "life", NodeName("head")))
-    time.sleep(2 * 24 * 3600)
+    time.advance(2 * 24 * 3600)
     lines: list[str] = []
     reap(cloud, lines.append, time.polling())
     assert [m.state for m in cloud.observe(None).machines] == [State.RUNNING]
@@ -138,9 +138,9 @@ def up(cloud: MemoryProvider, time: SimulatedTime, name: str) -> None:
 def test_expired_clusters_are_removed_and_others_stay(time: SimulatedTime) -> None:
     cloud = MemoryProvider(time.now, boot_s=30, end_s=20)
     up(cloud, time, "old")
-    time.sleep(1.5 * 3600)
+    time.advance(1.5 * 3600)
     up(cloud, time, "young")
-    time.sleep(1.5 * 3600)
+    time.advance(1.5 * 3600)
     lines: list[str] = []
     reap(cloud, lines.append, time.polling())
     left = cloud.observe(None)
@@ -152,6 +152,6 @@ def test_expired_clusters_are_removed_and_others_stay(time: SimulatedTime) -> No
 def test_what_cannot_be_removed_is_named(time: SimulatedTime) -> None:
     cloud = MemoryProvider(time.now, end_s=1e9)
     cloud.launch(Launch("bunny", "life", NodeName("head"), lease_until=START - HOUR))
-    time.sleep(7200)
+    time.advance(7200)
     with pytest.raises(LeftoverError, match=r"still there: head i-\d+ \(ending\); it may cost"):
         reap(cloud, lambda line: None, time.polling())

@@ -58,8 +58,20 @@ def test_a_cluster_that_is_up(cloud: MemoryProvider) -> None:
     assert found["machines"][0]["lease_left_s"] == pytest.approx(7195, abs=5)
     table = write_table(found).splitlines()
     assert table[0] == "cluster bunny (memory): up"
-    assert table[2].split()[:4] == ["head", "running", "m6i.large", "on_demand"]
-    assert table[2].split()[-3:] == ["0m", "1h59", "0.1.0"]
+    assert table[1].startswith("cost: $0.27")
+    assert table[2].split()[2:4] == ["TYPE", "MARKET"]
+    assert table[3].split()[:4] == ["head", "running", "m6i.large", "on_demand"]
+    assert table[3].split()[-2:] == ["1h59", "0.1.0"]
+
+
+def test_machines_that_nobody_rents_have_no_columns_for_it(cloud: MemoryProvider) -> None:
+    bring_up(cluster_on(cloud), lambda line: None)
+    found = describe_cluster(cluster_on(cloud), ask_machines=False)
+    found["hourly_cost"] = None
+    for machine in found["machines"]:
+        machine["instance_type"], machine["lease_left_s"] = "", None
+    heading = write_table(found).splitlines()[1]
+    assert heading.split() == ["NODE", "STATE", "PUBLIC", "PRIVATE", "AGE"]
 
 
 def test_a_machine_that_does_not_answer_says_why(cloud: MemoryProvider) -> None:
@@ -108,12 +120,17 @@ def test_every_cluster_of_a_cloud_is_listed_even_what_is_left_of_one(
 ) -> None:
     bring_up(cluster_on(cloud), lambda line: None)
     cloud.create_group("forgotten", "life", NOBODY)
-    rows = list_clusters("here", cloud.observe(None))
+    spec = make_spec().provider.cloud
+    assert spec is not None
+    rows = list_clusters("here", cloud.observe(None), spec)
     assert [row["cluster"] for row in rows] == ["bunny", "forgotten"]
     assert rows[0]["states"] == {"running": 2}
     assert rows[0]["instance_types"] == ["c6i.xlarge", "m6i.large"]
     text = write_list(rows).splitlines()
-    assert text[1].split() == ["bunny", "here", "2", "running", "c6i.xlarge,", "m6i.large", "1h59"]
+    assert text[1].split()[:6] == ["bunny", "here", "2", "running", "c6i.xlarge,", "m6i.large"]
+    assert text[1].split()[6:] == ["$0.2778", "1h59"]
+    assert rows[0]["hourly_cost"] == describe_cluster(cluster_on(cloud), False)["hourly_cost"]
+    assert text[2].split()[-2:] == ["-", "-"]
     take_down(cluster_on(cloud), lambda line: None)
     assert [row["cluster"] for row in list_clusters("here", cloud.observe(None))] == ["forgotten"]
     assert write_list([]) == "no clusters"

@@ -27,11 +27,19 @@ class Cluster:
         self.suffix = ""
         self.points = PointCloud(np.empty((0, 3)))
         self.options: list[str] = []
+        self.typed: list[str] = []
 
     def run(
-        self, path: Path, verb: str, points: Path, target: Path, options: Sequence[str]
+        self,
+        path: Path,
+        verb: str,
+        points: Path,
+        target: Path,
+        options: Sequence[str],
+        typed: Sequence[str],
     ) -> dict[str, object]:
         assert verb == "reconstruct"
+        self.typed = list(typed)
         self.suffix, self.points, self.options = points.suffix, read_points(points), list(options)
         return {"summary": f"{target}: made on {path}"}
 
@@ -159,9 +167,14 @@ def test_the_page_of_a_fetched_mesh_is_made_here(
     tmp_path: Path, sphere: PointCloud, sphere_file: Path, cluster: Cluster
 ) -> None:
     def run(
-        path: Path, verb: str, points: Path, target: Path, options: Sequence[str]
+        path: Path,
+        verb: str,
+        points: Path,
+        target: Path,
+        options: Sequence[str],
+        typed: Sequence[str],
     ) -> dict[str, object]:
-        cluster.options = list(options)
+        cluster.options, cluster.typed = list(options), list(typed)
         corners = 0.5 * np.vstack([np.zeros(3), np.eye(3)])
         write_mesh(target, Mesh(corners, np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])))
         return {"summary": "a tetrahedron", "spacing": 0.125, "command": ["of the head"]}
@@ -170,6 +183,9 @@ def test_the_page_of_a_fetched_mesh_is_made_here(
     page, png = tmp_path / "r.html", tmp_path / "r.png"
     submit(tmp_path, sphere_file, "--grid", "32", "--report", page, "--png", png)
     assert cluster.options == ["--grid", "32", "--details"]
+    mesh = str(tmp_path / "m.ply")
+    assert cluster.typed == ["reconstruct", str(sphere_file), "--output", mesh, "--grid", "32",
+                             "--cluster", "cluster.yaml"]  # fmt: skip
     shown = page.read_text()
     assert "a tetrahedron" in shown
     assert "0.125" in shown
@@ -191,7 +207,7 @@ LIES: list[dict[str, object]] = [
 def test_a_report_of_a_head_that_lies_makes_no_page(
     tmp_path: Path, sphere_file: Path, lie: dict[str, object], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def run(path: Path, verb: str, points: Path, target: Path, words: Sequence[str]) -> object:
+    def run(path: Path, verb: str, points: Path, target: Path, *words: Sequence[str]) -> object:
         write_mesh(target, Mesh(np.eye(3), np.array([[0, 1, 2]]), np.zeros(3)))
         return {"summary": "a mesh", **lie}
 

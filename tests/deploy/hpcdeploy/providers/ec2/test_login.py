@@ -195,7 +195,7 @@ def test_without_a_file_the_region_is_the_profiles(
     monkeypatch.setenv("AWS_PROFILE", "lab")
     monkeypatch.setenv("AWS_ACCESS_KEY_ID", "AKIA")
     monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "x")
-    assert [where for where, _ in open_clouds(())] == ["aws eu-west-3"]
+    assert [cloud.place for cloud in open_clouds(())] == ["aws eu-west-3"]
     monkeypatch.setenv("AWS_PROFILE", "gone")
     with pytest.raises(CloudError, match="there is no profile gone"):
         open_clouds(())
