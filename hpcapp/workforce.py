@@ -16,6 +16,7 @@ from typing import TypeVar
 from hpcapp.timeline import find_worker
 from hpccomponent.cutting import cut_equal
 from hpccomponent.errors import HpcError, TaskError, WorkerLostError
+from hpccomponent.option_names import name_option
 from hpccomponent.runtime.background import Background, Deferred
 from hpccomponent.runtime.visible_files import sees_files
 from hpccomponent.terminal import visible_text
@@ -215,7 +216,8 @@ def _explain(task: Callable[..., object]) -> Iterator[None]:
         raise
     except BrokenExecutor as error:
         raise WorkerLostError(
-            f"a worker died while it ran {task.__name__}", "run again, or choose --backend zmq"
+            f"a worker died while it ran {task.__name__}",
+            f"run again, or choose {name_option('backend', 'zmq')}",
         ) from error
     except Exception as error:
         raise TaskError(f"{task.__name__} failed: {type(error).__name__}: {error}") from error

@@ -41,6 +41,7 @@ from hpcapp.timeline import Timeline
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import UsageError
 from hpccomponent.limits import available_cores
+from hpccomponent.option_names import name_option
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -176,12 +177,13 @@ def open_executor(
     if verification.share and name != "zmq" and not name.endswith(CLUSTER_FILES):
         raise UsageError(
             f"the backend {name} does not say which machine gives an answer: nothing is verified",
-            "leave --verify out, or use a cluster or the backend zmq",
+            f"leave {name_option('verify')} out, or use a cluster or the backend zmq",
         )
     if name.endswith(CLUSTER_FILES):
         if workers is not None:
             raise UsageError(
-                f"the workers of {name} are those that there are", "leave --workers out"
+                f"the workers of {name} are those that there are",
+                f"leave {name_option('workers')} out",
             )
         with _open_cluster(name, policy, verification, extra_tasks) as (executor, count):
             yield wrap_communicator("cluster", executor, count, policy)
@@ -196,7 +198,7 @@ def open_executor(
     if workers is not None and (workers < 1 or (name == "serial" and workers > 1)):
         raise UsageError(
             f"backend {name!r} cannot have {workers} workers",
-            "leave --workers out, or choose another --backend",
+            f"leave {name_option('workers')} out, or choose another {name_option('backend')}",
         )
     if name == "zmq":
         from hpcapp.backends.local_cluster import LocalCluster

@@ -36,6 +36,7 @@ from hpcapp.applications.surface.surface import simplify_surface
 from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.backends.selection import Backend
 from hpcapp.progress import StageClock
+from hpccomponent.option_names import name_option
 from hpccomponent.runtime.background import Deferred
 
 if TYPE_CHECKING:
@@ -181,7 +182,7 @@ def _warn(
             + (
                 "turn them around"
                 if loaded.oriented.source == "file"
-                else "name a place outside (--viewpoint X,Y,Z)"
+                else f"name a place outside ({name_option('viewpoint')}: X,Y,Z)"
             )
         )
     for warning in warnings:

@@ -143,7 +143,7 @@ def test_a_cloud_of_one_level_is_one_tile(
 def test_a_grid_that_makes_one_tile_of_too_many_points_is_refused(
     scan: Path, tmp_path: Path
 ) -> None:
-    with pytest.raises(UsageError, match=r"a grid of 16 cells .* --max-memory; .* finer --grid"):
+    with pytest.raises(UsageError, match=r"a grid of 16 cells .* max_memory; .* finer grid"):
         run_job(JobSettings(scan, str(tmp_path / "mesh.ply"), grid=16), SILENT)
 
 
