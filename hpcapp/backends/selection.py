@@ -34,6 +34,7 @@ from typing import TYPE_CHECKING
 from hpcapp.backends import BACKENDS, IN_PROCESS
 from hpcapp.backends.recorded import RecordedExecutor
 from hpcapp.backends.serial import SerialExecutor
+from hpcapp.cancellation import Cancellation
 from hpcapp.capacity import check_address_space, check_workers
 from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY, POLICIES
 from hpcapp.communicator.scheduling.verification import LEAST_MACHINES, Verification
@@ -105,6 +106,10 @@ class Backend:
     def executor(self) -> Executor:
         """The Executor that tasks are submitted to."""
         return self.workforce.executor
+
+    def heed(self, cancellation: Cancellation) -> Backend:
+        """Return a backend, to be used in place of this one, whose work can be cancelled."""
+        return replace(self, workforce=replace(self.workforce, cancellation=cancellation))
 
     def record(self, timeline: Timeline) -> Backend:
         """Return a backend, to be used in place of this one, that records what becomes of tasks."""

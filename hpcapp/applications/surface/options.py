@@ -237,7 +237,8 @@ def _click_type(
 
 def _options(settings: type[Options]) -> Iterator[tuple[str, _Option, type]]:
     """Yield name, description and type of each option."""
-    hints = get_type_hints(settings)
+    # Users know some settings as of the module hpcapp, which has no such name.
+    hints = get_type_hints(settings, localns={"ClassVar": ClassVar})
     for one in fields(settings):
         hint = hints[one.name]
         kinds = get_args(hint) if isinstance(hint, UnionType) else (hint,)

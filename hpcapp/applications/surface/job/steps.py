@@ -35,6 +35,7 @@ from hpcapp.applications.surface.settings import (
 from hpcapp.applications.surface.surface import simplify_surface
 from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.backends.selection import Backend
+from hpcapp.cancellation import Cancellation
 from hpcapp.progress import StageClock
 from hpccomponent.option_names import name_option
 from hpccomponent.runtime.background import Deferred
@@ -81,6 +82,7 @@ def run_steps(
     *,
     opened: tuple[Backend, Choice] | None = None,
     executor: Executor | Client | None = None,
+    cancellation: Cancellation | None = None,
 ) -> Iterator[Outcome]:
     """Choose where a cloud is reconstructed, and do it.
 
@@ -96,11 +98,15 @@ def run_steps(
         Where it is reconstructed, if that is open and recorded already.
     executor : concurrent.futures.Executor or distributed.Client, optional
         What the user has opened.
+    cancellation : Cancellation, optional
+        By which somebody may end it.
     """
     grid = find_grid(settings, loaded.cloud)
     job = Job(len(loaded.cloud), grid)
     with nullcontext(opened) if opened else opener.open(job, executor) as (backend, choice):
         recorded = backend if opened else backend.record(clock.timeline)
+        if cancellation is not None:
+            recorded = recorded.heed(cancellation)
         if (
             checkpoint
             and checkpoint.holds_files
