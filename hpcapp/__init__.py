@@ -2,10 +2,10 @@
 
 From Python::
 
-    mesh = hpcapp.reconstruct(points, normals)
-    mesh = hpcapp.reconstruct(hpcapp.read_points("scan.ply"))
-    mesh.show()  # in a browser; a notebook shows it by itself
-    hpcapp.write_mesh("mesh.ply", mesh)
+    mesh = hpcapp.reconstruct("scan.laz")
+    mesh  # in a notebook it shows itself; mesh.show() opens a browser
+    mesh.save("mesh.ply")
+    mesh.report("report.html")
 
     with hpcapp.open_executor("cluster.yaml") as backend:
         backend.executor.submit(...)
@@ -17,44 +17,84 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from hpcapp.applications.surface.api import reconstruct
+    from hpcapp.api.awaiting import reconstruct_async
+    from hpcapp.api.comparison import Comparison, compare
+    from hpcapp.api.mesh import Mesh, read_mesh
+    from hpcapp.api.reconstruction import reconstruct
+    from hpcapp.api.simulation import simulate
     from hpcapp.applications.surface.hierarchical.settings import Hierarchical
     from hpcapp.applications.surface.paper.settings import Paper
     from hpcapp.applications.surface.types.points import PointCloud
     from hpcapp.backends.selection import open_executor
-    from hpcapp.io import read_points, write_mesh
-    from hpcapp.pages.shown_mesh import Mesh, read_mesh
+    from hpcapp.cancellation import Cancellation
+    from hpcapp.io import read_points, write_points
+    from hpccomponent.errors import (
+        HpcError,
+        InputError,
+        JobCancelledError,
+        JobError,
+        MissingLibraryError,
+        OutputError,
+        UsageError,
+    )
 
 __all__ = [
+    "Cancellation",
+    "Comparison",
     "Hierarchical",
+    "HpcError",
+    "InputError",
+    "JobCancelledError",
+    "JobError",
     "Mesh",
+    "MissingLibraryError",
+    "OutputError",
     "Paper",
     "PointCloud",
+    "UsageError",
+    "compare",
     "open_executor",
     "read_mesh",
     "read_points",
     "reconstruct",
-    "write_mesh",
+    "reconstruct_async",
+    "simulate",
+    "write_points",
 ]
 
 _HOMES = {
-    "Hierarchical": "hpcapp.applications.surface.hierarchical.settings",
-    "Mesh": "hpcapp.pages.shown_mesh",
-    "Paper": "hpcapp.applications.surface.paper.settings",
-    "PointCloud": "hpcapp.applications.surface.types.points",
-    "open_executor": "hpcapp.backends.selection",
-    "read_mesh": "hpcapp.pages.shown_mesh",
-    "read_points": "hpcapp.io",
-    "reconstruct": "hpcapp.applications.surface.api",
-    "write_mesh": "hpcapp.io",
+    "hpcapp.api.awaiting": ("reconstruct_async",),
+    "hpcapp.api.comparison": ("Comparison", "compare"),
+    "hpcapp.api.mesh": ("Mesh", "read_mesh"),
+    "hpcapp.api.reconstruction": ("reconstruct",),
+    "hpcapp.api.simulation": ("simulate",),
+    "hpcapp.applications.surface.hierarchical.settings": ("Hierarchical",),
+    "hpcapp.applications.surface.paper.settings": ("Paper",),
+    "hpcapp.applications.surface.types.points": ("PointCloud",),
+    "hpcapp.backends.selection": ("open_executor",),
+    "hpcapp.cancellation": ("Cancellation",),
+    "hpcapp.io": ("read_points", "write_points"),
+    "hpccomponent.errors": (
+        "HpcError",
+        "InputError",
+        "JobCancelledError",
+        "JobError",
+        "MissingLibraryError",
+        "OutputError",
+        "UsageError",
+    ),
 }
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
     """Import what is asked for when it is: ``import hpcapp`` must stay light."""
-    if name not in _HOMES:
+    if name not in _HOME_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOMES[name]), name)
+    found = getattr(import_module(_HOME_OF[name]), name)
+    found.__module__ = __name__  # by which its users know it, in tracebacks and pickles
+    globals()[name] = found
+    return found
 
 
 def __dir__() -> list[str]:

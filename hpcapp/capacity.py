@@ -17,6 +17,7 @@ from hpccomponent.limits import (
     available_tasks,
     raise_descriptor_limit,
 )
+from hpccomponent.option_names import name_option
 
 __all__ = [
     "NEEDS",
@@ -149,11 +150,12 @@ def check_workers(backend: str, count: int | None, default: int, root: Path = _R
     if workers > most:
         if most == 0:
             raise UsageError(
-                f"--workers {workers}: this machine carries none ({reason})",
-                "raise this limit, or use --backend serial",
+                f"{name_option('workers', workers)}: this machine carries none ({reason})",
+                f"raise this limit, or use {name_option('backend', 'serial')}",
             )
         raise UsageError(
-            f"--workers {workers}: this machine carries {most} ({reason})", f"use --workers {most}"
+            f"{name_option('workers', workers)}: this machine carries {most} ({reason})",
+            f"use {name_option('workers', most)}",
         )
     raise_descriptor_limit(OWN_DESCRIPTORS + workers * NEEDS[backend].descriptors)
     return workers

@@ -17,6 +17,7 @@ import click
 
 from hpcapp.interrupts import EXIT_INTERRUPTED, obey_signals
 from hpccomponent.errors import ConfigError, HpcError
+from hpccomponent.option_names import speaking_flags
 from hpccomponent.runtime.garbage_collection import rare_collections
 from hpccomponent.terminal import echo, write_block
 from hpccomponent.verb import COMMON
@@ -219,7 +220,8 @@ def _report_interruption() -> int:
 def _run(arguments: list[str], debug: bool) -> int:
     """Run the command; return its exit code."""
     try:
-        code = hpcapp.main(arguments, prog_name="hpcapp", standalone_mode=False)
+        with speaking_flags():
+            code = hpcapp.main(arguments, prog_name="hpcapp", standalone_mode=False)
         return code or 0  # what a verb has left with; click catches that itself
     except click.exceptions.NoArgsIsHelpError as error:
         echo(error.format_message(), err=True)

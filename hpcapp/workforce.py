@@ -6,16 +6,18 @@ Any ``concurrent.futures.Executor`` serves; only submit, result, cancel and as_c
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, Executor, Future, as_completed
+from concurrent.futures import BrokenExecutor, Executor, Future
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 from typing import TypeVar
 
+from hpcapp.cancellation import Cancellation
 from hpcapp.timeline import find_worker
 from hpccomponent.cutting import cut_equal
 from hpccomponent.errors import HpcError, TaskError, WorkerLostError
+from hpccomponent.option_names import name_option
 from hpccomponent.runtime.background import Background, Deferred
 from hpccomponent.runtime.visible_files import sees_files
 from hpccomponent.terminal import visible_text
@@ -40,12 +42,15 @@ class Workforce:
         more where fast workers may take more than slow ones.
     in_process : bool
         Whether tasks run in this process: then nothing is gained by handing them small parts.
+    cancellation : Cancellation
+        Ends waiting for results.
     """
 
     executor: Executor
     workers: int = 1
     batches_per_worker: int = 1
     in_process: bool = False
+    cancellation: Cancellation = field(default_factory=Cancellation)
     background: Background = field(default_factory=Background, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -133,6 +138,8 @@ def map_batches(
         The task raised; batches that have not started are cancelled.
     WorkerLostError
         The Executor lost a worker and does not replace it.
+    JobCancelledError
+        Somebody cancelled; see `Workforce`.
     """
     results: dict[int, Result] = {}
     for index, result in stream_batches(workforce, task, batches, max(1, len(batches))):
@@ -159,20 +166,21 @@ def stream_batches(
 
     Raises
     ------
-    TaskError, WorkerLostError
+    TaskError, WorkerLostError, JobCancelledError
         See `map_batches`.
     """
-    waiting = enumerate(batches)
+    waiting, cancellation = enumerate(batches), workforce.cancellation
     pending: dict[Future[Result], int] = {}
     try:
         with _explain(task):
             while True:
                 for index, batch in islice(waiting, at_once - len(pending)):
+                    cancellation.check()
                     pending[workforce.executor.submit(task, *batch)] = index
                 if not pending:
                     return
                 workforce.background.run_until(pending)
-                done = next(as_completed(pending))
+                done = cancellation.wait(pending)
                 index = pending.pop(done)
                 if makers is not None:
                     makers[index] = find_worker(done)
@@ -198,6 +206,7 @@ def begin_batch(
 
     def wait() -> Result:
         with _explain(task):
+            workforce.cancellation.wait([future])
             return future.result()
 
     try:
@@ -215,7 +224,8 @@ def _explain(task: Callable[..., object]) -> Iterator[None]:
         raise
     except BrokenExecutor as error:
         raise WorkerLostError(
-            f"a worker died while it ran {task.__name__}", "run again, or choose --backend zmq"
+            f"a worker died while it ran {task.__name__}",
+            f"run again, or choose {name_option('backend', 'zmq')}",
         ) from error
     except Exception as error:
         raise TaskError(f"{task.__name__} failed: {type(error).__name__}: {error}") from error

@@ -5,7 +5,8 @@
     HpcError                      exit 1
     ├── UsageError                exit 2   contradictory or impossible flags
     │   ├── ConfigError                    a YAML file: file:line:column, key, what to do
-    │   └── OutputError                    the place to write to cannot be written
+    │   ├── OutputError                    the place to write to cannot be written
+    │   └── MissingLibraryError            an optional package is not installed; an ImportError too
     ├── InputError                exit 3   a file or an array holds no usable points
     ├── CloudError                exit 4   a cloud, an instance, provisioning
     │   ├── CapacityError                  this type, market or zone is not to be had now
@@ -16,6 +17,7 @@
         ├── TaskError                      the task's function raised
         ├── WorkerLostError                a batch outlived too many workers
         ├── NoWorkersError                 no worker is left, or none ever came
+        ├── JobCancelledError              somebody cancelled it
         ├── DistrustError                  answers that were used came from a machine that lies
         └── ProtocolError                  a peer broke the wire protocol
 
@@ -34,8 +36,10 @@ __all__ = [
     "DistrustError",
     "HpcError",
     "InputError",
+    "JobCancelledError",
     "JobError",
     "LeftoverError",
+    "MissingLibraryError",
     "NoWorkersError",
     "OutdatedError",
     "OutputError",
@@ -86,6 +90,10 @@ class OutputError(UsageError):
     """A place to write to that cannot be written."""
 
 
+class MissingLibraryError(UsageError, ImportError):
+    """An optional package that is not installed."""
+
+
 class InputError(HpcError):
     """A file or an array that holds no usable points."""
 
@@ -112,6 +120,10 @@ class OutdatedError(CloudError):
 
 class JobError(HpcError):
     """Work that could not be finished."""
+
+
+class JobCancelledError(JobError):
+    """Work that somebody has cancelled."""
 
 
 class TaskError(JobError):

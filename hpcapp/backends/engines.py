@@ -20,6 +20,7 @@ from hpcapp.backends.mpi import check_mpi, open_mpi
 from hpcapp.backends.ray import check_ray, open_ray
 from hpcapp.backends.retrying import RetryingExecutor
 from hpccomponent.errors import UsageError
+from hpccomponent.option_names import name_option
 
 __all__ = ["check_engine", "open_engine"]
 
@@ -83,7 +84,9 @@ def open_engine(name: str, workers: int | None) -> AbstractContextManager[Retryi
     if is_factory(name):
         return open_factory(name, workers)
     if workers is not None:
-        raise UsageError(f"the workers of {name} are those that there are", "leave --workers out")
+        raise UsageError(
+            f"the workers of {name} are those that there are", f"leave {name_option('workers')} out"
+        )
     if ray is not None:
         return open_ray(ray[1], None)
     if scheduler is None:

@@ -11,6 +11,7 @@ from importlib import import_module
 
 from hpcapp.backends.retrying import RetryingExecutor
 from hpccomponent.errors import UsageError
+from hpccomponent.option_names import name_option
 
 __all__ = ["find_factory", "is_factory", "open_factory"]
 
@@ -101,7 +102,7 @@ def _check_arguments(name: str, factory: Callable[..., object], arguments: dict[
         signature.bind(**arguments)
     except TypeError as error:
         called = f"with workers={arguments['workers']}" if arguments else "without arguments"
-        advice = "leave --workers out, or name a function that takes workers=N"
+        advice = f"leave {name_option('workers')} out, or name a function that takes workers=N"
         raise UsageError(
             f"backend {name} cannot be called {called}: {error}",
             advice if arguments else "name a function that makes an Executor of nothing",
@@ -114,7 +115,7 @@ def _make(name: str, factory: Callable[..., object], arguments: dict[str, int]) 
     except Exception as error:
         raise UsageError(
             f"backend {name} failed ({type(error).__name__}: {error})",
-            "mend it, or choose another --backend",
+            f"mend it, or choose another {name_option('backend')}",
         ) from error
     if not isinstance(made, Executor):
         raise UsageError(

@@ -49,6 +49,7 @@ from hpccomponent.errors import (
 )
 from hpccomponent.files.held_folders import create_held, temporary_folder
 from hpccomponent.limits import available_cores
+from hpccomponent.option_names import name_option
 from hpccomponent.runtime.process import THREAD_VARIABLES
 
 __all__ = ["RayExecutor", "check_ray", "open_ray"]
@@ -300,7 +301,8 @@ def open_ray(address: str | None, workers: int | None) -> Iterator[RetryingExecu
     """
     if workers is not None and workers < 1:
         raise UsageError(
-            f"backend 'ray' cannot have {workers} workers", "leave --workers out, or give more"
+            f"backend 'ray' cannot have {workers} workers",
+            f"leave {name_option('workers')} out, or give more",
         )
 
     @contextmanager

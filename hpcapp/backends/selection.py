@@ -34,6 +34,7 @@ from typing import TYPE_CHECKING
 from hpcapp.backends import BACKENDS, IN_PROCESS
 from hpcapp.backends.recorded import RecordedExecutor
 from hpcapp.backends.serial import SerialExecutor
+from hpcapp.cancellation import Cancellation
 from hpcapp.capacity import check_address_space, check_workers
 from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY, POLICIES
 from hpcapp.communicator.scheduling.verification import LEAST_MACHINES, Verification
@@ -41,6 +42,7 @@ from hpcapp.timeline import Timeline
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import UsageError
 from hpccomponent.limits import available_cores
+from hpccomponent.option_names import name_option
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -104,6 +106,10 @@ class Backend:
     def executor(self) -> Executor:
         """The Executor that tasks are submitted to."""
         return self.workforce.executor
+
+    def heed(self, cancellation: Cancellation) -> Backend:
+        """Return a backend, to be used in place of this one, whose work can be cancelled."""
+        return replace(self, workforce=replace(self.workforce, cancellation=cancellation))
 
     def record(self, timeline: Timeline) -> Backend:
         """Return a backend, to be used in place of this one, that records what becomes of tasks."""
@@ -176,12 +182,13 @@ def open_executor(
     if verification.share and name != "zmq" and not name.endswith(CLUSTER_FILES):
         raise UsageError(
             f"the backend {name} does not say which machine gives an answer: nothing is verified",
-            "leave --verify out, or use a cluster or the backend zmq",
+            f"leave {name_option('verify')} out, or use a cluster or the backend zmq",
         )
     if name.endswith(CLUSTER_FILES):
         if workers is not None:
             raise UsageError(
-                f"the workers of {name} are those that there are", "leave --workers out"
+                f"the workers of {name} are those that there are",
+                f"leave {name_option('workers')} out",
             )
         with _open_cluster(name, policy, verification, extra_tasks) as (executor, count):
             yield wrap_communicator("cluster", executor, count, policy)
@@ -196,7 +203,7 @@ def open_executor(
     if workers is not None and (workers < 1 or (name == "serial" and workers > 1)):
         raise UsageError(
             f"backend {name!r} cannot have {workers} workers",
-            "leave --workers out, or choose another --backend",
+            f"leave {name_option('workers')} out, or choose another {name_option('backend')}",
         )
     if name == "zmq":
         from hpcapp.backends.local_cluster import LocalCluster

@@ -118,7 +118,7 @@ def test_the_least_of_all_limits_counts_and_is_named(
     root = lay_out(tmp_path, MACHINE | files)
     found, why = count_carried("zmq", root)
     assert (found, reason in why) == (most, True)
-    with pytest.raises(UsageError, match=f"--workers 99: this machine carries {most} "):
+    with pytest.raises(UsageError, match=f"workers=99: this machine carries {most} "):
         check_workers("zmq", 99, 2, root)
     assert check_workers("zmq", most, 2, root) == most
 

@@ -12,6 +12,7 @@ from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io.registry import find_point_reader
 from hpccomponent.errors import HpcError, UsageError
 from hpccomponent.limits import available_memory
+from hpccomponent.option_names import name_option
 from hpccomponent.units import parse_size
 
 __all__ = [
@@ -143,9 +144,9 @@ def check_memory(method: MethodSettings, grid: int, points: PointCloud | None) -
         return
     needed, available = method.estimate_memory(grid, points), available_memory() or 0
     raise UsageError(
-        f"--grid {grid} needs about {needed / 2**30:.0f} GB of memory, "
+        f"{name_option('grid', grid)} needs about {needed / 2**30:.0f} GB of memory, "
         f"{available / 2**30:.1f} GB are available",
-        f"choose --grid {fitting} or smaller, or a machine with more memory",
+        f"choose {name_option('grid', fitting)} or smaller, or a machine with more memory",
     )
 
 

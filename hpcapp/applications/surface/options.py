@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Protocol, get_args, get_type_hints
 import click
 
 from hpccomponent.errors import UsageError
+from hpccomponent.option_names import name_option
 
 __all__ = [
     "WATCHED",
@@ -136,7 +137,7 @@ def check_exclusive(settings: type[Options], given: set[str]) -> None:
         for other in asked.replaces:
             if name in given and other in given:
                 raise UsageError(
-                    f"--{name} takes the place of --{other.replace('_', '-')}, so they exclude "
+                    f"{name_option(name)} takes the place of {name_option(other)}, so they exclude "
                     "each other",
                     "give one of them",
                 )
@@ -229,7 +230,8 @@ def _click_type(
 
 def _options(settings: type[Options]) -> Iterator[tuple[str, _Option, type]]:
     """Yield name, description and type of each option."""
-    hints = get_type_hints(settings)
+    # Users know some settings as of the module hpcapp, which has no such name.
+    hints = get_type_hints(settings, localns={"ClassVar": ClassVar})
     for one in fields(settings):
         hint = hints[one.name]
         kinds = get_args(hint) if isinstance(hint, UnionType) else (hint,)

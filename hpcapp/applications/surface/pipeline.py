@@ -21,6 +21,7 @@ from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.progress import StageClock
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import UsageError
+from hpccomponent.option_names import name_option
 
 __all__ = ["Preprocess", "Reconstruction", "reconstruct"]
 
@@ -80,7 +81,7 @@ def reconstruct(
         if cloud.points is None:
             raise UsageError(
                 f"the step '{name}' needs all points in memory",
-                "leave it out, or give more --max-memory",
+                f"leave it out, or give more {name_option('max_memory')}",
             )
         with clock.stage(name):
             cloud = replace_points(cloud, step(cloud.points))

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from hpccomponent.errors import UsageError
+from hpccomponent.option_names import name_option
 
 __all__ = ["Direction", "Place", "Viewpoint", "parse_viewpoint", "type_viewpoint"]
 
@@ -46,7 +47,8 @@ def parse_viewpoint(words: Sequence[str]) -> Viewpoint:
         if direction in words:
             if set(words) != {direction}:
                 raise UsageError(
-                    f"--viewpoint {direction} stands beside another one", "give it alone"
+                    f"{name_option('viewpoint', direction)} stands beside another one",
+                    "give it alone",
                 )
             return direction
     return tuple(place for word in words for place in _parse_places(word))
@@ -71,7 +73,7 @@ def _parse_places(word: str) -> tuple[Place, ...]:
         if isfinite(x) and isfinite(y) and isfinite(z):
             return ((x, y, z),)
     raise UsageError(
-        f"--viewpoint {word!r} is neither {', '.join(_DIRECTIONS)}, nor three numbers, nor a file "
-        "of a trajectory",
+        f"{name_option('viewpoint', word)} is neither {', '.join(_DIRECTIONS)}, nor three numbers, "
+        "nor a file of a trajectory",
         "give where the sensor was, as 1.5,0,-2",
     )

@@ -131,9 +131,9 @@ def view(
         if beside is not None and png is not None and output is None:
             raise UsageError(f"{flag} means nothing to a picture", "give -o for a page, too")
     from hpcapp.applications.view.page import make_page, read_shown
+    from hpcapp.pages.browser import show_page
     from hpcapp.pages.page import write_page
     from hpcapp.pages.picture import write_picture
-    from hpcapp.pages.shown_mesh import show_page
 
     shown = read_shown(file)
     if png is not None:

@@ -23,6 +23,7 @@ from hpcapp.io.columns import Numbers
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import OutputError
+from hpccomponent.option_names import name_option
 
 __all__ = ["say_frame", "write_glb"]
 
@@ -76,7 +77,8 @@ def write_glb(path: Path, mesh: Mesh | MeshStream, turns_up: bool = False) -> No
     total = 12 + 8 + len(text) + 8 + sum(sizes)
     if total > _MOST_BYTES:
         raise OutputError(
-            f"{path}: {total} bytes are too many for a GLB", "write a .ply, or fewer --attributes"
+            f"{path}: {total} bytes are too many for a GLB",
+            f"write a .ply, or fewer {name_option('attributes')}",
         )
     with replacing(path) as file:
         file.write(_MAGIC + _integers(_VERSION, total) + _integers(len(text)) + _JSON + text)

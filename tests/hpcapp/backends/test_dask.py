@@ -136,7 +136,7 @@ def test_a_mesh_survives_the_death_of_a_worker(start_dask: StartDask, sphere: Po
                 os.kill(cluster.workers[0].pid, signal.SIGKILL)
 
         mesh = hpcapp.reconstruct(
-            sphere.positions, sphere.normals, grid=32, executor=client, progress=kill_one
+            sphere.positions, sphere.normals, grid=32, executor=client, on_progress=kill_one
         )
     assert cluster.workers[0].wait() == -signal.SIGKILL
     assert mesh.vertices.tobytes() == alone.vertices.tobytes()

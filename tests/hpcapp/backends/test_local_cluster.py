@@ -290,7 +290,7 @@ def test_a_loader_for_which_the_system_has_no_room_is_one_less(
 
 
 def test_more_than_this_machine_carries_is_refused_before_anything_is_started() -> None:
-    with pytest.raises(UsageError, match="--workers 1000000: this machine carries "):
+    with pytest.raises(UsageError, match="workers=1000000: this machine carries "):
         LocalCluster(1_000_000)
 
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-import hpcapp
+from hpcapp.api.mesh import wrap_mesh
+from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
 from hpcapp.pages.job import describe_job
 from hpcapp.pages.page import build_page
@@ -52,7 +53,7 @@ _PIXELS = """() => {
 Open = Callable[[str], "Page"]
 
 
-def make_cube() -> hpcapp.Mesh:
+def make_cube() -> Mesh:
     """Return a cube of side 2 around the origin, each side cut into small squares."""
     steps = np.linspace(-1.0, 1.0, 9)
     corners = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -70,7 +71,7 @@ def make_cube() -> hpcapp.Mesh:
             side[:, (axis + 1) % 3], side[:, (axis + 2) % 3] = corners.T
             sides.append((faces if sign > 0 else faces[:, ::-1]) + 81 * len(vertices))
             vertices.append(side)
-    return hpcapp.Mesh(np.concatenate(vertices), np.concatenate(sides))
+    return Mesh(np.concatenate(vertices), np.concatenate(sides))
 
 
 @pytest.fixture(scope="module")
@@ -264,7 +265,7 @@ def test_points_alone_are_drawn_in_their_colours(open_page: Open) -> None:
 
 def test_many_vertices_arrive_as_they_were(open_page: Open) -> None:
     rng = np.random.default_rng(5)
-    mesh = hpcapp.Mesh(rng.random((70_000, 3)), rng.integers(0, 70_000, (100_000, 3)))
+    mesh = Mesh(rng.random((70_000, 3)), rng.integers(0, 70_000, (100_000, 3)))
     page = open_page(build_page("M", "s", Scene(mesh)))
     rows = rng.integers(0, 100_000, 50)
     script = """rows => { const g = viewer.meshes[0].geometry, p = g.attributes.position.array;
@@ -278,7 +279,7 @@ def test_many_vertices_arrive_as_they_were(open_page: Open) -> None:
 
 
 def test_a_notebook_draws_its_frame(browser: Browser, tmp_path: Path) -> None:
-    (tmp_path / "n.html").write_text(make_cube()._repr_html_())
+    (tmp_path / "n.html").write_text(wrap_mesh(make_cube())._repr_html_())
     page = browser.new_page()
     page.goto((tmp_path / "n.html").as_uri())
     page.frame_locator("iframe").locator("body[data-state='ready']").wait_for(timeout=120_000)

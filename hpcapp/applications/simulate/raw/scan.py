@@ -27,6 +27,7 @@ from hpcapp.applications.simulate.settings import check_ranges
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray, PointCloud
 from hpccomponent.errors import UsageError
+from hpccomponent.option_names import name_option
 
 __all__ = ["RawScan", "RawSettings", "scan_scene"]
 
@@ -217,7 +218,7 @@ def _say_lack(count: int, edges: int, flying: int, returns: int, solid: int) -> 
     if edges < flying:
         return UsageError(
             f"only {edges} of {count} pulses met an edge, {flying} are to fly behind one",
-            "ask for a smaller --flying",
+            f"ask for a smaller {name_option('flying')}",
         )
     return UsageError(
         f"only {returns} of {count} pulses came back, {solid} are wanted", "ask for fewer points"

@@ -26,6 +26,7 @@ from hpcapp.applications.surface.types.lattice import find_keys
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray, PointCloud
 from hpccomponent.errors import JobError, OutputError
 from hpccomponent.files.whole_files import write_whole
+from hpccomponent.option_names import name_option
 
 __all__ = ["ColumnBlocks"]
 
@@ -95,7 +96,7 @@ class ColumnBlocks:
             raise OutputError(
                 f"{self.folder}: the attributes cannot be put there: {error.strerror or error}",
                 f"name a temporary folder with {self._dtype.itemsize} bytes of room for each "
-                "point, or leave --attributes none",
+                f"point, or ask for {name_option('attributes', 'none')}",
             ) from error
         self._parts.append(_Part(path, keys, starts))
 

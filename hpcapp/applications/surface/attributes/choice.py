@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from hpccomponent.errors import UsageError
+from hpccomponent.option_names import name_option
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.types.points import PointCloud
@@ -74,7 +75,7 @@ class AttributeChoice:
             if name not in known:
                 there = f"{source} has {', '.join(known) if known else 'no other columns'}"
                 raise UsageError(
-                    f"--attributes {name}: the points have no such column",
+                    f"{name_option('attributes', name)}: the points have no such column",
                     f"{there}; {' and '.join(_MADE)} can always be had",
                 )
         automatic = [name for name in known if self.is_auto and name not in _OF_THE_SCAN]
@@ -110,12 +111,14 @@ def parse_attributes(text: str) -> AttributeChoice:
     words = [word.strip() for word in text.split(",")]
     if not all(words):
         raise UsageError(
-            f"--attributes {text!r} holds an empty name", "give auto, none, or names as a,b,c"
+            f"{name_option('attributes', text)} holds an empty name",
+            "give auto, none, or names as a,b,c",
         )
     if "none" in words:
         if len(words) > 1:
             raise UsageError(
-                f"--attributes {text}: none excludes all others", "leave it out, or give it alone"
+                f"{name_option('attributes', text)}: none excludes all others",
+                "leave it out, or give it alone",
             )
         return AttributeChoice(is_auto=False)
     names = [_COLOURS[0] if word.lower() in _COLOURS else word for word in words]

@@ -45,6 +45,7 @@ from hpcapp.applications.surface.types.lattice import unpack_keys
 from hpcapp.applications.surface.types.points import BoolArray, IntArray
 from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.errors import InputError
+from hpccomponent.option_names import name_option
 
 __all__ = ["Closure", "OpeningSettings", "close_surface"]
 
@@ -272,7 +273,7 @@ def close_surface(
     if not opened.plan.face_count:
         raise InputError(
             f"no piece of the surface within {radius:g} of the points is larger than a crumb",
-            "give a longer --trim: some spacings of the points, as 3s",
+            f"give a longer {name_option('trim')}: some spacings of the points, as 3s",
         )
     closure = Closure(True, reason, radius, fill.typical, holes, opened.plan.dropped, is_room)
     log.info(

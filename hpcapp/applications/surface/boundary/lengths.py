@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from math import isfinite
 
 from hpccomponent.errors import UsageError
+from hpccomponent.option_names import name_option
 
 __all__ = ["Length", "parse_length"]
 
@@ -61,7 +62,7 @@ def parse_length(name: str, text: str) -> Length | None:
         value = -1.0
     if not (isfinite(value) and value >= 0.0):
         raise UsageError(
-            f"{name} is {text!r}",
+            f"{name_option(name)} is {text!r}",
             "give auto, a length in the units of the input, as 0.05, or in spacings, as 3s",
         )
     return Length(value, in_spacings)

@@ -55,6 +55,7 @@ from hpcapp.applications.surface.types.lattice import lay_lattice
 from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
 from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.errors import InputError, UsageError
+from hpccomponent.option_names import name_option
 
 __all__ = [
     "HierarchicalMethod",
@@ -297,7 +298,7 @@ class HierarchicalMethod:
         if not surface.plan.face_count:
             raise InputError(
                 "no part of the cloud encloses a volume",
-                "check that the normals point out of the object, and try a finer --grid",
+                "check that the normals point out of the object, and try a finer grid",
             )
         cloud = partition.cloud
         shared = None if workforce.in_process else self._find_shared(cloud)
@@ -320,8 +321,8 @@ class HierarchicalMethod:
         if self.tile_points is not None and len(cloud) > self.tile_points:
             raise UsageError(
                 f"a grid of {self.grid} cells makes one tile of all {len(cloud)} points: they do "
-                "not fit into --max-memory",
-                "ask for a finer --grid, or allow more",
+                f"not fit into {name_option('max_memory')}",
+                "ask for a finer grid, or allow more",
             )
         return PointCloud(*cloud.take_blocks(cloud.keys), origin=cloud.origin)
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from hpcapp.applications.surface.boundary.lengths import parse_length
 from hpcapp.applications.surface.options import check_options, option
 from hpccomponent.errors import UsageError
+from hpccomponent.option_names import name_option
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
@@ -85,8 +86,8 @@ class Hierarchical:
             parse_length(name, getattr(self, name))
         if self.close == "yes" and (self.trim, self.fill_holes) != ("auto", "auto"):
             raise UsageError(
-                "trim and fill_holes say nothing of a mesh that is closed",
-                "leave them out, or close=yes",
+                f"{name_option('trim')} and {name_option('fill_holes')} need an open mesh",
+                f"leave them out, or {name_option('close', 'yes')}",
             )
 
     @property

@@ -24,6 +24,7 @@ from hpcapp.capacity import count_carried
 from hpcapp.communicator.scheduling.verification import Verification
 from hpccomponent.errors import NoWorkersError
 from hpccomponent.limits import available_cores
+from hpccomponent.option_names import name_option
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -244,7 +245,10 @@ class Opener:
                 choice = replace(choice, workers=backend.workforce.workers)
             else:
                 if self._settings.verify and choice.backend != "zmq":
-                    log.info("--verify: this process does all the work, so nothing is verified")
+                    log.info(
+                        "%s: this process does all the work, so nothing is verified",
+                        name_option("verify"),
+                    )
                 self.standing.close()
                 backend = stack.enter_context(
                     open_executor(

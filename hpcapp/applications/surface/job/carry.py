@@ -11,6 +11,7 @@ from hpcapp.applications.surface.job.folder import choose_tile
 from hpcapp.applications.surface.job.load import Loaded
 from hpcapp.applications.surface.settings import Settings, choose_threads
 from hpcapp.progress import StageClock
+from hpccomponent.option_names import name_option
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.job.steps import Outcome
@@ -29,7 +30,7 @@ def carry_columns(
     cloud, choice, layout = loaded.cloud, settings.attributes, loaded.columns.layout
     if choice.has_confidence and CONFIDENCE not in layout.attributes:
         reason = loaded.columns.why_no_confidence
-        log.warning("warning: --attributes %s: left out: %s", CONFIDENCE, reason)
+        log.warning("warning: %s: left out: %s", name_option("attributes", CONFIDENCE), reason)
     if layout.colours is None and not layout.attributes and not choice.has_support:
         return Carrying(layout, has_normals=choice.has_normals, crs=loaded.crs)
     at_once = min(choose_tile(settings, outcome.backend) or _MOST_AT_ONCE, _MOST_AT_ONCE)

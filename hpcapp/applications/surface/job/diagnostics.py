@@ -10,6 +10,7 @@ from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.normals.consistency import faces_inwards
 from hpcapp.applications.surface.surface import Surface
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpccomponent.option_names import name_option
 
 __all__ = ["SAMPLE", "check_closure", "check_resolution", "check_sides"]
 
@@ -53,7 +54,7 @@ def check_resolution(cloud: PointCloud, step: float) -> list[str]:
         return []
     return [
         f"the {len(cloud)} points lie in only {cells} cells of the grid, too few to show a shape: "
-        "remove far outliers (--outliers), or choose a finer --grid"
+        f"remove far outliers ({name_option('outliers')}), or choose a finer grid"
     ]
 
 

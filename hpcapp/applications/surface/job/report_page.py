@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from hpcapp.applications.surface.attributes.carrying import SUPPORT, Carrying
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
 from hpcapp.io import open_points, read_mesh, read_whole, take_finite
@@ -35,6 +36,7 @@ __all__ = [
     "build_job_page",
     "find_guesses",
     "find_owners",
+    "show_cloud",
     "show_files",
     "show_job",
     "write_job_page",
@@ -82,13 +84,31 @@ def show_job(loaded: Loaded, outcome: Outcome, carrying: Carrying) -> Shown:
     owners = find_owners(outcome.result)
     if owners is not None:
         stream = _with_column(stream, TILE, owners.tiles)
-    mesh, labels = take_labels(thin_mesh(stream), () if owners is None else owners.workers)
-    points = loaded.cloud.sample(MOST_POINTS)
+    spacing = float(outcome.result.facts.get("spacing", 0.0))
+    return show_cloud(stream, loaded.cloud, spacing, () if owners is None else owners.workers)
+
+
+def show_cloud(
+    stream: MeshStream, cloud: ArrangedCloud, spacing: float, workers: Sequence[str] = ()
+) -> Shown:
+    """Gather what a page draws of a mesh and its points.
+
+    Parameters
+    ----------
+    stream : MeshStream
+    cloud : ArrangedCloud
+    spacing : float
+        Of its points; asked for where they lie in a folder.
+    workers : sequence of str
+        That made the mesh's tiles.
+    """
+    mesh, labels = take_labels(thin_mesh(stream), workers)
+    points = cloud.sample(MOST_POINTS)
     return Shown(
         mesh,
         stream.face_count,
         points.take(np.arange(0, len(points), max(1, -(-len(points) // MOST_POINTS)))),
-        _measure(loaded, outcome, mesh.vertices),
+        _measure(cloud, spacing, mesh.vertices),
         tuple(labels),
     )
 
@@ -113,16 +133,14 @@ def _with_column(stream: MeshStream, name: str, column: IntArray) -> MeshStream:
     return replace(stream, vertices=vertices, layout=layout)
 
 
-def _measure(loaded: Loaded, outcome: Outcome, places: FloatArray) -> FloatArray:
+def _measure(cloud: ArrangedCloud, spacing: float, places: FloatArray) -> FloatArray:
     """Return the distance of places from the nearest point, wherever the points are."""
-    cloud = loaded.cloud
     if cloud.points is not None:
         tree = cKDTree(cloud.points.positions, compact_nodes=False, balanced_tree=False)
         distances: FloatArray = tree.query(places, workers=-1)[0]
         return distances
     from hpcapp.applications.surface.attributes.search import evaluate_blocks
 
-    spacing = float(outcome.result.facts["spacing"])
     take = lambda keys: PointCloud(cloud.take_blocks(keys)[0])  # noqa: E731 - it is one expression
     return evaluate_blocks(cloud, take, (), spacing, places).nearest
 

@@ -13,6 +13,7 @@ from hpcapp.applications.surface.method import MARGIN, MAX_GRID, MIN_GRID
 from hpcapp.applications.surface.settings import Settings
 from hpcapp.applications.surface.types.points import FloatArray
 from hpccomponent.errors import UsageError
+from hpccomponent.option_names import name_option
 
 __all__ = ["choose_grid", "find_grid", "guess_grid"]
 
@@ -83,7 +84,8 @@ def choose_grid(settings: Settings, low: FloatArray, high: FloatArray) -> int | 
         cells = float(np.ceil(np.float64(longest) / settings.voxel_size)) + 2 * MARGIN
     if not MIN_GRID <= cells <= MAX_GRID:  # NaN is not, either
         raise UsageError(
-            f"--voxel-size {settings.voxel_size:g} means {cells:g} cells along the longest side",
+            f"{name_option('voxel_size', settings.voxel_size)} means {cells:g} cells along the "
+            "longest side",
             f"choose one that gives {MIN_GRID} to {MAX_GRID}; the side is {longest:g} long",
         )
     return int(cells)

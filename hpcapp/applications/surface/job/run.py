@@ -25,7 +25,7 @@ from hpcapp.applications.surface.kernels.build import kernel_id
 from hpcapp.applications.surface.kernels.freed_memory import keep_memory
 from hpcapp.applications.surface.memory import count_most_points
 from hpcapp.applications.surface.method import TILE_POINTS
-from hpcapp.applications.surface.settings import JobSettings
+from hpcapp.applications.surface.settings import JobSettings, Settings
 from hpcapp.backends.selection import Backend
 from hpcapp.communicator.scheduling.verification import Verification, attempt, repeat_until_trusted
 from hpcapp.io import describe_losses
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from hpcapp.applications.surface.stitching.topology import Topology
     from hpcapp.backends.local_cluster import LocalMachines
 
-__all__ = ["JobSettings", "run_job"]
+__all__ = ["JobSettings", "describe_outcome", "run_job"]
 
 log = logging.getLogger("hpcapp")
 
@@ -166,25 +166,9 @@ def _write(
         outcome.result.surface.write(target, outcome.backend.workforce, carrying)
     with clock.stage("check"):  # most of it is done while workers write
         topology = outcome.result.surface.check()
-    report = _describe(settings, outcome, topology)
-    report["attributes"] = carrying.names
+    report = describe_outcome(settings, loaded, outcome, topology, carrying)
     written = carrying.to_stream(outcome.result.surface.stream())
-    report["warnings"] = [
-        *loaded.findings.warnings,
-        *loaded.oriented.warnings,
-        *outcome.warnings,
-        *describe_losses(target, written),
-    ]
-    report["dropped"] = {
-        **loaded.findings.dropped,
-        "non_finite_points": loaded.dropped.non_finite_points,
-        "bad_normals": loaded.dropped.bad_normals,
-        "duplicates": loaded.cleaned.repeated,
-        "outliers": loaded.cleaned.outliers,
-        "strays": loaded.cleaned.strays,
-    }
-    report["turned_normals"] = loaded.cleaned.flipped
-    report["normals"] = loaded.oriented.to_json()
+    report["warnings"] += describe_losses(target, written)
     report["input"] = describe_input(settings)
     report["command"] = shlex.join(settings.command)
     if verification.machines or verification.liars:
@@ -197,6 +181,38 @@ def _write(
     if settings.report is not None or settings.png is not None:
         with clock.stage("show"):
             _show(settings, loaded, outcome, carrying, clock, report)
+    return report
+
+
+def describe_outcome(
+    settings: Settings, loaded: Loaded, outcome: Outcome, topology: Topology, carrying: Carrying
+) -> dict[str, Any]:
+    """Return the report of a job, but for its input and its output.
+
+    Parameters
+    ----------
+    topology : Topology
+        Of the mesh.
+    carrying : Carrying
+        What its vertices carry.
+    """
+    report = _describe(settings, outcome, topology)
+    report["attributes"] = carrying.names
+    report["warnings"] = [
+        *loaded.findings.warnings,
+        *loaded.oriented.warnings,
+        *outcome.warnings,
+    ]
+    report["dropped"] = {
+        **loaded.findings.dropped,
+        "non_finite_points": loaded.dropped.non_finite_points,
+        "bad_normals": loaded.dropped.bad_normals,
+        "duplicates": loaded.cleaned.repeated,
+        "outliers": loaded.cleaned.outliers,
+        "strays": loaded.cleaned.strays,
+    }
+    report["turned_normals"] = loaded.cleaned.flipped
+    report["normals"] = loaded.oriented.to_json()
     return report
 
 
@@ -231,7 +247,7 @@ def _summarize(topology: Topology) -> str:
     )
 
 
-def _describe(settings: JobSettings, outcome: Outcome, topology: Topology) -> dict[str, Any]:
+def _describe(settings: Settings, outcome: Outcome, topology: Topology) -> dict[str, Any]:
     result, backend = outcome.result, outcome.backend
     traffic = backend.traffic()
     return {

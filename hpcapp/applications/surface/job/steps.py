@@ -35,7 +35,9 @@ from hpcapp.applications.surface.settings import (
 from hpcapp.applications.surface.surface import simplify_surface
 from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.backends.selection import Backend
+from hpcapp.cancellation import Cancellation
 from hpcapp.progress import StageClock
+from hpccomponent.option_names import name_option
 from hpccomponent.runtime.background import Deferred
 
 if TYPE_CHECKING:
@@ -80,6 +82,7 @@ def run_steps(
     *,
     opened: tuple[Backend, Choice] | None = None,
     executor: Executor | Client | None = None,
+    cancellation: Cancellation | None = None,
 ) -> Iterator[Outcome]:
     """Choose where a cloud is reconstructed, and do it.
 
@@ -95,11 +98,15 @@ def run_steps(
         Where it is reconstructed, if that is open and recorded already.
     executor : concurrent.futures.Executor or distributed.Client, optional
         What the user has opened.
+    cancellation : Cancellation, optional
+        By which somebody may end it.
     """
     grid = find_grid(settings, loaded.cloud)
     job = Job(len(loaded.cloud), grid)
     with nullcontext(opened) if opened else opener.open(job, executor) as (backend, choice):
         recorded = backend if opened else backend.record(clock.timeline)
+        if cancellation is not None:
+            recorded = recorded.heed(cancellation)
         if (
             checkpoint
             and checkpoint.holds_files
@@ -181,7 +188,7 @@ def _warn(
             + (
                 "turn them around"
                 if loaded.oriented.source == "file"
-                else "name a place outside (--viewpoint X,Y,Z)"
+                else f"name a place outside ({name_option('viewpoint')}: X,Y,Z)"
             )
         )
     for warning in warnings:

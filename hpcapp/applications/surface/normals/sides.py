@@ -16,6 +16,7 @@ from hpcapp.applications.surface.normals.consistency import share_opposed
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.types.lattice import lay_lattice
 from hpcapp.progress import StageClock
+from hpccomponent.option_names import name_option
 
 __all__ = ["Oriented", "is_contradicting", "orient_cloud"]
 
@@ -60,13 +61,13 @@ class Oriented:
         if self.contradict:
             found.append(
                 "normals of neighbouring points contradict each other, the mesh means little: "
-                "orient them consistently (e.g. in CloudCompare or MeshLab), or leave --normals "
-                "file out"
+                "orient them consistently (e.g. in CloudCompare or MeshLab), or leave "
+                f"{name_option('normals', 'file')} out"
             )
         if self.turned:
             found.append(
                 f"the normals contradict each other: {self.turned} were turned round, so that all "
-                "are on one side; --normals file takes them as they are"
+                f"are on one side; {name_option('normals', 'file')} takes them as they are"
             )
         if self.sure < _DOUBTFUL and self.doubted is not None:
             place = ", ".join(f"{value:.6g}" for value in self.doubted)
@@ -74,7 +75,8 @@ class Oriented:
             advice = "X,Y,Z" if self.how.startswith("along") else "above, inside, or X,Y,Z"
             found.append(
                 f"the side of {100.0 * (1.0 - self.sure):.1f} % of the normals is unsure, most of "
-                f"it around ({place}): say where it was scanned from (--viewpoint {advice})"
+                f"it around ({place}): say where it was scanned from "
+                f"({name_option('viewpoint')}: {advice})"
             )
         return found
 

@@ -88,7 +88,7 @@ def test_two_options_of_one_meaning_contradict(sphere_file: Path) -> None:
     arguments = [str(sphere_file), "-o", "-", "--patches", "9", "--delta", "0.1"]
     done = CliRunner().invoke(reconstruct, [*arguments, "--method", "paper"])
     assert isinstance(done.exception, UsageError)
-    assert "--delta" in str(done.exception)
+    assert "patches takes the place of delta" in str(done.exception)
 
 
 def test_attributes_that_make_no_sense_are_refused_before_the_work(sphere_file: Path) -> None:

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from hpcapp.api.reconstruction import reconstruct
 from hpcapp.applications.surface import surface
-from hpcapp.applications.surface.api import reconstruct
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.hierarchical import growth as regions
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
@@ -26,7 +26,7 @@ from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.applications.surface.stitching import shared_ply, tile_ply
 from hpcapp.applications.surface.tiles import tasks as region
 from hpcapp.applications.surface.types.points import PointCloud
-from hpcapp.io import read_mesh, read_points, write_mesh, write_points
+from hpcapp.io import read_mesh, read_points, write_points
 from hpcapp.progress import Progress, ProgressObserver
 from hpccomponent.errors import JobError, OutputError, UsageError
 
@@ -119,7 +119,7 @@ def test_a_view_on_disk_is_cut_open_alike(backend: str, scan: Path, tmp_path: Pa
     assert report["open"]
     assert f"open, {report['boundaries']} boundaries" in report["summary"]
     mesh = reconstruct(given.take(np.flatnonzero(given.positions[:, 2] > 0.0)), grid=96)
-    write_mesh(tmp_path / "whole.ply", mesh)
+    mesh.save(tmp_path / "whole.ply")
     assert output.read_bytes() == (tmp_path / "whole.ply").read_bytes()
 
 
@@ -143,7 +143,7 @@ def test_a_cloud_of_one_level_is_one_tile(
 def test_a_grid_that_makes_one_tile_of_too_many_points_is_refused(
     scan: Path, tmp_path: Path
 ) -> None:
-    with pytest.raises(UsageError, match=r"a grid of 16 cells .* --max-memory; .* finer --grid"):
+    with pytest.raises(UsageError, match=r"a grid of 16 cells .* max_memory; .* finer grid"):
         run_job(JobSettings(scan, str(tmp_path / "mesh.ply"), grid=16), SILENT)
 
 

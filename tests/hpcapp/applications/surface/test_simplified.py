@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from hpcapp.applications.surface.api import reconstruct
+from hpcapp.api.reconstruction import reconstruct
 from hpcapp.applications.surface.job import run, steps, storage
 from hpcapp.applications.surface.job.run import run_job
 from hpcapp.applications.surface.settings import JobSettings

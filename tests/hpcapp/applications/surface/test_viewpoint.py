@@ -43,7 +43,7 @@ def test_other_words_are_refused(words: list[str]) -> None:
 
 
 def test_a_direction_stands_alone() -> None:
-    with pytest.raises(UsageError, match="above stands beside"):
+    with pytest.raises(UsageError, match="viewpoints='above' stands beside"):
         parse_viewpoint(["1,2,3", "above"])
 
 

@@ -54,7 +54,7 @@ def test_an_unknown_column_is_refused_with_those_there_are() -> None:
     with pytest.raises(UsageError) as refused:
         parse_attributes("auto,reflectance").select(CLOUD, "scan.ply")
     assert str(refused.value) == (
-        "--attributes reflectance: the points have no such column; scan.ply has colours, "
+        "attributes='reflectance': the points have no such column; scan.ply has colours, "
         "intensity, row, scan, label; normals and support can always be had"
     )
     with pytest.raises(UsageError, match=r"scan.ply has no other columns"):
@@ -63,5 +63,5 @@ def test_an_unknown_column_is_refused_with_those_there_are() -> None:
 
 @pytest.mark.parametrize("text", ["", "a,,b", "auto,", "none,auto"])
 def test_what_makes_no_sense_is_refused(text: str) -> None:
-    with pytest.raises(UsageError, match="--attributes"):
+    with pytest.raises(UsageError, match="attributes="):
         parse_attributes(text)

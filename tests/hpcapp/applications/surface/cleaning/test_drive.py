@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hpcapp.api.reconstruction import reconstruct
 from hpcapp.applications.simulate.scanner import simulate_scan
 from hpcapp.applications.simulate.settings import ScanSettings
 from hpcapp.applications.simulate.shapes import SHAPES, diagonal_of
-from hpcapp.applications.surface.api import reconstruct
 from hpcapp.applications.surface.cleaning.drive import Cleaned, drop_strays, mend_normals
 from hpcapp.applications.surface.cloud import arranged as arranged_cloud
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud

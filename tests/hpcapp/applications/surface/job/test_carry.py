@@ -133,7 +133,7 @@ def test_a_cloud_from_a_file_gives_the_mesh_of_the_command(
     write_points(tmp_path / "far.ply", far)
     read = hpcapp.read_points(tmp_path / "far.ply")
     assert read.origin.any()
-    hpcapp.write_mesh(tmp_path / "api.ply", hpcapp.reconstruct(read, grid=48))
+    hpcapp.reconstruct(read, grid=48).save(tmp_path / "api.ply")
     run_job(JobSettings(tmp_path / "far.ply", str(tmp_path / "job.ply"), grid=48), SILENT)
     assert (tmp_path / "api.ply").read_bytes() == (tmp_path / "job.ply").read_bytes()
 
@@ -162,11 +162,11 @@ def test_estimated_normals_carry_their_confidence_only_where_it_is_named(
     assert SURE < np.median(confidence) <= 1.0
     given = tmp_path / "given.ply"
     write_points(given, cloud)
-    assert "--attributes confidence: left out" in run("given-mesh.ply", "confidence", given)[1]
+    assert "attributes='confidence': left out" in run("given-mesh.ply", "confidence", given)[1]
     monkeypatch.setattr(storage, "fits_memory", lambda *_: False)
     names, text = run("folder.ply", "auto,confidence")
     assert names == ["colours"]
-    assert text.count("--attributes confidence: left out") == 1
+    assert text.count("attributes='confidence': left out") == 1
     assert (tmp_path / "folder.ply").read_bytes() == (tmp_path / "memory.ply").read_bytes()
 
 

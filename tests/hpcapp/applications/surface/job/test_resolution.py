@@ -75,7 +75,7 @@ def test_memory_makes_a_chosen_grid_coarser_and_refuses_one_that_is_asked_for(
     with caplog.at_level(logging.INFO, "hpcapp"):
         assert 256 <= find_grid(Settings(), cloud) < wanted
     assert f"all that memory holds; {wanted} would suit" in caplog.text
-    with pytest.raises(UsageError, match=f"--grid {wanted} needs about"):
+    with pytest.raises(UsageError, match=f"grid={wanted} needs about"):
         find_grid(Settings(grid=wanted), cloud)
 
 

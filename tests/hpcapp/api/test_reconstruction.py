@@ -13,7 +13,7 @@ import hpcapp
 from hpcapp.applications.surface.job.run import JobSettings, run_job
 from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.applications.surface.viewpoint import parse_viewpoint
-from hpcapp.io import read_points, write_mesh
+from hpcapp.io import read_points
 from hpcapp.progress import Progress
 from hpccomponent.errors import HpcError, InputError, UsageError
 
@@ -35,7 +35,7 @@ def test_the_mesh_has_the_bytes_of_the_commands(
     cloud = read_points(sphere_file)
     assert cloud.normals is not None
     mesh = hpcapp.reconstruct(cloud.positions, cloud.normals, **options)
-    write_mesh(tmp_path / "api.ply", mesh)
+    mesh.save(tmp_path / "api.ply")
     named = {"backend": options.get("executor", "auto")}
     typed = {name: value for name, value in options.items() if name != "executor"} | named
     own = {name: typed.pop(name) for name in ("smoothness", "detail", "clean") if name in typed}
@@ -53,8 +53,8 @@ def test_a_georeferenced_cloud_comes_back_in_its_own_coordinates(
     mesh = hpcapp.reconstruct(rows[:, :3], rows[:, 3:], grid=32)
     radii = np.linalg.norm(mesh.vertices - FAR, axis=1)
     assert np.abs(radii - 1.0).max() < 0.03
-    assert not mesh.origin.any()
-    write_mesh(tmp_path / "api.ply", mesh)
+    assert np.abs(mesh.origin - FAR).max() <= 1.0
+    mesh.save(tmp_path / "api.ply")
     run_job(JobSettings(tmp_path / "far.xyz", str(tmp_path / "job.ply"), grid=32), Progress())
     assert (tmp_path / "api.ply").read_bytes() == (tmp_path / "job.ply").read_bytes()
 
@@ -65,7 +65,7 @@ def test_points_alone_get_normals(method: str, sphere: PointCloud, tmp_path: Pat
     mesh = hpcapp.reconstruct(sphere.positions, grid=32, method=method)
     radii = np.linalg.norm(mesh.vertices, axis=1)
     assert np.abs(radii - 1.0).mean() < 0.02
-    write_mesh(tmp_path / "api.ply", mesh)
+    mesh.save(tmp_path / "api.ply")
     settings = JobSettings(
         tmp_path / "bare.xyz",
         str(tmp_path / "job.ply"),
@@ -87,9 +87,8 @@ def test_a_viewpoint_is_what_the_command_takes(
     sphere: PointCloud, tmp_path: Path, viewpoint: Any
 ) -> None:
     np.savetxt(tmp_path / "bare.xyz", sphere.positions, fmt="%.17g")
-    write_mesh(
-        tmp_path / "api.ply", hpcapp.reconstruct(sphere.positions, grid=32, viewpoint=viewpoint)
-    )
+    mesh = hpcapp.reconstruct(sphere.positions, grid=32, viewpoints=viewpoint)
+    mesh.save(tmp_path / "api.ply")
     told = parse_viewpoint(["below" if viewpoint == "below" else "0.1,0,0"])
     output = tmp_path / "job.ply"
     run_job(JobSettings(tmp_path / "bare.xyz", str(output), grid=32, viewpoint=told), Progress())
@@ -118,7 +117,7 @@ def test_progress_counts_each_stage_from_none_to_all(sphere: PointCloud) -> None
     assert sphere.normals is not None
     seen: list[tuple[str, int, int]] = []
     hpcapp.reconstruct(
-        sphere.positions, sphere.normals, grid=32, progress=lambda *told: seen.append(told)
+        sphere.positions, sphere.normals, grid=32, on_progress=lambda *told: seen.append(told)
     )
     stages = list(dict.fromkeys(stage for stage, _, _ in seen))
     assert stages[-1] == "extract"
@@ -136,7 +135,7 @@ def test_what_progress_raises_ends_the_job(sphere: PointCloud) -> None:
 
     assert sphere.normals is not None
     with pytest.raises(KeyError, match="arrange"):
-        hpcapp.reconstruct(sphere.positions, sphere.normals, grid=32, progress=stop)
+        hpcapp.reconstruct(sphere.positions, sphere.normals, grid=32, on_progress=stop)
 
 
 GOOD = np.random.default_rng(5).normal(size=(50, 3))
@@ -186,8 +185,8 @@ def test_a_wrong_array_is_named(points: Any, normals: Any, words: str) -> None:
         ({"smoothness": 0.0}, "smoothness is 0.0"),
         ({"detail": float("nan")}, "detail is nan"),
         ({"method": "poisson"}, "unknown method 'poisson'"),
-        ({"viewpoint": "up"}, "'up' is neither above, below, inside, nor"),
-        ({"viewpoint": "no,1,2"}, "'no,1,2' is neither"),
+        ({"viewpoints": "up"}, "'up' is neither above, below, inside, nor"),
+        ({"viewpoints": "no,1,2"}, "'no,1,2' is neither"),
         ({"executor": "cloud"}, "unknown backend 'cloud'"),
         ({"executor": "serial", "workers": 2}, "cannot have 2 workers"),
     ],

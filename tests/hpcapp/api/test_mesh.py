@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import hpcapp
-from hpcapp.applications.surface.types.mesh import Mesh as PlainMesh
 from hpcapp.applications.surface.types.points import PointCloud
 
 CORNERS = np.array([[0.0, 0, 0], [2.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]])
@@ -59,7 +58,7 @@ def test_a_machine_without_a_browser_gets_the_path(
 
 
 def test_what_is_read_and_what_is_reconstructed_can_be_shown(tmp_path: Path) -> None:
-    hpcapp.write_mesh(tmp_path / "a.ply", PlainMesh(CORNERS, FACES))
+    hpcapp.Mesh(CORNERS, FACES).save(tmp_path / "a.ply")
     read = hpcapp.read_mesh(tmp_path / "a.ply")
     assert isinstance(read, hpcapp.Mesh)
     np.testing.assert_array_equal(read.faces, FACES)

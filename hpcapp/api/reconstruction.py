@@ -1,8 +1,9 @@
-"""Surface reconstruction from Python: arrays in, a mesh out, by the command's own steps.
+"""Surface reconstruction from Python: files or arrays in, a mesh out, by the command's own steps.
 
 ::
 
-    points, normals ── check ─> PointCloud ── the job's steps ─> Mesh in the points' coordinates
+    files ───────────────────────┐
+    points, normals ── check ────┴─> Loaded ── the job's steps ─> Mesh in the points' coordinates
 
 Users call it as ``hpcapp.reconstruct``.
 """
@@ -10,36 +11,42 @@ Users call it as ``hpcapp.reconstruct``.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from contextlib import contextmanager
+from dataclasses import fields, replace
+from os import PathLike, fspath
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from hpcapp.api.arrays import check_cloud, check_rows
+from hpcapp.api.mesh import JobRecord, Mesh, wrap_mesh
 from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.attributes.labels import find_labels
 from hpcapp.applications.surface.job.backend_choice import approach_workers
 from hpcapp.applications.surface.job.carry import carry_columns
-from hpcapp.applications.surface.job.load import arrange_points, prepare, told_sensor
+from hpcapp.applications.surface.job.load import Loaded, arrange_points, load, prepare, told_sensor
+from hpcapp.applications.surface.job.recognised import describe_input
+from hpcapp.applications.surface.job.run import describe_outcome
 from hpcapp.applications.surface.job.steps import run_steps
 from hpcapp.applications.surface.method import MAX_GRID, MIN_GRID, MethodSettings
 from hpcapp.applications.surface.methods import DEFAULT_METHOD, find_method
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.options import option_names
-from hpcapp.applications.surface.settings import Settings
-from hpcapp.applications.surface.types.mesh import Mesh as TriangleMesh
-from hpcapp.applications.surface.types.points import ByteArray, FloatArray, PointCloud
+from hpcapp.applications.surface.settings import JobSettings, Settings
+from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.applications.surface.viewpoint import Viewpoint, parse_viewpoint
+from hpcapp.cancellation import Cancellation
+from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY
 from hpcapp.communicator.scheduling.verification import Verification, attempt, repeat_until_trusted
-from hpcapp.io import drop_unusable
-from hpcapp.io.frame import to_local
+from hpcapp.io.points.inputs import find_paths, gather_points
 from hpcapp.io.points.survey import is_flown_over
 from hpcapp.io.points.usable import Dropped, refuse_too_few
-from hpcapp.pages.shown_mesh import Mesh
 from hpcapp.progress import Progress, ProgressObserver, StageClock
-from hpccomponent.errors import InputError, UsageError
+from hpccomponent.errors import UsageError
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -48,14 +55,17 @@ __all__ = ["reconstruct"]
 
 log = logging.getLogger("hpcapp")
 
-Report = Callable[[str, int, int], object]
+OnProgress = Callable[[str, int, int], object]
+PathName: TypeAlias = str | PathLike[str]
+_NORMALS = ("auto", "file", "estimate")
 
 
 def reconstruct(
-    points: ArrayLike | PointCloud,
-    normals: ArrayLike | None = None,
+    points: PathName | Sequence[PathName] | PointCloud | ArrayLike,
+    normals: str | ArrayLike | None = "auto",
     grid: int | None = None,
     *,
+    sample: int | None = None,
     voxel_size: float | None = None,
     method: str | MethodSettings = DEFAULT_METHOD,
     smoothness: float | None = None,
@@ -65,39 +75,50 @@ def reconstruct(
     trim: str | None = None,
     fill_holes: str | None = None,
     uniform: bool | None = None,
-    viewpoint: str | ArrayLike | None = None,
+    viewpoints: str | ArrayLike | None = None,
+    outliers: bool = False,
+    denoise: bool = False,
+    resample: bool = False,
     attributes: str = "auto",
     faces: int | None = None,
     tolerance: float | None = None,
     executor: str | Executor | Client | None = None,
     workers: int | None = None,
+    policy: str = DEFAULT_POLICY,
     verify: float | None = None,
-    progress: Report | None = None,
+    on_progress: OnProgress | None = None,
+    cancel: Cancellation | None = None,
 ) -> Mesh:
     """Turn points into a mesh, the one that ``hpcapp reconstruct`` writes.
 
     Parameters
     ----------
-    points : array_like, shape (n, 3), or PointCloud
-        Coordinates in any unit and any frame, georeferenced ones too. A cloud brings its normals,
-        and the colours and attributes that the mesh is to carry.
-    normals : array_like, shape (n, 3), optional
-        Pointing out of the object, of any length but zero; not beside a cloud. Estimated where
-        there are none.
+    points : str, PathLike, sequence of these, PointCloud, or array_like of shape (n, 3)
+        Files, or patterns as ``scans/*.laz``; a cloud, which brings its normals, and the colours
+        and attributes that the mesh is to carry; or coordinates in any unit and any frame.
+    normals : str or array_like of shape (n, 3)
+        ``auto`` estimates those that are missing and mends those that contradict each other,
+        ``file`` takes those of the files or the cloud as they are, ``estimate`` takes none of them.
+        Or beside an array of points, their normals: pointing out of the object, of any length.
     grid : int, optional
         Cells along the longest side, 16 to 4096; by default what the points resolve.
+    sample : int, optional
+        The files are meshes: so many points on the faces of each are taken.
     voxel_size : float, optional
         Edge of a cell in the unit of the points; takes the place of `grid`.
     method : str, Hierarchical or Paper
         ``hierarchical``, ``paper``, or a method with its options: ``hpcapp.Paper(delta=0.2)``.
     smoothness, detail, clean, close, trim, fill_holes, uniform : float, bool and str, optional
         Options of the default method, where `method` is a name; see `hpcapp.Hierarchical`.
-    viewpoint : str or array_like, shape (3,) or (s, 3), optional
+    viewpoints : str or array_like, shape (3,) or (s, 3), optional
         Where the points were measured from, where they have no normals: ``above``, ``below``,
         ``inside``, the places of the sensor in the coordinates of `points`, or the name of a file
         with its trajectory.
+    outliers, denoise, resample : bool
+        Remove statistical outliers, project the points by moving least squares, resample them to
+        even density, before all else.
     attributes : str
-        What the mesh's vertices carry: ``auto`` (all that the cloud has), ``none``, or names with
+        What the mesh's vertices carry: ``auto`` (all that the points have), ``none``, or names with
         commas between them, of which ``normals`` and ``support`` are made for the vertices.
     faces : int, optional
         Simplify the mesh to so many triangles.
@@ -108,26 +129,32 @@ def reconstruct(
         open already and stays so; by default what pays for so many points.
     workers : int, optional
         How many tasks run at once, where the executor leaves that open.
+    policy : str
+        ``adaptive``, ``pull`` or ``equal``; see `hpcapp.open_executor`.
     verify : float, optional
         The share of the tasks that run again on another machine, from 0 to 1; by default 0.02 on
         a cluster with three workers or more.
-    progress : callable, optional
+    on_progress : callable, optional
         Told (stage, parts done, parts in all) as the work proceeds, in the calling thread; what it
         raises ends the job.
+    cancel : Cancellation, optional
+        Ends the job when another thread calls its ``cancel()``: at the end of the step that is
+        running, within seconds.
 
     Returns
     -------
     Mesh
-        Vertices in the coordinates of `points`, float64 (``origin`` is zero), with their normals,
-        colours and attributes; faces anticlockwise as seen from outside. What is to be doubted in
-        it is logged as a warning.
+        In the coordinates of `points`, with their colours and attributes. What is to be doubted in
+        it is logged as a warning. It keeps the points, for `Mesh.report`.
 
     Raises
     ------
     InputError
-        `points` or `normals` is not such an array, holds NaN or infinity, or shows no surface.
+        A file or an array cannot be used, or shows no surface.
     UsageError
         Another argument is out of its range.
+    JobCancelledError
+        `cancel` was called.
     JobError
         The work could not be finished.
 
@@ -139,7 +166,7 @@ def reconstruct(
     >>> float(np.abs(np.linalg.norm(mesh.vertices - 7.0, axis=1) - 2.0).max()) < 0.1
     True
     """
-    options = {
+    own = {
         "smoothness": smoothness,
         "detail": detail,
         "clean": clean,
@@ -149,44 +176,116 @@ def reconstruct(
         "uniform": uniform,
     }
     settings = Settings(
-        method=_choose_method(method, options),
+        method=_choose_method(method, own),
         grid=grid,
         voxel_size=voxel_size,
         backend=executor if isinstance(executor, str) else "auto",
         workers=workers,
+        policy=policy,
         verify=verify,
+        outliers=outliers,
+        denoise=denoise,
+        resample=resample,
         attributes=parse_attributes(attributes),
-        viewpoint=_choose_viewpoint(viewpoint),
+        normals=_choose_normals(normals),
+        viewpoint=_choose_viewpoint(viewpoints),
         faces=faces,
         tolerance=tolerance,
     )
     _check_settings(settings)
-    checked = settings.attributes.select(_check_cloud(points, normals), "the cloud")
-    labels = find_labels(checked.attributes)
-    reporter = _Reporter(progress or (lambda *_: None))
-    clock = StageClock(Progress(reporter))
+    rows = None if isinstance(normals, str) else normals
+    names = _find_names(points)
+    if not names and sample is not None:
+        raise UsageError("sample is for files", "leave it out")
+    if names and rows is not None:
+        raise UsageError("normals stands beside files, which have their own", "leave it out")
+    reporter = _Reporter(on_progress or (lambda *_: None), cancel or Cancellation())
     given = None if isinstance(executor, str) else executor
-    verification = _choose_verification(given, verify)
-    with approach_workers(settings, verification=verification) as opener:
-        sensor = _find_sensor(settings, checked)
-        read = replace(arrange_points(settings, checked, labels, clock), sensor=sensor)
-        del checked  # makes room
-        refuse_too_few(len(read.cloud_pass.cloud), Dropped(0, 0), "points")
-        loaded = prepare(settings, read, clock)
-        del read
-        for warning in loaded.oriented.warnings:
-            log.warning("warning: %s", warning)
+    if names:
+        with _open_files(settings, names, sample) as (job, source):
+            return _run(job, source, lambda clock: _load_file(job, clock), given, reporter,
+                        {"input": describe_input(job)})  # fmt: skip
+    cloud = settings.attributes.select(check_cloud(cast(ArrayLike, points), rows), "the cloud")
+    waiting = [cloud]
+    del cloud  # one reference, which the loading gives up to make room
+    return _run(settings, "Mesh", lambda clock: _load_cloud(settings, waiting.pop(), clock), given,
+                reporter, {})  # fmt: skip
 
-        def run(_is_first: bool) -> TriangleMesh:
+
+def _find_names(points: object) -> list[str]:
+    """Return the files that are named; none where the points themselves are given."""
+    if isinstance(points, str | PathLike):
+        return [fspath(points)]
+    given = points if isinstance(points, list | tuple) else []
+    names = [fspath(name) for name in given if isinstance(name, str | PathLike)]
+    return names if len(names) == len(given) else []
+
+
+@contextmanager
+def _open_files(
+    settings: Settings, names: Sequence[str], sample: int | None
+) -> Iterator[tuple[JobSettings, str]]:
+    """Yield a job that reads files, and what these are called."""
+    asked = {one.name: getattr(settings, one.name) for one in fields(Settings)}
+    with gather_points(names, sample) as path:
+        job = JobSettings(points=path, output="", inputs=find_paths(names), **asked)
+        yield job, Path(job.shown).name
+
+
+def _load_file(settings: JobSettings, clock: StageClock) -> Loaded:
+    loaded = load(settings, clock)
+    loaded.report(settings.shown)
+    return loaded
+
+
+def _load_cloud(settings: Settings, cloud: PointCloud, clock: StageClock) -> Loaded:
+    if settings.normals == "estimate":
+        cloud = replace(cloud, normals=None)
+    labels = find_labels(cloud.attributes)
+    sensor = _find_sensor(settings, cloud)
+    read = replace(arrange_points(settings, cloud, labels, clock), sensor=sensor)
+    del cloud  # makes room
+    refuse_too_few(len(read.cloud_pass.cloud), Dropped(0, 0), "points")
+    loaded = prepare(settings, read, clock)
+    for warning in loaded.oriented.warnings:
+        log.warning("warning: %s", warning)
+    return loaded
+
+
+def _run(
+    settings: Settings,
+    source: str,
+    load_points: Callable[[StageClock], Loaded],
+    executor: Executor | Client | None,
+    reporter: _Reporter,
+    facts: dict[str, Any],
+) -> Mesh:
+    """Run a job whose points are loaded by a function."""
+    clock = StageClock(Progress(reporter))
+    verification = _choose_verification(executor, settings.verify)
+    with approach_workers(settings, verification=verification) as opener:
+        loaded = load_points(clock)
+
+        def run(_is_first: bool) -> Mesh:
             with (
                 attempt(verification, lambda error: error is reporter.raised),
-                run_steps(settings, loaded, opener, clock, executor=given) as outcome,
+                run_steps(
+                    settings,
+                    loaded,
+                    opener,
+                    clock,
+                    executor=executor,
+                    cancellation=reporter.cancellation,
+                ) as outcome,
             ):
                 carrying = carry_columns(settings, loaded, outcome, clock)
-                return outcome.result.surface.mesh(carrying)
+                mesh = outcome.result.surface.mesh(carrying)
+                topology = outcome.result.surface.check()
+                told = describe_outcome(settings, loaded, outcome, topology, carrying) | facts
+                told["stages"] = dict(clock.seconds)
+                return wrap_mesh(mesh, JobRecord(source, loaded.cloud, told), topology)
 
-        mesh = repeat_until_trusted(verification, run)
-    return Mesh.of(replace(mesh, vertices=mesh.vertices + mesh.origin, origin=np.zeros(3)))
+        return repeat_until_trusted(verification, run)
 
 
 def _choose_verification(given: object, verify: float | None) -> Verification:
@@ -205,16 +304,18 @@ def _choose_verification(given: object, verify: float | None) -> Verification:
 
 
 class _Reporter(ProgressObserver):
-    """Calls a function with the stage and how far it has come, from none to all of its parts."""
+    """Calls a function with the stage and how far it has come, until somebody cancels."""
 
-    def __init__(self, report: Report) -> None:
+    def __init__(self, report: OnProgress, cancellation: Cancellation) -> None:
         self.raised: Exception | None = None
+        self.cancellation = cancellation
         self._call = report
         self._done, self._total = 0, 1
 
     def _report(self, stage: str, done: int, total: int) -> None:
         self._done, self._total = done, total
         try:
+            self.cancellation.check()
             self._call(stage, done, total)
         except Exception as error:
             self.raised = error
@@ -251,13 +352,22 @@ def _choose_method(method: str | MethodSettings, options: dict[str, Any]) -> Met
     return method
 
 
-def _choose_viewpoint(viewpoint: str | ArrayLike | None) -> Viewpoint:
+def _choose_normals(normals: object) -> str:
+    """Return what is done with normals: as the command does, unless the user says."""
+    if not isinstance(normals, str):
+        return "auto"
+    if normals not in _NORMALS:
+        raise UsageError(f"normals is {normals!r}", f"choose {', '.join(_NORMALS)}, or give rows")
+    return normals
+
+
+def _choose_viewpoint(viewpoints: str | ArrayLike | None) -> Viewpoint:
     """Return where the points were measured from, as the command would."""
-    if isinstance(viewpoint, str):
-        return parse_viewpoint([viewpoint])
-    if viewpoint is None:
+    if isinstance(viewpoints, str):
+        return parse_viewpoint([viewpoints])
+    if viewpoints is None:
         return ()
-    places = _check_rows("viewpoint", np.atleast_2d(np.asarray(viewpoint)))
+    places = check_rows("viewpoints", np.atleast_2d(np.asarray(viewpoints)))
     return tuple((x, y, z) for x, y, z in places.tolist())
 
 
@@ -287,89 +397,3 @@ def _check_settings(settings: Settings) -> None:
 def _check_range(name: str, value: Any, low: float, high: float) -> None:
     if not low <= value <= high:
         raise UsageError(f"{name} is {value!r}", f"give a number from {low:g} to {high:g}")
-
-
-def _check_cloud(points: ArrayLike | PointCloud, normals: ArrayLike | None) -> PointCloud:
-    """Return the arrays as a cloud in its local frame; InputError names the argument at fault."""
-    if isinstance(points, PointCloud):
-        if normals is not None:
-            raise UsageError("normals stands beside a cloud", "give the cloud its normals")
-        given = points
-    else:
-        given = PointCloud(_check_rows("points", points), _check_normals(normals))
-    positions, directions = _check_rows("points", given.positions), _check_normals(given.normals)
-    if directions is not None and len(positions) != len(directions):
-        raise InputError(
-            f"points has {len(positions)} rows and normals {len(directions)}",
-            "give one normal for each point",
-        )
-    colours = None if given.colours is None else _check_colours(given.colours, len(positions))
-    attributes = {
-        name: _check_column(name, column, len(positions))
-        for name, column in given.attributes.items()
-    }
-    local, origin = (positions, given.origin) if given.origin.any() else to_local(positions)
-    whole = PointCloud(local, directions, colours, attributes, origin)
-    cloud, dropped = drop_unusable(whole, "points")
-    if dropped.total:
-        raise InputError(
-            f"normals has {dropped.total} of {len(positions)} rows of length zero",
-            "leave those points out",
-        )
-    return cloud
-
-
-def _check_normals(normals: ArrayLike | None) -> FloatArray | None:
-    return None if normals is None else _check_rows("normals", normals)
-
-
-def _check_colours(values: ArrayLike, points: int) -> ByteArray:
-    """Return colours as bytes, where they are those of so many points."""
-    array = np.asarray(values)
-    if array.shape != (points, 3):
-        raise InputError(
-            f"colours has the shape {array.shape}, not ({points}, 3)",
-            "give red, green and blue of each point",
-        )
-    if array.dtype.kind not in "iu" or (points and not 0 <= array.min() <= array.max() <= 255):
-        raise InputError(
-            f"colours holds {array.dtype} beyond whole numbers from 0 to 255",
-            "scale them to 0 to 255, as uint8",
-        )
-    return np.ascontiguousarray(array, dtype=np.uint8)
-
-
-def _check_column(name: str, values: ArrayLike, points: int) -> NDArray[Any]:
-    """Return an attribute as an array, where it has a number for each of so many points."""
-    array = np.asarray(values)
-    if array.shape != (points,) or array.dtype.kind not in "biuf":
-        raise InputError(
-            f"the attribute {name!r} holds {array.dtype} of the shape {array.shape}",
-            f"give numbers, one for each of the {points} points",
-        )
-    return array
-
-
-def _check_rows(name: str, values: ArrayLike) -> FloatArray:
-    """Return `values` as rows of three finite numbers, float64."""
-    try:
-        array = np.asarray(values)
-    except ValueError as error:  # rows of different lengths
-        raise InputError(f"{name} is no array ({error})", "give rows of three numbers") from None
-    if array.dtype.kind not in "biuf":
-        raise InputError(
-            f"{name} holds {array.dtype}, not numbers", "give rows of three numbers, for instance "
-            "a float64 array of shape (n, 3)"
-        )  # fmt: skip
-    if array.ndim != 2 or array.shape[1] != 3:
-        raise InputError(
-            f"{name} has the shape {array.shape}, not (n, 3)", "give one row of three per point"
-        )
-    finite = np.logical_and.reduce([np.isfinite(column) for column in array.T])
-    if not finite.all():
-        raise InputError(
-            f"{name} has {int((~finite).sum())} of {len(array)} rows with NaN or infinity, first "
-            f"{name}[{int(np.argmin(finite))}]",
-            "leave those points out",
-        )
-    return np.ascontiguousarray(array, dtype=np.float64)

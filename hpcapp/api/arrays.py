@@ -1,0 +1,119 @@
+"""Checks arrays and clouds from Python once, where they come in; errors name the argument."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hpcapp.applications.surface.types.points import ByteArray, FloatArray, IntArray, PointCloud
+from hpcapp.io import drop_unusable
+from hpcapp.io.frame import to_local
+from hpccomponent.errors import InputError, UsageError
+
+__all__ = ["check_cloud", "check_colours", "check_column", "check_faces", "check_rows"]
+
+
+def check_cloud(points: ArrayLike | PointCloud, normals: ArrayLike | None) -> PointCloud:
+    """Return the arrays as a cloud in its local frame; InputError names the argument at fault."""
+    if isinstance(points, PointCloud):
+        if normals is not None:
+            raise UsageError("normals stands beside a cloud", "give the cloud its normals")
+        given = points
+    else:
+        given = PointCloud(check_rows("points", points), _check_normals(normals))
+    positions, directions = check_rows("points", given.positions), _check_normals(given.normals)
+    if directions is not None and len(positions) != len(directions):
+        raise InputError(
+            f"points has {len(positions)} rows and normals {len(directions)}",
+            "give one normal for each point",
+        )
+    colours = None if given.colours is None else check_colours(given.colours, len(positions))
+    attributes = {
+        name: check_column(name, column, len(positions))
+        for name, column in given.attributes.items()
+    }
+    local, origin = (positions, given.origin) if given.origin.any() else to_local(positions)
+    whole = PointCloud(local, directions, colours, attributes, origin)
+    cloud, dropped = drop_unusable(whole, "points")
+    if dropped.total:
+        raise InputError(
+            f"normals has {dropped.total} of {len(positions)} rows of length zero",
+            "leave those points out",
+        )
+    return cloud
+
+
+def _check_normals(normals: ArrayLike | None) -> FloatArray | None:
+    return None if normals is None else check_rows("normals", normals)
+
+
+def check_colours(values: ArrayLike, points: int) -> ByteArray:
+    """Return colours as bytes, where they are those of so many points."""
+    array = np.asarray(values)
+    if array.shape != (points, 3):
+        raise InputError(
+            f"colours has the shape {array.shape}, not ({points}, 3)",
+            "give red, green and blue of each point",
+        )
+    if array.dtype.kind not in "iu" or (points and not 0 <= array.min() <= array.max() <= 255):
+        raise InputError(
+            f"colours holds {array.dtype} beyond whole numbers from 0 to 255",
+            "scale them to 0 to 255, as uint8",
+        )
+    return np.ascontiguousarray(array, dtype=np.uint8)
+
+
+def check_column(name: str, values: ArrayLike, points: int) -> NDArray[Any]:
+    """Return an attribute as an array, where it has a number for each of so many points."""
+    array = np.asarray(values)
+    if array.shape != (points,) or array.dtype.kind not in "biuf":
+        raise InputError(
+            f"the attribute {name!r} holds {array.dtype} of the shape {array.shape}",
+            f"give numbers, one for each of the {points} points",
+        )
+    return array
+
+
+def check_rows(name: str, values: ArrayLike, count: int | None = None) -> FloatArray:
+    """Return `values` as rows of three finite numbers, float64, and `count` of them if told."""
+    try:
+        array = np.asarray(values)
+    except ValueError as error:  # rows of different lengths
+        raise InputError(f"{name} is no array ({error})", "give rows of three numbers") from None
+    if array.dtype.kind not in "biuf":
+        raise InputError(
+            f"{name} holds {array.dtype}, not numbers", "give rows of three numbers, for instance "
+            "a float64 array of shape (n, 3)"
+        )  # fmt: skip
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise InputError(
+            f"{name} has the shape {array.shape}, not (n, 3)", "give one row of three per point"
+        )
+    finite = np.logical_and.reduce([np.isfinite(column) for column in array.T])
+    if not finite.all():
+        raise InputError(
+            f"{name} has {int((~finite).sum())} of {len(array)} rows with NaN or infinity, first "
+            f"{name}[{int(np.argmin(finite))}]",
+            "leave those points out",
+        )
+    if count is not None and len(array) != count:
+        raise InputError(f"{name} has {len(array)} rows, not {count}", "give one for each vertex")
+    return np.ascontiguousarray(array, dtype=np.float64)
+
+
+def check_faces(values: ArrayLike, vertices: int) -> IntArray:
+    """Return faces as int64, where their corners are rows of so many vertices."""
+    array = np.asarray(values)
+    if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in "iu":
+        raise InputError(
+            f"faces holds {array.dtype} of the shape {array.shape}",
+            "give three whole numbers for each face",
+        )
+    if len(array) and not 0 <= array.min() <= array.max() < vertices:
+        raise InputError(
+            f"faces has corners from {array.min()} to {array.max()}",
+            f"give rows of the {vertices} vertices",
+        )
+    return np.ascontiguousarray(array, dtype=np.int64)

@@ -1,0 +1,162 @@
+"""``hpcapp.compare``: how far a mesh is from the truth, in units of the input."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from os import PathLike, fspath
+from pathlib import Path
+from types import MappingProxyType
+
+from numpy.typing import ArrayLike
+
+from hpcapp.api.arrays import check_cloud
+from hpcapp.api.mesh import Mesh, unwrap_mesh
+from hpcapp.applications.compare.metrics import F_THRESHOLDS, Measures, as_json, measure_mesh
+from hpcapp.applications.compare.truth import MeshTruth, PointTruth, Truth, check_usable, open_truth
+from hpcapp.applications.surface.types import mesh as plain
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.io import formats
+from hpccomponent.errors import InputError, UsageError
+
+__all__ = ["Comparison", "compare"]
+
+_LEAST_SAMPLES = 100
+
+
+class Comparison:
+    """How far a mesh is from the truth; lengths in units of the input.
+
+    It is what `compare` returns.
+    """
+
+    def __init__(self, measures: Measures) -> None:
+        self._measures = measures
+
+    def _length(self, percent: float) -> float:
+        return percent * self._measures.diagonal / 100.0
+
+    @property
+    def mean(self) -> float:
+        """Mean of both directions; of an open truth, `completeness`."""
+        return self._length(self._measures.l1)
+
+    @property
+    def accuracy(self) -> float:
+        """Mean distance from the mesh to the truth; NaN where the truth is open."""
+        return self._length(self._measures.accuracy)
+
+    @property
+    def completeness(self) -> float:
+        """Mean distance from the truth to the mesh."""
+        return self._length(self._measures.completeness)
+
+    @property
+    def rms(self) -> float:
+        """Root of the mean square of both directions' distances."""
+        return self._length(self._measures.rms)
+
+    @property
+    def p95(self) -> float:
+        """95 of 100 distances are smaller."""
+        return self._length(self._measures.p95)
+
+    @property
+    def hausdorff(self) -> float:
+        """The largest distance met."""
+        return self._length(self._measures.hausdorff)
+
+    @property
+    def f_scores(self) -> Mapping[str, float]:
+        """Harmonic mean of precision and recall, by threshold in per cent of the diagonal."""
+        return MappingProxyType(self._measures.f_scores)
+
+    @property
+    def normal_deg(self) -> float:
+        """Mean angle between normals, in degrees; NaN where the truth has none."""
+        return self._measures.normal_deg
+
+    @property
+    def diagonal(self) -> float:
+        """Of the truth's bounding box."""
+        return self._measures.diagonal
+
+    @property
+    def is_watertight(self) -> bool:
+        """Whether the mesh is closed and manifold."""
+        return self._measures.topology.watertight
+
+    def to_json(self) -> dict[str, object]:
+        """Return what ``hpcapp compare --json`` prints: lengths in per cent of the diagonal."""
+        return as_json(self._measures)
+
+    def __repr__(self) -> str:
+        return (
+            f"Comparison(mean {self.mean:.3g} ({self._measures.l1:.3g} % of the diagonal), "
+            f"rms {self.rms:.3g}, 95 % below {self.p95:.3g}, largest {self.hausdorff:.3g})"
+        )
+
+
+def compare(
+    mesh: Mesh | str | PathLike[str],
+    truth: Mesh | PointCloud | ArrayLike | str | PathLike[str],
+    *,
+    samples: int = 50_000,
+    seed: int = 0,
+    thresholds: Sequence[float] = F_THRESHOLDS,
+) -> Comparison:
+    """Measure the distances between a mesh and the truth, as ``hpcapp compare`` does.
+
+    Parameters
+    ----------
+    mesh : Mesh, str or PathLike
+        A mesh, or its file.
+    truth : Mesh, PointCloud, array_like of shape (n, 3), str or PathLike
+        A mesh, points, the file of either, or ``shape:NAME``, a model of `simulate`.
+    samples : int
+        Points on either surface, 100 or more.
+    seed : int
+        One seed gives one result.
+    thresholds : sequence of float
+        Of F-scores, in per cent of the truth's diagonal.
+
+    Raises
+    ------
+    InputError
+        Nothing can be measured of one of them.
+    UsageError
+        Another argument is out of its range, or a suffix or shape is unknown.
+
+    Examples
+    --------
+    >>> mesh = reconstruct(simulate("torus", points=5000), grid=48)
+    >>> result = compare(mesh, "shape:torus", samples=2000)
+    >>> result.is_watertight, result.mean < 0.01 * result.diagonal
+    (True, True)
+    """
+    if samples < _LEAST_SAMPLES:
+        raise UsageError(f"samples is {samples!r}", f"give {_LEAST_SAMPLES} or more")
+    if not all(0.0 < threshold < float("inf") for threshold in thresholds):
+        raise UsageError("thresholds are no numbers above zero", "give per cent, as 0.1")
+    surface = unwrap_mesh(mesh) if isinstance(mesh, Mesh) else formats.read_mesh(mesh)
+    check_usable(surface, Path("the mesh" if isinstance(mesh, Mesh) else mesh))
+    reference = _open_truth(truth, surface.origin)
+    if reference.diagonal == 0.0:
+        raise InputError("all of the truth is at one place", "give a truth with an extent")
+    return Comparison(measure_mesh(surface, reference, samples, seed, thresholds))
+
+
+def _open_truth(
+    truth: Mesh | PointCloud | ArrayLike | str | PathLike[str], origin: FloatArray
+) -> Truth:
+    """Return the truth in the frame of the mesh."""
+    if isinstance(truth, str | PathLike):
+        return open_truth(fspath(truth), origin)
+    if isinstance(truth, Mesh):
+        mesh: plain.Mesh = unwrap_mesh(truth)
+        check_usable(mesh, Path("the truth"))
+        return MeshTruth(
+            replace(mesh, vertices=mesh.vertices + (mesh.origin - origin), origin=origin)
+        )
+    cloud = check_cloud(truth, None)
+    return PointTruth(replace(cloud, positions=cloud.positions + (cloud.origin - origin)))

@@ -1,0 +1,364 @@
+"""The mesh that users get from Python: measures, files, pages, and what other packages take."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from html import escape
+from os import PathLike
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hpcapp.api.arrays import check_colours, check_column, check_faces, check_rows
+from hpcapp.applications.surface.kernels import bound_points
+from hpcapp.applications.surface.stitching.topology import Topology, check_mesh, signed_volume
+from hpcapp.applications.surface.types import mesh as plain
+from hpcapp.applications.surface.types.points import ByteArray, FloatArray, IntArray, PointCloud
+from hpcapp.io import formats
+from hpcapp.io.frame import to_local
+from hpcapp.pages.browser import show_page
+from hpcapp.pages.page import build_page, write_page
+from hpcapp.pages.scene import Scene, fields_of
+from hpcapp.pages.thin import MOST_FACES, thin_mesh
+
+if TYPE_CHECKING:
+    from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
+
+__all__ = ["JobRecord", "Mesh", "read_mesh", "unwrap_mesh", "wrap_mesh"]
+
+_IN_NOTEBOOK = 200_000  # faces: the notebook keeps the page in its file
+_HEIGHT = 480  # pixels of a frame
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JobRecord:
+    """What a mesh knows of the job that made it.
+
+    Parameters
+    ----------
+    source : str
+        What was meshed, for titles.
+    cloud : ArrangedCloud
+        Its points, with normals.
+    facts : dict
+        The report.
+    """
+
+    source: str
+    cloud: ArrangedCloud
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+
+class Mesh:
+    """A triangle mesh; its arrays cannot be written to.
+
+    Parameters
+    ----------
+    vertices : array_like, shape (v, 3)
+        In any unit and any frame, georeferenced ones too.
+    faces : array_like of int, shape (f, 3)
+        Rows of `vertices`, anticlockwise as seen from outside.
+    normals : array_like, shape (v, 3), optional
+    colours : array_like of uint8, shape (v, 3), optional
+    attributes : mapping of str to array_like, shape (v,), optional
+        Any other numbers that the vertices have, by name.
+
+    Raises
+    ------
+    InputError
+        An array has not this shape, or holds what it cannot.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]) + 1000
+    >>> mesh = Mesh(corners, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+    >>> mesh
+    Mesh(4 vertices, 4 faces, watertight, 1 x 1 x 1)
+    >>> round(mesh.volume, 6), round(mesh.area, 6)
+    (0.166667, 2.366025)
+    >>> mesh.bounds.tolist()
+    [[1000.0, 1000.0, 1000.0], [1001.0, 1001.0, 1001.0]]
+    """
+
+    def __init__(
+        self,
+        vertices: ArrayLike,
+        faces: ArrayLike,
+        *,
+        normals: ArrayLike | None = None,
+        colours: ArrayLike | None = None,
+        attributes: Mapping[str, ArrayLike] | None = None,
+    ) -> None:
+        positions = check_rows("vertices", vertices)
+        count = len(positions)
+        local, origin = to_local(positions)
+        directions = None if normals is None else check_rows("normals", normals, count)
+        columns = {n: check_column(n, c, count) for n, c in (attributes or {}).items()}
+        shades = None if colours is None else check_colours(colours, count)
+        corners = check_faces(faces, count)
+        self._plain = plain.Mesh(local, corners, origin, directions, shades, columns)
+        self._job: JobRecord | None = None
+
+    @cached_property
+    def vertices(self) -> FloatArray:
+        """Coordinates of the input, world coordinates, shape (v, 3): nothing is to be added."""
+        mesh = self._plain
+        return _read_only(mesh.vertices + mesh.origin if mesh.origin.any() else mesh.vertices)
+
+    @property
+    def faces(self) -> IntArray:
+        """Rows of `vertices`, shape (f, 3), anticlockwise as seen from outside."""
+        return _read_only(self._plain.faces)
+
+    @property
+    def normals(self) -> FloatArray | None:
+        """Unit normals of the vertices, shape (v, 3), where they were asked for."""
+        return None if self._plain.normals is None else _read_only(self._plain.normals)
+
+    @property
+    def colours(self) -> ByteArray | None:
+        """Red, green, blue of the vertices as uint8, shape (v, 3), where the points have them."""
+        return None if self._plain.colours is None else _read_only(self._plain.colours)
+
+    @property
+    def attributes(self) -> Mapping[str, NDArray[Any]]:
+        """Any other numbers of the vertices, shape (v,), by name."""
+        columns = self._plain.attributes
+        return MappingProxyType({name: _read_only(column) for name, column in columns.items()})
+
+    @property
+    def origin(self) -> FloatArray:
+        """A whole-numbered place near the mesh if it lies far from zero, else zeros, shape (3,).
+
+        `vertices` have it in them: subtract it before they become float32.
+        """
+        return _read_only(self._plain.origin)
+
+    @property
+    def volume(self) -> float:
+        """What a watertight mesh encloses, in cubed units of the input; else NaN."""
+        return signed_volume(self._plain) if self.is_watertight else float("nan")
+
+    @cached_property
+    def area(self) -> float:
+        """Of all faces, in squared units of the input."""
+        a, b, c = self._plain.vertices[self._plain.faces].transpose(1, 0, 2)
+        return float(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+
+    @property
+    def is_watertight(self) -> bool:
+        """Whether it is closed and manifold."""
+        return self._topology.watertight
+
+    @cached_property
+    def bounds(self) -> FloatArray:
+        """Least and greatest coordinates, shape (2, 3); NaN without vertices."""
+        if not len(self._plain.vertices):
+            return _read_only(np.full((2, 3), np.nan))
+        return _read_only(np.array(bound_points(self._plain.vertices)) + self._plain.origin)
+
+    @property
+    def facts(self) -> Mapping[str, Any]:
+        """What the job that made it found and decided, as ``--json`` prints; else nothing."""
+        return MappingProxyType(dict(self._job.facts) if self._job else {})
+
+    @cached_property
+    def _topology(self) -> Topology:
+        return check_mesh(self._plain)
+
+    def __repr__(self) -> str:
+        kind = "watertight" if self.is_watertight else "not watertight"
+        low, high = self.bounds
+        sides = " x ".join(f"{side:.4g}" for side in high - low)
+        return (
+            f"Mesh({len(self._plain.vertices):,} vertices, {len(self._plain.faces):,} faces, "
+            f"{kind}, {sides})"
+        )
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write it to a file, with the bytes that ``hpcapp reconstruct -o`` writes.
+
+        Parameters
+        ----------
+        path : str or PathLike
+            The suffix chooses the format: .ply, .obj, .glb, .vtp, .3mf, .off, .stl, or the folders
+            .tiles and .3dtiles. What a format does not hold is logged as a warning.
+
+        Raises
+        ------
+        OutputError
+            The suffix is unknown, or the file cannot be written.
+        """
+        formats.write_mesh(path, self._plain)
+
+    def report(self, path: str | PathLike[str]) -> None:
+        """Write the page of ``hpcapp reconstruct --report``: the mesh, its points, all decisions.
+
+        Parameters
+        ----------
+        path : str or PathLike
+            A file .html, which works offline. Of a mesh that no job of this process has made, it
+            shows the mesh alone.
+
+        Raises
+        ------
+        UsageError, OutputError
+            The path is no page, or cannot be written.
+        """
+        from hpcapp.applications.view.command import check_page
+
+        page = Path(path)
+        check_page(page, "page")
+        if self._job is None:
+            write_page(page, self._page(MOST_FACES))
+            return
+        from hpcapp.applications.surface.job.report_page import show_cloud, write_job_page
+        from hpcapp.io.meshes.mesh_stream import as_stream
+
+        job = self._job
+        spacing = float(job.facts.get("spacing") or 0.0)
+        write_job_page(page, show_cloud(as_stream(self._plain), job.cloud, spacing), job.facts,
+                       job.source)  # fmt: skip
+
+    def picture(
+        self,
+        path: str | PathLike[str],
+        *,
+        eye: tuple[float, float] | None = None,
+        size: int = 800,
+        up: str = "z",
+    ) -> None:
+        """Draw it into a PNG file.
+
+        Parameters
+        ----------
+        eye : tuple of float, optional
+            Azimuth and elevation of the viewer, in degrees.
+        size : int
+            Pixels along a side.
+        up : {"x", "y", "z"}
+            The axis that points up.
+        """
+        from hpcapp.applications.view.command import check_picture
+        from hpcapp.pages.picture import write_picture
+
+        check_picture(Path(path), "picture")
+        write_picture(Path(path), self._plain, eye, size, up)
+
+    def show(self, points: PointCloud | None = None, *, open_browser: bool = True) -> Path:
+        """Open a page with the mesh in a browser, and return its path in the temporary folder.
+
+        Parameters
+        ----------
+        points : PointCloud, optional
+            Shown beside it.
+        open_browser : bool
+            Whether to open the page, or to write it only.
+        """
+        beside = None
+        if points is not None:
+            beside = PointCloud(
+                points.positions + (points.origin - self._plain.origin), colours=points.colours
+            )
+        path = Path(tempfile.mkdtemp(prefix="hpcapp-view-")) / "mesh.html"
+        write_page(path, self._page(MOST_FACES, beside))
+        return show_page(path, is_opened=open_browser)
+
+    def to_trimesh(self) -> Any:
+        """Return a copy as ``trimesh.Trimesh``, with colours, normals and attributes.
+
+        Raises
+        ------
+        MissingLibraryError
+            trimesh is not installed.
+        """
+        from hpcapp.api.conversion import to_trimesh
+
+        return to_trimesh(self)
+
+    def to_open3d(self) -> Any:
+        """Return a copy as ``open3d.geometry.TriangleMesh``, with colours and normals.
+
+        Raises
+        ------
+        MissingLibraryError
+            open3d is not installed.
+        """
+        from hpcapp.api.conversion import to_open3d
+
+        return to_open3d(self)
+
+    def to_pyvista(self) -> Any:
+        """Return a copy as ``pyvista.PolyData``, with colours, normals and attributes.
+
+        Raises
+        ------
+        MissingLibraryError
+            pyvista is not installed.
+        """
+        from hpcapp.api.conversion import to_pyvista
+
+        return to_pyvista(self)
+
+    def _repr_html_(self) -> str:
+        """Return a page in a frame, for notebooks."""
+        page = escape(self._page(_IN_NOTEBOOK, is_small=True))
+        return (
+            f'<iframe srcdoc="{page}" style="width: 100%; height: {_HEIGHT}px; border: 0" '
+            'title="mesh"></iframe>'
+        )
+
+    def _page(self, most: int, points: PointCloud | None = None, *, is_small: bool = False) -> str:
+        thin = thin_mesh(self._plain, most)
+        summary = f"{len(self._plain.vertices):,} vertices, {len(self._plain.faces):,} faces"
+        if thin is not self._plain:
+            summary += f"; a copy with {len(thin.faces):,} faces is shown"
+        scene = Scene(thin, fields_of(thin), points)
+        return build_page("Mesh", summary, scene, is_small=is_small)
+
+
+def wrap_mesh(
+    mesh: plain.Mesh, job: JobRecord | None = None, topology: Topology | None = None
+) -> Mesh:
+    """Return a mesh of the pipeline for users; its topology, where it is known already."""
+    wrapped = Mesh.__new__(Mesh)
+    wrapped._plain, wrapped._job = mesh, job
+    if topology is not None:
+        wrapped.__dict__["_topology"] = topology
+    return wrapped
+
+
+def unwrap_mesh(mesh: Mesh) -> plain.Mesh:
+    """Return a user's mesh for the pipeline, in its local frame."""
+    return mesh._plain
+
+
+def read_mesh(path: str | PathLike[str]) -> Mesh:
+    """Read a triangle mesh: .ply, .obj, .off, .stl, .glb, .vtp; polygons become triangle fans.
+
+    Parameters
+    ----------
+    path : str or PathLike
+        The suffix, in any case, chooses the format.
+
+    Raises
+    ------
+    InputError
+        The file cannot be opened, is damaged or holds no faces.
+    UsageError
+        The suffix is unknown.
+    """
+    return wrap_mesh(formats.read_mesh(path))
+
+
+def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+    view = array.view()
+    view.flags.writeable = False
+    return view
