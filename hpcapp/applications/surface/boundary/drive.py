@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from hpcapp.applications.surface.boundary.lengths import Length
 from hpcapp.applications.surface.boundary.opening import OpeningSeams, OpeningSurvey
 from hpcapp.applications.surface.boundary.rim_shape import draws_together
 from hpcapp.applications.surface.boundary.seams import match_seams, place_foreign
+from hpcapp.applications.surface.boundary.support import Support, measure_support
 from hpcapp.applications.surface.boundary.tasks import (
     Near,
     judge_support,
@@ -102,6 +103,8 @@ class Closure:
         Holes that were filled, and pieces that were dropped.
     is_room : bool
         Whether it was taken for a room, by its normals.
+    support : Support or None
+        Of a closed surface; None where nobody has looked.
     """
 
     is_open: bool
@@ -111,11 +114,13 @@ class Closure:
     holes: int = 0
     crumbs: int = 0
     is_room: bool = False
+    support: Support | None = None
 
     def facts(self) -> dict[str, Any]:
         """Return it for the report: JSON values."""
         if not self.is_open:
-            return {"open": False, "closure": self.reason}
+            support = {} if self.support is None else {"support": asdict(self.support)}
+            return {"open": False, "closure": self.reason, **support}
         return {
             "open": True,
             "room": self.is_room,
@@ -250,17 +255,18 @@ def close_surface(
     chosen = SupportRule(max(_NOISES * plan.noise, _STEPS * plan.step), _SPACINGS, scale)
     reason, is_room = "open, as asked", False
     if not asked.is_asked:
-        share = _find_bare_share(parts, chosen)
+        share, support = _judge_support(parts, chosen)
         is_telling = share > TELLING_SHARE  # else nobody asks what the normals tell
         is_one_way = is_telling and _faces_one_way(cloud.measure())
         is_room = is_telling and not is_one_way and faces_inwards(cloud.measure().sample)
         if share <= (TELLING_SHARE if is_one_way or is_room else BARE_SHARE):
-            return surface, Closure(False, f"closed: points support {_percent(1.0 - share)} of it")
+            reason = f"closed: points support {_percent(1.0 - share)} of it"
+            return surface, Closure(False, reason, support=support())
         if not (is_one_way or is_room) and _stood_on_table(cloud.measure()):
-            return surface, Closure(
-                False,
-                f"closed: of something that stood on a side nobody saw, {_percent(share)} of it",
+            reason = (
+                f"closed: of something that stood on a side nobody saw, {_percent(share)} of it"
             )
+            return surface, Closure(False, reason, support=support())
         seen = "from inside, as a room" if is_room else "in part"
         seen = "from one side, as a view or a terrain" if is_one_way else seen
         reason = f"open: seen {seen}; no point supports {_percent(share)} of the closed surface"
@@ -283,16 +289,17 @@ def close_surface(
     return opened, closure
 
 
-def _find_bare_share(parts: _Parts, rule: SupportRule) -> float:
-    """Return the share of a surface that no point supports, 0 to 1."""
+def _judge_support(parts: _Parts, rule: SupportRule) -> tuple[float, Callable[[], Support]]:
+    """Return the share of a surface that no point supports, 0 to 1, and what tells more of it."""
     one_in = max(1, len(parts.surface.plan.bricks.keys) // _JUDGED_BRICKS)
 
     def batch(index: int) -> tuple[Any, ...]:
         return parts.part(index), parts.taken(index), parts.near(index, rule.reach), rule, one_in
 
-    found = [areas for _, areas in parts.run(judge_support, batch)]
-    bare, whole = (sum(column) for column in zip(*found, strict=True))
-    return float(bare / max(1, whole))
+    found = [judged for _, judged in parts.run(judge_support, batch)]
+    bare, whole, places = zip(*found, strict=True)
+    share = float(sum(bare) / max(1, sum(whole)))
+    return share, lambda: measure_support(1.0 - share, np.concatenate(places), parts.cloud, rule)
 
 
 def _cut(

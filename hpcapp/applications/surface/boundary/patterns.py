@@ -19,7 +19,12 @@ from hpcapp.applications.surface.tiles.patterns import (
     whole_numbers,
 )
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
-from hpcapp.applications.surface.types.result_patterns import SMALL_BYTES, lie_within, rise_by_pairs
+from hpcapp.applications.surface.types.result_patterns import (
+    SMALL_BYTES,
+    lie_in,
+    lie_within,
+    rise_by_pairs,
+)
 from hpccomponent.protocol.declared import (
     Array,
     Declared,
@@ -31,7 +36,7 @@ from hpccomponent.protocol.declared import (
     Whole,
 )
 
-__all__ = ["judged_support", "open_surface", "opened_bytes", "opening_seams"]
+__all__ = ["judged_bytes", "judged_support", "open_surface", "opened_bytes", "opening_seams"]
 
 _CUT_VERTICES, _CUT_FACES = MOST_VERTICES + 3 * MOST_FACES, 2 * MOST_FACES  # each face may be cut
 _SENT_VERTEX, _KEPT_VERTEX = 256, 64  # bytes of an open part, for each vertex of the closed one
@@ -62,7 +67,17 @@ def open_surface(taken: TakenBricks, keep: tuple[str, str] | None) -> Declared:
 def judged_support(_part: Any, taken: TakenBricks, _near: Any, _rule: Any, one_in: int) -> Declared:
     """Return the pattern of what `tasks.judge_support` counts."""
     whole = int(taken.areas(one_in).sum())
-    return Fixed(Whole(0, whole), Exactly(whole))
+    places = Where(
+        Array("<f8", "k", 3),
+        lambda found: len(found) <= len(taken.keys) and lie_in(found, (taken.box[0], taken.box[1])),
+        "places lie in the surface's box, one a brick at most",
+    )
+    return Fixed(Whole(0, whole), Exactly(whole), places)
+
+
+def judged_bytes(taken: TakenBricks) -> int:
+    """Return how large what `tasks.judge_support` returns may be, in bytes."""
+    return SMALL_BYTES + 24 * len(taken.keys)
 
 
 def opening_seams(

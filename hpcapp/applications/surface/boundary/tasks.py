@@ -2,7 +2,7 @@
 
 ::
 
-    judge_support    some vertices of a part, points ──> share that none supports    ──> master
+    judge_support    some vertices of a part, points ──> those that none supports    ──> master
     survey_support   part, points ──> patches, cuts                                  ──> master
     open_part        part, what the master has decided ──> open part, its summary
 """
@@ -26,6 +26,7 @@ from hpcapp.applications.surface.boundary.opening import (
     survey_opening,
 )
 from hpcapp.applications.surface.boundary.patterns import (
+    judged_bytes,
     judged_support,
     open_surface,
     opened_bytes,
@@ -38,7 +39,6 @@ from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.extraction.summary import PartSummary, summarize_part
 from hpcapp.applications.surface.extraction.taken_bricks import TakenBricks
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray, PointCloud
-from hpcapp.applications.surface.types.result_patterns import SMALL_BYTES
 from hpccomponent.protocol.records import record
 from hpccomponent.runtime.tasks import declare
 from hpccomponent.store.places import hold_store
@@ -70,10 +70,10 @@ class Near:
         return PointCloud(*open_place(self.cloud).take_blocks(self.blocks))
 
 
-@declare(result=judged_support, limit=SMALL_BYTES)
+@declare(result=judged_support, limit=lambda _part, taken, *_: judged_bytes(taken))
 def judge_support(
     part: Part, taken: TakenBricks, near: Near, rule: SupportRule, one_in: int
-) -> tuple[int, int]:
+) -> tuple[int, int, FloatArray]:
     """Tell how much of a part no point supports, by a vertex of some of its bricks (a task).
 
     Parameters
@@ -90,13 +90,16 @@ def judge_support(
     -------
     bare, whole : int
         Areas, see `TakenBricks`.
+    places : ndarray of float64, shape (k, 3)
+        The vertices that no point supports.
     """
     held = _hold(part)
     areas = np.zeros(len(held.vertex_counts), np.int64)
     areas[taken.mark(held)] = taken.areas(one_in)
     first = starts_of(held.vertex_counts)[:-1][areas > 0]
-    bare = find_bare(held.vertices[first], near.read(), rule)
-    return int(areas[areas > 0][bare].sum()), int(areas.sum())
+    places = held.vertices[first]
+    bare = find_bare(places, near.read(), rule)
+    return int(areas[areas > 0][bare].sum()), int(areas.sum()), places[bare]
 
 
 @declare(result=opening_seams, limit=lambda _part, taken, *_: opened_bytes(taken, None))

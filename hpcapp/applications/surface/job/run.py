@@ -21,6 +21,7 @@ from hpcapp.applications.surface.job.load import Loaded, PointFolder, load
 from hpcapp.applications.surface.job.recognised import describe_input
 from hpcapp.applications.surface.job.resolution import guess_grid
 from hpcapp.applications.surface.job.storage import JobStorage, open_storage
+from hpcapp.applications.surface.job.summary import summarize
 from hpcapp.applications.surface.kernels.build import kernel_id
 from hpcapp.applications.surface.kernels.freed_memory import keep_memory
 from hpcapp.applications.surface.memory import count_most_points
@@ -236,22 +237,11 @@ def _show(
         write_job_page(settings.report, shown, told, Path(settings.output).name)
 
 
-def _summarize(topology: Topology) -> str:
-    """Say in one line what the mesh is, for people."""
-    is_open = topology.edge_manifold and topology.vertex_manifold and topology.boundaries > 0
-    kind = f"open, {topology.boundaries} boundaries" if is_open else "not watertight"
-    kind = "watertight" if topology.watertight else kind
-    return (
-        f"{topology.vertices} vertices, {topology.faces} faces, {kind}, "
-        f"{topology.components} component(s)"
-    )
-
-
 def _describe(settings: Settings, outcome: Outcome, topology: Topology) -> dict[str, Any]:
     result, backend = outcome.result, outcome.backend
     traffic = backend.traffic()
     return {
-        "summary": _summarize(topology),
+        "summary": summarize(topology, result.facts),
         "method": settings.method.name,
         "kernels": kernel_id(),
         "points": result.points,

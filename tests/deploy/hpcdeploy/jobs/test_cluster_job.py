@@ -104,7 +104,7 @@ def test_a_job_on_a_cluster_that_is_not_up_leaves_nothing(place: Place) -> None:
     report = json.loads(output)
     assert (report["backend"], report["grid"], report["workers"]) == ("cluster", 32, 2)
     assert "2 of 2 workers" in errors
-    assert report["summary"].endswith("watertight, 1 component(s)")
+    assert "watertight, 1 piece" in report["summary"]
     assert place.same("mesh.ply")
     assert not place.state.exists()
 

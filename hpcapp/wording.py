@@ -1,0 +1,92 @@
+"""Numbers as people read them: on the terminal, in the words of a report, on pages.
+
+``pages/static/numbers.js`` does the same for what a page computes itself.
+"""
+
+from __future__ import annotations
+
+from math import floor, isfinite, log10
+
+__all__ = ["round_ticks", "say_count", "say_number", "say_share"]
+
+_DIGITS = 3
+_LEAST, _MOST = 1e-4, 1e7  # beyond them the exponent is written
+
+
+def say_count(number: int, one: str, many: str = "") -> str:
+    """Return how many of something there are.
+
+    Parameters
+    ----------
+    one, many : str
+        What it is called; by default the second has an s.
+
+    Examples
+    --------
+    >>> say_count(80476, "vertex", "vertices")
+    '80,476 vertices'
+    >>> say_count(1, "piece")
+    '1 piece'
+    """
+    return f"{number:,} {one if number == 1 else many or one + 's'}"
+
+
+def say_number(number: float, unit: str = "") -> str:
+    """Return a measured number with three digits, and its unit.
+
+    Parameters
+    ----------
+    unit : str
+        Nothing where it is not known.
+
+    Examples
+    --------
+    >>> say_number(1234.5, "m"), say_number(0.00137079), say_number(2.0, "s")
+    ('1,230 m', '0.00137', '2.00 s')
+    >>> say_number(1.5e-7), say_number(0.0)
+    ('1.50e-07', '0')
+    """
+    behind = f" {unit}" if unit else ""
+    if number == 0.0 or not isfinite(number):
+        return f"{number:g}{behind}"
+    if not _LEAST <= abs(number) < _MOST:
+        return f"{number:.{_DIGITS - 1}e}{behind}"
+    rounded = float(f"{number:.{_DIGITS}g}")
+    decimals = max(0, _DIGITS - 1 - floor(log10(abs(rounded))))
+    return f"{rounded:,.{decimals}f}{behind}"
+
+
+def say_share(share: float) -> str:
+    """Return a share from 0 to 1 in per cent, of which only all and nothing are 100 and 0.
+
+    Examples
+    --------
+    >>> say_share(0.98349), say_share(1.0), say_share(0.99997), say_share(0.00001)
+    ('98.3 %', '100 %', '99.9 %', '0.1 %')
+    """
+    if share in (0.0, 1.0):
+        return f"{100 * share:.0f} %"
+    return f"{min(max(100.0 * share, 0.1), 99.9):.1f} %"
+
+
+def round_ticks(end: float, most: int = 5) -> list[float]:
+    """Return round numbers from 0 to an end: multiples of 1, 2 or 5 times a power of ten.
+
+    Parameters
+    ----------
+    end : float
+        More than 0.
+    most : int
+        So many steps at most.
+
+    Examples
+    --------
+    >>> round_ticks(4.7)
+    [0.0, 1.0, 2.0, 3.0, 4.0]
+    >>> round_ticks(0.31)
+    [0.0, 0.1, 0.2, 0.3]
+    """
+    power = 10.0 ** floor(log10(end / most))
+    step = next(factor * power for factor in (1, 2, 5, 10, 20) if end <= factor * power * most)
+    decimals = max(0, -floor(log10(step)))
+    return [round(number * step, decimals) for number in range(int(end / step * (1 + 1e-9)) + 1)]
