@@ -66,7 +66,9 @@ def info(
         raise UsageError("--by-spacing is for the picture", "add --png FILE, or leave it out")
     if png is not None:
         scanner = source.scans[0].scanner if len(source.scans) == 1 else None
-        write_thumbnail(png, colour_by_spacing(cloud) if by_spacing else cloud, scanner)
+        write_thumbnail(
+            png, colour_by_spacing(cloud) if by_spacing else cloud, scanner, source.unit
+        )
     if as_json:
         echo_json(facts)
         return
