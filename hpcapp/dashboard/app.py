@@ -49,6 +49,7 @@ LEAST_FACES = 2_000  # of each part
 STATIC = {
     "dashboard.js": ("hpcapp.dashboard", "text/javascript"),
     "dashboard.css": ("hpcapp.dashboard", "text/css"),
+    "design.css": ("hpcapp.pages", "text/css"),
     "page.css": ("hpcapp.pages", "text/css"),
     "viewer.js": ("hpcapp.pages", "text/javascript"),
     "three/three.module.min.js": ("hpcapp.pages", "text/javascript"),
@@ -151,7 +152,7 @@ class _Views:
             program=self._address("dashboard.js"),
             styles="\n".join(
                 f'<link rel="stylesheet" href="{self._address(name)}">'
-                for name in ("page.css", "dashboard.css")
+                for name in ("design.css", "page.css", "dashboard.css")
             ),
         )
         policy = (

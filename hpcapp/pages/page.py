@@ -63,7 +63,7 @@ def build_page(
         layout="small" if is_small else "large",
         title=escape(title),
         summary=escape(summary),
-        style=_read("page.css"),
+        style=_read("design.css") + _read("page.css"),
         controls=_make_controls(scene, colourings),
         sections="\n".join(f"<h2>{escape(part.title)}</h2>\n{part.body}" for part in sections),
         licence=escape(_read("three/LICENSE")),
