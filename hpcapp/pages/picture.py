@@ -1,4 +1,4 @@
-"""A picture of whatever is shown: meshes as shaded faces, clouds as points."""
+"""A picture of whatever is shown: meshes as shaded faces, clouds as discs."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ from pathlib import Path
 
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.pages.drawing.camera import look_along
+from hpcapp.pages.drawing.scale_bar import add_scale_bar
 from hpcapp.pages.png import write_png
-from hpcapp.pages.render import render_mesh
+from hpcapp.pages.render import draw_mesh
 from hpcapp.pages.thumbnail import draw_points
 
 __all__ = ["EYE", "write_picture"]
@@ -22,6 +24,7 @@ def write_picture(
     eye: tuple[float, float] | None = None,
     size: int = 800,
     up: str = "z",
+    unit: str | None = None,
 ) -> None:
     """Draw a mesh or a cloud into a PNG file, which appears whole or not at all.
 
@@ -33,6 +36,8 @@ def write_picture(
         Pixels along a side, for points along the longer one at most.
     up : {"x", "y", "z"}
         The axis that points up.
+    unit : str, optional
+        Of the coordinates, for the scale bar.
 
     Raises
     ------
@@ -40,7 +45,7 @@ def write_picture(
         The file cannot be written.
     """
     if isinstance(shown, PointCloud):
-        write_png(path, draw_points(shown, eye=eye, size=size, up=up))
+        write_png(path, draw_points(shown, eye=eye, size=size, up=up, unit=unit))
         return
-    azimuth, elevation = eye or EYE
-    write_png(path, render_mesh(shown, azimuth, elevation, size, up))
+    picture, pixels_per_unit = draw_mesh(shown, look_along(*(eye or EYE), up), size, up)
+    write_png(path, add_scale_bar(picture, pixels_per_unit, unit))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import struct
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -26,14 +24,7 @@ def write_png(path: Path, picture: NDArray[np.uint8]) -> None:
     OutputError
         The file cannot be written.
     """
-    height, width = picture.shape[:2]
-    # Each row of a PNG begins with the number of its filter: 0 is none.
-    rows = np.insert(picture.reshape(height, 3 * width), 0, 0, axis=1)
-    head = struct.pack(">2I5B", width, height, 8, 2, 0, 0, 0)  # 8 bits of red, green and blue
-    packed = zlib.compress(rows.tobytes())
+    from PIL import Image
+
     with replacing(path) as file:
-        file.write(b"\x89PNG\r\n\x1a\n")
-        for name, content in ((b"IHDR", head), (b"IDAT", packed), (b"IEND", b"")):
-            checked = name + content
-            file.write(struct.pack(">I", len(content)) + checked)
-            file.write(struct.pack(">I", zlib.crc32(checked)))
+        Image.fromarray(picture).save(file, "PNG", optimize=True)

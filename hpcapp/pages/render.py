@@ -1,8 +1,7 @@
 """A picture of a mesh without any graphics library.
 
-A z-buffer in numpy: faces are cut into pixels by their bounding boxes, a chunk of faces at a
-time; every pixel keeps the nearest one. Back faces are drawn in red, so that holes and turned
-faces stand out.
+Faces are smooth where their normals are near those of their vertices, and sharp elsewhere. Back
+faces are drawn in red, so that holes and turned faces stand out.
 """
 
 from __future__ import annotations
@@ -11,16 +10,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.applications.surface.types.points import ByteArray
+from hpcapp.pages.drawing.camera import Camera, Screen, aim, look_along
+from hpcapp.pages.drawing.depth_buffer import DepthBuffer, find_rows
+from hpcapp.pages.drawing.light import GREY, light_normals
+from hpcapp.pages.drawing.paint import paint
+from hpcapp.pages.drawing.shadow import cast_shadow
 
-__all__ = ["render_mesh"]
+__all__ = ["draw_mesh", "render_mesh"]
 
-Picture = NDArray[np.uint8]
+IntArray = NDArray[np.int64]
+Floats = NDArray[np.float32]
 
-_FRONT = np.array([0.80, 0.82, 0.86])
-_BACK = np.array([0.85, 0.25, 0.20])
-_BACKGROUND = 1.0
-_CHUNK_PIXELS = 4_000_000  # bounds the memory, about 100 bytes a pixel
+_BACK = np.array([0.85, 0.25, 0.20], np.float32)
+_FILL = 0.92  # share of the picture's side
+_CREASE = 0.87  # cosine: a face that turns by 30 degrees from its vertex is not smoothed there
+_FACES = 200_000  # that are worked on at once
 
 
 def render_mesh(
@@ -30,14 +35,14 @@ def render_mesh(
     size: int = 800,
     up: str = "z",
     zoom: float = 1.0,
-) -> Picture:
-    """Draw a mesh in parallel projection, each face in one shade of its colour.
+) -> NDArray[np.uint8]:
+    """Draw a mesh in parallel projection, with its shadow on the ground.
 
     Parameters
     ----------
     mesh : Mesh
-        Faces have the mean colour of their corners, or grey where there are no colours; their
-        backs are red. Vertices that are not finite are left out with their faces.
+        Faces have the colours of their corners, or grey where there are none; their backs are
+        red. Vertices that are not finite are left out with their faces.
     azimuth, elevation : float
         Where the eye is, in degrees.
     size : int
@@ -51,96 +56,110 @@ def render_mesh(
     -------
     ndarray of uint8, shape (size, size, 3)
     """
-    fine = 2 * size  # averaged down at the end: smooth outlines
+    return draw_mesh(mesh, look_along(azimuth, elevation, up), size, up, zoom)[0]
+
+
+def draw_mesh(
+    mesh: Mesh, axes: NDArray[np.float64], size: int, up: str, zoom: float = 1.0
+) -> tuple[NDArray[np.uint8], float]:
+    """Return the picture of a mesh as `axes` see it, and how many of its pixels a unit has."""
     is_finite = np.logical_and.reduce(np.isfinite(mesh.vertices), axis=1)
-    faces = mesh.faces[is_finite[mesh.faces].all(axis=1)]
-    view = _view(mesh.vertices, azimuth, elevation, up)
-    used = view[np.unique(faces)] if len(faces) else np.zeros((1, 3))
-    low, high = used.min(axis=0), used.max(axis=0)
-    scale = 0.92 * zoom * fine / max(float((high - low)[:2].max()), 1e-300)
-    screen = (view - 0.5 * (low + high)) * scale + [0.5 * fine, 0.5 * fine, 0.0]
-    nearest = _rasterise(screen, faces, fine)
-    front = _FRONT if mesh.colours is None else mesh.colours[faces].mean(axis=1) / 255.0
-    shades = np.concatenate([_shade(screen, faces, front), np.full((1, 3), _BACKGROUND)])
-    image = shades[nearest].reshape(size, 2, size, 2, 3).mean(axis=(1, 3))
-    picture: Picture = (255.0 * np.clip(image[::-1], 0.0, 1.0) + 0.5).astype(np.uint8)
-    return picture
+    faces = mesh.faces
+    if not is_finite.all():
+        faces = faces[is_finite[faces].all(axis=1)]
+    is_used = np.zeros(len(mesh.vertices), bool)
+    is_used[faces.ravel()] = True
+    if not is_used.any():
+        return np.full((size, size, 3), 255, np.uint8), float(size)
+    corners = mesh.vertices[is_used] if not is_used.all() else mesh.vertices
+    seen = np.stack([corners @ axis for axis in axes], axis=1)
+    camera = aim(axes, seen.min(axis=0), seen.max(axis=0), size, size, _FILL * zoom)
+    del seen
+    bounds = np.stack([corners.min(axis=0), corners.max(axis=0)])
+    surface = _Surface(camera.project(mesh.vertices), faces, mesh.colours)
+
+    def draw(below: Camera, buffer: DepthBuffer) -> None:
+        buffer.draw_faces(below.project(mesh.vertices), faces, np.arange(len(faces)))
+
+    shadow = cast_shadow(camera, up, bounds, draw)
+    used = surface.screen[is_used, 2]
+    nearness = float(used.min()), float(used.max())
+    return paint(camera, surface, nearness, shadow), camera.pixels_per_unit
 
 
-def _view(vertices: FloatArray, azimuth: float, elevation: float, up: str) -> FloatArray:
-    """Return vertices as seen: x to the right, y up, z towards the eye."""
-    turned = np.roll(vertices, 2 - "xyz".index(up), axis=1)
-    az, el = np.radians([azimuth, elevation])
-    eye = np.array([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)])
-    right = np.array([-np.sin(az), np.cos(az), 0.0])
-    seen: FloatArray = turned @ np.stack([right, np.cross(eye, right), eye], axis=1)
-    return seen
+class _Surface:
+    """Faces on the screen."""
+
+    def __init__(self, screen: Screen, faces: IntArray, colours: ByteArray | None) -> None:
+        self.screen = screen
+        self._faces = faces
+        self._colours = colours
+        self._rows = find_rows(screen, faces)
+        self._normals = _sum_normals(screen, faces)
+
+    def enter(self, buffer: DepthBuffer) -> None:
+        """Draw the faces that reach into the band."""
+        first, last = self._rows[:, 0], self._rows[:, 1]
+        is_near = (first < buffer.rows[1]) & (last > buffer.rows[0]) & (last > first)
+        buffer.draw_faces(self.screen, self._faces, np.flatnonzero(is_near))
+
+    def shade(self, item: IntArray, column: IntArray, row: IntArray) -> Floats:
+        """Return the shades of faces at samples."""
+        corners = self._faces[item]
+        places = self.screen[corners]
+        weights = _weigh(places, column, row)
+        flat = _cross_corners(places)
+        flat /= np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-30)
+        # (n, 3, 3): the normals of the corners, of the face itself where that turns away
+        smooth = self._normals[corners]
+        is_crease = (smooth * flat[:, None]).sum(axis=2) < _CREASE
+        smooth = np.where(is_crease[..., None], flat[:, None], smooth)
+        normal = (weights[..., None] * smooth).sum(axis=1)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+        is_front = flat[:, 2] >= 0.0
+        normal[~is_front] *= -1.0
+        light = light_normals(normal, is_coloured=self._colours is not None)
+        front: Floats = np.array(GREY, np.float32)
+        if self._colours is not None:
+            corner_colours = self._colours[corners].astype(np.float32) / 255.0
+            front = (weights[..., None] * corner_colours).sum(axis=1)
+        shades: Floats = light[:, None] * np.where(is_front[:, None], front, _BACK)
+        return shades
 
 
-def _shade(screen: FloatArray, faces: NDArray[np.int64], front: FloatArray) -> FloatArray:
-    """Return one colour per face: a light over the left shoulder, a weaker one from below."""
-    a, b, c = (screen[faces[:, k]] for k in range(3))
-    normal = np.cross(b - a, c - a)
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
-    is_front = normal[:, 2] >= 0.0
-    normal = np.where(is_front[:, None], normal, -normal)
-    key, fill = np.array([-0.45, 0.55, 0.70]), np.array([0.6, -0.5, 0.6])
-    light = 0.16 + 0.80 * np.maximum(normal @ key, 0.0) + 0.24 * np.maximum(normal @ fill, 0.0)
-    shade: FloatArray = light[:, None] * np.where(is_front[:, None], front, _BACK)
-    return shade
+def _weigh(corners: Floats, column: IntArray, row: IntArray) -> Floats:
+    """Return the barycentric coordinates of samples in their faces, shape (n, 3)."""
+    sample = np.stack([column + 0.5, row + 0.5], axis=1)
+    a, b, c = (corners[:, k, :2].astype(np.float64) - sample for k in range(3))
+    areas = np.stack([_cross(b, c), _cross(c, a), _cross(a, b)], axis=1)
+    total = areas.sum(axis=1, keepdims=True)
+    weights = areas / np.where(total == 0.0, 1.0, total)
+    return np.clip(weights, 0.0, 1.0).astype(np.float32)
 
 
-def _rasterise(screen: FloatArray, faces: NDArray[np.int64], size: int) -> NDArray[np.int64]:
-    """Return the nearest face of each pixel, shape (size, size); -1 where there is none."""
-    # (f, 3, 3): the corners on the screen; (f, 2): the pixels that their box covers
-    corners = screen[faces]
-    low = np.clip(np.ceil(corners[:, :, :2].min(axis=1) - 0.5), 0, size).astype(np.int64)
-    high = np.clip(np.ceil(corners[:, :, :2].max(axis=1) - 0.5), 0, size).astype(np.int64)
-    width, height = (high - low).T
-    area = width * height
-    depth = np.full(size * size, -np.inf)
-    nearest = np.full(size * size, -1, dtype=np.int64)
-    visible = np.flatnonzero(area > 0)
-    bounds = np.cumsum(area[visible]) // _CHUNK_PIXELS
-    for part in np.split(visible, np.flatnonzero(np.diff(bounds)) + 1):
-        # (c,): a candidate for each pixel in the box of each face; its place in that box
-        face = np.repeat(part, area[part])
-        rank = np.arange(len(face)) - np.repeat(np.cumsum(area[part]) - area[part], area[part])
-        row, column = np.divmod(rank, width[face])
-        _keep_nearest(
-            corners[face], face, low[face, 0] + column, low[face, 1] + row, size, depth, nearest
-        )
-    return nearest.reshape(size, size)
-
-
-def _keep_nearest(
-    corners: FloatArray,
-    face: NDArray[np.int64],
-    x: NDArray[np.int64],
-    y: NDArray[np.int64],
-    size: int,
-    depth: FloatArray,
-    nearest: NDArray[np.int64],
-) -> None:
-    """Enter those candidate pixels that lie in their triangles and before what was there."""
-    # (c, 2): the pixel's middle; the corners about it
-    spot = np.stack([x + 0.5, y + 0.5], axis=1)
-    a, b, c = (corners[:, k, :2] - spot for k in range(3))
-    # (c, 3): barycentric coordinates, unscaled: of one sign inside
-    weights = np.stack([_cross(b, c), _cross(c, a), _cross(a, b)], axis=1)
-    total = weights.sum(axis=1)
-    inside = ((weights >= 0.0).all(axis=1) | (weights <= 0.0).all(axis=1)) & (total != 0.0)
-    z = (weights[inside] * corners[inside, :, 2]).sum(axis=1) / total[inside]
-    pixel, face = (y * size + x)[inside], face[inside]
-    # the last of a pixel is its nearest candidate; it wins if it is before what was there
-    order = np.lexsort((z, pixel))
-    last = np.flatnonzero(np.r_[pixel[order][1:] != pixel[order][:-1], len(order) > 0])
-    winner = order[last]
-    winner = winner[z[winner] > depth[pixel[winner]]]
-    depth[pixel[winner]], nearest[pixel[winner]] = z[winner], face[winner]
-
-
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the z component of the cross products of plane vectors."""
-    area: FloatArray = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    area: NDArray[np.float64] = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
     return area
+
+
+def _cross_corners(places: Floats) -> Floats:
+    """Return twice the area of faces times their normals, as seen; rows count downwards."""
+    u, v = places[:, 1] - places[:, 0], places[:, 2] - places[:, 0]
+    x = u[:, 2] * v[:, 1] - u[:, 1] * v[:, 2]
+    y = u[:, 2] * v[:, 0] - u[:, 0] * v[:, 2]
+    z = u[:, 1] * v[:, 0] - u[:, 0] * v[:, 1]
+    return np.stack([x, y, z], axis=1)
+
+
+def _sum_normals(screen: Screen, faces: IntArray) -> Floats:
+    """Return the normals of vertices as seen: the means of their faces', weighed by area."""
+    normals = np.zeros((len(screen), 3), np.float32)
+    for begin in range(0, len(faces), _FACES):
+        part = faces[begin : begin + _FACES]
+        crosses = _cross_corners(screen[part])
+        for k in range(3):
+            for axis in range(3):
+                np.add.at(normals[:, axis], part[:, k], crosses[:, axis])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    return normals

@@ -1,4 +1,4 @@
-"""A small picture of a point cloud: what is nearest is seen."""
+"""A picture of a point cloud: discs as large as the gaps between points."""
 
 from __future__ import annotations
 
@@ -7,33 +7,53 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.applications.surface.types.points import ByteArray, FloatArray, PointCloud
+from hpcapp.pages.drawing.camera import (
+    SAMPLES,
+    Camera,
+    Screen,
+    aim,
+    look_along,
+    turn_upright,
+)
+from hpcapp.pages.drawing.depth_buffer import DepthBuffer
+from hpcapp.pages.drawing.light import GREY, light_normals
+from hpcapp.pages.drawing.paint import paint
+from hpcapp.pages.drawing.scale_bar import add_scale_bar
+from hpcapp.pages.drawing.shadow import cast_shadow
 from hpcapp.pages.png import write_png
 
 __all__ = ["draw_points", "write_thumbnail"]
 
+IntArray = NDArray[np.int64]
+
 _SIDE = 512  # pixels of the picture
-_FEWEST_CELLS = 32  # along the longer side: points are squares of the picture's side over it
-_POINTS_PER_CELL = 3.0
-_OBLIQUE = np.array([-0.5, -0.8, 0.45])  # where the picture is seen from, if no scanner is known
-_BACKGROUND = 255
-_NEAR, _FAR = 40, 215  # greys
+_OBLIQUE = (-122.0, 25.0)  # azimuth and elevation, if no scanner is known
+_TRIMMED = 0.002  # share of the points on each side that may lie outside of the picture
+_MARGIN = 0.04  # around the others, in shares of their longer side
+_POINTS_PER_CELL = 4.0  # of a square, whose disc has 0.8 of its side as radius
+_WIDEST = 0.02  # a disc, in shares of the picture
+_NEAR, _FAR = 0.25, 0.84  # greys
 
 
-def write_thumbnail(path: Path, cloud: PointCloud, scanner: FloatArray | None = None) -> None:
+def write_thumbnail(
+    path: Path, cloud: PointCloud, scanner: FloatArray | None = None, unit: str | None = None
+) -> None:
     """Draw a cloud into a PNG file, which appears whole or not at all.
 
     Parameters
     ----------
     scanner : ndarray of float64, shape (3,), optional
         Where the scanner stood, in the input's coordinates: the points are seen from there.
+    unit : str, optional
+        Of the coordinates, for the scale bar.
 
     Raises
     ------
     OutputError
         The file cannot be written.
     """
-    write_png(path, draw_points(cloud, scanner))
+    write_png(path, draw_points(cloud, scanner, unit=unit))
 
 
 def draw_points(
@@ -43,8 +63,9 @@ def draw_points(
     eye: tuple[float, float] | None = None,
     size: int = _SIDE,
     up: str = "z",
+    unit: str | None = None,
 ) -> NDArray[np.uint8]:
-    """Draw a cloud, in its colours or by depth: what is near is dark.
+    """Draw a cloud in its colours, else by its normals, else by depth: what is near is dark.
 
     Parameters
     ----------
@@ -58,62 +79,112 @@ def draw_points(
         Pixels along the longer side at most.
     up : {"x", "y", "z"}
         The axis that points up.
+    unit : str, optional
+        Of the coordinates, for the scale bar.
 
     Returns
     -------
     ndarray of uint8, shape (h, w, 3)
         White where nothing is.
     """
-    finite = np.flatnonzero(np.isfinite(cloud.positions).all(axis=1))
-    if not len(finite):
-        return np.full((size, size, 3), _BACKGROUND, np.uint8)
-    turns = 2 - "xyz".index(up)
-    positions = np.roll(cloud.positions[finite], turns, axis=1)
-    middle = np.median(positions, axis=0)
-    seen_from = _OBLIQUE
-    if eye is not None:
-        seen_from = _direction(*eye)
-    elif scanner is not None:
-        seen_from = np.roll(scanner - cloud.origin, turns) - middle
-    across, above, depth = _look(positions - middle, seen_from if seen_from.any() else _OBLIQUE)
+    is_finite = np.isfinite(cloud.positions).all(axis=1)
+    if not is_finite.any():
+        return np.full((size, size, 3), 255, np.uint8)
+    if not is_finite.all():
+        cloud = cloud.take(np.flatnonzero(is_finite))
+    if eye is None:
+        eye = _OBLIQUE if scanner is None else _find_eye(cloud, scanner, up)
+    axes = look_along(*eye, up)
     # A few points far away must not make all others one pixel.
-    low, high = (np.quantile([across, above], share, axis=1) for share in (0.002, 0.998))
-    longest = float((high - low).max()) or 1.0
-    low, high = low - 0.02 * longest, high + 0.02 * longest
-    cells = int(np.clip(np.sqrt(len(positions) / _POINTS_PER_CELL), min(_FEWEST_CELLS, size), size))
-    cell = float((high - low).max()) / cells
-    width, height = np.maximum(np.ceil((high - low) / cell).astype(int), 1).tolist()
-    column = ((across - low[0]) / cell).astype(int)
-    row = ((high[1] - above) / cell).astype(int)
-    inside = (
-        (across >= low[0]) & (column < width) & (above <= high[1]) & (row < height) & (row >= 0)
-    )
-    order = np.argsort(-depth)  # far ones first: what is drawn later covers what is there
-    order = order[inside[order]]
-    canvas = np.full((height, width, 3), _BACKGROUND, np.uint8)
-    colours = _shade(depth) if cloud.colours is None else cloud.colours[finite]
-    canvas[row[order], column[order]] = colours[order]
-    zoom = max(1, size // max(height, width))
-    return canvas.repeat(zoom, axis=0).repeat(zoom, axis=1)
+    ends = [np.quantile(cloud.positions @ axis, (_TRIMMED, 1.0 - _TRIMMED)) for axis in axes]
+    low, high = np.array(ends).T
+    sides = (high - low)[:2]
+    sides = sides + 2.0 * _MARGIN * sides.max() if sides.any() else np.ones(2)
+    width, height = np.maximum(np.ceil(size * sides / sides.max() - 1e-9), 1).astype(int).tolist()
+    camera = aim(axes, low, high, width, height, fill=1.0 / (1.0 + 2.0 * _MARGIN))
+    discs = _Discs(camera, cloud)
+
+    def draw(below: Camera, buffer: DepthBuffer) -> None:
+        buffer.draw_discs(below.project(cloud.positions), np.arange(len(cloud)), 1.5)
+
+    trimmed = [np.quantile(axis, (_TRIMMED, 1.0 - _TRIMMED)) for axis in cloud.positions.T]
+    shadow = cast_shadow(camera, up, np.array(trimmed).T, draw)
+    return add_scale_bar(paint(camera, discs, discs.nearness, shadow), camera.pixels_per_unit, unit)
 
 
-def _direction(azimuth: float, elevation: float) -> FloatArray:
-    """Return where an eye is, by two angles in degrees."""
-    az, el = np.radians([azimuth, elevation])
-    return np.array([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)])
+def _find_eye(cloud: PointCloud, scanner: FloatArray, up: str) -> tuple[float, float]:
+    """Return azimuth and elevation of a scanner, as seen from the middle of the points."""
+    x, y, z = turn_upright(scanner - cloud.origin - np.median(cloud.positions, axis=0), up)
+    if not (x or y or z):
+        return _OBLIQUE
+    return float(np.degrees(np.arctan2(y, x))), float(np.degrees(np.arctan2(z, np.hypot(x, y))))
 
 
-def _look(arms: FloatArray, eye: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return coordinates to the right, upwards and away from an eye that keeps z upright."""
-    back = eye / np.linalg.norm(eye)
-    right = np.cross([0.0, 0.0, 1.0], back)
-    right = right / np.linalg.norm(right) if right.any() else np.array([1.0, 0.0, 0.0])
-    return arms @ right, arms @ np.cross(back, right), -(arms @ back)
+class _Discs:
+    """Points on the screen, each with a radius that closes the gap to its neighbours."""
+
+    def __init__(self, camera: Camera, cloud: PointCloud) -> None:
+        self._screen = camera.project(cloud.positions)
+        self._levels, self._radii = _fit_radii(self._screen, camera)
+        self._colours: ByteArray | None = cloud.colours
+        self._normals = None if cloud.normals is None else cloud.normals.astype(np.float32)
+        self._axes = camera.axes.astype(np.float32)
+        depth = self._screen[:, 2]
+        self.nearness = float(depth.min()) - 1.0 - 2.0 * max(self._radii), float(depth.max())
+        self._far, self._near = np.quantile(depth, (0.01, 0.99))
+
+    def enter(self, buffer: DepthBuffer) -> None:
+        """Draw the points that reach into the band."""
+        rows = self._screen[:, 1]
+        for level, radius in enumerate(self._radii):
+            is_near = (rows > buffer.rows[0] - radius - 1) & (rows < buffer.rows[1] + radius + 1)
+            numbers = np.flatnonzero(is_near & (self._levels == level))
+            buffer.draw_discs(self._screen, numbers, radius)
+
+    def shade(self, item: IntArray, column: IntArray, row: IntArray) -> NDArray[np.float32]:
+        """Return the shades of points."""
+        del column, row
+        shades: NDArray[np.float32]
+        if self._colours is not None:
+            shades = self._colours[item].astype(np.float32) / 255.0
+        elif self._normals is not None:
+            shades = np.full((len(item), 3), GREY, np.float32)
+        else:
+            near = (self._screen[item, 2] - self._far) / max(self._near - self._far, 1e-30)
+            greys = _FAR + (_NEAR - _FAR) * np.clip(near, 0.0, 1.0)
+            return np.repeat(greys[:, None], 3, axis=1).astype(np.float32)
+        if self._normals is None:
+            return shades
+        normals = self._normals[item] @ self._axes.T
+        normals *= np.where(normals[:, 2:] < 0.0, -1.0, 1.0).astype(np.float32)
+        return shades * light_normals(normals, is_coloured=self._colours is not None)[:, None]
 
 
-def _shade(depth: FloatArray) -> NDArray[np.uint8]:
-    """Return greys by depth."""
-    near, far = np.quantile(depth, (0.01, 0.99))
-    share = np.clip((depth - near) / ((far - near) or 1.0), 0, 1)
-    greys = (_NEAR + (_FAR - _NEAR) * share).astype(np.uint8)
-    return np.repeat(greys[:, None], 3, axis=1)
+def _fit_radii(screen: Screen, camera: Camera) -> tuple[NDArray[np.uint8], list[float]]:
+    """Return for each point the level of its disc, and the radius of each level in samples.
+
+    The picture is cut into squares, then into ones of double side, and so on: a point has the
+    level of the smallest square around it that holds enough points, but at most twice the radius
+    of most points, so that stray ones are no balloons.
+    """
+    columns, rows = SAMPLES * camera.width, SAMPLES * camera.height
+    place = np.floor(screen[:, :2]).astype(np.int64)
+    is_in = ((place >= 0) & (place < [columns, rows])).all(axis=1)
+    place = np.clip(place, 0, [columns - 1, rows - 1])
+    widest = max(2.0, _WIDEST * SAMPLES * max(camera.width, camera.height))
+    levels = np.full(len(screen), 255, np.uint8)
+    radii: list[float] = []
+    while True:
+        level = len(radii)
+        side = 2.0 ** (0.5 * level)
+        cell = (place / side).astype(np.int64)
+        across = int(columns / side) + 1
+        flat = cell[:, 1] * across + cell[:, 0]
+        count = np.bincount(flat[is_in], minlength=int(flat.max()) + 1)
+        levels[(levels == 255) & (count[flat] >= _POINTS_PER_CELL)] = level
+        radii.append(0.8 * side)
+        if side >= widest or (levels != 255).all():
+            break
+    middle = int(np.median(np.minimum(levels, len(radii) - 1)))
+    most = min(len(radii) - 1, middle + 2)
+    return np.minimum(levels, most).astype(np.uint8), radii[: most + 1]

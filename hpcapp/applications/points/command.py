@@ -88,7 +88,9 @@ def info(
     if png is not None:
         scans = source.isotropic().scans
         scanner = scans[0].scanner if len(scans) == 1 else None
-        write_thumbnail(png, colour_by_spacing(cloud) if by_spacing else cloud, scanner)
+        write_thumbnail(
+            png, colour_by_spacing(cloud) if by_spacing else cloud, scanner, source.unit
+        )
     if as_json:
         echo_json(facts)
         return

@@ -231,7 +231,7 @@ def _show(
 
     shown = show_job(loaded, outcome, carrying)
     if settings.png is not None:
-        write_picture(settings.png, shown.mesh)
+        write_picture(settings.png, shown.mesh, unit=report["input"]["unit"])
     if settings.report is not None:
         told = {**report, "stages": clock.seconds, "timeline": clock.timeline.to_json()}
         write_job_page(settings.report, shown, told, Path(settings.output).name)
