@@ -105,8 +105,9 @@ def submit(
 @FILE
 @AS_JSON
 def jobs(file: Path, as_json: bool) -> None:
-    """List the jobs of a cluster; the exit code is 4 where one of them cannot be read.
+    """List the jobs of a cluster.
 
+    The exit code is 4 where one of them cannot be read.
     COST is what the cluster costs at most in the time that a job ran, where it has a price.
     """
     from hpcdeploy.jobs.queries import open_jobs, raise_damage
