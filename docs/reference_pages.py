@@ -46,7 +46,7 @@ def describe_commands() -> Iterator[str]:
 def describe_cluster_file() -> Iterator[str]:
     """Yield the page of the cluster file, made from its pydantic models."""
     yield "# Cluster file\n"
-    guide = "[Run on a cluster](../../how-to/run-on-a-cluster.md)"
+    guide = "[Describe a cluster](../../how-to/describe-a-cluster.md)"
     yield f"Every key with its default. How to write one: {guide}.\n"
     seen: set[type[BaseModel]] = set()
     waiting: list[tuple[str, type[BaseModel]]] = [("", ClusterSpec)]
