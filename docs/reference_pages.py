@@ -11,6 +11,7 @@ from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin
 
 import click
+from constant_pages import describe_constants
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
@@ -169,6 +170,7 @@ def write(docs: Path) -> None:
         ("cluster-file.md", describe_cluster_file()),
         ("python.md", describe_python()),
         ("benchmarks.md", describe_benchmarks(docs.parent / "benchmarks")),
+        ("constants.inc", describe_constants()),  # a table within the page of the method
     ):
         text = "\n".join(lines) + "\n"
         page = folder / name
