@@ -8,7 +8,7 @@ measured, and a forecast machine has one core that is as fast, or several::
     head     start + points x head_point + tiles x head_tile   one core, beside nothing
     folder   points x FOLDER_BYTES, by its bandwidth           shared by all
 
-``docs/explanation/scale.md`` says what this leaves out.
+``docs/explanation/tiles.md`` says what this leaves out.
 """
 
 from __future__ import annotations

@@ -14,15 +14,18 @@ import reference_pages
 
 project = "hpcapp"
 release = metadata.version("hpcapp")
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "sphinx.ext.napoleon"]
 exclude_patterns = ["README.md"]
 myst_heading_anchors = 4
+myst_enable_extensions = ["dollarmath"]
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"
 napoleon_google_docstring = False
 html_theme = "furo"
 html_title = "hpcapp"
 smartquotes = False  # options and commands stand in running text
+html_static_path = ["_static"]
+html_css_files = ["front.css"]
 
 
 def setup(app: Sphinx) -> None:

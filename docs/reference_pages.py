@@ -11,6 +11,7 @@ from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin
 
 from command_pages import describe_commands
+from constant_pages import describe_constants
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
@@ -22,7 +23,7 @@ from hpcdeploy.spec.provider import ProviderSpec
 def describe_cluster_file() -> Iterator[str]:
     """Yield the page of the cluster file, made from its pydantic models."""
     yield "# Cluster file\n"
-    guide = "[Run on a cluster](../../how-to/run-on-a-cluster.md)"
+    guide = "[Describe a cluster](../../how-to/describe-a-cluster.md)"
     yield f"Every key with its default. How to write one: {guide}.\n"
     seen: set[type[BaseModel]] = set()
     waiting: list[tuple[str, type[BaseModel]]] = [("", ClusterSpec)]
@@ -145,6 +146,7 @@ def write(docs: Path) -> None:
         ("cluster-file.md", describe_cluster_file()),
         ("python.md", describe_python()),
         ("benchmarks.md", describe_benchmarks(docs.parent / "benchmarks")),
+        ("constants.inc", describe_constants()),  # a table within the page of the method
     ):
         text = "\n".join(lines) + "\n"
         page = folder / name

@@ -244,7 +244,7 @@ class Data(ConfigModel):
 
 
 class ClusterSpec(ConfigModel):
-    """A cluster file; see ``docs/how-to/run-on-a-cluster.md``.
+    """A cluster file; see ``docs/how-to/describe-a-cluster.md``.
 
     What it leaves to defaults that depend on one another is asked for by the methods.
     """

@@ -110,7 +110,7 @@ def test_up_again_and_down(cloud: StrictCloud, tmp_path: Path) -> None:
 
 def allowed_actions() -> set[str]:
     """Return the EC2 actions of the page's policy."""
-    page = (ROOT / "docs/how-to/run-on-a-cluster.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/how-to/describe-a-cluster.md").read_text(encoding="utf-8")
     _, _, text = page.partition("```json\n")
     statements = json.loads(text.partition("```")[0])["Statement"]
     return {

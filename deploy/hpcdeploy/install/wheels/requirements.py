@@ -138,7 +138,7 @@ def check_wheels(spec: ClusterSpec, base: Path) -> list[Problem]:
     return [
         Problem(
             f"{folder}: no wheel of {missing} for {kind}",
-            "add it: see docs/how-to/run-on-a-cluster.md, env",
+            "add it: see docs/how-to/describe-a-cluster.md, env",
             is_fatal=all(lacking.values()),
         )
         for kind, names in lacking.items()

@@ -291,7 +291,7 @@ class SecurityGroups:
 
 def _specification(kind: str, tags: Mapping[str, str]) -> list[dict[str, object]]:
     # What the cloud's keys may change can so be bound to the tag: see
-    # docs/how-to/run-on-a-cluster.md.
+    # docs/how-to/describe-a-cluster.md.
     pairs = [{"Key": key, "Value": value} for key, value in tags.items()]
     return [{"ResourceType": kind, "Tags": pairs}]
 
