@@ -100,7 +100,7 @@ def describe_commands() -> Iterator[str]:
     yield "| exit code | meaning |\n|---|---|"
     yield from (f"| {code} | {meaning} |" for code, meaning in EXIT_CODES)
     yield "\nThese may be given before the verb and, but for `exec`, behind it:\n"
-    yield from _tabulate("option", _describe_common())
+    yield from _define(_describe_common())
     for title, pages in describe_verbs():
         yield f"## {title}\n"
         for page in pages:
@@ -109,29 +109,25 @@ def describe_commands() -> Iterator[str]:
 
 def _describe_page(page: VerbPage) -> Iterator[str]:
     yield f"### {page.name}\n"
+    yield f"```text\n{page.usage}\n```\n"
     for paragraph in page.paragraphs:
         if paragraph.startswith("\b"):
             yield f"```text{paragraph[1:]}\n```\n"
         else:
             yield f"{paragraph}\n"
-    yield f"```text\n{page.usage}\n```\n"
-    if page.arguments:
-        yield from _tabulate("argument", page.arguments)
+    yield from _define(page.arguments)
     for title, rows in page.groups.items():
         if len(page.groups) > 1:
             yield f"#### {title}\n"
-        yield from _tabulate("option", rows)
-    yield "Examples:\n\n```text"
+        yield from _define(rows)
+    yield "**Examples**\n\n```text"
     yield from (f"{command}\n    {meaning}" for command, meaning in page.examples)
     yield "```\n"
 
 
-def _tabulate(title: str, rows: Rows) -> Iterator[str]:
-    yield f"| {title} | meaning |\n|---|---|"
+def _define(rows: Rows) -> Iterator[str]:
     for term, meaning in rows:
-        code = term.replace("|", "\\|")
-        yield f"| `{code}` | {' '.join(meaning.replace('|', chr(92) + '|').split())} |"
-    yield ""
+        yield f"`{term}`\n: {' '.join(meaning.split())}\n"
 
 
 def describe_man_page() -> Iterator[str]:

@@ -25,8 +25,8 @@ def _flag(names: Sequence[str], words: str) -> click.Option:
 
 
 COMMON = (
-    _flag(["-v", "--verbose"], "Say more: the whole log, with times."),
-    _flag(["-q", "--quiet"], "Say nothing but errors."),
+    _flag(["-v", "--verbose"], "Say more: all that was logged and decided, with times."),
+    _flag(["-q", "--quiet"], "Say nothing but errors and what was asked for."),
     _flag(["--debug"], "Log everything; show the traceback of an error."),
 )
 """Options of the command and of each of its verbs; the last that was typed holds."""
@@ -76,7 +76,7 @@ class Verb(click.Command):
             title: [options.pop(name) for name in names] for title, names in self.groups.items()
         }
         grouped["Other options" if grouped else "Options"] = list(options.values())
-        grouped["Of every verb"] = common
+        grouped["Common to all verbs"] = common
         return {title: below for title, below in grouped.items() if below}
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

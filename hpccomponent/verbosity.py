@@ -23,7 +23,7 @@ class Verbosity(enum.Enum):
     """How much is said."""
 
     QUIET = enum.auto()
-    """Errors."""
+    """Errors, beside what the standard output gets."""
     NORMAL = enum.auto()
     """Warnings, progress and the summary, too."""
     VERBOSE = enum.auto()

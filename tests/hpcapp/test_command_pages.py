@@ -48,8 +48,8 @@ def test_the_page_of_the_site_has_every_verb_with_all_that_can_be_typed() -> Non
             if isinstance(parameter, click.Option):
                 assert all(flag in section for flag in parameter.opts)
             else:
-                assert f"| `{parameter.make_metavar(root)}` | " in section
-        assert f"\nhpcapp {name} " in section.partition("Examples:")[2]
+                assert f"\n`{parameter.make_metavar(root)}`\n: " in section
+        assert f"\nhpcapp {name} " in section.partition("**Examples**")[2]
     assert "\b" not in page
 
 

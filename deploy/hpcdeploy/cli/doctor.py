@@ -22,7 +22,7 @@ __all__ = ["doctor"]
     cls=Verb,
     examples=[
         ("hpcapp doctor lab.yaml", "Name what would make 'up' fail, and what mends it."),
-        ("hpcapp -q doctor lab.yaml", "Check in a script: by the exit code."),
+        ("hpcapp -q doctor lab.yaml", "Check in a script, by the exit code: 0 or 4."),
         ("hpcapp doctor lab.yaml --debug", "Show what was asked of the cloud."),
     ],
 )

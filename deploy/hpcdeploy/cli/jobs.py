@@ -51,7 +51,11 @@ AS_JSON = click.option(
 @FILE
 @click.argument("points", type=PATH, help="A point cloud of any format that is read.")
 @click.argument(
-    "options", nargs=-1, type=click.UNPROCESSED, help="Options of 'hpcapp reconstruct', after --."
+    "options",
+    nargs=-1,
+    type=click.UNPROCESSED,
+    metavar="[-- OPTIONS]",
+    help="Options of 'hpcapp reconstruct'.",
 )
 @click.option("-o", "--output", required=True, type=PATH, metavar="MESH", help="Mesh to write.")
 @click.option("--detach", is_flag=True, help="Leave once the job is in the queue.")

@@ -28,7 +28,7 @@ __all__ = ["plan", "validate"]
     cls=Verb,
     examples=[
         ("hpcapp validate lab.yaml", "Check a cluster file."),
-        ("hpcapp -q validate lab.yaml", "Check it in a script: by the exit code, 0 or 2."),
+        ("hpcapp -q validate lab.yaml", "Check it in a script, by the exit code: 0 or 2."),
         ("hpcapp validate lab.yaml --debug", "Show where an error came from."),
     ],
 )

@@ -14,6 +14,7 @@ from hpccomponent.files.paths import check_regular
 from hpccomponent.terminal import echo, echo_output
 from hpccomponent.verb import Verb
 from hpcdeploy.cli.arguments import FILE
+from hpcdeploy.cli.asking import say
 
 if TYPE_CHECKING:
     from hpcdeploy.login.access import Access
@@ -128,7 +129,7 @@ def put(file: Path, source: Path, target: str, nodes: tuple[str, ...], is_all: b
             try:
                 with cluster.access.open(machine, WAIT_S) as shell:
                     shell.put(source, target)
-                    echo(f"{shell.node}: {target}", err=True)
+                    say(f"{shell.node}: {target}")
             except CloudError as error:  # the others are served nevertheless
                 failures.append(error)
     _tell(failures, [0])

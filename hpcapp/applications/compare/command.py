@@ -56,7 +56,7 @@ _THRESHOLDS = (0.02, 0.1, 0.5)
     metavar="N",
     help="Points on either surface.",
 )
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True,
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, metavar="N",
               help="One seed gives one result.")  # fmt: skip
 @click.option(
     "--threshold",

@@ -18,7 +18,7 @@ from hpccomponent.verb import Verb
 if TYPE_CHECKING:
     from hpcapp.io import PointSource
 
-__all__ = ["INPUTS", "SAMPLE", "convert", "info"]
+__all__ = ["INPUTS", "SAMPLE", "convert", "info", "readable"]
 
 log = logging.getLogger("hpcapp")
 
@@ -96,10 +96,10 @@ def info(
         return
     width = max(map(len, facts))
     for name, value in facts.items():
-        echo(f"{name.replace('_', ' '):<{width}}  {visible_line(_readable(value))}")
+        echo(f"{name.replace('_', ' '):<{width}}  {visible_line(readable(value))}")
 
 
-def _readable(value: object) -> str:
+def readable(value: object) -> str:
     """Return a JSON value as people read it."""
     if isinstance(value, bool):
         return "yes" if value else "no"
@@ -108,9 +108,9 @@ def _readable(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.6g}"
     if isinstance(value, list | tuple):
-        return "  ".join(_readable(item) for item in value)
+        return "  ".join(readable(item) for item in value)
     if isinstance(value, dict):
-        return ", ".join(f"{name} {_readable(item)}" for name, item in value.items())
+        return ", ".join(f"{name} {readable(item)}" for name, item in value.items())
     text = str(value)
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
 

@@ -22,7 +22,12 @@ __all__ = ["quadrature"]
 @click.argument("left", type=float, help="Where it begins.")
 @click.argument("right", type=float, help="Where it ends.")
 @click.option(
-    "--tolerance", type=float, default=1e-9, show_default=True, help="Largest absolute error."
+    "--tolerance",
+    type=float,
+    metavar="F",
+    default=1e-9,
+    show_default=True,
+    help="Largest absolute error.",
 )
 @click.option(
     "--backend",
@@ -31,7 +36,7 @@ __all__ = ["quadrature"]
     show_default=True,
     help="Where intervals are estimated; see 'hpcapp reconstruct --help'.",
 )
-@click.option("--workers", type=click.IntRange(1, 1024), help="How many workers.")
+@click.option("--workers", type=click.IntRange(1, 1024), metavar="W", help="How many workers.")
 def quadrature(
     integrand: str, left: float, right: float, tolerance: float, backend: str, workers: int | None
 ) -> None:

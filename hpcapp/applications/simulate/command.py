@@ -24,6 +24,14 @@ SCENES = ("terrain", "forest", "town", "room", "object")
 SCANNERS = ("airborne", "terrestrial", "handheld", "structured-light")
 RAW_OPTIONS = {"flying", "strays"}
 SCENE_OPTIONS = {"points", "noise", "drift", "seed", *RAW_OPTIONS}
+GROUPS = {
+    "Any scan": ("shape", "scene", "output", "points", "noise", "drift", "seed"),
+    "A model's scan": (
+        "views", "normals", "correlation", "dropout", "grazing", "pose_error", "outliers",
+        "density_ratio", "missing", "flipped",
+    ),
+    "A scene's scan": ("scanner", "flying", "strays"),
+}  # fmt: skip
 POINTS = click.Path(dir_okay=False, path_type=Path)
 
 
@@ -37,6 +45,7 @@ def _complete_shape(ctx: click.Context, param: click.Parameter, incomplete: str)
 
 @click.command(
     cls=Verb,
+    groups=GROUPS,
     examples=[
         (
             "hpcapp simulate --shape knot -o knot.ply",
@@ -59,14 +68,25 @@ def _complete_shape(ctx: click.Context, param: click.Parameter, incomplete: str)
     help="Which model; an unknown name lists all.",
 )
 @click.option("--scene", type=click.Choice(SCENES), help="A raw scan, with its truth beside it.")
-@click.option("--scanner", type=click.Choice(SCANNERS), help="Of a scene; its usual one without.")
+@click.option(
+    "--scanner",
+    type=click.Choice(SCANNERS),
+    help="Which scanner; the usual one of the scene without.",
+)
 @click.option("-o", "--output", required=True, type=POINTS, help="Point cloud to write.")
 @click.option(
-    "-n", "--points", type=int, default=100_000, show_default=True, help="Exactly so many."
+    "-n",
+    "--points",
+    type=int,
+    metavar="N",
+    default=100_000,
+    show_default=True,
+    help="Number of points.",
 )
 @click.option(
     "--views",
     type=int,
+    metavar="N",
     default=20,
     show_default=True,
     help="Positions of the scanner; 0 samples the whole surface evenly.",
@@ -74,6 +94,7 @@ def _complete_shape(ctx: click.Context, param: click.Parameter, incomplete: str)
 @click.option(
     "--noise",
     type=float,
+    metavar="F",
     default=0.0,
     show_default=True,
     help="Depth noise (standard deviation), as a fraction of the diagonal. "
@@ -82,6 +103,7 @@ def _complete_shape(ctx: click.Context, param: click.Parameter, incomplete: str)
 @click.option(
     "--drift",
     type=float,
+    metavar="F",
     default=0.0,
     show_default=True,
     help="Smooth error of each view's depth (standard deviation), as a fraction of the diagonal. "
@@ -90,6 +112,7 @@ def _complete_shape(ctx: click.Context, param: click.Parameter, incomplete: str)
 @click.option(
     "--correlation",
     type=float,
+    metavar="F",
     default=0.05,
     show_default=True,
     help="Length over which --drift changes, as a fraction of the diagonal.",
@@ -97,6 +120,7 @@ def _complete_shape(ctx: click.Context, param: click.Parameter, incomplete: str)
 @click.option(
     "--dropout",
     type=float,
+    metavar="F",
     default=0.0,
     show_default=True,
     help="Share of each view that is lost, in blotches.",
@@ -104,6 +128,7 @@ def _complete_shape(ctx: click.Context, param: click.Parameter, incomplete: str)
 @click.option(
     "--grazing",
     type=float,
+    metavar="F",
     default=80.0,
     show_default=True,
     help="Greatest angle of incidence that still echoes, in degrees.",
@@ -111,6 +136,7 @@ def _complete_shape(ctx: click.Context, param: click.Parameter, incomplete: str)
 @click.option(
     "--pose-error",
     type=float,
+    metavar="F",
     default=0.0,
     show_default=True,
     help="Misplacement of each view, as a fraction of the diagonal.",
@@ -118,6 +144,7 @@ def _complete_shape(ctx: click.Context, param: click.Parameter, incomplete: str)
 @click.option(
     "--outliers",
     type=float,
+    metavar="F",
     default=0.0,
     show_default=True,
     help="Share of points that are wrong, near and far.",
@@ -125,16 +152,23 @@ def _complete_shape(ctx: click.Context, param: click.Parameter, incomplete: str)
 @click.option(
     "--density-ratio",
     type=float,
+    metavar="F",
     default=1.0,
     show_default=True,
     help="Density at the dense end over that at the sparse end.",
 )
 @click.option(
-    "--missing", type=int, default=0, show_default=True, help="Balls from which nothing came back."
+    "--missing",
+    type=int,
+    metavar="N",
+    default=0,
+    show_default=True,
+    help="Balls from which nothing came back.",
 )
 @click.option(
     "--flipped",
     type=float,
+    metavar="F",
     default=0.0,
     show_default=True,
     help="Share of points whose normal has the wrong sign.",
@@ -149,18 +183,22 @@ def _complete_shape(ctx: click.Context, param: click.Parameter, incomplete: str)
 @click.option(
     "--flying",
     type=float,
+    metavar="F",
     default=0.0,
     show_default=True,
-    help="Of a scene: share of points in the air behind an edge.",
+    help="Share of points in the air behind an edge.",
 )
 @click.option(
     "--strays",
     type=float,
+    metavar="F",
     default=0.0,
     show_default=True,
-    help="Of a scene: share of points that are wrong, near and far.",
+    help="Share of points that are wrong, near and far.",
 )
-@click.option("--seed", type=int, default=0, show_default=True, help="One seed gives one scan.")
+@click.option(
+    "--seed", type=int, metavar="N", default=0, show_default=True, help="One seed gives one scan."
+)
 @click.pass_context
 def simulate(
     ctx: click.Context,

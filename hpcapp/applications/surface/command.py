@@ -15,7 +15,7 @@ from typing import Any
 
 import click
 
-from hpcapp.applications.points.command import INPUTS, SAMPLE
+from hpcapp.applications.points.command import INPUTS, SAMPLE, readable
 from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.method import MAX_GRID, MIN_GRID
 from hpcapp.applications.surface.methods import DEFAULT_METHOD, METHODS, find_method
@@ -164,18 +164,18 @@ def check_flags(ctx: click.Context) -> None:
 
 
 GROUPS = {
-    "What people need first": (
+    "Most used": (
         "output", "grid", "viewpoint", "close", "attributes", "faces", "report", "png",
         "max_memory", "cluster",
     ),
-    "The points": ("sample", "normals", "clean", "outliers", "denoise", "resample"),
-    "The surface": (
+    "Points": ("sample", "normals", "clean", "outliers", "denoise", "resample"),
+    "Surface": (
         "voxel_size", "depth", "uniform", "smoothness", "detail", "trim", "fill_holes",
         "tolerance", "method",
     ),
     "With --method paper": option_names(find_method("paper")),
     "Where it runs": ("backend", "workers", "policy", "verify", "temp_dir", "resume"),
-    "What it tells": ("as_json", "details", "dashboard", "events", "trace"),
+    "Watching and reporting": ("as_json", "details", "dashboard", "events", "trace"),
 }  # fmt: skip
 
 
@@ -392,6 +392,8 @@ def reconstruct(ctx: click.Context, /, **options: Any) -> None:
     if as_json:
         echo_json(report)
     else:
+        for name, value in report.items():  # with -v
+            log.debug("%s: %s", name.replace("_", " "), readable(value))
         log.info("%s: %s", options["output"], report["summary"])
 
 

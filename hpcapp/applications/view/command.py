@@ -102,7 +102,7 @@ def _parse_eye(
     help="From where --png looks: azimuth and elevation in degrees.  [default: 30,20; points: "
     "-122,25]",
 )
-@click.option("--size", type=click.IntRange(16, 8192), default=800, show_default=True,
+@click.option("--size", type=click.IntRange(16, 8192), default=800, show_default=True, metavar="N",
               help="Pixels along a side of the picture, of points the longer one.")  # fmt: skip
 @click.option("--up", type=click.Choice(["x", "y", "z"]), default="z", show_default=True,
               help="The axis that points up.")  # fmt: skip

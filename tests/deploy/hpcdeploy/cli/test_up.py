@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -14,6 +14,7 @@ from simulated.memory import MemoryProvider
 from hpcapp.cli import hpcapp
 from hpccomponent.errors import CloudError, LeftoverError, OutdatedError, UsageError
 from hpccomponent.terminal import write_block
+from hpccomponent.verbosity import Verbosity, set_verbosity
 from hpcdeploy.cli.asking import say
 from hpcdeploy.provider import Launch, Observed, State, Tags
 from hpcdeploy.spec.names import NOBODY, NodeName, Owner
@@ -21,14 +22,15 @@ from hpcdeploy.spec.polling import utc_now
 
 
 @pytest.fixture
-def cloud(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> MemoryProvider:
+def cloud(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[MemoryProvider]:
     cloud = MemoryProvider(utc_now)
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     monkeypatch.setattr("hpcdeploy.install.bootstrap.set_up", SetUp())
     monkeypatch.setattr("hpcdeploy.install.user_data.user_data", lambda *about: "#!")
     for module in ("hpcdeploy.providers", "hpcdeploy.providers.clouds"):
         monkeypatch.setattr(f"{module}.open_provider", lambda spec, base: cloud)
-    return cloud
+    yield cloud
+    set_verbosity(Verbosity.NORMAL)
 
 
 @pytest.fixture
@@ -55,6 +57,16 @@ def test_up_shows_what_it_will_do_and_asks(cloud: MemoryProvider, file: str) -> 
     agreed = run("up", file, typed="y\n")
     assert "cluster bunny is up: 3 machines" in agreed.output
     assert alive(cloud) == ["head", "worker-1", "worker-2"]
+
+
+def test_a_quiet_up_says_nothing_and_asks_nothing(cloud: MemoryProvider, file: str) -> None:
+    refused = run("-q", "up", file, typed="y\n")
+    assert isinstance(refused.exception, UsageError)
+    assert refused.exception.advice == "run it with -y"
+    assert alive(cloud) == []
+    for verb in ("up", "down"):
+        done = run(verb, file, "-y", "-q")
+        assert (done.exception, done.output) == (None, "")
 
 
 def test_up_launches_nothing_where_wheels_are_missing(cloud: MemoryProvider, file: str) -> None:
