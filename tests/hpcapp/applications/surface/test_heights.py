@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.points.info import describe_file
+from hpcapp.applications.surface.attributes.carrying import Carrying
 from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.job import run, steps, storage
 from hpcapp.applications.surface.job.report_page import show_files
@@ -22,6 +23,7 @@ from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io import open_points, read_mesh, read_points, write_points
+from hpcapp.io.crs import Crs
 from hpcapp.io.points.inputs import gather_points
 from hpcapp.progress import Progress
 
@@ -94,6 +96,19 @@ def test_normals_and_attributes_of_vertices(ball: Path, tmp_path: Path) -> None:
     assert (mesh.normals * true).sum(axis=1).min() > 0.95
     assert np.abs(mesh.attributes["row"] - directions[:, 2]).max() < 0.1
     assert mesh.attributes["support"].max() < 6.0
+
+
+def test_a_mesh_in_memory_gets_its_heights_again() -> None:
+    slope = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+    mesh = Mesh(slope, np.array([[0, 1, 2]]), np.array([5.0, 6.0, 7.0]))
+    nothing = PointCloud(np.empty((0, 3)))
+    carrying = Carrying(nothing, has_normals=True, crs=Crs(None, "ft", "m"))
+    own = carrying.to_mesh(mesh)
+    assert own.vertices[:, 2] == pytest.approx([0.0, METRES, 0.0])
+    assert own.origin == pytest.approx([5.0, 6.0, 7.0 * METRES])
+    assert own.normals is not None
+    assert np.abs(own.normals @ (own.vertices[1:] - own.vertices[0]).T).max() < 1e-12
+    assert np.linalg.norm(own.normals, axis=1) == pytest.approx(np.ones(3))
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".tiles"])
