@@ -128,6 +128,26 @@ def test_a_cloud_in_a_folder_gives_the_same_mesh(
         assert np.abs(np.linalg.norm(unit_vectors(places), axis=1) - 1.0).max() < 0.02
 
 
+@pytest.mark.parametrize("suffix", [".ply", ".tiles"])
+def test_who_writes_parts_says_what_coordinates_mean(
+    suffix: str, ball: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of points in feet alone parts are written where they are, which no heights are changed in."""
+    cloud, feet = read_points(ball), tmp_path / "feet.ply"
+    write_points(feet, PointCloud(cloud.positions, cloud.normals), "EPSG:2229", "ft")
+    reconstruct(feet, tmp_path / "whole.ply")
+    monkeypatch.setattr(storage, "fits_memory", lambda *_: False)
+    for module in (run, steps):
+        monkeypatch.setattr(module, "choose_tile", lambda *_: 3_000)
+    output = tmp_path / f"parts{suffix}"
+    reconstruct(feet, output, temp_dir=str(tmp_path / "room"))
+    written = [output] if suffix == ".ply" else sorted(output.iterdir())
+    for file in written:
+        assert b"comment unit ft\ncomment crs EPSG:2229\n" in file.read_bytes()[:200]
+    if suffix == ".ply":
+        assert output.read_bytes() == (tmp_path / "whole.ply").read_bytes()
+
+
 def test_a_viewpoint_is_in_the_coordinates_of_the_file(ball: Path, tmp_path: Path) -> None:
     """From its middle the ball is a room; a place that far above, in feet, would be outside."""
     output = tmp_path / "mesh.ply"
