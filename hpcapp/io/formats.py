@@ -9,6 +9,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io.crs import Crs
@@ -209,7 +211,7 @@ def describe_losses(path: str | PathLike[str], mesh: MeshStream) -> list[str]:
         kept = ", ".join(mesh.crs.stated)
         losses.append(f"{path}: {Path(path).suffix} does not say what coordinates mean: {kept}")
     if not writer.has_frame and mesh.origin.any():
-        shift = " ".join(f"{coordinate:.17g}" for coordinate in mesh.origin)
+        shift = " ".join(np.format_float_positional(part, trim="-") for part in mesh.origin)
         losses.append(f"{path}: in local coordinates: add {shift} for those of the input")
     return losses
 

@@ -30,6 +30,7 @@ from hpccomponent.errors import InputError, UsageError
 __all__ = ["open_e57"]
 
 _AT_ONCE = 1 << 16  # points: what is made of them stays in the cache
+_WHITE: dict[type[np.generic], int] = {np.uint8: 255, np.uint16: 65535}
 _NOWHERE = -1  # row and column of a point that belongs to no grid
 
 
@@ -48,8 +49,8 @@ def open_e57(path: Path) -> PointSource:
     """Open the points of all scans of an E57 file.
 
     Points that the file says are invalid are left out and counted. Columns that a scan lacks and
-    another has are NaN, or zero for colours and normals; these are left out where not even half
-    of the points have them.
+    another has are NaN, white for colours and zero for normals; normals are left out where not
+    even half of the points have them.
 
     Returns
     -------
@@ -137,11 +138,13 @@ def _join_columns(scans: Sequence[E57Scan], findings: Findings) -> _Columns:
     total = sum(one.points for one in scans)
     for names, what in ((NORMALS, "normals"), (COLOURS, "colours")):
         covered = sum(one.points for one in scans if one.has(names))
-        kept[what] = 2 * covered > total
+        kept[what] = covered > 0 if what == "colours" else 2 * covered > total
         if 0 < covered < total:
-            done = "zero there" if kept[what] else "left out"
+            done = f"no {what} are kept"
+            if kept[what]:
+                done = "they are white" if what == "colours" else "these are zero there"
             findings.warn(
-                f"{total - covered} of {total} points are of scans without {what}: they are {done}"
+                f"{total - covered} of {total} points are of scans without {what}: {done}"
             )
     limits = {one.colour_limit for one in scans if one.has(COLOURS)}
     colours = np.float64 if None in limits else np.uint8 if limits == {255.0} else np.uint16
@@ -204,7 +207,8 @@ def _decode(fields: dict[str, FloatArray], one: E57Scan, columns: _Columns) -> P
             normals = _rotate(stack([one.columns[name] for name in NORMALS]), one.rotation)
     colours: Numbers | None = None
     if columns.colours is not None:
-        colours = np.zeros((count, 3), columns.colours)
+        white = _WHITE.get(columns.colours, np.nan)  # what that is will be judged
+        colours = np.full((count, 3), white, columns.colours)
         if one.has(COLOURS):
             colours = _scale(stack([one.columns[name] for name in COLOURS]), one, columns.colours)
     attributes: dict[str, Numbers] = {}
@@ -242,9 +246,9 @@ def _from_spherical(points: FloatArray) -> FloatArray:
 
 def _scale(colours: FloatArray, one: E57Scan, dtype: type[np.generic]) -> Numbers:
     """Bring colours to the type of the file; as they are where their limit is that of the type."""
-    if dtype is np.float64 or one.colour_limit is None:
+    if dtype not in _WHITE or one.colour_limit is None:
         return colours
-    most = 255 if dtype is np.uint8 else 65535
+    most = _WHITE[dtype]
     scaled: FloatArray = np.nan_to_num(colours)
     if one.colour_limit != most:
         scaled = np.rint(scaled * (most / one.colour_limit))

@@ -83,7 +83,8 @@ def write_stl(path: Path, mesh: Mesh | MeshStream) -> None:
     stream = as_stream(mesh)
     head = "hpcapp"
     if stream.origin.any():
-        head += " origin " + " ".join(f"{coordinate:.17g}" for coordinate in stream.origin)
+        places = (np.format_float_positional(part, trim="-") for part in stream.origin)
+        head += f" origin {' '.join(places)}"
     with replacing(path) as file:
         file.write(head.encode("ascii")[:_HEAD_BYTES].ljust(_HEAD_BYTES))
         file.write(stream.face_count.to_bytes(4, "little"))

@@ -5,6 +5,7 @@
     comment unit m
     comment height_unit ft              where heights have another one
     comment crs EPSG:2180
+    comment joined 2 files: E57         what the points were read from
     comment scanner 0 1.5 2 0.25        the number of the scan, and where its scanner stood
 """
 
@@ -24,11 +25,15 @@ __all__ = ["Kept", "keep", "parse_comments"]
 
 @dataclass(slots=True, eq=False)
 class Kept:
-    """What comments say of a file's points; where the scanners stood, by the number of the scan."""
+    """What comments say of a file's points; where the scanners stood, by the number of the scan.
+
+    Files that were joined are named by their number and formats.
+    """
 
     unit: str | None = None
     height_unit: str | None = None
     crs: str | None = None
+    joined: str | None = None
     scanners: dict[int, FloatArray] = field(default_factory=dict)
 
 
@@ -50,6 +55,8 @@ def parse_comments(comments: Sequence[Sequence[str]]) -> Kept:
                 kept.unit = " ".join(rest)
             case ["height_unit", *rest] if 0 < len(rest) < 3:
                 kept.height_unit = " ".join(rest)
+            case ["joined", *rest] if rest:
+                kept.joined = " ".join(rest)
             case ["crs", *rest] if rest:
                 kept.crs = " ".join(rest)
             case ["scanner", number, *place] if number.isdecimal() and len(place) == 3:

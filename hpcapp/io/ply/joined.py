@@ -14,7 +14,7 @@ from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io.crs import Crs
 from hpcapp.io.ply.columns import VertexProperties
 from hpcapp.io.ply.comments import keep
-from hpcapp.io.points.column_roles import AXES, name_columns
+from hpcapp.io.points.column_roles import AXES, name_columns, name_some
 from hpcapp.io.points.point_source import SCAN, PointSource
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import InputError
@@ -31,8 +31,8 @@ def write_joined(path: Path, sources: Sequence[PointSource]) -> int:
     """Write the points of sources, one after the other, as one PLY; return their number.
 
     Memory is bounded where all sources stream. Coordinates are written as ``double``, in those of
-    the sources; normals as ``float``. What only some of the sources have is left out, with a
-    warning.
+    the sources; normals as ``float``. Points of sources without colours are white where others have
+    some; other columns that only some have are left out, with a warning.
 
     Raises
     ------
@@ -75,7 +75,7 @@ def _refuse_mixed(sources: Sequence[PointSource]) -> None:
 
 
 def _find_common(sources: Sequence[PointSource]) -> PointCloud:
-    """Return the columns that all sources have, without points."""
+    """Return the columns that all sources have, and colours where one has some, without points."""
     layouts = [next(source.chunks(1)).view(slice(0)) for source in sources]
     if len(sources) > 1:
         number = np.empty(0, np.int32)
@@ -83,18 +83,23 @@ def _find_common(sources: Sequence[PointSource]) -> PointCloud:
             replace(layout, attributes={SCAN: number} | dict(layout.attributes))
             for layout in layouts
         ]
-    names = [name_columns(layout) for layout in layouts]
+    names = [name_columns(replace(layout, colours=None)) for layout in layouts]
     common = [name for name in names[0] if all(name in others for others in names)]
-    for columns, source in zip(names, sources, strict=True):
-        if left_out := [name for name in columns if name not in common]:
-            lost = ", ".join(left_out)
-            log.warning("warning: %s: left out, as not all files have it: %s", source.path, lost)
-    normals = [layout.normals for layout in layouts if layout.normals is not None]
     colours = [layout.colours for layout in layouts if layout.colours is not None]
+    for columns, layout, source in zip(names, layouts, sources, strict=True):
+        if lost := [name for name in columns if name not in common]:
+            shown = name_some(lost)
+            log.warning(
+                "warning: %s: all points stay; left out of each, as not all files have it: %s",
+                source.path, shown,
+            )  # fmt: skip
+        if colours and layout.colours is None:
+            log.warning("warning: %s: no colours, as other files have: white there", source.path)
+    normals = [layout.normals for layout in layouts if layout.normals is not None]
     return PointCloud(
         np.empty((0, 3)),
         normals[0] if len(normals) == len(layouts) else None,
-        np.concatenate(colours) if len(colours) == len(layouts) else None,
+        np.concatenate(colours) if colours else None,
         {
             name: np.concatenate([layout.attributes[name] for layout in layouts])
             for name in layouts[0].attributes
@@ -104,14 +109,18 @@ def _find_common(sources: Sequence[PointSource]) -> PointCloud:
 
 
 def _select(part: PointCloud, layout: PointCloud, first_scan: int) -> PointCloud:
-    """Return the columns of a part that all sources have; scans are numbered on."""
+    """Return the columns that are written of a part; scans are numbered on."""
     columns = dict(part.attributes)
     if SCAN in layout.attributes:
         columns[SCAN] = columns.get(SCAN, np.zeros(len(part), np.int32)) + first_scan
+    colours = None
+    if layout.colours is not None:
+        white = np.full((len(part), 3), 255, np.uint8)
+        colours = white if part.colours is None else part.colours
     return PointCloud(
         part.positions,
         part.normals if layout.normals is not None else None,
-        part.colours if layout.colours is not None else None,
+        colours,
         {name: columns[name] for name in layout.attributes},
     )
 
@@ -123,7 +132,19 @@ def _make_header(count: int, properties: VertexProperties, sources: Sequence[Poi
         for what in ("crs", "unit", "height_unit")
     ]
     scans = [scan for source in sources for scan in source.scans]
+    joined = [f"comment joined {_name_formats(sources)}"] if len(sources) > 1 else []
     filling = "comment ".ljust(8 + _COUNT_DIGITS - len(str(count)), "-")
     return ply_header(
-        [*keep(Crs(*known), scans), *coordinate_lines(count, True), *properties.lines, filling]
+        [
+            *joined,
+            *keep(Crs(*known), scans),
+            *coordinate_lines(count, True),
+            *properties.lines,
+            filling,
+        ]
     )
+
+
+def _name_formats(sources: Sequence[PointSource]) -> str:
+    formats = dict.fromkeys(source.format for source in sources)
+    return f"{len(sources)} files: {'; '.join(formats)}"

@@ -88,7 +88,8 @@ def open_ply(path: Path) -> PointSource:
         scan,
         records,
         check_rest,
-        f"PLY, {_ENCODINGS[header.byte_order]}{', splats' * splats}{', a mesh' * is_mesh}",
+        kept.joined
+        or f"PLY, {_ENCODINGS[header.byte_order]}{', splats' * splats}{', a mesh' * is_mesh}",
         tuple(p.name for p in vertex.properties),
         _find_scans(path, header, vertex.count, kept, grid),
         kept.crs,

@@ -7,6 +7,7 @@ for the role of a name; who has unnamed columns, or doubts a name, asks what the
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -23,6 +24,7 @@ __all__ = [
     "judge_colours",
     "judge_normals",
     "name_columns",
+    "name_some",
     "tell_use",
 ]
 
@@ -45,7 +47,11 @@ _SPELLINGS = {
     **dict.fromkeys(("northing", "north", "lat", "latitude"), "y"),
     **dict.fromkeys(("elevation", "height"), "z"),
     **{f"cartesian{axis}": axis for axis in "xyz"},
-    **{f"{stem}{axis}": f"n{axis}" for stem in ("n", "normal", "normals", "nor") for axis in "xyz"},
+    **{
+        f"{stem}{axis}": f"n{axis}"
+        for stem in ("n", "normal", "normals", "nor", "nornormal")  # the last in E57
+        for axis in "xyz"
+    },
     **{f"{stem}red": "red" for stem in ("", "diffuse", "color", "colour")},
     **{f"{stem}green": "green" for stem in ("", "diffuse", "color", "colour")},
     **{f"{stem}blue": "blue" for stem in ("", "diffuse", "color", "colour")},
@@ -63,6 +69,7 @@ _SPELLINGS = {
     "columnindex": "column",
     **dict.fromkeys(("class", "classification", "scalarclassification"), "classification"),
 }
+_NAMED = 5  # columns in a message
 _UNIT = 0.05  # how far from 1 the length of a unit vector may be: two decimals of each component
 _MOST = 0.9  # share of the rows that decide: a file may have some bad ones
 
@@ -92,6 +99,19 @@ def name_columns(cloud: PointCloud) -> tuple[str, ...]:
     normals = NORMALS if cloud.normals is not None else ()
     colours = COLOURS if cloud.colours is not None else ()
     return (*AXES, *normals, *colours, *cloud.attributes)
+
+
+def name_some(names: Sequence[str]) -> str:
+    """Name columns for a message: of many their number, and the first.
+
+    Examples
+    --------
+    >>> name_some(["a", "b"]), name_some(list("abcdefgh"))
+    ('a, b', '8 columns, a, b, c, d, e and so on')
+    """
+    if len(names) > _NAMED:
+        return f"{len(names)} columns, {', '.join(names[:_NAMED])} and so on"
+    return ", ".join(names)
 
 
 def judge_colours(values: Numbers) -> ColourScale | None:

@@ -18,6 +18,7 @@ many points at the origin, or any  dropped and counted, with a warning
 where all others are far from it
 many points at another same place  dropped and counted, with a warning
 degrees                            a warning
+whole metres                       a warning: they may be millimetres
 points measured from above         the source says so (see `survey`)
 =================================  ==========================================================
 """
@@ -62,6 +63,8 @@ _FEWEST_TO_DOUBT = 10  # points: fewer say nothing of a surface
 _NARROWEST = 1e-3  # of a plane: the square of its second extent over that of its first
 _AGREEMENT = 0.8  # |cos| between normals and the planes of the neighbours
 
+_METRIC = ("E57", "LAS", "LAZ", "COPC")  # formats; what states no unit there is in metres
+_WIDEST_IN_METRES = 100.0  # of what is measured to whole ones
 _STEEPEST = 1000.0  # z's extent over those of x and y: a relief of 1 % in metres over degrees
 _GEOGRAPHIC = re.compile(r"^\s*(GEOGCS|GEOGCRS|GEODCRS)|^(EPSG:)?(4326|4269|4258|4979)$", re.I)
 _DEGREES = {"lon", "long", "lng", "longitude", "lat", "latitude"}
@@ -146,6 +149,12 @@ def recognise(source: PointSource) -> PointSource:
     colours = usable.normals if use == "colours" else usable.colours
     scale = None if colours is None else _judge_scale(colours, findings)
     decisions = _Decisions(scale, use, missing)
+    if _look_like_millimetres(source, usable.positions):
+        findings.warn(
+            "all coordinates are whole numbers, as of millimetres, and are taken for metres, as "
+            f"{source.format.partition(',')[0]} has them: if they are millimetres, export the file "
+            "in metres, or read the lengths of the result as millimetres"
+        )
     is_degree = _are_degrees(source, usable.positions)
     if is_degree:
         findings.warn(
@@ -363,12 +372,21 @@ def _scale_colours(colours: Numbers, scale: ColourScale) -> NDArray[np.uint8]:
     """Return colours as bytes."""
     if colours.dtype == np.uint8:
         return colours.astype(np.uint8, copy=False)
-    if scale == "16 bit":  # both 256 and 257 times a byte give the byte
-        scaled = np.nan_to_num(colours) // 256
-    else:
-        scaled = np.rint(np.nan_to_num(colours) * (255 if scale == "float" else 1))
+    whole = {"8 bit": 255, "16 bit": 65535, "float": 1}[scale]
+    known: Numbers = np.nan_to_num(colours, nan=whole)  # white where there is none
+    # Both 256 and 257 times a byte give the byte.
+    scaled = known // 256 if scale == "16 bit" else np.rint(np.multiply(known, 255 / whole))
     as_bytes: NDArray[np.uint8] = np.clip(scaled, 0, 255).astype(np.uint8)
     return as_bytes
+
+
+def _look_like_millimetres(source: PointSource, positions: FloatArray) -> bool:
+    """Tell whether the coordinates of a format that has metres are whole numbers, of a wide box."""
+    are_metres = source.unit == "m" or (source.unit is None and source.format.startswith(_METRIC))
+    if not are_metres or len(positions) < _FEWEST_TO_DOUBT:
+        return False
+    is_whole = all((column == np.rint(column)).all() for column in positions.T)
+    return bool(is_whole and np.ptp(positions, axis=0).max() > _WIDEST_IN_METRES)
 
 
 def _are_degrees(source: PointSource, positions: FloatArray) -> bool:

@@ -24,6 +24,7 @@ from hpcapp.io.points.column_roles import (
     find_role,
     judge_colours,
     judge_normals,
+    name_some,
 )
 from hpcapp.io.points.point_source import Findings
 from hpcapp.io.text.tables import RowNotes
@@ -105,11 +106,10 @@ class Columns:
     def _as_colours(self, values: FloatArray, first: int, notes: RowNotes) -> Numbers:
         if self.scale not in ("8 bit", "16 bit"):
             return values
-        none = np.isnan(values).any(axis=1)
+        none, most = np.isnan(values).any(axis=1), _OPAQUE[self.scale]
         if none.any():
-            values[none] = 0
-            notes.note("colour", f"point {first + int(np.argmax(none))} has no colour: it is black")
-        most = _OPAQUE[self.scale]
+            values[none] = most
+            notes.note("colour", f"point {first + int(np.argmax(none))} has no colour: it is white")
         wrong = ~((values >= 0) & (values <= most) & (values == np.rint(values))).all(axis=1)
         if wrong.any():
             row = int(np.argmax(wrong))
@@ -184,8 +184,9 @@ def assign_by_value(
     for column in range(sample.shape[1]):
         if column not in roles:
             roles[column] = _name_single(sample, column, roles)
-            if roles[column].startswith("column"):
-                findings.warn(f"{roles[column]} has no name, and is kept as an attribute")
+    unnamed = [roles[i] for i in range(sample.shape[1]) if roles[i].startswith("column_")]
+    if unnamed:
+        findings.warn(f"without a name, and kept as attributes: {name_some(unnamed)}")
     return _make_columns([roles[i] for i in range(sample.shape[1])], sample)
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from hpcapp.applications.surface.types.points import FloatArray
-from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS, find_role
+from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS, find_role, name_some
 from hpcapp.io.points.point_source import Findings
 from hpcapp.io.rows import Line, is_count, line_error, numbered
 from hpcapp.io.text.lines import find_encoding, read_blocks, sample_lines
@@ -83,6 +83,8 @@ def find_layout(path: Path, findings: Findings) -> tuple[Layout, FloatArray]:
     elsewhere = sample_lines(path, encoding)
     following = islice(lines, _HEAD_ROWS) if elsewhere else lines
     texts = [first[1], *(text for _, text in following), *elsewhere]
+    if head.names:  # which are the start of what lies elsewhere
+        texts = [text for text in texts if text.strip() != head.names_line[1].strip()]
     if head.count:
         texts = [text for text in texts if not is_count(text.strip())]
     rows = _find_separator(texts[:: 1 + len(texts) // _PROBED_ROWS], first, path)
@@ -237,6 +239,9 @@ def _find_numbers(
             or (roles[i] in NORMALS + COLOURS and any(map(is_number, words)))
             or (names[i] and words and all(map(is_number, words)))
         )
+        passed_over = [names[i] for i, words in enumerate(columns) if words and i not in wanted]
+        if named := list(filter(None, passed_over)):
+            findings.warn(f"left out, as not all of a column is numbers: {name_some(named)}")
     if len(wanted) < 3:
         problem = f"{len(wanted)} columns of numbers, x, y and z are 3"
         raise line_error(path, first, problem, "check the file")

@@ -96,7 +96,7 @@ def open_ptx(path: Path) -> PointSource:
         raise InputError(f"{path}: no points: the file has no scan", "check the file")
     findings = Findings()
     if len(layouts) > 1:
-        findings.warn("some scans lack intensities (NaN) or colours (black) that others have")
+        findings.warn("some scans lack intensities (NaN) or colours (white) that others have")
     together = set().union(*layouts)
     roles = next(layout for layout in _LAYOUTS.values() if together <= set(layout))
 
@@ -206,7 +206,7 @@ def _complete(cloud: PointCloud, roles: tuple[str, ...]) -> PointCloud:
     """Give a cloud what other scans have and its own lacks."""
     colours: Numbers | None = cloud.colours
     if colours is None and COLOURS[0] in roles:
-        colours = np.zeros((len(cloud), 3), np.uint8)
+        colours = np.full((len(cloud), 3), 255, np.uint8)
     attributes = dict(cloud.attributes)
     if "intensity" in roles:
         attributes.setdefault("intensity", np.full(len(cloud), np.nan))

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.points.info import describe_file
+from hpcapp.applications.surface.attributes.carrying import Carrying
 from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.job import run, steps, storage
 from hpcapp.applications.surface.job.report_page import show_files
@@ -22,6 +23,7 @@ from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io import open_points, read_mesh, read_points, write_points
+from hpcapp.io.crs import Crs
 from hpcapp.io.points.inputs import gather_points
 from hpcapp.progress import Progress
 
@@ -96,6 +98,19 @@ def test_normals_and_attributes_of_vertices(ball: Path, tmp_path: Path) -> None:
     assert mesh.attributes["support"].max() < 6.0
 
 
+def test_a_mesh_in_memory_gets_its_heights_again() -> None:
+    slope = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+    mesh = Mesh(slope, np.array([[0, 1, 2]]), np.array([5.0, 6.0, 7.0]))
+    nothing = PointCloud(np.empty((0, 3)))
+    carrying = Carrying(nothing, has_normals=True, crs=Crs(None, "ft", "m"))
+    own = carrying.to_mesh(mesh)
+    assert own.vertices[:, 2] == pytest.approx([0.0, METRES, 0.0])
+    assert own.origin == pytest.approx([5.0, 6.0, 7.0 * METRES])
+    assert own.normals is not None
+    assert np.abs(own.normals @ (own.vertices[1:] - own.vertices[0]).T).max() < 1e-12
+    assert np.linalg.norm(own.normals, axis=1) == pytest.approx(np.ones(3))
+
+
 @pytest.mark.parametrize("suffix", [".ply", ".tiles"])
 def test_a_cloud_in_a_folder_gives_the_same_mesh(
     suffix: str, ball: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -111,6 +126,26 @@ def test_a_cloud_in_a_folder_gives_the_same_mesh(
         assert output.read_bytes() == (tmp_path / "whole.ply").read_bytes()
     for places in read_places(output):
         assert np.abs(np.linalg.norm(unit_vectors(places), axis=1) - 1.0).max() < 0.02
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".tiles"])
+def test_who_writes_parts_says_what_coordinates_mean(
+    suffix: str, ball: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of points in feet alone parts are written where they are, which no heights are changed in."""
+    cloud, feet = read_points(ball), tmp_path / "feet.ply"
+    write_points(feet, PointCloud(cloud.positions, cloud.normals), "EPSG:2229", "ft")
+    reconstruct(feet, tmp_path / "whole.ply")
+    monkeypatch.setattr(storage, "fits_memory", lambda *_: False)
+    for module in (run, steps):
+        monkeypatch.setattr(module, "choose_tile", lambda *_: 3_000)
+    output = tmp_path / f"parts{suffix}"
+    reconstruct(feet, output, temp_dir=str(tmp_path / "room"))
+    written = [output] if suffix == ".ply" else sorted(output.iterdir())
+    for file in written:
+        assert b"comment unit ft\ncomment crs EPSG:2229\n" in file.read_bytes()[:200]
+    if suffix == ".ply":
+        assert output.read_bytes() == (tmp_path / "whole.ply").read_bytes()
 
 
 def test_a_viewpoint_is_in_the_coordinates_of_the_file(ball: Path, tmp_path: Path) -> None:

@@ -211,21 +211,27 @@ def test_columns_that_most_points_have(make_e57: MakeE57, scan: MakeScan) -> Non
     source, cloud = read(path)
     assert cloud.colours is not None
     assert cloud.normals is not None
-    assert cloud.colours[:, 0].tolist() == [7, 7, 7, 0, 0]
+    assert cloud.colours[:, 0].tolist() == [7, 7, 7, 255, 255]
     assert cloud.normals[:, 0].tolist() == [1, 1, 1, 0, 0]
     np.testing.assert_array_equal(cloud.attributes["intensity"], [0, 1, 2, np.nan, np.nan])
     assert source.findings.warnings == [
-        f"2 of 5 points are of scans without {what}: they are zero there"
-        for what in ("normals", "colours")
+        "2 of 5 points are of scans without normals: these are zero there",
+        "2 of 5 points are of scans without colours: they are white",
     ]
 
 
-def test_columns_that_few_points_have(make_e57: MakeE57, scan: MakeScan) -> None:
+def test_colours_are_kept_and_normals_left_out_where_few_points_have_them(
+    make_e57: MakeE57, scan: MakeScan
+) -> None:
     few = colours_of(np.full((1, 3), 7, np.uint8))
+    few |= {f"nor:normal{axis}": np.ones(1) for axis in "XYZ"}
     source, cloud = read(make_e57(scan([[0, 0, 0]]), scan([[0, 0, 0]], fields=few)))
-    assert cloud.colours is None
+    assert cloud.colours is not None
+    assert cloud.colours.tolist() == [[255, 255, 255], [7, 7, 7]]
+    assert cloud.normals is None
     assert source.findings.warnings == [
-        "1 of 2 points are of scans without colours: they are left out"
+        "1 of 2 points are of scans without normals: no normals are kept",
+        "1 of 2 points are of scans without colours: they are white",
     ]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
-from hpcapp.io import read_points, write_points
+from hpcapp.io import open_points, read_points, write_points
 from hpcapp.io.points.inputs import find_files, gather_points
 from hpccomponent.errors import InputError, UsageError
 
@@ -55,7 +55,29 @@ def test_what_only_some_files_have_is_left_out_and_said(
     write_points(tmp_path / "a.ply", cloud)
     write_points(tmp_path / "b.ply", PointCloud(cloud.positions))
     assert read([str(tmp_path / "a.ply"), str(tmp_path / "b.ply")]).normals is None
-    assert "a.ply: left out, as not all files have it: nx, ny, nz" in caplog.text
+    said = "a.ply: all points stay; left out of each, as not all files have it: nx, ny, nz"
+    assert said in caplog.text
+
+
+def test_points_of_files_without_colours_are_white(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    cloud = make_cloud(0)
+    red = np.full((50, 3), (200, 10, 10), np.uint8)
+    write_points(tmp_path / "a.ply", PointCloud(cloud.positions, cloud.normals))
+    write_points(tmp_path / "b.ply", PointCloud(cloud.positions, cloud.normals, red))
+    joined = read([str(tmp_path / "a.ply"), str(tmp_path / "b.ply")])
+    assert joined.colours is not None
+    assert joined.colours.tolist() == [[255, 255, 255]] * 50 + [[200, 10, 10]] * 50
+    (message,) = caplog.messages
+    assert message.endswith("a.ply: no colours, as other files have: white there")
+
+
+def test_joined_files_are_called_by_their_formats(tmp_path: Path) -> None:
+    for name in ("a.xyz", "b.xyz", "c.npz"):
+        write_points(tmp_path / name, make_cloud(0))
+    with gather_points([str(tmp_path / name) for name in ("a.xyz", "b.xyz", "c.npz")]) as path:
+        assert open_points(path).format == "3 files: text, separated by blanks; NPZ"
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".xyz"])

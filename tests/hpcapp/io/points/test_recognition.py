@@ -401,3 +401,32 @@ def test_normals_of_one_octant_are_judged_by_the_surface_at_any_scale(scale: flo
     np.testing.assert_array_equal(kept.normals, directions)
     off = read(recognise(make_source(scale * directions, directions[::-1].copy())))
     assert off.normals is None
+
+
+@pytest.mark.parametrize(
+    ("more", "factor", "shift", "is_told"),
+    [
+        ({"unit": "m", "format": "E57"}, 2000.0, 0.0, True),
+        ({"format": "LAZ 1.4, point format 6"}, 2000.0, 0.0, True),
+        ({"unit": "m", "format": "E57"}, 2000.0, 0.25, False),  # not whole
+        ({"unit": "m", "format": "E57"}, 20.0, 0.0, False),  # voxels, or a small object
+        ({"unit": "mm", "format": "PLY, binary"}, 2000.0, 0.0, False),
+        ({"format": "PLY, binary"}, 2000.0, 0.0, False),
+    ],
+)
+def test_whole_metres_may_be_millimetres(
+    more: dict[str, Any], factor: float, shift: float, is_told: bool
+) -> None:
+    source = recognise(make_source(np.rint(factor * TORUS) + shift, **more))
+    told = [line for line in source.findings.warnings if "if they are millimetres" in line]
+    assert len(told) == is_told
+
+
+@pytest.mark.parametrize("most", [1.0, 255.0])
+def test_points_without_a_colour_are_white(most: float) -> None:
+    colours = np.rint(BYTES / 255 * most) if most > 1 else BYTES / 255
+    colours[:7] = np.nan
+    (part,) = recognise(make_source(TORUS, colours=colours)).chunks(POINTS)
+    assert part.colours is not None
+    assert part.colours[:7].tolist() == [[255, 255, 255]] * 7
+    assert (part.colours[7:] == BYTES[7:]).all()

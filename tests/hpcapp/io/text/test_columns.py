@@ -83,8 +83,8 @@ def test_values_tell_what_they_are(groups: list[FloatArray], roles: str) -> None
         ),
         ([BYTES * 257], COLOURS, "colours of 16 bit"),
         ([VECTORS * 3], NORMALS, "normals, though their lengths differ from 1"),
-        ([SHARE, SIGNED], "intensity column_5", "column_5 has no name"),
-        ([np.abs(VECTORS) * 3], "intensity column_5 column_6", "column_5 .*column_6"),
+        ([SHARE, SIGNED], "intensity column_5", "without a name, and kept as attributes: column_5"),
+        ([np.abs(VECTORS) * 3], "intensity column_5 column_6", "column_5, column_6"),
     ],
 )
 def test_guesses_are_told(groups: list[FloatArray], roles: str, warning: str) -> None:
@@ -173,9 +173,9 @@ def test_colours_that_the_sample_had_none_of() -> None:
     notes, findings = RowNotes(Path("a.xyz")), Findings()
     table = np.array([[1, 2, 3, 4, 5, 6], [1, 2, 3, np.nan, 5, 6]])
     cloud = columns.make_cloud(table, 10, notes)
-    np.testing.assert_array_equal(cloud.colours, [[4, 5, 6], [0, 0, 0]])
+    np.testing.assert_array_equal(cloud.colours, [[4, 5, 6], [255, 255, 255]])
     notes.tell(findings)
-    assert findings.warnings == ["point 11 has no colour: it is black"]
+    assert findings.warnings == ["point 11 has no colour: it is white"]
     for wrong in (256, -1, 0.5, np.inf):
         table[0, 4] = wrong
         with pytest.raises(InputError, match=r"a\.xyz: point 10 has the colour"):

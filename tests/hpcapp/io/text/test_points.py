@@ -125,7 +125,7 @@ def test_columns_go_by_their_names(make_file: Make) -> None:
     assert {name: column.tolist() for name, column in part.attributes.items()} == {"h": [5] * 3}
     assert source.columns[:2] == ("id", "B")
     assert source.format == "text, separated by commas"
-    assert source.findings.warnings == []
+    assert source.findings.warnings == ["left out, as not all of a column is numbers: id"]
 
 
 @pytest.mark.parametrize(
@@ -211,3 +211,24 @@ def _assert_points_or_error(
     assert ("\n" not in said and str(path) in said) if said else sum(map(len, parts)) > 0
     assert all(part.positions.shape == (len(part), 3) for part in parts)
     assert len({tuple(part.attributes) for part in parts}) <= 1
+
+
+def test_a_large_file_keeps_all_its_named_columns(make_file: Make) -> None:
+    """Its lines are so long that any of them is looked at, that of the names as well."""
+    extra = [f"c{number}" for number in range(200)]
+    rows = np.random.default_rng(1).random((1200, 203))
+    lines = [",".join(["x", "y", "z", *extra]), *(",".join(map(str, row)) for row in rows.tolist())]
+    path = make_file("wide.csv", "\n".join(lines))
+    assert path.stat().st_size > 1 << 20
+    source = open_points(path)
+    part = next(source.chunks(1))
+    assert list(part.attributes) == extra
+    assert source.findings.warnings == []
+
+
+def test_many_columns_without_names_are_told_in_one_line(make_file: Make) -> None:
+    rows = np.random.default_rng(1).normal(size=(50, 40)) * 9
+    path = make_file("wide.xyz", "\n".join(" ".join(map(str, row)) for row in rows.tolist()))
+    (warning,) = [w for w in open_points(path).findings.warnings if "without a name" in w]
+    assert warning.startswith("without a name, and kept as attributes: ")
+    assert warning.endswith(" and so on")

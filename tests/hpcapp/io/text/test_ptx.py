@@ -123,11 +123,11 @@ def test_scans_that_lack_what_others_have(make_file: Make) -> None:
     source = open_ptx(make_file("a.ptx", first + "\n\n" + second))
     cloud = _read(source, 1)
     assert cloud.colours is not None
-    assert cloud.colours[:2].tolist() == [[0, 0, 0]] * 2
+    assert cloud.colours[:2].tolist() == [[255, 255, 255]] * 2
     assert np.isnan(cloud.attributes["intensity"]).tolist() == [True, True, False]
     assert source.columns == ("x", "y", "z", "intensity", "red", "green", "blue")
     assert source.findings.warnings == [
-        "some scans lack intensities (NaN) or colours (black) that others have"
+        "some scans lack intensities (NaN) or colours (white) that others have"
     ]
 
 

@@ -37,7 +37,8 @@ def call(tmp_path: Path) -> tuple[object, ...]:
     (tmp_path / "hidden").mkdir()
     places = PartPlaces(np.array([0]), np.array([0]), np.empty(0, np.int32), np.array([4]))
     foreign = (("other",), np.array([0]), np.array([1]))
-    ply = (str(tmp_path / "hidden/tile.ply"), "mesh.tiles", False, np.array([0.0, 0.0, 2.0]))
+    origin, comments = np.array([0.0, 0.0, 2.0]), ("comment unit m",)
+    ply = (str(tmp_path / "hidden/tile.ply"), "mesh.tiles", False, origin, comments)
     return (str(tmp_path / "kept"), "part"), places, foreign, ply
 
 
@@ -47,6 +48,7 @@ def test_a_tile_holds_what_its_faces_use(call: tuple[Any, ...], tmp_path: Path) 
         head, _, body = (tmp_path / "hidden/tile.ply").read_bytes().partition(b"end_header\n")
         assert b"element vertex 3\n" in head
         assert b"element face 1\n" in head
+        assert b"\ncomment unit m\n" in head
         vertices = np.frombuffer(body, "<f4", 9).reshape(3, 3)
         corners = np.frombuffer(body, "<i4", 3, 36 + 1)
         assert len(body) == 36 + 13
