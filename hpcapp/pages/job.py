@@ -9,42 +9,12 @@ from html import escape
 from hpcapp.pages.page import Section, make_list, make_table
 from hpcapp.pages.report import TaskSpan
 from hpcapp.pages.timeline import MASTER, draw_timeline
-from hpcapp.wording import say_number, say_share
+from hpcapp.wording import say_name, say_number, say_share
 from hpccomponent.foreign_json import convert
 from hpccomponent.terminal import visible_text
 
 __all__ = ["describe_job", "find_unit"]
 
-_NAMES = {
-    "boundaries": "borders",
-    "bytes_received": "bytes received",
-    "cell_size": "cells of the points, edge",
-    "closure": "open or closed",
-    "coarsest_step": "largest cell, edge",
-    "components": "pieces",
-    "crumbs": "small pieces dropped",
-    "edge_manifold": "manifold at edges",
-    "farthest": "the rest is away up to",
-    "fill_holes": "holes filled up to",
-    "genus": "handles",
-    "grid": "cells along the longest side",
-    "lam": "smoothing",
-    "levels": "levels of detail",
-    "patches": "cells that hold points",
-    "points": "points used",
-    "reach": "no point supports beyond",
-    "refined_levels": "levels added for detail",
-    "share": "supported by points",
-    "spacing": "spacing of the points",
-    "spacing_range": "spacing, from and to",
-    "step": "cell, edge",
-    "sure": "sides that are sure",
-    "trim": "cut off beyond",
-    "turned": "turned around",
-    "turned_normals": "normals turned around",
-    "vertex_manifold": "manifold at vertices",
-}
-"""What is not called in a report as people would call it."""
 _LENGTHS = {"cell_size", "coarsest_step", "farthest", "fill_holes", "noise", "reach", "spacing",
             "spacing_range", "step", "trim"}  # fmt: skip
 _SHARES = {"share", "sure"}
@@ -94,14 +64,10 @@ def find_unit(report: Mapping[str, object]) -> str:
     return unit if isinstance(unit, str) and unit != "degree" else ""
 
 
-def _words(name: str) -> str:
-    return _NAMES.get(name, name.replace("_", " "))
-
-
 def _readable(value: object, name: str = "", unit: str = "") -> object:
     """Return a JSON value as a cell shows it."""
     if isinstance(value, Mapping):
-        said = (f"{_words(str(k))} {_say(_readable(v, str(k), unit))}" for k, v in value.items())
+        said = (f"{say_name(str(k))} {_say(_readable(v, str(k), unit))}" for k, v in value.items())
         return ", ".join(said) or "-"
     if isinstance(value, list | tuple):
         return ", ".join(_say(_readable(item, name, unit)) for item in value) or "none"
@@ -123,7 +89,7 @@ def _say(value: object) -> str:
 
 def _pick(report: Mapping[str, object], names: Iterable[str]) -> dict[str, object]:
     unit = find_unit(report)
-    return {_words(name): _readable(report[name], name, unit) for name in names if name in report}
+    return {say_name(name): _readable(report[name], name, unit) for name in names if name in report}
 
 
 def _mesh(report: Mapping[str, object]) -> dict[str, object]:
@@ -131,7 +97,7 @@ def _mesh(report: Mapping[str, object]) -> dict[str, object]:
     rows = _pick(report, _MESH)
     if isinstance(support := report.get("support"), Mapping):
         unit = find_unit(report)
-        rows |= {_words(name): _readable(support[name], name, unit)
+        rows |= {say_name(name): _readable(support[name], name, unit)
                  for name in _SUPPORT if name in support}  # fmt: skip
     return rows
 
@@ -140,9 +106,9 @@ def _decisions(report: Mapping[str, object]) -> dict[str, object]:
     """Return what was chosen and found on the way to the mesh."""
     rows = _pick(report, (name for name in report if name not in _ELSEWHERE))
     if isinstance(normals := report.get("normals"), Mapping):
-        rows |= {f"normals: {_words(name)}": _readable(v, name) for name, v in normals.items()}
+        rows |= {f"normals: {say_name(name)}": _readable(v, name) for name, v in normals.items()}
     if isinstance(dropped := report.get("dropped"), Mapping):
-        rows |= {f"dropped: {_words(name)}": _readable(v) for name, v in dropped.items()}
+        rows |= {f"dropped: {say_name(name)}": _readable(v) for name, v in dropped.items()}
     return rows
 
 
@@ -150,7 +116,7 @@ def _describe_input(report: Mapping[str, object]) -> list[Section]:
     given = report.get("input")
     if not isinstance(given, Mapping):
         return []
-    rows = {_words(name): _readable(v) for name, v in given.items() if name != "columns"}
+    rows = {say_name(name): _readable(v) for name, v in given.items() if name != "columns"}
     columns = given.get("columns")
     if isinstance(columns, Mapping):
         by_use: dict[str, list[str]] = {}
@@ -193,7 +159,7 @@ def _work(report: Mapping[str, object]) -> dict[str, object]:
         rows["why these"] = choice["reason"]
     for name in ("bytes_sent", "bytes_received"):
         if name in report:
-            rows[_words(name)] = report[name]
+            rows[say_name(name)] = report[name]
     spans = _spans(report)
     for outcome in _FAILED:
         if spans:
