@@ -14,7 +14,7 @@ _NAMES = {
     "boundary_edges": "edges at a border",
     "bytes_received": "bytes received",
     "cell_size": "cells of the points, edge",
-    "closure": "open or closed",
+    "closure": "why open or closed",
     "coarsest_step": "largest cell, edge",
     "component_genus": "handles of each piece",
     "components": "pieces",
@@ -37,7 +37,7 @@ _NAMES = {
     "sure": "sides that are sure",
     "trim": "cut off beyond",
     "turned": "turned around",
-    "turned_normals": "normals turned around",
+    "turned_normals": "inconsistent normals flipped",
     "vertex_manifold": "manifold at vertices",
 }
 """What people call otherwise than a report does."""

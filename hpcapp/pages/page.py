@@ -162,7 +162,9 @@ def _make_controls(scene: Scene, colourings: Sequence[tuple[str, str]]) -> str:
             '<input type="range" id="point-size" min="1" max="8" step="0.5" value="2">',
         ))  # fmt: skip
     ups = "".join(
-        f'<option value="{axis}"{" selected" if axis == scene.up else ""}>{axis} up</option>'
+        f'<option value="{sign}{axis}"{" selected" if sign + axis == scene.up else ""}>'
+        f"{axis} {way}</option>"
+        for sign, way in (("", "up"), ("-", "down"))
         for axis in "zyx"
     )
     rows.append((

@@ -6,7 +6,7 @@ const VIRIDIS = [[68, 1, 84], [71, 44, 122], [59, 81, 139], [44, 113, 142], [33,
 const SIDES = [[33, 86, 160], [84, 148, 196], [168, 205, 226], [240, 240, 240], [250, 199, 172],
   [226, 120, 92], [166, 24, 43]]; // inside, on the surface, outside
 const NONE = [150, 150, 150];
-const GUESSED = [205, 40, 170], BLEND = 0.65; // the tint of guesswork, and how strong it is
+const GUESSED = [205, 40, 170], BLEND = 0.8; // the tint of guesswork, and how strong it is
 const SHADES = 256, BARS = 48, MOST = 65534; // the level 65535 means: no number
 const DECADES = 3; // of a scale's end that the slider goes through
 

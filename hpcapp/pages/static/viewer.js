@@ -14,7 +14,9 @@ const PLAIN = [0.8, 0.82, 0.86];
 const SAMPLED = 20000; // places of a mesh by which the view is fitted
 const MARGIN = 1.06; // around what is looked at
 const PICKED = 6; // pixels: so far from a point it is meant
-const UPS = { x: [1, 0, 0], y: [0, 1, 0], z: [0, 0, 1] };
+const UPS = { x: [1, 0, 0], y: [0, 1, 0], z: [0, 0, 1], '-x': [-1, 0, 0], '-y': [0, -1, 0],
+  '-z': [0, 0, -1] };
+const TURNED = 0.2; // length of a mean normal away from the eye, by which a mesh is seen from behind
 
 /** Normals of the vertices: the sums of the faces' cross products, as int8. */
 export function vertexNormals(positions, indices) {
@@ -223,11 +225,10 @@ export class Viewer {
     const middle = new THREE.Vector3(), size = new THREE.Vector3(1, 1, 1);
     if (!this.box.isEmpty()) { this.box.getCenter(middle); this.box.getSize(size); }
     const radius = 0.5 * size.length() || 1;
-    const aside = { x: [0.45, 0.55, 0.8], y: [0.55, 0.45, 0.8], z: [0.55, -0.8, 0.45] }[up];
     this.camera.up.set(...UPS[up]);
     this.camera.near = 0.01 * radius;
     this.camera.far = 100 * radius;
-    const back = new THREE.Vector3(...aside).normalize();
+    const back = this.#chooseSide();
     const { x, y, distance } = this.#fit(back, middle, radius);
     middle.add(x).add(y);
     this.camera.position.copy(back).multiplyScalar(distance).add(middle);
@@ -238,6 +239,22 @@ export class Viewer {
     this.controls.addEventListener('change', () => this.render());
     this.controls.update();
     this.render();
+  }
+
+  /** From where to look, by the axis that points up: from above, and at the front of the faces. */
+  #chooseSide() {
+    const axis = this.up.at(-1), above = this.camera.up;
+    const aside = { x: [0, 0.55, 0.8], y: [0.55, 0, 0.8], z: [0.55, -0.8, 0] }[axis];
+    const back = new THREE.Vector3(...aside), mean = new THREE.Vector3(), one = new THREE.Vector3();
+    let count = 0;
+    for (const { geometry } of this.meshes) {
+      const { normal } = geometry.attributes, step = Math.max(1, Math.floor(normal.count / SAMPLED));
+      for (let i = 0; i < normal.count; i += step, count++) {
+        mean.add(one.fromBufferAttribute(normal, i));
+      }
+    }
+    if (mean.dot(back) < -TURNED * count) back.negate();
+    return back.addScaledVector(above, 0.45).normalize();
   }
 
   /** How far to move aside and away, that what is shown fills the view as seen from `back`. */

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import hpcapp
+from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
 from hpcapp.pages.job import describe_job
 from hpcapp.pages.page import build_page
@@ -339,6 +340,21 @@ def test_another_axis_can_point_up(cube: Page) -> None:
     seen = cube.evaluate("""() => { const place = viewer.box.getCenter(viewer.camera.up.clone());
         place.y += 1; return place.project(viewer.camera).y }""")
     assert seen > 0.1
+
+
+def test_an_axis_can_point_down(cube: Page) -> None:
+    cube.select_option("#up", "-y")
+    assert cube.evaluate("viewer.camera.up.toArray()") == [0, -1, 0]
+
+
+def test_what_was_scanned_from_one_side_is_seen_from_there(open_page: Open) -> None:
+    """A square that faces y and not -y: its back would be red."""
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]])
+    faces = np.array([[0, 2, 1], [0, 3, 2]])
+    page = open_page(build_page("S", "s", Scene(Mesh(corners, faces))))
+    found = pixels(page)
+    assert found["drawn"] > 10_000
+    assert found["red"] == 0
 
 
 def test_a_warning_leads_to_its_place_and_back(cube: Page) -> None:
