@@ -7,8 +7,40 @@ from __future__ import annotations
 
 from math import floor, isfinite, log10
 
-__all__ = ["round_ticks", "say_count", "say_number", "say_share"]
+__all__ = ["round_ticks", "say_count", "say_name", "say_number", "say_share"]
 
+_NAMES = {
+    "boundaries": "borders",
+    "boundary_edges": "edges at a border",
+    "bytes_received": "bytes received",
+    "cell_size": "cells of the points, edge",
+    "closure": "why open or closed",
+    "coarsest_step": "largest cell, edge",
+    "component_genus": "handles of each piece",
+    "components": "pieces",
+    "crumbs": "small pieces dropped",
+    "edge_manifold": "manifold at edges",
+    "farthest": "the rest is away up to",
+    "fill_holes": "holes filled up to",
+    "genus": "handles",
+    "grid": "cells along the longest side",
+    "lam": "smoothing",
+    "levels": "levels of detail",
+    "patches": "cells that hold points",
+    "points": "points used",
+    "reach": "no point supports beyond",
+    "refined_levels": "levels added for detail",
+    "share": "supported by points",
+    "spacing": "spacing of the points",
+    "spacing_range": "spacing, from and to",
+    "step": "cell, edge",
+    "sure": "sides that are sure",
+    "trim": "cut off beyond",
+    "turned": "turned around",
+    "turned_normals": "inconsistent normals flipped",
+    "vertex_manifold": "manifold at vertices",
+}
+"""What people call otherwise than a report does."""
 _DIGITS = 3
 _LEAST, _MOST = 1e-4, 1e7  # beyond them the exponent is written
 
@@ -29,6 +61,17 @@ def say_count(number: int, one: str, many: str = "") -> str:
     '1 piece'
     """
     return f"{number:,} {one if number == 1 else many or one + 's'}"
+
+
+def say_name(name: str) -> str:
+    """Return what people call an entry of a report.
+
+    Examples
+    --------
+    >>> say_name("components"), say_name("edge_count")
+    ('pieces', 'edge count')
+    """
+    return _NAMES.get(name, name.replace("_", " "))
 
 
 def say_number(number: float, unit: str = "") -> str:

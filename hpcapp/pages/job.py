@@ -9,17 +9,22 @@ from html import escape
 from hpcapp.pages.page import Section, make_list, make_table
 from hpcapp.pages.report import TaskSpan
 from hpcapp.pages.timeline import MASTER, draw_timeline
+from hpcapp.wording import say_name, say_number, say_share
 from hpccomponent.foreign_json import convert
 from hpccomponent.terminal import visible_text
 
-__all__ = ["describe_job"]
+__all__ = ["describe_job", "find_unit"]
 
+_LENGTHS = {"cell_size", "coarsest_step", "farthest", "fill_holes", "noise", "reach", "spacing",
+            "spacing_range", "step", "trim"}  # fmt: skip
+_SHARES = {"share", "sure"}
 _MESH = ("vertices", "faces", "watertight", "edge_manifold", "vertex_manifold", "components",
          "genus", "attributes")  # fmt: skip
+_SUPPORT = ("share", "farthest")
 _WORK = ("backend", "workers", "policy", "kernels")
-_ELSEWHERE = (*_MESH, *_WORK, "summary", "input", "normals", "dropped", "warnings", "stages",
-              "timeline", "owners", "choice", "bytes_sent", "bytes_received", "command", "cost",
-              "losses", "verification")  # fmt: skip
+_ELSEWHERE = (*_MESH, *_WORK, "summary", "support", "input", "normals", "dropped", "warnings",
+              "stages", "timeline", "owners", "choice", "bytes_sent", "bytes_received", "command",
+              "cost", "losses", "verification")  # fmt: skip
 _FAILED = ("lost", "failed", "refused", "repeated")
 
 
@@ -39,7 +44,7 @@ def describe_job(
         Whether what the mesh is, is said.
     """
     sections = [
-        Section("Mesh", make_table(_pick(report, _MESH)) if has_mesh else ""),
+        Section("Mesh", make_table(_mesh(report)) if has_mesh else ""),
         _describe_warnings(report, marked),
         Section("Decided", make_table(_decisions(report))),
         *_describe_input(report),
@@ -52,36 +57,58 @@ def describe_job(
     return [section for section in sections if section.body]
 
 
-def _words(name: str) -> str:
-    return name.replace("_", " ")
+def find_unit(report: Mapping[str, object]) -> str:
+    """Return the unit of a report's lengths; nothing where it is not known."""
+    given = report.get("input")
+    unit = given.get("unit") if isinstance(given, Mapping) else None
+    return unit if isinstance(unit, str) and unit != "degree" else ""
 
 
-def _readable(value: object) -> object:
+def _readable(value: object, name: str = "", unit: str = "") -> object:
     """Return a JSON value as a cell shows it."""
     if isinstance(value, Mapping):
-        return ", ".join(f"{_words(str(k))} {_say(_readable(v))}" for k, v in value.items()) or "-"
+        said = (f"{say_name(str(k))} {_say(_readable(v, str(k), unit))}" for k, v in value.items())
+        return ", ".join(said) or "-"
     if isinstance(value, list | tuple):
-        return ", ".join(_say(_readable(item)) for item in value) or "none"
+        return ", ".join(_say(_readable(item, name, unit)) for item in value) or "none"
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        if name in _LENGTHS:
+            return say_number(float(value), unit)
+        if name in _SHARES and 0 <= value <= 1:
+            return say_share(float(value))
     return "-" if value is None else value
 
 
 def _say(value: object) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    if isinstance(value, int):
+        return f"{value:,}"
+    return say_number(value) if isinstance(value, float) else str(value)
 
 
 def _pick(report: Mapping[str, object], names: Iterable[str]) -> dict[str, object]:
-    return {_words(name): _readable(report[name]) for name in names if name in report}
+    unit = find_unit(report)
+    return {say_name(name): _readable(report[name], name, unit) for name in names if name in report}
+
+
+def _mesh(report: Mapping[str, object]) -> dict[str, object]:
+    """Return what the mesh is, and how much of it the points support."""
+    rows = _pick(report, _MESH)
+    if isinstance(support := report.get("support"), Mapping):
+        unit = find_unit(report)
+        rows |= {say_name(name): _readable(support[name], name, unit)
+                 for name in _SUPPORT if name in support}  # fmt: skip
+    return rows
 
 
 def _decisions(report: Mapping[str, object]) -> dict[str, object]:
     """Return what was chosen and found on the way to the mesh."""
     rows = _pick(report, (name for name in report if name not in _ELSEWHERE))
     if isinstance(normals := report.get("normals"), Mapping):
-        rows |= {f"normals: {_words(name)}": _readable(v) for name, v in normals.items()}
+        rows |= {f"normals: {say_name(name)}": _readable(v, name) for name, v in normals.items()}
     if isinstance(dropped := report.get("dropped"), Mapping):
-        rows |= {f"dropped: {_words(name)}": _readable(v) for name, v in dropped.items()}
+        rows |= {f"dropped: {say_name(name)}": _readable(v) for name, v in dropped.items()}
     return rows
 
 
@@ -89,7 +116,7 @@ def _describe_input(report: Mapping[str, object]) -> list[Section]:
     given = report.get("input")
     if not isinstance(given, Mapping):
         return []
-    rows = {_words(name): _readable(v) for name, v in given.items() if name != "columns"}
+    rows = {say_name(name): _readable(v) for name, v in given.items() if name != "columns"}
     columns = given.get("columns")
     if isinstance(columns, Mapping):
         by_use: dict[str, list[str]] = {}
@@ -132,7 +159,7 @@ def _work(report: Mapping[str, object]) -> dict[str, object]:
         rows["why these"] = choice["reason"]
     for name in ("bytes_sent", "bytes_received"):
         if name in report:
-            rows[_words(name)] = report[name]
+            rows[say_name(name)] = report[name]
     spans = _spans(report)
     for outcome in _FAILED:
         if spans:

@@ -13,6 +13,7 @@ from string import Template
 from hpcapp.io.staging import replacing
 from hpcapp.pages.arrays import pack_text
 from hpcapp.pages.scene import Scene, pack_scene
+from hpcapp.wording import say_number
 
 __all__ = ["Section", "build_page", "make_list", "make_table", "write_page"]
 
@@ -21,7 +22,9 @@ _MODULES = (
     ("three", "three/three.module.min.js"),
     ("three/addons/controls/OrbitControls.js", "three/OrbitControls.js"),
     ("hpcapp/viewer.js", "viewer.js"),
+    ("hpcapp/numbers.js", "numbers.js"),
     ("hpcapp/colours.js", "colours.js"),
+    ("hpcapp/measuring.js", "measuring.js"),
     ("hpcapp/page.js", "page.js"),
 )
 
@@ -81,7 +84,7 @@ def write_page(path: Path, page: str) -> None:
 
 
 def make_table(rows: Mapping[str, object]) -> str:
-    """Return names and values as an HTML table; numbers are written with six digits."""
+    """Return names and values as an HTML table; numbers stand below each other."""
     lines = []
     for name, value in rows.items():
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
@@ -115,7 +118,7 @@ def _say(value: object) -> str:
         return "yes" if value else "no"
     if isinstance(value, int):
         return f"{value:,}"
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    return say_number(value) if isinstance(value, float) else str(value)
 
 
 def _read(name: str) -> str:
@@ -130,13 +133,21 @@ def _make_controls(scene: Scene, colourings: Sequence[tuple[str, str]]) -> str:
         boxes.append(_box("show-points", "points", scene.mesh is None))
     if scene.markers:
         boxes.append(_box("show-markers", "warnings", True))
+    if scene.tint is not None:
+        boxes.append(_box("tint", "guesswork", True))
     rows.append(("Show", " ".join(boxes)))
     if scene.mesh is not None:
         options = "".join(
             f'<option value="{escape(name)}">{escape(label)}</option>' for name, label in colourings
         )
         rows.append(("Colour", f'<select id="colouring">{options}</select>'))
-        rows.append(("", '<span id="legend"></span>'))
+        rows.append(("", '<div id="legend"></div>'))
+        rows.append((
+            '<span id="scale-name" hidden>Scale</span>',
+            '<span class="row" id="scale-row" hidden><input type="range" id="scale-end" min="0" '
+            'max="1" step="0.005" aria-label="end of the scale">'
+            '<button id="scale-reset" type="button">reset</button></span>',
+        ))  # fmt: skip
         rows.append(("Draw", _box("wireframe", "wireframe") + _box("flat", "facets")))
     axes = "".join(f'<option value="{axis}">{axis}</option>' for axis in "xyz")
     rows.append((
@@ -151,12 +162,20 @@ def _make_controls(scene: Scene, colourings: Sequence[tuple[str, str]]) -> str:
             '<input type="range" id="point-size" min="1" max="8" step="0.5" value="2">',
         ))  # fmt: skip
     ups = "".join(
-        f'<option value="{axis}"{" selected" if axis == scene.up else ""}>{axis} up</option>'
+        f'<option value="{sign}{axis}"{" selected" if sign + axis == scene.up else ""}>'
+        f"{axis} {way}</option>"
+        for sign, way in (("", "up"), ("-", "down"))
         for axis in "zyx"
     )
     rows.append((
         "View",
-        f'<select id="up">{ups}</select> <button id="reset" type="button">whole</button>',
+        f'<select id="up" aria-label="axis that points up">{ups}</select>'
+        '<button id="reset" type="button">whole</button>'
+        '<button id="picture" type="button">save picture</button>',
+    ))  # fmt: skip
+    rows.append((
+        "Measure",
+        '<button id="measure" type="button">two places</button><output id="measured"></output>',
     ))  # fmt: skip
     lines = [f'<span>{name}</span><div class="row">{body}</div>' for name, body in rows]
     return '<div class="controls">\n' + "\n".join(lines) + "\n</div>"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +14,21 @@ from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.pages.arrays import Packable, pack_array, quantise
 
-__all__ = ["MOST_POINTS", "Field", "Marker", "Scene", "fields_of", "label_field", "pack_scene"]
+__all__ = [
+    "MOST_POINTS",
+    "Field",
+    "Marker",
+    "Scene",
+    "Tint",
+    "fields_of",
+    "label_field",
+    "pack_scene",
+]
 
 MOST_POINTS = 200_000
 """Of a cloud, so many are shown beside a mesh, evenly picked."""
 _TOP = 0.95  # share of the vertices that a scale of colours covers: a few must not make all dark
-_LEVELS = 254  # the byte 255 means: no number
+_LEVELS = 65534  # the number 65535 means: no number
 
 Pack = Callable[[Packable], str]  # puts an array on the page, and returns its name
 
@@ -40,6 +49,8 @@ class Field:
         Ends of the scale; by default those of all but the largest twentieth.
     labels : sequence of str, optional
         What whole numbers stand for.
+    is_signed : bool
+        Whether both sides of zero are to be told apart: the scale has zero in its middle.
     """
 
     name: str
@@ -49,6 +60,26 @@ class Field:
     low: float | None = None
     high: float | None = None
     labels: Sequence[str] | None = None
+    is_signed: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Tint:
+    """What of a mesh is guesswork, and is tinted.
+
+    Parameters
+    ----------
+    field : str
+        The field by whose numbers it is told.
+    beyond : float
+        Larger ones are tinted.
+    text : str
+        In the legend.
+    """
+
+    field: str
+    beyond: float
+    text: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,6 +114,10 @@ class Scene:
         The axis that points up at first.
     colouring : str, optional
         The field that is shown at first; by default the colours, where there are some.
+    unit : str
+        Of length; nothing where it is not known.
+    tint : Tint, optional
+        Guesswork.
     """
 
     mesh: Mesh | None
@@ -91,6 +126,8 @@ class Scene:
     markers: Sequence[Marker] = ()
     up: str = "z"
     colouring: str | None = None
+    unit: str = ""
+    tint: Tint | None = None
 
 
 def fields_of(mesh: Mesh) -> list[Field]:
@@ -140,6 +177,8 @@ def pack_scene(scene: Scene) -> tuple[str, list[tuple[str, str]], str]:
         "points": points,
         "markers": [{"place": mark.place.tolist(), "text": mark.text} for mark in scene.markers],
         "up": scene.up,
+        "unit": scene.unit,
+        "tint": None if scene.tint is None else asdict(scene.tint),
     }
     text = json.dumps(described, separators=(",", ":"), allow_nan=False)
     colourings = [(str(field["name"]), str(field["label"])) for field in fields]
@@ -195,26 +234,33 @@ def _pack_field(field: Field, pack: Pack) -> Mapping[str, object]:
         most = max(len(field.labels) - 1, 0)
         name = pack(field.values.astype(np.uint8) if most < 256 else field.values.astype(np.uint16))
         return packed | {"kind": "label", "labels": list(field.labels), "array": name}
-    low, high = _find_ends(field)
     values = field.values.astype(np.float64)
     is_known = np.isfinite(values)
-    share = (values - low) / ((high - low) or 1.0)
-    levels = np.rint(_LEVELS * np.clip(np.where(is_known, share, 0.0), 0.0, 1.0))
+    low, high = _find_ends(field, values[is_known])
+    start = min(low, float(values.min(initial=low, where=is_known)))
+    end = max(high, float(values.max(initial=high, where=is_known)))
+    share = (values - start) / ((end - start) or 1.0)
+    levels = np.rint(_LEVELS * np.where(is_known, share, 0.0))
     return packed | {
         "kind": "scale",
         "low": low,
         "high": high,
+        "from": start,
+        "to": end,
+        "signed": field.is_signed,
         "unit": field.unit,
         "lacks": not bool(is_known.all()),
-        "array": pack(np.where(is_known, levels, 255).astype(np.uint8)),
+        "array": pack(np.where(is_known, levels, _LEVELS + 1).astype(np.uint16)),
     }
 
 
-def _find_ends(field: Field) -> tuple[float, float]:
-    """Return the two ends of a field's scale."""
-    known = field.values[np.isfinite(field.values.astype(np.float64))].astype(np.float64)
+def _find_ends(field: Field, known: FloatArray) -> tuple[float, float]:
+    """Return the two ends of a field's scale as it is shown at first."""
     if not len(known):
         return field.low or 0.0, field.high or 1.0
+    if field.is_signed:
+        high = float(np.quantile(np.abs(known), _TOP)) if field.high is None else field.high
+        return -high, high
     low = float(known.min()) if field.low is None else field.low
     high = float(np.quantile(known, _TOP)) if field.high is None else field.high
     return low, high

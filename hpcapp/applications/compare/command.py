@@ -6,6 +6,7 @@ This module is imported for every ``--help``: numpy and all that stands on it ar
 from __future__ import annotations
 
 import logging
+import sys
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,6 +20,7 @@ from hpccomponent.verb import Verb
 
 if TYPE_CHECKING:
     from hpcapp.applications.compare.metrics import Measures
+    from hpcapp.progress import StageClock
 
 __all__ = ["compare"]
 
@@ -93,40 +95,68 @@ def compare(
     if not all(map(isfinite, thresholds)):
         raise UsageError("--threshold is no number", "give per cent of the diagonal, as 0.1")
     from hpcapp.applications.compare.metrics import as_json as to_json
+    from hpcapp.progress import Progress, StageClock
+    from hpcapp.progress_display import open_progress
+
+    with open_progress(sys.stderr) as display:
+        clock = StageClock(Progress(display))
+        measures, unit = _compare(mesh, truth, samples, seed, thresholds, html, clock)
+    if as_json:
+        echo_json(to_json(measures))
+    else:
+        echo(_tabulate(measures, unit))
+    if html is not None:
+        log.info("%s: the mesh, coloured by its distance", html)
+
+
+def _compare(
+    mesh: Path,
+    truth: str,
+    samples: int,
+    seed: int,
+    thresholds: tuple[float, ...],
+    html: Path | None,
+    clock: StageClock,
+) -> tuple[Measures, str]:
+    """Return the measures and the unit of length, and write the page that is asked for."""
     from hpcapp.applications.compare.metrics import measure_mesh
     from hpcapp.applications.compare.truth import check_usable, open_truth
     from hpcapp.io import read_mesh
 
-    surface = read_mesh(mesh)
-    check_usable(surface, mesh)
-    reference = open_truth(truth, surface.origin)
+    with clock.stage("read"):
+        surface = read_mesh(mesh)
+        check_usable(surface, mesh)
+        reference = open_truth(truth, surface.origin)
     if reference.diagonal == 0.0:
         raise InputError(
             f"{truth}: all of it is at one place, so that nothing can be measured by its size",
             "give a truth with an extent",
         )
-    measures = measure_mesh(surface, reference, samples, seed, thresholds)
+    measures = measure_mesh(surface, reference, samples, seed, thresholds, clock)
     if html is not None:
         from hpcapp.applications.compare.page import make_comparison
         from hpcapp.pages.page import write_page
 
-        write_page(html, make_comparison(mesh, truth, surface, reference, measures))
-    if as_json:
-        echo_json(to_json(measures))
-    else:
-        echo(_tabulate(measures))
-    if html is not None:
-        log.info("%s: the mesh, coloured by its distance", html)
+        with clock.stage("show"):
+            write_page(html, make_comparison(mesh, truth, surface, reference, measures))
+    return measures, reference.unit
 
 
-def _tabulate(measures: Measures) -> str:
-    """Return the measures as a table for people."""
-    from hpcapp.applications.compare.page import list_measures, say_openness
+def _tabulate(measures: Measures, unit: str) -> str:
+    """Return the measures as tables for people, a column each for what is measured alike."""
+    from hpcapp.applications.compare.page import (
+        list_agreement,
+        list_lengths,
+        list_topology,
+        say_openness,
+    )
 
-    rows = list_measures(measures)
-    width = max(len(name) for name, _, _ in rows)
-    lines = [f"{'':{width}}  {'% of diagonal':>14}  {'length':>12}"]
-    lines += [f"{name:{width}}  {share:>14}  {length:>12}".rstrip() for name, share, length in rows]
+    lengths = [("", "length", "% of diagonal"), *list_lengths(measures, unit)]
+    others = [*list_agreement(measures).items(), *list_topology(measures).items()]
+    width = max(len(row[0]) for row in [*lengths, *others])
+    wide = max(len(row[1]) for row in [*lengths, *others])
+    lines = [f"{name:{width}}  {length:>{wide}}  {share:>13}" for name, length, share in lengths]
+    lines += [f"{name:{width}}  {value:>{wide}}" for name, value in others]
     if openness := say_openness(measures):
         lines.append(openness)
     return "\n".join(lines)

@@ -12,6 +12,7 @@ from hpcapp.applications.compare.truth import Truth, sample_mesh
 from hpcapp.applications.surface.stitching.topology import Topology, check_mesh
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.progress import Progress, StageClock
 
 __all__ = ["F_THRESHOLDS", "Measures", "as_json", "measure_mesh"]
 
@@ -65,6 +66,7 @@ def measure_mesh(
     samples: int = 50_000,
     seed: int = 0,
     thresholds: Sequence[float] = F_THRESHOLDS,
+    clock: StageClock | None = None,
 ) -> Measures:
     """Compare a mesh with the truth.
 
@@ -78,15 +80,21 @@ def measure_mesh(
         The same seed gives the same measures.
     thresholds : sequence of float
         Of the F-scores, in per cent of the diagonal.
+    clock : StageClock, optional
+        Announces and times the stages.
     """
+    clock = clock or StageClock(Progress())
     percent = 100.0 / (truth.diagonal or 1.0)
-    reference = truth.sample(samples, seed)
-    backward, faces = NearestFace(mesh).query(reference.positions)
-    backward *= percent
+    with clock.stage("truth to mesh"):
+        reference = truth.sample(samples, seed)
+        backward, faces = NearestFace(mesh).query(reference.positions)
+        backward *= percent
+    forward = np.empty(0)
     if truth.is_closed:
-        forward = percent * truth.distance(sample_mesh(mesh, samples, seed).positions)
-    else:
-        forward = np.empty(0)
+        with clock.stage("mesh to truth"):
+            forward = percent * truth.distance(sample_mesh(mesh, samples, seed).positions)
+    with clock.stage("check"):
+        topology = check_mesh(mesh)
     both = np.concatenate([forward, backward])
     accuracy = float(forward.mean()) if truth.is_closed else float("nan")
     completeness = float(backward.mean())
@@ -100,7 +108,7 @@ def measure_mesh(
         {f"{t:g}": _f_score(forward, backward, t) for t in thresholds},
         _mean_angle(reference.normals, face_normals(mesh)[faces]),
         truth.diagonal,
-        check_mesh(mesh),
+        topology,
     )
 
 

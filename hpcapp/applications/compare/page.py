@@ -10,11 +10,12 @@ from pathlib import Path
 from hpcapp.applications.compare.metrics import Measures
 from hpcapp.applications.compare.truth import Truth
 from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.pages.page import Section, build_page
+from hpcapp.pages.page import Section, build_page, make_table
 from hpcapp.pages.scene import MOST_POINTS, Field, Scene, fields_of
 from hpcapp.pages.thin import thin_mesh
+from hpcapp.wording import say_name, say_number, say_share
 
-__all__ = ["list_measures", "make_comparison", "say_openness"]
+__all__ = ["list_agreement", "list_lengths", "list_topology", "make_comparison", "say_openness"]
 
 _MOST_FACES = 500_000  # the distance of each vertex is found exactly: some 10 µs each
 _LENGTHS = (
@@ -27,25 +28,29 @@ _LENGTHS = (
 )
 
 
-def list_measures(measures: Measures) -> list[tuple[str, str, str]]:
-    """Return the rows of a table: name, per cent of the diagonal (or the number), length."""
-    unit = measures.diagonal / 100.0
-    rows = [
-        (label, _say(getattr(measures, name), ".5f"), _say(getattr(measures, name), ".6g", unit))
-        for name, label in _LENGTHS
+def list_lengths(measures: Measures, unit: str) -> list[tuple[str, str, str]]:
+    """Return the rows of a table of lengths: name, length, and per cent of the diagonal."""
+    percent = measures.diagonal / 100.0
+    rows = [(label, float(getattr(measures, name))) for name, label in _LENGTHS]
+    rows.append(("diagonal of the truth", 100.0))
+    return [
+        (label, "-", "-")
+        if isnan(share)
+        else (label, say_number(share * percent, unit), f"{share:.4f}")
+        for label, share in rows
     ]
-    rows += [
-        (f"F-score at {threshold} %", f"{score:.4f}", "")
-        for threshold, score in measures.f_scores.items()
-    ]
-    rows.append(("angle of normals, degrees", _say(measures.normal_deg, ".3f"), ""))
-    rows.append(("diagonal", "100", f"{measures.diagonal:.6g}"))
-    for name, value in asdict(measures.topology).items():
-        if isinstance(value, tuple):
-            value = ", ".join(map(str, value))
-        shown = ("yes" if value else "no") if isinstance(value, bool) else str(value)
-        rows.append((name.replace("_", " "), shown, ""))
-    return rows
+
+
+def list_agreement(measures: Measures) -> dict[str, str]:
+    """Return what else was measured, by its name."""
+    rows = {f"F-score at {t} %": say_share(score) for t, score in measures.f_scores.items()}
+    angle = measures.normal_deg
+    return rows | {"angle of normals, mean": "-" if isnan(angle) else f"{say_number(angle)}°"}
+
+
+def list_topology(measures: Measures) -> dict[str, str]:
+    """Return what the mesh is, by its name."""
+    return {say_name(name): _say(value) for name, value in asdict(measures.topology).items()}
 
 
 def say_openness(measures: Measures) -> str | None:
@@ -58,8 +63,12 @@ def say_openness(measures: Measures) -> str | None:
     )
 
 
-def _say(value: float, digits: str, unit: float = 1.0) -> str:
-    return "-" if isnan(value) else format(value * unit, digits)
+def _say(value: object) -> str:
+    if isinstance(value, tuple):
+        return ", ".join(map(_say, value)) or "none"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:,}" if isinstance(value, int) else "-" if value is None else str(value)
 
 
 def make_comparison(
@@ -75,16 +84,22 @@ def make_comparison(
         In the mesh's frame.
     """
     thin = thin_mesh(mesh, _MOST_FACES)
-    distance = Field("distance", "Distance to the truth", truth.distance(thin.vertices), low=0.0)
+    distances, sides = truth.distance(thin.vertices), truth.find_sides(thin.vertices)
+    distance = Field("distance", "Distance to the truth", distances, truth.unit, low=0.0)
+    if sides is not None:
+        distance = Field(
+            "distance", "Distance to the truth", sides * distances, truth.unit, is_signed=True
+        )
     scene = Scene(
-        thin, [distance, *fields_of(thin)], truth.sample(MOST_POINTS, 0), colouring="distance"
-    )
+        thin, [distance, *fields_of(thin)], truth.sample(MOST_POINTS, 0), colouring="distance",
+        unit=truth.unit,
+    )  # fmt: skip
     lines = [
-        f'<tr><th>{escape(name)}</th><td class="number">{share}</td>'
-        f'<td class="number">{length}</td></tr>'
-        for name, share, length in list_measures(measures)
+        f'<tr><th>{escape(name)}</th><td class="number">{length}</td>'
+        f'<td class="number">{share}</td></tr>'
+        for name, length, share in list_lengths(measures, truth.unit)
     ]
-    head = "<tr><th></th><th>% of diagonal</th><th>length</th></tr>"
+    head = '<tr><th></th><th class="number">length</th><th class="number">% of diagonal</th></tr>'
     table = f"<table>\n{head}\n" + "\n".join(lines) + "\n</table>"
     notes = (
         "<p>Distances are exact: from points spread evenly over one surface to the nearest place "
@@ -92,5 +107,9 @@ def make_comparison(
     )
     if openness := say_openness(measures):
         notes = f"<p>{escape(openness)}</p>" + notes
-    summary = f"compared with {truth_name}"
-    return build_page(path.name, summary, scene, [Section("Distances", table + notes)])
+    sections = [
+        Section("Distances", table + notes),
+        Section("Agreement", make_table(list_agreement(measures))),
+        Section("Mesh", make_table(list_topology(measures))),
+    ]
+    return build_page(path.name, f"compared with {truth_name}", scene, sections)

@@ -11,14 +11,15 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from hpcapp.applications.compare.nearest import NearestFace, face_normals
+from hpcapp.applications.compare.sides import find_sides
 from hpcapp.applications.simulate.rays import closest_points
 from hpcapp.applications.simulate.scanner import sample_surface
 from hpcapp.applications.simulate.shapes import Shape, diagonal_of, find_shape
 from hpcapp.applications.surface.kernels import bound_points
-from hpcapp.applications.surface.stitching.topology import check_mesh
+from hpcapp.applications.surface.stitching.topology import Topology, check_mesh
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
-from hpcapp.io import holds_faces, read_mesh, read_points, take_finite
+from hpcapp.io import holds_faces, open_points, read_mesh, read_points, take_finite
 from hpccomponent.errors import InputError
 
 __all__ = [
@@ -49,6 +50,11 @@ class Truth(Protocol):
         """Whether it has no holes: where it has some, only completeness means anything."""
         ...
 
+    @property
+    def unit(self) -> str:
+        """Of length; nothing where it is not known."""
+        ...
+
     def sample(self, count: int, seed: int) -> PointCloud:
         """Return points spread evenly over it, with its normals where they are known."""
         ...
@@ -67,11 +73,21 @@ class Truth(Protocol):
         """
         ...
 
+    def find_sides(self, points: FloatArray) -> FloatArray | None:
+        """Tell on which side of it points are: 1 outside, -1 inside; None where it has no sides.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (n, 3)
+        """
+        ...
+
 
 class ShapeTruth:
     """An analytic shape as the truth; see `Truth`."""
 
     is_closed = True
+    unit = ""
 
     def __init__(self, shape: Shape) -> None:
         self.shape = shape
@@ -90,6 +106,10 @@ class ShapeTruth:
         lengths: FloatArray = np.linalg.norm(points - feet, axis=1)
         return lengths
 
+    def find_sides(self, points: FloatArray) -> FloatArray:
+        """Return the sign of the shape's own function."""
+        return np.where(self.shape.value(points) < 0.0, -1.0, 1.0)
+
 
 class MeshTruth:
     """A mesh as the truth; see `Truth`.
@@ -100,6 +120,8 @@ class MeshTruth:
         With at least one face.
     """
 
+    unit = ""
+
     def __init__(self, mesh: Mesh) -> None:
         self.mesh = mesh
         self._faces = NearestFace(mesh)
@@ -107,9 +129,13 @@ class MeshTruth:
         self.diagonal = float(np.linalg.norm(high - low))
 
     @cached_property
+    def _topology(self) -> Topology:
+        return check_mesh(self.mesh)
+
+    @property
     def is_closed(self) -> bool:
         """Whether no edge has only one face."""
-        return check_mesh(self.mesh).boundary_edges == 0
+        return self._topology.boundary_edges == 0
 
     def sample(self, count: int, seed: int) -> PointCloud:
         """Return points of the faces."""
@@ -118,6 +144,13 @@ class MeshTruth:
     def distance(self, points: FloatArray) -> FloatArray:
         """Return the distances to the faces."""
         return self._faces.query(points)[0]
+
+    def find_sides(self, points: FloatArray) -> FloatArray | None:
+        """Return the sides of a closed mesh whose faces agree; of others none are known."""
+        if not (self._topology.watertight and self._topology.oriented):
+            return None
+        sides = find_sides(self.mesh, points, self._faces.query(points)[1])
+        return sides if self._topology.outward else -sides
 
 
 class PointTruth:
@@ -129,12 +162,15 @@ class PointTruth:
     ----------
     cloud : PointCloud
         At least one point, all finite.
+    unit : str
+        Of length; nothing where it is not known.
     """
 
     is_closed = True  # what lies far from all points counts
 
-    def __init__(self, cloud: PointCloud) -> None:
+    def __init__(self, cloud: PointCloud, unit: str = "") -> None:
         self.cloud = cloud
+        self.unit = unit
         self._tree = KDTree(cloud.positions)
         low, high = bound_points(cloud.positions)
         self.diagonal = float(np.linalg.norm(high - low))
@@ -150,6 +186,14 @@ class PointTruth:
         """Return the distances to the nearest points."""
         lengths: FloatArray = self._tree.query(points)[0]
         return lengths
+
+    def find_sides(self, points: FloatArray) -> FloatArray | None:
+        """Return the sides by the normals of the nearest points; None without normals."""
+        if self.cloud.normals is None:
+            return None
+        nearest = self._tree.query(points)[1]
+        arms = points - self.cloud.positions[nearest]
+        return np.where(np.einsum("ij,ij->i", arms, self.cloud.normals[nearest]) < 0.0, -1.0, 1.0)
 
 
 def sample_mesh(mesh: Mesh, count: int, seed: int = 0) -> PointCloud:
@@ -204,7 +248,8 @@ def open_truth(name: str, origin: FloatArray) -> Truth:
     if holds_faces(path):
         return MeshTruth(read_mesh_at(path, origin))
     cloud = take_finite(read_points(path), name)
-    return PointTruth(replace(cloud, positions=cloud.positions + (cloud.origin - origin)))
+    unit = open_points(path).unit or ""
+    return PointTruth(replace(cloud, positions=cloud.positions + (cloud.origin - origin)), unit)
 
 
 def read_mesh_at(path: Path, origin: FloatArray | None = None) -> Mesh:

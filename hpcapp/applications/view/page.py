@@ -79,7 +79,7 @@ def make_page(
         "faces": topology.faces,
         "watertight": topology.watertight,
         "edges without a neighbour": topology.boundary_edges,
-        "components": topology.components,
+        "pieces": topology.components,
         **_describe_box(shown.vertices, shown.origin),
     }
     if len(thin.faces) < len(shown.faces):
@@ -100,7 +100,7 @@ def _describe_box(positions: FloatArray, origin: FloatArray) -> dict[str, str]:
     low, high = bound_points(finite)
 
     def say(corner: FloatArray) -> str:
-        return " ".join(f"{value:.9g}" for value in corner)
+        return "  ".join(f"{value:,.9g}" for value in corner)
 
     return {"lowest": say(low + origin), "highest": say(high + origin), "extent": say(high - low)}
 

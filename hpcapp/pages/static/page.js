@@ -1,6 +1,7 @@
 // Decodes what a page holds, and joins its controls to the viewer.
 import { Viewer } from 'hpcapp/viewer.js';
-import { shadeField, legend } from 'hpcapp/colours.js';
+import { endAt, explainTint, legend, markGuesses, placeOf, shadeField, tint } from 'hpcapp/colours.js';
+import { Measuring } from 'hpcapp/measuring.js';
 
 const TYPES = { u1: Uint8Array, u2: Uint16Array, u4: Uint32Array };
 const find = (id) => document.getElementById(id);
@@ -52,14 +53,33 @@ async function show(scene) {
 
 async function join(viewer, scene, mesh) {
   const listen = (id, event, act) => find(id)?.addEventListener(event, (e) => act(e.target));
-  const values = new Map();
-  async function recolour(name) {
-    const field = scene.fields.find((one) => one.name === name);
-    if (field?.array && !values.has(name)) values.set(name, await readArray(field.array));
-    find('legend')?.replaceChildren(...legend(field));
-    if (mesh) viewer.colour(mesh, shadeField(viewer, mesh, field, values.get(name)));
+  const values = new Map(), ends = new Map();
+  const fieldOf = (name) => scene.fields.find((one) => one.name === name);
+  async function valuesOf(name) {
+    const { array } = fieldOf(name);
+    if (array && !values.has(name)) values.set(name, readArray(array));
+    return values.get(name);
   }
-  listen('colouring', 'change', (select) => recolour(select.value));
+  const guesses = scene.tint && markGuesses(
+    fieldOf(scene.tint.field), await valuesOf(scene.tint.field), scene.tint.beyond);
+  async function recolour() {
+    const name = find('colouring').value, field = fieldOf(name), levels = await valuesOf(name);
+    const end = ends.get(name) ?? field.high, isTinted = find('tint')?.checked;
+    find('legend').replaceChildren(...legend(field, levels, end),
+      ...(isTinted ? [explainTint(scene.tint.text)] : []));
+    find('scale-row').hidden = find('scale-name').hidden = field.kind !== 'scale';
+    if (field.kind === 'scale') find('scale-end').value = placeOf(field, end);
+    const shading = shadeField(viewer, mesh, field, levels, end);
+    viewer.colour(mesh, isTinted ? tint(shading, viewer.plain, guesses) : shading);
+  }
+  listen('colouring', 'change', recolour);
+  listen('tint', 'change', recolour);
+  listen('scale-end', 'input', (range) => {
+    const name = find('colouring').value;
+    ends.set(name, endAt(fieldOf(name), Number(range.value)));
+    recolour();
+  });
+  listen('scale-reset', 'click', () => { ends.delete(find('colouring').value); recolour(); });
   listen('show-mesh', 'change', (box) => viewer.show('meshes', box.checked));
   listen('show-points', 'change', (box) => viewer.show('points', box.checked));
   listen('show-markers', 'change', (box) => viewer.show('markers', box.checked));
@@ -71,6 +91,14 @@ async function join(viewer, scene, mesh) {
   for (const id of ['clip-axis', 'clip-at', 'clip-flip']) listen(id, 'input', clip);
   listen('up', 'change', (select) => viewer.look(select.value));
   listen('reset', 'click', () => viewer.look());
+  listen('picture', 'click', async () => {
+    const link = document.createElement('a');
+    link.href = URL.createObjectURL(await viewer.picture());
+    link.download = `${document.title}.png`;
+    link.click();
+    URL.revokeObjectURL(link.href);
+  });
+  new Measuring(viewer, find('measure'), find('measured'), scene.unit);
   const approach = (index) => viewer.approach(scene.markers[index].place);
   viewer.setMarkers(scene.markers, (index) => {
     approach(index);
@@ -81,15 +109,17 @@ async function join(viewer, scene, mesh) {
   for (const item of document.querySelectorAll('[data-marker]')) {
     item.addEventListener('click', () => approach(Number(item.dataset.marker)));
   }
-  if (mesh) await recolour(find('colouring').value);
+  if (mesh) await recolour();
   viewer.resume();
 }
 
 try {
   await show(JSON.parse(find('scene').textContent));
   document.body.dataset.state = 'ready';
+  requestAnimationFrame(() => find('loading').remove()); // behind the first frame
 } catch (error) {
   document.body.dataset.state = 'failed';
+  find('loading')?.remove();
   find('failure').textContent = `Nothing can be drawn here: ${error.message}. `
     + 'A browser with WebGL 2 shows the mesh; `hpcapp view MESH --png FILE` draws it without one.';
   throw error;

@@ -11,7 +11,12 @@ import { OrbitControls } from 'three/addons/controls/OrbitControls.js';
 THREE.ColorManagement.enabled = false; // colours are shown as they are stored
 
 const PLAIN = [0.8, 0.82, 0.86];
-const UPS = { x: [1, 0, 0], y: [0, 1, 0], z: [0, 0, 1] };
+const SAMPLED = 20000; // places of a mesh by which the view is fitted
+const MARGIN = 1.06; // around what is looked at
+const PICKED = 6; // pixels: so far from a point it is meant
+const UPS = { x: [1, 0, 0], y: [0, 1, 0], z: [0, 0, 1], '-x': [-1, 0, 0], '-y': [0, -1, 0],
+  '-z': [0, 0, -1] };
+const TURNED = 0.2; // length of a mean normal away from the eye, by which a mesh is seen from behind
 
 /** Normals of the vertices: the sums of the faces' cross products, as int8. */
 export function vertexNormals(positions, indices) {
@@ -133,7 +138,7 @@ export class Viewer {
   /** Colour the vertices of a mesh: `shade(i, rgb)` writes three bytes; null is one plain colour. */
   colour(mesh, shade) {
     const colours = mesh.geometry.attributes.color.data;
-    const rgb = PLAIN.map((part) => 255 * part);
+    const rgb = this.plain;
     for (let i = 0; i < colours.count; i++) {
       if (shade) shade(i, rgb);
       colours.array[4 * i] = rgb[0];
@@ -143,6 +148,15 @@ export class Viewer {
     colours.needsUpdate = true;
     this.render();
   }
+
+  /** The picture as it is seen, without labels: a PNG. */
+  picture() {
+    this.draw();
+    return new Promise((resolve) => { this.renderer.domElement.toBlob(resolve, 'image/png'); });
+  }
+
+  /** The one plain colour of a mesh: three numbers up to 255. */
+  get plain() { return PLAIN.map((part) => 255 * part); }
 
   /** The normal of a vertex, as three numbers from -127 to 127. */
   normal(mesh, i) {
@@ -204,26 +218,110 @@ export class Viewer {
     this.render();
   }
 
-  /** Look at everything, with the axis `up` upwards. */
+  /** Look at all that is shown, as large as fits, with the axis `up` upwards. */
   look(up = this.up) {
     this.up = up;
     this.controls?.dispose();
-    const [middle, size] = [new THREE.Vector3(), new THREE.Vector3(1, 1, 1)];
+    const middle = new THREE.Vector3(), size = new THREE.Vector3(1, 1, 1);
     if (!this.box.isEmpty()) { this.box.getCenter(middle); this.box.getSize(size); }
     const radius = 0.5 * size.length() || 1;
-    const aside = { x: [0.45, 0.55, 0.8], y: [0.55, 0.45, 0.8], z: [0.55, -0.8, 0.45] }[up];
     this.camera.up.set(...UPS[up]);
     this.camera.near = 0.01 * radius;
     this.camera.far = 100 * radius;
-    const half = Math.tan(0.5 * Math.PI / 180 * this.camera.fov) * Math.min(1, this.camera.aspect);
-    this.camera.position.set(...aside).normalize()
-      .multiplyScalar(1.02 * radius / Math.sin(Math.atan(half))).add(middle);
+    const back = this.#chooseSide();
+    const { x, y, distance } = this.#fit(back, middle, radius);
+    middle.add(x).add(y);
+    this.camera.position.copy(back).multiplyScalar(distance).add(middle);
     this.camera.updateProjectionMatrix();
     this.controls = new OrbitControls(this.camera, this.renderer.domElement);
     this.controls.target.copy(middle);
     this.controls.zoomToCursor = true;
     this.controls.addEventListener('change', () => this.render());
     this.controls.update();
+    this.render();
+  }
+
+  /** From where to look, by the axis that points up: from above, and at the front of the faces. */
+  #chooseSide() {
+    const axis = this.up.at(-1), above = this.camera.up;
+    const aside = { x: [0, 0.55, 0.8], y: [0.55, 0, 0.8], z: [0.55, -0.8, 0] }[axis];
+    const back = new THREE.Vector3(...aside), mean = new THREE.Vector3(), one = new THREE.Vector3();
+    let count = 0;
+    for (const { geometry } of this.meshes) {
+      const { normal } = geometry.attributes, step = Math.max(1, Math.floor(normal.count / SAMPLED));
+      for (let i = 0; i < normal.count; i += step, count++) {
+        mean.add(one.fromBufferAttribute(normal, i));
+      }
+    }
+    if (mean.dot(back) < -TURNED * count) back.negate();
+    return back.addScaledVector(above, 0.45).normalize();
+  }
+
+  /** How far to move aside and away, that what is shown fills the view as seen from `back`. */
+  #fit(back, middle, radius) {
+    const right = this.camera.up.clone().cross(back).normalize(), above = back.clone().cross(right);
+    const tall = Math.tan(0.5 * Math.PI / 180 * this.camera.fov), wide = tall * this.camera.aspect;
+    // A place is in view where distance * tangent is no less than these, one for each side.
+    const sides = { left: -Infinity, right: -Infinity, below: -Infinity, above: -Infinity };
+    const shown = [...this.meshes, this.points].filter((one) => one?.visible);
+    const place = new THREE.Vector3();
+    for (const one of shown) {
+      const { position } = one.geometry.attributes;
+      const step = Math.max(1, Math.floor(position.count / SAMPLED));
+      for (let i = 0; i < position.count; i += step) {
+        place.fromBufferAttribute(position, i).applyMatrix4(one.matrixWorld).sub(middle);
+        const x = place.dot(right), y = place.dot(above), z = place.dot(back);
+        sides.left = Math.max(sides.left, z * wide - x);
+        sides.right = Math.max(sides.right, z * wide + x);
+        sides.below = Math.max(sides.below, z * tall - y);
+        sides.above = Math.max(sides.above, z * tall + y);
+      }
+    }
+    if (sides.left === -Infinity) { // nothing is there yet
+      sides.left = sides.right = radius * Math.hypot(1, wide);
+      sides.below = sides.above = radius * Math.hypot(1, tall);
+    }
+    return {
+      x: right.multiplyScalar(0.5 * (sides.right - sides.left)),
+      y: above.multiplyScalar(0.5 * (sides.above - sides.below)),
+      distance: MARGIN * Math.max(0.5 * (sides.left + sides.right) / wide,
+        0.5 * (sides.below + sides.above) / tall, 0.1 * radius),
+    };
+  }
+
+  /** The place on a mesh or of a point that is seen at a place of the window, or null. */
+  pick(clientX, clientY) {
+    const { left, top, width, height } = this.renderer.domElement.getBoundingClientRect();
+    const caster = new THREE.Raycaster();
+    caster.setFromCamera(new THREE.Vector2(2 * (clientX - left) / width - 1,
+      1 - 2 * (clientY - top) / height), this.camera);
+    const far = this.camera.position.distanceTo(this.controls.target);
+    caster.params.Points.threshold = PICKED * far * Math.tan(Math.PI / 360 * this.camera.fov)
+      / (0.5 * height);
+    const shown = [...this.meshes, this.points].filter((one) => one?.visible);
+    const isLeft = ({ point }) => !this.clipping || this.plane.distanceToPoint(point) >= 0;
+    const hits = caster.intersectObjects(shown, false).filter(isLeft);
+    return hits.length ? hits[0].point.toArray() : null;
+  }
+
+  /** Draw a line between places [[x, y, z], ...] with a label at its end, and dots at both. */
+  setLine(places, text = '') {
+    this.line?.parts.forEach((part) => part.remove());
+    this.line = null;
+    if (places.length) {
+      const make = (className, words = '') => {
+        const part = document.createElement('div');
+        part.className = className;
+        part.textContent = words;
+        this.element.append(part);
+        return part;
+      };
+      const dots = places.map(() => make('dot'));
+      const stroke = make('stroke'), label = make('length', text);
+      label.hidden = !text;
+      this.line = { places: places.map((one) => new THREE.Vector3(...one)), dots, stroke, label,
+        parts: [...dots, stroke, label] };
+    }
     this.render();
   }
 
@@ -266,12 +364,30 @@ export class Viewer {
 
   draw() {
     this.renderer.render(this.scene, this.camera);
+    for (const { label, place } of this.markers) this.#put(label, place);
+    if (this.line) this.#drawLine();
+  }
+
+  #drawLine() {
+    const { places, dots, stroke, label } = this.line;
+    const [from, to] = places.map((place, k) => this.#put(dots[k], place));
+    stroke.hidden = !to;
+    if (!to) return;
+    stroke.style.left = `${from[0]}px`;
+    stroke.style.top = `${from[1]}px`;
+    stroke.style.width = `${Math.hypot(to[0] - from[0], to[1] - from[1])}px`;
+    stroke.style.rotate = `${Math.atan2(to[1] - from[1], to[0] - from[0])}rad`;
+    this.#put(label, places[0].clone().lerp(places[1], 0.5));
+  }
+
+  /** Put an element where a place is seen; returns that, in pixels. */
+  #put(element, place) {
     const { clientWidth: width, clientHeight: height } = this.element;
-    for (const { label, place } of this.markers) {
-      const seen = place.clone().project(this.camera);
-      label.style.left = `${(0.5 + 0.5 * seen.x) * width}px`;
-      label.style.top = `${(0.5 - 0.5 * seen.y) * height}px`;
-      label.style.visibility = Math.abs(seen.z) > 1 ? 'hidden' : '';
-    }
+    const seen = place.clone().project(this.camera);
+    const [left, top] = [(0.5 + 0.5 * seen.x) * width, (0.5 - 0.5 * seen.y) * height];
+    element.style.left = `${left}px`;
+    element.style.top = `${top}px`;
+    element.style.visibility = Math.abs(seen.z) > 1 ? 'hidden' : '';
+    return [left, top];
   }
 }

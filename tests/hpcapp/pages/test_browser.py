@@ -15,7 +15,7 @@ from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
 from hpcapp.pages.job import describe_job
 from hpcapp.pages.page import build_page
-from hpcapp.pages.scene import Field, Marker, Scene, label_field
+from hpcapp.pages.scene import Field, Marker, Scene, Tint, label_field
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -114,7 +114,11 @@ def cube(open_page: Open) -> Page:
     points = PointCloud(1.2 * mesh.vertices)
     report = {"summary": "a cube", "warnings": [], "stages": {"read": 1.0}}
     sections = describe_job(report, [one.text for one in markers])
-    scene = Scene(mesh, [distance, tile], points, markers)
+    height = Field("height", "Height", mesh.vertices[:, 2], "m", is_signed=True)
+    scene = Scene(
+        mesh, [distance, tile, height], points, markers, unit="m",
+        tint=Tint("distance", 1.6, "guesswork: corners"),
+    )  # fmt: skip
     return open_page(build_page("Cube", "a cube", scene, sections))
 
 
@@ -176,8 +180,10 @@ def test_a_wireframe_has_holes(cube: Page) -> None:
 
 
 def test_every_colouring_has_its_colours_and_its_legend(cube: Page) -> None:
+    cube.uncheck("#tint")
     seen = {pixels(cube)["hash"]}
-    legends = {"normals": "+x+y+z", "distance": "11.66 m", "tile": "tile 0tile 1"}
+    legends = {"normals": "+x+y+z", "tile": "tile 0tile 1",
+               "distance": "1 1.2 1.4 1.6 in m; ends at 1.66, the largest is 1.73"}  # fmt: skip
     for name, legend in legends.items():
         cube.select_option("#colouring", name)
         cube.wait_for_function("text => document.querySelector('#legend').innerText.replace("
@@ -187,6 +193,107 @@ def test_every_colouring_has_its_colours_and_its_legend(cube: Page) -> None:
     cube.select_option("#colouring", "plain")
     cube.wait_for_function("document.querySelector('#legend').innerText === ''")
     assert pixels(cube)["hash"] in seen
+
+
+def test_guesswork_is_tinted_in_every_colouring(cube: Page) -> None:
+    tinted = """() => { const {array, count} = viewer.meshes[0].geometry.attributes.color.data;
+        return Array.from({length: count}, (_, i) => [...array.slice(4 * i, 4 * i + 3)]) }"""
+    corners = np.linalg.norm(make_cube().vertices, axis=1) > 1.6
+    for name in ("plain", "distance", "tile", "height"):
+        cube.select_option("#colouring", name)
+        cube.wait_for_function("document.querySelector('#legend').innerText.includes('guesswork')")
+        cube.check("#tint")
+        with_tint = np.array(cube.evaluate(tinted))
+        cube.uncheck("#tint")
+        cube.wait_for_function("!document.querySelector('#legend').innerText.includes('guess')")
+        without = np.array(cube.evaluate(tinted))
+        np.testing.assert_array_equal((with_tint != without).any(axis=1), corners)
+        cube.check("#tint")
+
+
+def test_a_scale_ends_where_the_slider_says(cube: Page) -> None:
+    cube.select_option("#colouring", "height")
+    ticks = "[...document.querySelectorAll('.ticks span')].map((one) => one.innerText)"
+    cube.wait_for_function(f"{ticks}.join() === '-1,-0.5,0,0.5,1'")
+    assert cube.locator(".bars u").count() == 48
+    colour = """z => { const {geometry} = viewer.meshes[0];
+        const {array} = geometry.attributes.color.data;
+        const i = [...Array(geometry.attributes.position.count).keys()].find((n) =>
+            Math.abs(geometry.attributes.position.getZ(n) - z) < 1e-4);
+        return [...array.slice(4 * i, 4 * i + 3)] }"""
+    quarter = cube.evaluate(colour, 0.625)  # a quarter of the cube's side above its middle
+    cube.fill("#scale-end", "0.8")
+    cube.wait_for_function(f"{ticks}.includes('0.2')")
+    redder = cube.evaluate(colour, 0.625)
+    assert redder[1] < quarter[1]
+    assert "the largest is 1.00" in cube.inner_text("#legend")
+    cube.click("#scale-reset")
+    cube.wait_for_function(f"{ticks}.includes('1')")
+    assert cube.evaluate(colour, 0.625) == quarter
+
+
+def test_two_places_are_measured(cube: Page) -> None:
+    at = """place => { const seen = viewer.camera.position.clone().fromArray(place)
+        .project(viewer.camera), {width, height, left, top} =
+            viewer.renderer.domElement.getBoundingClientRect();
+        return [left + width * (0.5 + seen.x / 2), top + height * (0.5 - seen.y / 2)] }"""
+    cube.click("#measure")
+    for place in ([0.5, -1.0, 0.25], [-0.5, -1.0, 0.25]):
+        x, y = cube.evaluate(at, place)
+        cube.mouse.click(x, y)
+    length, unit, *_ = cube.inner_text("#measured").split()
+    assert float(length) == pytest.approx(1.0, abs=0.02)
+    assert unit == "m"
+    assert cube.locator(".length").inner_text().startswith(length)
+    assert cube.locator(".dot").count() == 2
+    x, y = cube.evaluate(at, [0.0, -1.0, 0.8])
+    cube.mouse.click(x, y)
+    assert cube.locator(".dot").count() == 1  # the third begins anew
+    cube.click("#measure")
+    assert cube.locator(".dot").count() == 0
+
+
+def test_the_picture_is_saved(cube: Page, tmp_path: Path) -> None:
+    with cube.expect_download() as download:
+        cube.click("#picture")
+    assert download.value.suggested_filename == "Cube.png"
+    assert Path(download.value.path()).read_bytes().startswith(b"\x89PNG")
+
+
+def test_loading_is_said_until_the_mesh_is_there(cube: Page) -> None:
+    assert '<p id="loading" role="status">' in build_page("t", "s", Scene(None))
+    cube.wait_for_function("document.querySelector('#loading') === null")
+    assert cube.evaluate("viewer.renderer.info.render.frame") >= 1
+
+
+def test_the_first_view_is_filled(cube: Page) -> None:
+    """The cube touches the border of the view, but for a margin."""
+    extent = cube.evaluate("""() => { const {geometry, matrixWorld} = viewer.meshes[0];
+        const place = viewer.camera.position.clone(), found = [0, 0];
+        for (let i = 0; i < geometry.attributes.position.count; i++) {
+            place.fromBufferAttribute(geometry.attributes.position, i).applyMatrix4(matrixWorld);
+            place.project(viewer.camera);
+            found[0] = Math.max(found[0], Math.abs(place.x));
+            found[1] = Math.max(found[1], Math.abs(place.y));
+        }
+        return found }""")
+    assert 0.9 < max(extent) <= 1.0
+
+
+def test_a_finger_hits_every_control(browser: Browser, tmp_path: Path) -> None:
+    (tmp_path / "n.html").write_text(build_page("Cube", "s", Scene(make_cube())))
+    context = browser.new_context(
+        viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True
+    )
+    page = context.new_page()
+    page.goto((tmp_path / "n.html").as_uri())
+    page.wait_for_selector("body[data-state='ready']", timeout=120_000)
+    low = page.evaluate("""() => [...document.querySelectorAll('button, select, label, summary')]
+        .filter((one) => one.checkVisibility() && one.getBoundingClientRect().height < 39.9)
+        .map((one) => one.outerHTML)""")
+    assert low == []
+    assert page.evaluate("document.documentElement.scrollWidth") == 390
+    context.close()
 
 
 def test_a_plane_cuts_the_mesh_and_shows_its_inside(cube: Page) -> None:
@@ -233,6 +340,21 @@ def test_another_axis_can_point_up(cube: Page) -> None:
     seen = cube.evaluate("""() => { const place = viewer.box.getCenter(viewer.camera.up.clone());
         place.y += 1; return place.project(viewer.camera).y }""")
     assert seen > 0.1
+
+
+def test_an_axis_can_point_down(cube: Page) -> None:
+    cube.select_option("#up", "-y")
+    assert cube.evaluate("viewer.camera.up.toArray()") == [0, -1, 0]
+
+
+def test_what_was_scanned_from_one_side_is_seen_from_there(open_page: Open) -> None:
+    """A square that faces y and not -y: its back would be red."""
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]])
+    faces = np.array([[0, 2, 1], [0, 3, 2]])
+    page = open_page(build_page("S", "s", Scene(Mesh(corners, faces))))
+    found = pixels(page)
+    assert found["drawn"] > 10_000
+    assert found["red"] == 0
 
 
 def test_a_warning_leads_to_its_place_and_back(cube: Page) -> None:

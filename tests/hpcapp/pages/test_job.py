@@ -14,11 +14,19 @@ REPORT: dict[str, object] = {
     "spacing": 0.25,
     "noise": 0.001,
     "levels": 5,
+    "lam": 0.001,
+    "components": 1234,
+    "support": {"share": 0.98349, "farthest": 1.26, "reach": 0.75},
     "a_new_fact": 17,
     "normals": {"source": "estimated", "sure": 0.75},
     "dropped": {"outliers": 12},
     "warnings": ["the <scan> is open"],
-    "input": {"files": ["a.las"], "format": "LAS", "columns": {"X": "position", "t": "left out"}},
+    "input": {
+        "files": ["a.las"],
+        "format": "LAS",
+        "unit": "m",
+        "columns": {"X": "position", "t": "left out"},
+    },
     "backend": "zmq",
     "workers": 2,
     "choice": {"reason": "it was asked for"},
@@ -34,7 +42,7 @@ def bodies(report: dict[str, object], marked: tuple[str, ...] = ()) -> dict[str,
 
 def test_everything_that_was_decided_is_said() -> None:
     decided = bodies(REPORT)["Decided"]
-    for words in ("hierarchical", "0.25", "0.001", "a new fact", "17", "estimated", "0.75", "12"):
+    for words in ("hierarchical", "0.25", "0.001", "a new fact", "17", "estimated", "75.0 %", "12"):
         assert words in decided
 
 
@@ -75,8 +83,8 @@ def test_an_empty_report_has_no_empty_tables() -> None:
 
 def test_stages_stand_in_for_spans() -> None:
     said = bodies(REPORT)["Time"]
-    assert "read: 1.5 s from 0 s" in said
-    assert "fit: 0.5 s from 1.5 s" in said
+    assert "read: 1.50 s from 0 s" in said
+    assert "fit: 0.500 s from 1.50 s" in said
 
 
 def test_workers_are_in_the_order_of_their_numbers_behind_the_master() -> None:
@@ -89,8 +97,23 @@ def test_of_very_many_spans_the_longest_are_drawn() -> None:
     spans = [TaskSpan("t", f"w-{n % 100}", 0.0, 1.0 + n) for n in range(5000)]
     drawn = draw_timeline(spans)
     assert drawn.count("<title>") <= 4000
-    assert "the longest 4000 of 5000 spans and 64 of 100 workers" in drawn
+    assert "the longest 4,000 of 5,000 spans and 64 of 100 workers" in drawn
 
 
 def test_nothing_is_drawn_of_nothing() -> None:
     assert draw_timeline([]) == ""
+
+
+def test_settings_have_readable_names_and_lengths_their_unit() -> None:
+    said = bodies(REPORT)
+    assert "<th>smoothing</th>" in said["Decided"]
+    assert "lam" not in said["Decided"]
+    assert "<th>spacing of the points</th><td>0.250 m</td>" in said["Decided"]
+    assert '<th>pieces</th><td class="number">1,234</td>' in said["Mesh"]
+    assert "<th>supported by points</th><td>98.3 %</td>" in said["Mesh"]
+    assert "1.26 m" in said["Mesh"]
+
+
+def test_times_are_at_round_numbers() -> None:
+    drawn = draw_timeline([TaskSpan("t", "w-1", 0.0, 4.7)])
+    assert [f">{tick} s<" in drawn for tick in (0, 2, 4, 4.7)] == [True, True, True, False]

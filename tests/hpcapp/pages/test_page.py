@@ -137,3 +137,10 @@ def test_the_licence_of_three_is_in_it() -> None:
 def test_a_page_that_cannot_be_written_says_so(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="create the folder"):
         write_page(tmp_path / "no" / "a.html", "x")
+
+
+def test_both_sides_of_zero_have_a_scale_with_zero_in_its_middle() -> None:
+    field = Field("f", "F", np.array([-3.0, 1.0, 2.0, 0.0]), "m", high=2.0, is_signed=True)
+    [found] = scene_of(build_page("t", "s", Scene(Mesh(CORNERS, FACES), [field])))["fields"][2:]
+    assert (found["low"], found["high"], found["from"], found["to"]) == (-2.0, 2.0, -3.0, 2.0)
+    assert found["signed"] is True

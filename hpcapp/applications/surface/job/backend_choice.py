@@ -64,9 +64,9 @@ class Job:
     Examples
     --------
     >>> print(Job(20_000, 128))
-    20000 points at grid 128
+    20,000 points at grid 128
     >>> print(Job(20_000, 142, is_read=False, is_chosen=False))
-    at most 20000 points
+    at most 20,000 points
     """
 
     points: int
@@ -80,7 +80,7 @@ class Job:
         return self.points + SQUARE * self.grid**2
 
     def __str__(self) -> str:
-        points = f"{self.points} points" if self.is_read else f"at most {self.points} points"
+        points = f"{self.points:,} points" if self.is_read else f"at most {self.points:,} points"
         return f"{points} at grid {self.grid}" if self.is_chosen else points
 
 

@@ -20,11 +20,12 @@ from hpcapp.io import open_points, read_mesh, read_whole, take_finite
 from hpcapp.io.crs import UNKNOWN
 from hpcapp.io.frame import scale_heights
 from hpcapp.io.meshes.mesh_stream import MeshStream, find_vertices, make_mesh
-from hpcapp.pages.job import describe_job
+from hpcapp.pages.job import describe_job, find_unit
 from hpcapp.pages.owners import TILE, Owners, mark_tiles, take_labels
 from hpcapp.pages.page import Section, build_page, make_table, write_page
-from hpcapp.pages.scene import MOST_POINTS, Field, Marker, Scene, fields_of
+from hpcapp.pages.scene import MOST_POINTS, Field, Marker, Scene, Tint, fields_of
 from hpcapp.pages.thin import thin_mesh
+from hpcapp.wording import say_count, say_number, say_share
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.job.load import Loaded
@@ -43,7 +44,7 @@ __all__ = [
 ]
 
 GUESSED = 6.0
-"""Spacings from the nearest point, beyond which a vertex is guesswork."""
+"""Spacings from the nearest point, beyond which a vertex is guesswork, if the job does not tell."""
 _LEAST_SHARE = 0.002  # of the area, that a place must have to be marked
 _MOST_MARKERS = 8
 _WIDEST = 8.0  # spacings at the end of the scale of colours
@@ -173,15 +174,22 @@ def show_files(mesh: Path, points: Path, report: Mapping[str, Any]) -> Shown:
 
 def build_job_page(shown: Shown, report: Mapping[str, Any], title: str) -> str:
     """Return the page of a job, as HTML."""
-    spacing = report.get("spacing")
-    fields = [Field("distance", "Distance to the points", shown.distances, low=0.0)]
+    spacing, unit, tint = report.get("spacing"), find_unit(report), None
+    fields = [Field("distance", "Distance to the points", shown.distances, unit, low=0.0)]
     markers: list[Marker] = []
     if spacing:
         support = shown.distances / float(spacing)
-        fields.append(Field(SUPPORT, "Support", support, "spacings", 0.0, _WIDEST))
-        markers = find_guesses(shown.mesh, shown.distances, float(spacing))
+        fields.append(Field(SUPPORT, "Distance in spacings", support, "spacings", 0.0, _WIDEST))
+        beyond = _find_reach(report, float(spacing))
+        markers = find_guesses(shown.mesh, shown.distances, beyond, float(spacing), unit)
+        if float(shown.distances.max(initial=0.0)) > beyond:
+            text = f"guesswork: more than {say_number(beyond, unit)} from every point"
+            tint = Tint("distance", beyond, text)
     own = [one for one in fields_of(shown.mesh) if one.label != SUPPORT]
-    scene = Scene(shown.mesh, [*fields, *shown.labels, *own], shown.points, markers)
+    scene = Scene(
+        shown.mesh, [*fields, *shown.labels, *own], shown.points, markers,
+        up=_find_up(report), unit=unit, tint=tint,
+    )  # fmt: skip
     sections = describe_job(report, [one.text for one in markers])
     if len(shown.mesh.faces) < shown.faces:
         note = {"faces": shown.faces, "shown here": len(shown.mesh.faces)}
@@ -189,22 +197,44 @@ def build_job_page(shown: Shown, report: Mapping[str, Any], title: str) -> str:
     return build_page(title, str(report["summary"]), scene, sections)
 
 
-def find_guesses(mesh: Mesh, distances: FloatArray, spacing: float) -> list[Marker]:
+def _find_reach(report: Mapping[str, Any], spacing: float) -> float:
+    """Return how far from the nearest point a surface is guesswork, in length units."""
+    support = report.get("support")
+    reach = support.get("reach") if isinstance(support, Mapping) else None
+    if isinstance(reach, int | float) and reach > 0.0:
+        return float(reach)
+    return GUESSED * spacing
+
+
+def _find_up(report: Mapping[str, Any]) -> str:
+    """Return the axis that points up, as the input tells; else z."""
+    given = report.get("input")
+    told = str(given.get("up", "")) if isinstance(given, Mapping) else ""
+    return told[:1] if told[:1] in ("x", "y", "z") else "z"
+
+
+def find_guesses(
+    mesh: Mesh, distances: FloatArray, beyond: float, spacing: float, unit: str = ""
+) -> list[Marker]:
     """Return where a mesh is guesswork: the largest pieces of it that are far from all points.
 
     Parameters
     ----------
     distances : ndarray of float64, shape (v,)
         Of its vertices from the nearest point, in length units.
+    beyond : float
+        So far from the nearest point the mesh is guesswork, in length units.
     spacing : float
         Of the points, in length units.
+    unit : str
+        Of length, in the markers' texts.
 
     Returns
     -------
     list of Marker
         The largest first; each in the middle of a piece, on the mesh.
     """
-    is_far = (distances > GUESSED * spacing)[mesh.faces].all(axis=1)
+    is_far = (distances > beyond)[mesh.faces].all(axis=1)
     faces = mesh.faces[is_far]
     if not len(faces):
         return []
@@ -230,8 +260,9 @@ def find_guesses(mesh: Mesh, distances: FloatArray, spacing: float) -> list[Mark
         markers.append(
             Marker(
                 place,
-                f"{100.0 * sizes[one] / total:.1f} % of the surface is guesswork: up to "
-                f"{farthest:.4g} from the nearest point ({farthest / spacing:.0f} spacings)",
+                f"{say_share(sizes[one] / total)} of the surface is guesswork: up to "
+                f"{say_number(farthest, unit)} from the nearest point "
+                f"({say_count(round(farthest / spacing), 'spacing')})",
             )
         )
     return markers

@@ -27,7 +27,7 @@ FAR = np.array([4e5, 5e6, 0.0])
 def run(*words: str | Path) -> str:
     done = CliRunner().invoke(compare, list(map(str, words)), catch_exceptions=False)
     assert done.exit_code == 0
-    return done.output
+    return done.stdout
 
 
 def measure(*words: str | Path) -> dict[str, Any]:
@@ -125,3 +125,39 @@ def test_a_truth_at_one_place_is_refused(cube: Path, tmp_path: Path, count: int)
 def test_a_threshold_that_is_no_number_is_refused(cube: Path, threshold: str) -> None:
     with pytest.raises(UsageError, match="--threshold"):
         run(cube, cube, "--threshold", threshold)
+
+
+def test_the_side_is_known_of_a_closed_truth(cube: Path, tmp_path: Path) -> None:
+    ends = {}
+    for name, size in (("more", 1.2), ("less", 0.8)):
+        path = tmp_path / f"{name}.ply"
+        write_mesh(path, Mesh(size * (CORNERS - 0.5) + 0.5, FACES, FAR))
+        run(path, cube, "--html", tmp_path / "p.html")
+        page = (tmp_path / "p.html").read_text()
+        [field] = [
+            one
+            for one in json.loads(page.split('id="scene">')[1].split("</script>")[0])["fields"]
+            if one["name"] == "distance"
+        ]
+        assert field["signed"]
+        ends[name] = field["from"], field["to"]
+    assert ends["more"][1] == pytest.approx(0.1 * 3**0.5)  # corners, outside
+    assert ends["less"][0] == pytest.approx(-0.1)  # the nearest side, inside
+
+
+def test_columns_stand_apart_and_lengths_have_a_unit(cube: Path, tmp_path: Path) -> None:
+    cloud = PointCloud(np.tile(CORNERS, (3, 1)) * 2.0)
+    write_points(tmp_path / "t.e57", cloud)  # in metres, as the format has it
+    write_mesh(tmp_path / "m.ply", Mesh(CORNERS * 2.0, FACES))
+    lines = run(tmp_path / "m.ply", tmp_path / "t.e57").splitlines()
+    [diagonal] = [line for line in lines if line.startswith("diagonal")]
+    assert diagonal.split()[-3:] == ["3.46", "m", "100.0000"]
+    [head] = [line for line in lines if "% of diagonal" in line]
+    assert head.index("length") + len("length") == diagonal.index(" m ") + 2
+
+
+def test_progress_is_told_as_it_comes(cube: Path) -> None:
+    done = CliRunner().invoke(compare, [str(cube), str(cube)], catch_exceptions=False)
+    stages = [line.split(":")[0] for line in done.stderr.splitlines() if ": done in" in line]
+    assert stages == ["read", "truth to mesh", "mesh to truth", "check"]
+    assert "done in" not in done.stdout

@@ -41,6 +41,7 @@ BELIEVED: dict[str, set[str]] = {
         "bound_range",
         "bound_region",  # the box around what is left when some are dropped
         "group_region",  # where patches lie, and their noise
+        "judge_support",  # where no point supports the surface
         "mesh_gap",
         "mesh_tile",
         "open_part",

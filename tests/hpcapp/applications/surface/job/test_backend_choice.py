@@ -38,7 +38,7 @@ def hopeful(monkeypatch: pytest.MonkeyPatch, two_cores: None) -> None:
 
 @pytest.mark.usefixtures("two_cores")
 @pytest.mark.parametrize(
-    ("grid", "known"), [(None, "at most {} points:"), (32, "at most {} points at grid 32:")]
+    ("grid", "known"), [(None, "at most {:,} points:"), (32, "at most {:,} points at grid 32:")]
 )
 def test_only_what_is_known_before_the_points_are_read_is_told(
     grid: int | None,

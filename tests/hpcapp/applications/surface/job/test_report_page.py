@@ -12,11 +12,17 @@ import pytest
 from click.testing import CliRunner
 
 from hpcapp.applications.surface.command import reconstruct
-from hpcapp.applications.surface.job.report_page import build_job_page, find_guesses, show_files
+from hpcapp.applications.surface.job.report_page import (
+    Shown,
+    build_job_page,
+    find_guesses,
+    show_files,
+)
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.applications.view.page import make_page
 from hpcapp.io import read_mesh, write_points
+from hpcapp.wording import say_number
 from hpccomponent.errors import UsageError
 
 
@@ -51,8 +57,8 @@ def test_a_page_says_what_the_job_says(capless: Path, tmp_path: Path) -> None:
     report = run(capless, "-o", tmp_path / "m.ply", "--grid", "48", "--report", tmp_path / "r.html")
     page = (tmp_path / "r.html").read_text()
     assert report["summary"] in page
-    assert f"{report['spacing']:.6g}" in page
-    assert f"{report['cell_size']:.6g}" in page
+    assert say_number(report["spacing"]) in page
+    assert say_number(report["cell_size"]) in page
     assert "taken as normal" in page
     assert f"reconstruct {capless} --output {tmp_path / 'm.ply'} --grid 48" in page
     assert {"distance", "support", "normals", "plain"} <= names_of(page)
@@ -61,20 +67,36 @@ def test_a_page_says_what_the_job_says(capless: Path, tmp_path: Path) -> None:
 
 
 def test_guesswork_is_marked_where_it_is(capless: Path, tmp_path: Path) -> None:
-    run(capless, "-o", tmp_path / "m.ply", "--grid", "48", "--report", tmp_path / "r.html")
+    told = run(capless, "-o", tmp_path / "m.ply", "--grid", "48", "--report", tmp_path / "r.html")
     [marker] = scene_of((tmp_path / "r.html").read_text())["markers"]
     x, y, z = marker["place"]
     assert np.hypot(x, y) < 0.4
     assert z > 0.6
     assert "guesswork" in marker["text"]
+    tint = scene_of((tmp_path / "r.html").read_text())["tint"]
+    assert tint["beyond"] == told["support"]["reach"]
+    assert tint["field"] == "distance"
+
+
+def test_the_axis_that_points_up_and_the_unit_are_those_of_the_scan() -> None:
+    mesh = Mesh(np.eye(3), np.array([[0, 1, 2]]))
+    shown = Shown(mesh, 1, PointCloud(np.eye(3)), np.array([0.0, 0.1, 3.5]))
+    given = {"unit": "m", "up": "y (flown)"}
+    page = build_job_page(shown, {"summary": "", "spacing": 0.5, "input": given}, "t")
+    scene = scene_of(page)
+    assert (scene["up"], scene["unit"]) == ("y", "m")
+    assert "<th>spacing of the points</th><td>0.500 m</td>" in page
+    assert scene["tint"]["text"] == "guesswork: more than 3.00 m from every point"
+    unknown = scene_of(build_job_page(shown, {"summary": "", "input": {"up": "unknown"}}, "t"))
+    assert (unknown["up"], unknown["unit"], unknown["tint"]) == ("z", "", None)
 
 
 def test_what_points_support_is_not_marked() -> None:
     corners = np.random.default_rng(0).normal(size=(30, 3))
     mesh = Mesh(corners, np.arange(30).reshape(-1, 3))
-    assert find_guesses(mesh, np.full(30, 0.1), 1.0) == []
+    assert find_guesses(mesh, np.full(30, 0.1), 6.0, 1.0) == []
     far = np.where(np.arange(30) < 6, 50.0, 0.1)
-    markers = find_guesses(mesh, far, 1.0)
+    markers = find_guesses(mesh, far, 6.0, 1.0)
     assert len(markers) == 2
     middles = mesh.vertices[mesh.faces[:2]].mean(axis=1)
     assert {tuple(one.place) for one in markers} == {tuple(middle) for middle in middles}
