@@ -33,6 +33,7 @@ _TRIMMED = 0.002  # share of the points on each side that may lie outside of the
 _MARGIN = 0.04  # around the others, in shares of their longer side
 _POINTS_PER_CELL = 4.0  # of a square, whose disc has 0.8 of its side as radius
 _WIDEST = 0.02  # a disc, in shares of the picture
+_ROWS = 500_000  # points that are worked on at once
 _NEAR, _FAR = 0.25, 0.84  # greys
 
 
@@ -105,7 +106,9 @@ def draw_points(
     discs = _Discs(camera, cloud)
 
     def draw(below: Camera, buffer: DepthBuffer) -> None:
-        buffer.draw_discs(below.project(cloud.positions), np.arange(len(cloud)), 1.5)
+        for begin in range(0, len(cloud), _ROWS):
+            screen = below.project(cloud.positions[begin : begin + _ROWS])
+            buffer.draw_discs(screen, np.arange(len(screen)), 1.5)
 
     trimmed = [np.quantile(axis, (_TRIMMED, 1.0 - _TRIMMED)) for axis in cloud.positions.T]
     shadow = cast_shadow(camera, up, np.array(trimmed).T, draw)
@@ -168,20 +171,23 @@ def _fit_radii(screen: Screen, camera: Camera) -> tuple[NDArray[np.uint8], list[
     of most points, so that stray ones are no balloons.
     """
     columns, rows = SAMPLES * camera.width, SAMPLES * camera.height
-    place = np.floor(screen[:, :2]).astype(np.int64)
-    is_in = ((place >= 0) & (place < [columns, rows])).all(axis=1)
-    place = np.clip(place, 0, [columns - 1, rows - 1])
+    column, row = (
+        np.clip(screen[:, k], -1, most).astype(np.int16) for k, most in enumerate((columns, rows))
+    )
+    is_in = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
     widest = max(2.0, _WIDEST * SAMPLES * max(camera.width, camera.height))
     levels = np.full(len(screen), 255, np.uint8)
     radii: list[float] = []
     while True:
         level = len(radii)
         side = 2.0 ** (0.5 * level)
-        cell = (place / side).astype(np.int64)
-        across = int(columns / side) + 1
-        flat = cell[:, 1] * across + cell[:, 0]
-        count = np.bincount(flat[is_in], minlength=int(flat.max()) + 1)
-        levels[(levels == 255) & (count[flat] >= _POINTS_PER_CELL)] = level
+        across = int(columns / side) + 2
+        cell = (row / np.float32(side)).astype(np.int32)
+        cell *= across
+        cell += (column / np.float32(side)).astype(np.int32)
+        np.maximum(cell, 0, out=cell)
+        is_full = np.bincount(cell[is_in], minlength=int(cell.max()) + 1) >= _POINTS_PER_CELL
+        levels[(levels == 255) & is_full[cell]] = level
         radii.append(0.8 * side)
         if side >= widest or (levels != 255).all():
             break

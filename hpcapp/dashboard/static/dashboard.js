@@ -3,8 +3,8 @@ const token = new URLSearchParams(location.search).get('token');
 const at = (path) => `${path}?token=${encodeURIComponent(token)}&page=${document.body.dataset.page}`;
 const element = (id) => document.getElementById(id);
 const MASTER = 'master';
-const COLOURS = ['#4878cf', '#6acc65', '#b47cc7', '#c4ad66', '#77bedb', '#d5875c', '#8c8c8c'];
-const BAD = { lost: '#c0392b', failed: '#c0392b', refused: '#c0392b', repeated: '#e0a030' };
+const SERIES = 8; // colours of the design
+const BAD = { lost: '--failed', failed: '--failed', refused: '--failed', repeated: '--warn' };
 const WINDOW_S = 60; // of the throughput
 const MOST_LINES = 500;
 
@@ -38,7 +38,8 @@ function showState(state) {
 
 function showStage() {
   const bar = element('bar');
-  element('stage').style.visibility = news.stage ? '' : 'hidden';
+  element('stage').hidden = news.state !== 'running';
+  element('stage').style.visibility = news.stage ? '' : 'hidden'; // between two: nothing jumps
   if (!news.stage) return;
   const [name, done, total, begin] = news.stage;
   element('stage-name').textContent = name;
@@ -53,16 +54,34 @@ function showStage() {
 
 function fill(table, rows) {
   const body = document.createElement('tbody');
+  const names = [...table.tHead.rows[0].cells].map((cell) => cell.textContent);
   for (const row of rows) {
     const line = body.insertRow();
-    for (const cell of row) {
+    row.forEach((cell, column) => {
       const place = line.insertCell();
       place.textContent = cell.text ?? cell;
+      place.dataset.name = names[column];
       if (typeof cell === 'number' || cell.text !== undefined) place.className = 'number';
       if (cell.isBad) place.classList.add('bad');
-    }
+      if (cell.text === 0) place.classList.add('none');
+    });
   }
   table.tBodies[0].replaceWith(body);
+}
+
+/** Fill a list: each item is a sequence of elements and words. */
+function list(element, items) {
+  element.replaceChildren(...items.map((parts) => {
+    const item = document.createElement('li');
+    item.append(...parts);
+    return item;
+  }));
+}
+
+function bold(text) {
+  const element = document.createElement('b');
+  element.textContent = text;
+  return element;
 }
 
 function showStages() {
@@ -70,7 +89,7 @@ function showStages() {
   for (const [name, worker, begin, end] of spans) {
     if (worker === MASTER) seconds.set(name, (seconds.get(name) ?? 0) + end - begin);
   }
-  fill(element('stages'), [...seconds].map(([name, s]) => [name, { text: `${s.toFixed(2)} s` }]));
+  list(element('stages'), [...seconds].map(([name, s]) => [`${name} `, bold(`${s.toFixed(2)} s`)]));
 }
 
 function showWorkers() {
@@ -103,6 +122,15 @@ function showWorkers() {
 }
 
 // -- pictures -------------------------------------------------------------------------------------
+let colours = new Map(); // of the design, as the page has them now
+function colourOf(name) {
+  if (!colours.has(name)) {
+    colours.set(name, getComputedStyle(document.body).getPropertyValue(name).trim());
+  }
+  return colours.get(name);
+}
+const seriesOf = (number) => colourOf(`--series-${number % SERIES + 1}`);
+
 function prepare(canvas, height) {
   const scale = window.devicePixelRatio || 1, width = canvas.clientWidth;
   canvas.style.height = `${height}px`;
@@ -110,78 +138,132 @@ function prepare(canvas, height) {
   canvas.height = Math.round(height * scale);
   const pen = canvas.getContext('2d');
   pen.scale(scale, scale);
-  pen.font = '11px system-ui, sans-serif';
-  pen.fillStyle = getComputedStyle(document.body).color;
+  pen.font = `12px ${colourOf('--sans')}`;
+  pen.fillStyle = colourOf('--ink');
   return [pen, width];
 }
 
-const shades = new Map();
-function shadeOf(name) {
-  if (!shades.has(name)) shades.set(name, COLOURS[shades.size % COLOURS.length]);
-  return shades.get(name);
+/** A text as far as it fits. */
+function fit(pen, text, width) {
+  if (pen.measureText(text).width <= width) return text;
+  let most = text.length;
+  while (most > 1 && pen.measureText(`${text.slice(0, most)}…`).width > width) most -= 1;
+  return `${text.slice(0, most)}…`;
 }
+
+/** The largest of 1, 2 or 5 times a power of ten that is not below a number. */
+function roundUp(least) {
+  const power = 10 ** Math.floor(Math.log10(least));
+  return [1, 2, 5, 10].find((digit) => digit * power >= least * (1 - 1e-9)) * power;
+}
+
+// The tasks that took most time have a colour each, the others share the last one. Stages are grey,
+// and told by their names.
+function rankTasks() {
+  const seconds = new Map();
+  for (const [name, worker, begin, end] of spans) {
+    if (worker !== MASTER) seconds.set(name, (seconds.get(name) ?? 0) + end - begin);
+  }
+  const names = [...seconds.keys()].sort((a, b) => seconds.get(b) - seconds.get(a));
+  return new Map(names.map((name, rank) => [name, Math.min(rank, SERIES - 1)]));
+}
+
+function showKey(ranks, isSeen) {
+  const dot = (colour) => {
+    const element = document.createElement('i');
+    element.style.background = colour;
+    return element;
+  };
+  const items = [...ranks].slice(0, SERIES - 1).map(([name, rank]) => [dot(seriesOf(rank)), name]);
+  if (ranks.size >= SERIES) items.push([dot(seriesOf(SERIES - 1)), 'other tasks']);
+  if (isSeen.lost) items.push([dot(colourOf('--failed')), 'lost, failed or refused']);
+  if (isSeen.repeated) items.push([dot(colourOf('--warn')), 'repeated']);
+  list(element('key'), items);
+}
+
+const ROW = 20;
 
 function drawTimeline() {
   const workers = [...new Set(spans.map((span) => span[1]).concat(news.workers.map((w) => w[0])))]
     .filter((name) => name !== MASTER)
     .sort((a, b) => a.length - b.length || (a < b ? -1 : 1)).slice(0, 63);
   const rows = new Map([MASTER, ...workers].map((name, row) => [name, row]));
-  const [pen, width] = prepare(element('timeline'), 18 * rows.size + 18);
-  const left = 130, right = 8, end = Math.max(news.now, 1e-3);
+  const [pen, width] = prepare(element('timeline'), ROW * (rows.size + 1));
+  const label = (name) => (name === MASTER ? 'stages' : name);
+  const widest = Math.max(...[...rows.keys()].map((name) => pen.measureText(label(name)).width));
+  const left = Math.min(widest, 0.3 * width) + 10, right = 12, end = Math.max(news.now, 1e-3);
   const x = (time) => left + (width - left - right) * time / end;
-  for (const [name, row] of rows) pen.fillText(name.slice(0, 20), 0, 18 * row + 13);
-  for (let tick = 0; tick <= 5; tick++) {
-    pen.globalAlpha = 0.25;
-    pen.fillRect(x(end * tick / 5), 0, 1, 18 * rows.size);
-    pen.globalAlpha = 1;
-    pen.textAlign = tick === 5 ? 'right' : tick ? 'center' : 'left';
-    const digits = end < 50 ? 1 : 0;
-    pen.fillText(`${(end * tick / 5).toFixed(digits)} s`, x(end * tick / 5), 18 * rows.size + 13);
+  for (const [name, row] of rows) {
+    pen.fillText(fit(pen, label(name), left - 10), 0, ROW * row + 15);
   }
-  pen.textAlign = 'left';
+  drawTicks(pen, x, end, ROW * rows.size, Math.max(1, Math.floor((width - left) / 60)));
+  const ranks = rankTasks(), isSeen = { lost: false, repeated: false };
   for (const [name, worker, begin, until, outcome] of spans) {
     if (!rows.has(worker)) continue;
-    pen.fillStyle = BAD[outcome] ?? shadeOf(name);
-    const long = Math.max(1, x(until) - x(begin));
-    pen.fillRect(x(begin), 18 * rows.get(worker) + 2, long, 14);
-    if (long > 6.5 * name.length) {
-      pen.fillStyle = '#fff';
-      pen.fillText(name, x(begin) + 3, 18 * rows.get(worker) + 13);
-    }
+    const isStage = worker === MASTER, bad = BAD[outcome];
+    if (bad) isSeen[outcome === 'repeated' ? 'repeated' : 'lost'] = true;
+    const colour = bad ? colourOf(bad) : isStage ? colourOf('--edge') : seriesOf(ranks.get(name));
+    drawBar(pen, name, colour, x(begin), x(until), ROW * rows.get(worker));
   }
-  if (news.stage) {
-    pen.globalAlpha = 0.45;
-    pen.fillStyle = shadeOf(news.stage[0]);
-    pen.fillRect(x(news.stage[3]), 2, x(end) - x(news.stage[3]), 14);
-    pen.globalAlpha = 1;
+  if (news.stage) drawBar(pen, news.stage[0], colourOf('--edge'), x(news.stage[3]), x(end), 0);
+  showKey(ranks, isSeen);
+}
+
+function drawTicks(pen, x, end, height, most) {
+  const step = roundUp(end / most), digits = Math.max(0, -Math.floor(Math.log10(step)));
+  pen.textAlign = 'center';
+  for (let tick = 0; tick * step <= end; tick++) {
+    const at = x(tick * step), text = `${(tick * step).toFixed(digits)} s`;
+    pen.fillStyle = colourOf('--line');
+    pen.fillRect(at, 0, 1, height);
+    const half = pen.measureText(text).width / 2; // the last one must not be cut
+    pen.fillStyle = colourOf('--soft');
+    pen.fillText(text, Math.min(at, x(end) + 12 - half), height + 15);
   }
+  pen.textAlign = 'left';
+}
+
+function drawBar(pen, name, colour, begin, end, top) {
+  const long = Math.max(1, end - begin - 0.5); // a hair's breadth between two of them
+  pen.fillStyle = colour;
+  pen.fillRect(begin, top + 2, long, ROW - 4);
+  if (long < pen.measureText(name).width + 8) return;
+  pen.fillStyle = colourOf('--paper');
+  pen.fillText(name, begin + 4, top + 14.5);
 }
 
 function drawThroughput() {
   const end = news.now, begin = Math.max(0, end - WINDOW_S), bins = 60;
   const step = Math.max((end - begin) / bins, 1e-6);
-  const tasks = new Array(bins).fill(0), travelled = new Array(bins).fill(0);
+  const ended = new Array(bins).fill(0), travelled = new Array(bins).fill(0);
   for (const [, worker, , until, , received, sent] of spans) {
     if (worker === MASTER || until < begin) continue;
     const bin = Math.min(bins - 1, Math.floor((until - begin) / step));
-    tasks[bin] += 1 / step;
+    ended[bin] += 1 / step;
     travelled[bin] += (received + sent) / step;
   }
-  const [pen, width] = prepare(element('throughput'), 70);
-  const draw = (values, colour) => {
-    const top = Math.max(...values, 1e-9);
-    pen.strokeStyle = colour;
-    pen.lineWidth = 1.5;
-    pen.beginPath();
-    values.forEach((value, i) => pen.lineTo(width * i / (bins - 1), 66 - 60 * value / top));
-    pen.stroke();
-  };
-  draw(travelled, '#d5875c');
-  draw(tasks, '#4878cf');
+  drawRate('tasks', ended, '--series-1');
+  drawRate('bytes', travelled, '--series-2');
   const all = spans.filter((span) => span[1] !== MASTER);
   const sum = (column) => all.reduce((total, span) => total + span[column], 0);
-  element('rates').textContent = `${all.length} tasks (blue), at most ${rate(Math.max(...tasks, 1))};`
-    + ` ${bytes(sum(5) + sum(6))} travelled (orange), at most ${bytes(Math.max(...travelled))}/s`;
+  element('task-rate').textContent = `${all.length.toLocaleString('en')} tasks`
+    + (all.length ? `, at most ${rate(Math.max(...ended, 1e-9))}` : '');
+  element('byte-rate').textContent = `${bytes(sum(5) + sum(6))} travelled`
+    + (all.length ? `, at most ${bytes(Math.max(...travelled))}/s` : '');
+}
+
+function drawRate(id, values, colour) {
+  const height = 40, [pen, width] = prepare(element(id), height);
+  const top = Math.max(...values, 1e-9);
+  pen.fillStyle = colourOf('--line');
+  pen.fillRect(0, height - 1, width, 1);
+  pen.strokeStyle = colourOf(colour);
+  pen.lineWidth = 1.5;
+  pen.beginPath();
+  values.forEach((value, i) => {
+    pen.lineTo(width * i / (values.length - 1), height - 2 - (height - 5) * value / top);
+  });
+  pen.stroke();
 }
 
 function show() {
@@ -207,7 +289,7 @@ function showLines(fresh) {
 class Mesh {
   constructor(Viewer) {
     this.viewer = new Viewer(element('view'));
-    this.viewer.setBackground(getComputedStyle(document.body).backgroundColor);
+    this.setBackground();
     this.asked = 0;
     this.faces = 0;
     this.isTurned = false;
@@ -217,6 +299,10 @@ class Mesh {
     });
     element('by-part').addEventListener('change', () => this.colour());
     element('reset').addEventListener('click', () => { this.isTurned = false; this.viewer.look(); });
+  }
+
+  setBackground() {
+    this.viewer.setBackground(getComputedStyle(document.body).backgroundColor);
   }
 
   /** Fetch the parts that have come, one after the other: the job's machine has other work. */
@@ -257,7 +343,7 @@ class Mesh {
     const isByPart = element('by-part').checked;
     this.viewer.meshes.forEach((mesh, part) => {
       if (only !== null && part !== only) return;
-      const shade = COLOURS[part % COLOURS.length];
+      const shade = seriesOf(part);
       const rgb = [1, 3, 5].map((place) => parseInt(shade.slice(place, place + 2), 16));
       this.viewer.colour(mesh, isByPart
         ? (_, out) => { [out[0], out[1], out[2]] = rgb; } : null);
@@ -283,3 +369,9 @@ source.addEventListener('message', (event) => {
 });
 source.addEventListener('error', () => showState('cut off'));
 window.addEventListener('resize', () => { if (news.workers) show(); });
+matchMedia('(prefers-color-scheme: dark)').addEventListener('change', () => {
+  colours = new Map();
+  mesh?.setBackground();
+  mesh?.colour();
+  if (news.workers) show();
+});

@@ -109,6 +109,82 @@ def test_a_job_of_a_moment_is_shown_whole(page: Page, errors: list[str]) -> None
     assert errors == []
 
 
+def show_four_workers() -> WatchedJob:
+    """Return a job with four workers, in the middle of its second stage."""
+    seconds = [0.0]
+    timeline = Timeline(lambda: seconds[-1])
+    names = [f"machine-{number}" for number in range(4)]
+    timeline.list_workers = lambda: [WorkerState(name, "busy", "mesh_tile") for name in names]
+    job = WatchedJob(timeline, "/scans/of/the/old/town/hall/from/all/sides.laz → hall.ply")
+    seconds.append(4.0)
+    timeline.record("read", MASTER, 4.0)
+    Progress(job).begin("extract")
+    seconds.append(9.0)
+    for name in names:
+        timeline.record("mesh_tile", name, 5.0, bytes_in=123_456_789, bytes_out=98_765_432)
+    return job
+
+
+def test_before_the_first_part_the_page_says_so(page: Page, errors: list[str]) -> None:
+    job = WatchedJob(Timeline(), "ball.ply → ball.glb")
+    with open_dashboard("127.0.0.1:0", job) as address, job.running():
+        page.goto(address)
+        page.locator("#view canvas").wait_for()
+        on_top = """() => { const box = document.getElementById('empty').getBoundingClientRect();
+            return document.elementFromPoint(box.x + box.width / 2, box.y + box.height / 2).id; }"""
+        assert page.evaluate(on_top) == "empty"
+    assert errors == []
+
+
+def test_four_workers_fit_a_desk_and_a_telephone(page: Page) -> None:
+    job = show_four_workers()
+    with open_dashboard("127.0.0.1:0", job) as address, job.running():
+        page.set_viewport_size({"width": 1400, "height": 900})
+        page.goto(address)
+        page.locator("#workers tbody tr").nth(3).wait_for()
+        for name in ("#view canvas", "#timeline", "#workers", "#tasks", "#bytes", "#log"):
+            box = page.locator(name).bounding_box()
+            assert box is not None, name
+            assert box["y"] + box["height"] <= 900, name
+            assert box["x"] + box["width"] <= 1400, name
+
+        page.set_viewport_size({"width": 390, "height": 844})
+        widest = "document.documentElement.scrollWidth"
+        assert page.evaluate(widest) == 390
+        beyond = """() => [...document.querySelectorAll('#workers td, #stages, #tasks, #bytes')]
+            .filter((cell) => cell.getBoundingClientRect().right > 390
+                || cell.scrollWidth > cell.clientWidth + 1).map((cell) => cell.outerHTML)"""
+        assert page.evaluate(beyond) == []
+        below = """() => document.querySelector('#bytes').getBoundingClientRect().bottom
+            < document.querySelector('.lines').getBoundingClientRect().top"""
+        assert page.evaluate(below)  # it was cut there
+
+
+def test_no_stage_has_the_colour_of_a_task(page: Page) -> None:
+    job = show_four_workers()
+    with open_dashboard("127.0.0.1:0", job) as address, job.running():
+        page.goto(address)
+        page.locator("#workers tbody tr").nth(3).wait_for()
+        # The bars of a row are most of its middle line, without their words and the grid.
+        row = """(number) => {
+            const canvas = document.getElementById('timeline'), scale = window.devicePixelRatio;
+            const pen = canvas.getContext('2d');
+            const line = pen.getImageData(0, (20 * number + 4) * scale, canvas.width, 1).data;
+            const counts = {};
+            for (let i = 0; i < line.length; i += 4) {
+                if (line[i + 3] === 255) {
+                    const colour = line.slice(i, i + 3).join();
+                    counts[colour] = (counts[colour] ?? 0) + 1;
+                }
+            }
+            return Object.keys(counts).filter((colour) => counts[colour] > 20);
+        }"""
+        stages, tasks = page.evaluate(row, 0), page.evaluate(row, 1)
+        assert stages
+        assert tasks
+        assert not set(stages) & set(tasks)
+
+
 def test_without_its_token_the_page_is_not_there(page: Page) -> None:
     job = WatchedJob(Timeline(), "ball.ply → ball.glb")
     with open_dashboard("127.0.0.1:0", job) as address:
