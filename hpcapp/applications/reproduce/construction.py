@@ -75,7 +75,7 @@ def make_figure_2(subject: Subject, up: str, clock: StageClock) -> tuple[Finding
         f"By the rule {_SHOWN}: (a) the input; (b) patches, each in a colour of its own; (c) their "
         f"quadrics, where their points lie; (d) the surface.",
     )
-    return finding, draw_panels(panels, columns=4)
+    return finding, draw_panels(panels, columns=2)
 
 
 def _make_steps(points: PointCloud, clock: StageClock) -> Iterator[tuple[str, Mesh]]:

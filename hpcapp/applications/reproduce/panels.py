@@ -21,7 +21,7 @@ Picture = NDArray[np.uint8]
 
 #: Width and height of a panel, in pixels.
 PANEL = 480
-_LABEL = 40  # pixels above each panel
+_LABEL = 48  # pixels above each panel
 _DPI = 100
 _GOLDEN = 0.618033988749895  # turns of hue between neighbours of the tree: all of them differ
 
@@ -55,7 +55,7 @@ def draw_panels(panels: Sequence[tuple[str, Picture]], columns: int) -> Picture:
         bottom = height - (row + 1) * (PANEL + _LABEL)  # of the panel, from the figure's
         figure.figimage(picture[::-1], column * PANEL, bottom, origin="lower")
         x, y = (column + 0.5) * PANEL, bottom + PANEL + 0.5 * _LABEL
-        figure.text(x / width, y / height, label, ha="center", va="center", fontsize=13)
+        figure.text(x / width, y / height, label, ha="center", va="center", fontsize=17)
     return _rasterise(figure)
 
 

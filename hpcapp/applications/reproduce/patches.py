@@ -77,7 +77,7 @@ def make_figure_4(subject: Subject, up: str, clock: StageClock) -> tuple[Finding
         + ", ".join(f"{limit:,}" for limit in PAPER_COUNTS)
         + " points.",
     )
-    return finding, draw_panels(panels, columns=4)
+    return finding, draw_panels(panels, columns=2)
 
 
 def _colour(mesh: Mesh, patches: Patches, nearest: NDArray[np.int64]) -> Mesh:
