@@ -6,6 +6,7 @@ This module is imported for every ``--help``: numpy and all that stands on it ar
 from __future__ import annotations
 
 import logging
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,26 +18,23 @@ from hpccomponent.terminal import echo
 from hpccomponent.verb import Verb
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from hpcapp.applications.reproduce.finding import Finding
+    from hpcapp.applications.reproduce.subject import Subject
+    from hpcapp.progress import StageClock
 
 __all__ = ["reproduce"]
 
 log = logging.getLogger("hpcapp")
 
-_PLOTS = ("workers", "rounds", "grid")
 #: Which options each figure has.
 _OPTIONS = {
     "fig2": ("up",),
     "fig4": ("up",),
-    "fig6": ("up", "grid"),
-    "fig7": _PLOTS,
-    "fig8": _PLOTS,
+    "fig6": ("up",),
+    "fig7-8": ("workers", "rounds", "grid"),
     "table1": ("up", "grid", "cluster"),
 }
-_GRIDS = {"fig6": 96, "fig7": 128, "fig8": 128, "table1": 64}
+_GRIDS = {"fig7-8": 128, "table1": 64}
 
 
 @click.command(
@@ -69,10 +67,10 @@ _GRIDS = {"fig6": 96, "fig7": 128, "fig8": 128, "table1": 64}
     "--grid",
     type=click.IntRange(16, 1024),
     metavar="N",
-    help="Cells along the longest side.  [default: 128; 96 for fig6, 64 for table1]",
+    help="Cells along the longest side.  [default: 128; 64 for table1]",
 )
 @click.option("--workers", type=click.IntRange(1, 64), default=4, show_default=True,
-              metavar="N", help="Most workers of fig7 and fig8.")  # fmt: skip
+              metavar="N", help="Most workers of fig7-8.")  # fmt: skip
 @click.option("--rounds", type=click.IntRange(1, 1000), default=3, show_default=True,
               metavar="N", help="Runs with each number of workers.")  # fmt: skip
 @click.option(
@@ -98,54 +96,36 @@ def reproduce(
     Each is a picture, and a table beside the paper's numbers.
 
     \b
-    fig2    patches of the kd-tree, by both readings of the normal cone
+    fig2    from points to a surface: input, patches, quadrics, surface
     fig4    patches by the most points that each may hold
-    fig6    the surface by the paper's method, beside the default method's
-    fig7    time by the number of workers: fits handed out, and tiles
-    fig8    speed-up by the number of workers: the same
+    fig6    the surface at 24, 64 and 256 cells, by the paper's method and the default
+    fig7-8  time and speed-up by the number of workers: fits handed out, and tiles
     table1  one head that works and three workers, deployed
     """  # noqa: D301 - click's mark
     _check_options(ctx, figure)
     cells = grid or _GRIDS.get(figure, 0)
-    if figure in ("fig7", "fig8"):
-        from hpcapp.applications.reproduce.plots import check_plots
+    if figure != "table1":
+        from hpcapp.applications.reproduce.panels import check_plots
 
         check_plots()
     from hpcapp.applications.reproduce.subject import open_subject
+    from hpcapp.progress import Progress, StageClock
+    from hpcapp.progress_display import open_progress
 
-    with open_subject(points) as subject:
+    with open_subject(points) as subject, open_progress(sys.stderr) as display:
         _make_folder(out)
-        picture = out / f"{figure}.png"
-        if figure in ("fig7", "fig8"):
-            finding = _plot(figure, subject.path, subject.name, (cells, rounds, workers), picture)
+        clock = StageClock(Progress(display))
+        if figure == "fig7-8":
+            findings = _plot(subject, (cells, rounds, workers), out, clock)
+        elif figure == "table1":
+            findings = {figure: _deploy(subject, cluster, (cells, up), out, clock)}
         else:
-            if figure == "fig2":
-                from hpcapp.applications.reproduce.patches import make_figure_2
-
-                made = make_figure_2(subject, up)
-            elif figure == "fig4":
-                from hpcapp.applications.reproduce.patches import make_figure_4
-
-                made = make_figure_4(subject, up)
-            elif figure == "fig6":
-                from hpcapp.applications.reproduce.surfaces import make_figure_6
-
-                made = make_figure_6(subject, cells, up)
-            else:
-                from hpcapp.applications.reproduce.deployment import (
-                    make_table_1,
-                    write_local_cluster,
-                )
-
-                file = cluster or out / "table1.yaml"
-                if cluster is None:
-                    write_local_cluster(file)
-                made = make_table_1(subject, file, cells, up, is_emulated=cluster is None)
-            finding = _draw(picture, made)
-    page = finding.to_markdown(picture.name)
-    _write_page(out / f"{figure}.md", page)
-    echo(page.rpartition("\n![")[0])
-    log.info("%s: the picture; %s.md: the table", picture, out / figure)
+            findings = {figure: _draw(figure, subject, up, out, clock)}
+    for name, finding in findings.items():
+        page = finding.to_markdown(f"{name}.png")
+        _write_page(out / f"{name}.md", page)
+        echo(page.rpartition("\n![")[0])
+        log.info("%s.png: the picture; %s.md: the table", out / name, out / name)
 
 
 def _check_options(ctx: click.Context, figure: str) -> None:
@@ -169,32 +149,54 @@ def _make_folder(out: Path) -> None:
     check_place(out / "reproduced.md")
 
 
-def _draw(picture: Path, made: tuple[Finding, NDArray[np.uint8]]) -> Finding:
+def _draw(figure: str, subject: Subject, up: str, out: Path, clock: StageClock) -> Finding:
+    """Make Figure 2, 4 or 6."""
     from hpcapp.pages.png import write_png
 
-    finding, pixels = made
-    write_png(picture, pixels)
+    if figure == "fig2":
+        from hpcapp.applications.reproduce.construction import make_figure_2 as make
+    elif figure == "fig4":
+        from hpcapp.applications.reproduce.patches import make_figure_4 as make
+    else:
+        from hpcapp.applications.reproduce.surfaces import make_figure_6 as make
+    finding, pixels = make(subject, up, clock)
+    write_png(out / f"{figure}.png", pixels)
+    return finding
+
+
+def _deploy(
+    subject: Subject, cluster: Path | None, looks: tuple[int, str], out: Path, clock: StageClock
+) -> Finding:
+    """Make Table 1 at the grid and with the up axis of `looks`."""
+    from hpcapp.applications.reproduce.deployment import make_table_1, write_local_cluster
+    from hpcapp.pages.png import write_png
+
+    file = cluster or out / "table1.yaml"
+    if cluster is None:
+        write_local_cluster(file)
+    finding, pixels = make_table_1(subject, file, *looks, clock, is_emulated=cluster is None)
+    write_png(out / "table1.png", pixels)
     return finding
 
 
 def _plot(
-    figure: str, cloud: Path, name: str, sizes: tuple[int, int, int], picture: Path
-) -> Finding:
-    """Measure `sizes` (grid, rounds, most workers), and draw."""
+    subject: Subject, sizes: tuple[int, int, int], out: Path, clock: StageClock
+) -> dict[str, Finding]:
+    """Measure `sizes` (grid, rounds, most workers) once, and draw both figures."""
     from hpcapp.applications.reproduce.plots import make_figure_7, make_figure_8
     from hpcapp.applications.reproduce.scaling import measure
     from hpcapp.io.staging import replacing
     from hpccomponent.limits import available_cores
 
     grid, rounds, most = sizes
-
-    def tell(number: int, workers: int) -> None:
-        log.info("round %d of %d: %s workers", number + 1, rounds, workers or "no")
-
-    runs = list(measure(cloud, grid, rounds, most, done=tell))
-    make = make_figure_7 if figure == "fig7" else make_figure_8
-    with replacing(picture) as file:
-        return make(runs, f"{name}, grid {grid}", available_cores(), file)
+    with clock.stage(f"{rounds} x 0 to {most} workers"):
+        runs = list(measure(subject.path, grid, rounds, most, done=clock.progress.advance))
+    title = f"{subject.name}, grid {grid}"
+    findings = {}
+    for name, make in (("fig7", make_figure_7), ("fig8", make_figure_8)):
+        with replacing(out / f"{name}.png") as file:
+            findings[name] = make(runs, title, available_cores(), file)
+    return findings
 
 
 def _write_page(path: Path, page: str) -> None:

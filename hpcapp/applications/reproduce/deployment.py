@@ -11,11 +11,13 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 from hpcapp.applications.reproduce.finding import Finding
+from hpcapp.applications.reproduce.readings import STEP_1
 from hpcapp.applications.reproduce.subject import Subject
 from hpcapp.backends.cluster import load_cluster_function
 from hpcapp.io import read_mesh
 from hpcapp.io.staging import replacing
 from hpcapp.pages.render import render_mesh
+from hpcapp.progress import StageClock
 from hpccomponent.errors import JobError
 from hpccomponent.foreign_json import convert
 
@@ -52,7 +54,7 @@ def write_local_cluster(path: Path) -> None:
 
 
 def make_table_1(
-    subject: Subject, cluster: Path, grid: int, up: str, *, is_emulated: bool
+    subject: Subject, cluster: Path, grid: int, up: str, clock: StageClock, *, is_emulated: bool
 ) -> tuple[Finding, NDArray[np.uint8]]:
     """Deploy the machines, have them run the paper's method, and take them away.
 
@@ -72,14 +74,16 @@ def make_table_1(
     target = subject.path.with_name("mesh.ply")
     words = ["--method", "paper", "--grid", str(grid), "--backend", "zmq", "--policy", "equal"]
     try:
-        report = convert(run(cluster, "reconstruct", subject.path, target, words), _Figures)
+        with clock.stage("deploy, reconstruct, take away"):
+            answer = run(cluster, "reconstruct", subject.path, target, words)
+        report = convert(answer, _Figures)
     except ValueError as error:
         raise JobError(f"the head's report lacks a figure ({error})", "run it again") from None
     finding = Finding(
         f"Table 1: {subject.name} on the machines of {cluster.name}",
         ("", "in the paper", "here"),
         _tabulate(report),
-        _compare(report.workers, cluster, is_emulated=is_emulated),
+        f"{_compare(report.workers, cluster, is_emulated=is_emulated)} {STEP_1}.",
         "The mesh that came back, by the paper's method.",
     )
     return finding, render_mesh(read_mesh(target), size=800, up=up)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib.util import find_spec
 from typing import TYPE_CHECKING, BinaryIO
 
 from hpcapp.applications.reproduce.finding import Finding
+from hpcapp.applications.reproduce.readings import STEP_1
 from hpcapp.applications.reproduce.scaling import (
     WAYS,
     Run,
@@ -15,28 +15,24 @@ from hpcapp.applications.reproduce.scaling import (
     limit_of_fits,
     summarise,
 )
-from hpcapp.extras import how_to_install
-from hpccomponent.errors import UsageError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["check_plots", "make_figure_7", "make_figure_8"]
+__all__ = ["make_figure_7", "make_figure_8"]
 
+#: The paper's speed-up in its own words, by the number of its slaves.
+_PAPER_SPEEDUP = {4: "almost double"}
 _NO_NUMBERS = (
     "The paper's cloud for this figure is not published and its machines were others, so its "
     "times cannot be met"
 )
 
-
-def check_plots() -> None:
-    """Refuse a figure before it is measured, where matplotlib is not installed."""
-    if find_spec("matplotlib") is None:
-        raise UsageError(
-            "fig7 and fig8 are drawn by matplotlib, which is not installed",
-            how_to_install("plots"),
-        )
+_STEP_1 = (
+    f"{STEP_1}; it is the master's, so that it would add to every job the same and lower every "
+    "speed-up."
+)
 
 
 def make_figure_7(runs: Sequence[Run], subject: str, cores: int, file: BinaryIO) -> Finding:
@@ -71,6 +67,7 @@ def make_figure_7(runs: Sequence[Run], subject: str, cores: int, file: BinaryIO)
             tile.job_s.cell(),
             f"{fit.bytes_sent / 1e6:.1f}",
             f"{tile.bytes_sent / 1e6:.1f}",
+            _PAPER_SPEEDUP.get(fit.workers, "-"),
         )
         for fit, tile in zip(fits, ways["tiles"], strict=True)
     ]
@@ -78,10 +75,10 @@ def make_figure_7(runs: Sequence[Run], subject: str, cores: int, file: BinaryIO)
         f"Figure 7: time by workers, {subject}",
         ("workers", "start, s", "the paper's fits at first, ms", "the paper's fits, ms",
          "job with fits handed out, s", "job with tiles handed out, s",
-         "MB sent with fits", "MB sent with tiles"),
+         "MB sent with fits", "MB sent with tiles", "speed-up in the paper"),
         tuple(rows),
         f"{_NO_NUMBERS}: {_share(fits):.1f} % of the paper's method is in its fits here, and "
-        f"{_compare_cores(cores, fits[-1].workers)}",
+        f"{_compare_cores(cores, fits[-1].workers)} {_STEP_1}",
         "Time by the number of workers: medians, with bars from the fastest to the slowest run.",
     )  # fmt: skip
 
@@ -103,17 +100,18 @@ def make_figure_8(runs: Sequence[Run], subject: str, cores: int, file: BinaryIO)
     _save(figure, axes, file)
     rows = [
         (_name(fit), fit.fit_speedup.cell(), fit.job_speedup.cell(), f"{limit:.2f}",
-         tile.job_speedup.cell())
+         tile.job_speedup.cell(), _PAPER_SPEEDUP.get(fit.workers, "-"))
         for fit, tile, limit in zip(fits, ways["tiles"], limits, strict=True)
     ]  # fmt: skip
     return Finding(
         f"Figure 8: speed-up by workers, {subject}",
         ("workers", "the paper's fits", "job with fits handed out", "if that were free",
-         "job with tiles handed out"),
+         "job with tiles handed out", "in the paper"),
         tuple(rows),
         "The paper's speed-up is not met by handing out fits: they are "
         f"{_share(fits):.1f} % of the job here, so Amdahl's law leaves "
-        f"{limits[-1]:.2f} with {workers[-1]} workers; {_compare_cores(cores, workers[-1])}",
+        f"{limits[-1]:.2f} with {_count(workers[-1], 'worker')}; "
+        f"{_compare_cores(cores, workers[-1])} {_STEP_1}",
         "Speed-up by the number of workers: medians, with bars from the least to the most of "
         "any round.",
     )  # fmt: skip
@@ -130,11 +128,22 @@ def _share(fits: list[Summary]) -> float:
 
 def _compare_cores(cores: int, workers: int) -> str:
     if cores > workers:
-        return f"{workers} workers and the master have {cores} cores for themselves."
+        return f"{_count(workers, 'worker')} and the master have {cores} cores for themselves."
     return (
-        f"{workers} emulated machines and the master share {cores} cores, so that no way of "
-        f"handing out can gain more than {cores} times."
+        f"{_count(workers, 'emulated machine')} and the master share {_count(cores, 'core')}, so "
+        f"that no way of handing out can gain more than {_count(cores, 'time')}."
     )
+
+
+def _count(number: int, noun: str) -> str:
+    """Return a number and its noun.
+
+    Examples
+    --------
+    >>> _count(1, "core"), _count(2, "core")
+    ('1 core', '2 cores')
+    """
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def _name(line: Summary) -> str:
@@ -148,7 +157,7 @@ def _open_axes(ways: dict[str, list[Summary]], cores: int) -> tuple[Figure, Axes
     axes = figure.subplots()
     axes.set(
         xticks=[line.workers for line in ways["fits"]],
-        xlabel=f"workers (0: the master alone; {cores} cores in all)",
+        xlabel=f"workers (0: the master alone; {_count(cores, 'core')} in all)",
     )
     axes.grid(visible=True, alpha=0.3)
     return figure, axes

@@ -132,7 +132,7 @@ def measure(
     rounds: int,
     most_workers: int,
     backend: str = "zmq",
-    done: Callable[[int, int], object] = lambda _round, _workers: None,
+    done: Callable[[int, int], object] = lambda _done, _total: None,
 ) -> Iterator[Run]:
     """Yield the runs of all rounds as they finish.
 
@@ -149,12 +149,12 @@ def measure(
     backend : str
         What stands behind 1 and more workers.
     done : callable
-        Told (round, workers) before each opening of workers.
+        Told (n, total) whenever n of the total of openings of workers are measured.
     """
+    total = rounds * (most_workers + 1)
     for number in range(rounds):
         counts = list(range(most_workers + 1))
-        for workers in counts if number % 2 == 0 else reversed(counts):
-            done(number, workers)
+        for i, workers in enumerate(counts if number % 2 == 0 else reversed(counts)):
             name, count = (backend, workers) if workers else ("serial", None)
             begin = perf_counter()
             with open_executor(name, workers=count, policy="equal") as opened:
@@ -163,6 +163,7 @@ def measure(
                 for way, settings in WAYS.items():
                     fit_s, job_s, sent = _run(cloud, settings, grid, opened)
                     yield Run(way, workers, number, start_s, first[way][0], fit_s, job_s, sent)
+            done(number * len(counts) + i + 1, total)
 
 
 def _run(

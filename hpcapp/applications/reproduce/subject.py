@@ -12,6 +12,7 @@ from hpcapp.applications.simulate.shapes import find_shape
 from hpcapp.applications.surface.cloud.arranged import MemoryCloud, arrange_cloud
 from hpcapp.applications.surface.job.load import load
 from hpcapp.applications.surface.method import MethodSettings
+from hpcapp.applications.surface.paper.preprocess import denoise, resample
 from hpcapp.applications.surface.paper.settings import Paper
 from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.applications.surface.types.points import PointCloud
@@ -48,6 +49,10 @@ class Subject:
     def is_papers(self) -> bool:
         """Whether it has as many points as the paper's bunny."""
         return len(self.points) == PAPER_BUNNY
+
+    def apply_step_1(self) -> PointCloud:
+        """Return the points after the paper's step 1: denoised, and resampled to even density."""
+        return resample(denoise(self.points))
 
 
 @contextmanager

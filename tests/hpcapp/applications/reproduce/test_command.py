@@ -22,21 +22,34 @@ def sphere(tmp_path: Path) -> Path:
     return tmp_path / "sphere.ply"
 
 
-def run(*words: str | Path) -> str:
+def run(*words: str | Path | int) -> str:
     done = CliRunner().invoke(reproduce, list(map(str, words)), catch_exceptions=False)
     assert done.exit_code == 0
-    return done.output
+    return done.stdout
 
 
-@pytest.mark.slow  # matplotlib draws each patch
-def test_patches_are_counted_and_drawn(sphere: Path, tmp_path: Path) -> None:
+@pytest.mark.slow  # every panel is drawn
+def test_the_steps_are_counted_and_drawn(sphere: Path, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib", reason="needs the plots extra")
     out = tmp_path / "new" / "out"
     table = run("fig2", sphere, "--out", out)
     assert (out / "fig2.png").read_bytes().startswith(b"\x89PNG")
     assert (out / "fig2.md").read_text().startswith(table.rstrip())
     assert "need not be near them" in table  # not the paper's cloud
     # No box of a sphere's cut in eight has normals farther apart than 90 degrees.
-    assert "| as printed, n.m > 0.1, root cube | 8 |" in table
+    assert "| as printed, n.m > 0.1, root cube | 8 | 8 |" in table
+    assert "Step 1, to denoise and resample, is off" in table
+
+
+@pytest.mark.slow  # workers are started
+def test_both_figures_come_from_one_run(sphere: Path, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib", reason="needs the plots extra")
+    words = ("--workers", 1, "--rounds", 1, "--grid", 16, "--out", tmp_path)
+    tables = run("fig7-8", sphere, *words)
+    for name, title in (("fig7", "# Figure 7: time"), ("fig8", "# Figure 8: speed-up")):
+        assert title in tables
+        assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+        assert title in (tmp_path / f"{name}.md").read_text()
 
 
 @pytest.mark.parametrize(
@@ -44,7 +57,8 @@ def test_patches_are_counted_and_drawn(sphere: Path, tmp_path: Path) -> None:
     [
         (("fig2", "--grid", "32"), UsageError, "--grid means nothing to fig2"),
         (("fig6", "--cluster", "c.yaml"), UsageError, "it is for table1"),
-        (("fig2", "nowhere.ply"), InputError, "nowhere"),
+        (("fig7-8", "--up", "y"), UsageError, "it is for fig2, fig4, fig6, table1"),
+        (("table1", "nowhere.ply"), InputError, "nowhere"),
     ],
 )
 def test_bad_input_leaves_nothing(

@@ -28,7 +28,6 @@ def runs() -> list[Run]:
 
 @pytest.fixture(scope="module")
 def made(runs: list[Run]) -> dict[str, tuple[Finding, bytes]]:
-    """Drawn outside the tests: matplotlib keeps its fonts open, which is no leak of ours."""
     pytest.importorskip("matplotlib", reason="needs the plots extra")
     found = {}
     for name, make in (("fig7", make_figure_7), ("fig8", make_figure_8)):
@@ -43,7 +42,7 @@ def test_the_times_are_those_of_all_rounds(made: dict[str, tuple[Finding, bytes]
     assert {len(row) for row in finding.rows} == {len(finding.columns)}
     assert finding.rows[1] == (
         "1", "0.50 (0.50 to 0.50)", "400 (400 to 4000)", "200 (200 to 2000)",
-        "1.10 (1.10 to 11.00)", "1.10 (1.10 to 11.00)", "2.0", "2.0",
+        "1.10 (1.10 to 11.00)", "1.10 (1.10 to 11.00)", "2.0", "2.0", "-",
     )  # fmt: skip
     assert "10.0 % of the paper's method is in its fits" in finding.sentence
 
@@ -51,8 +50,18 @@ def test_the_times_are_those_of_all_rounds(made: dict[str, tuple[Finding, bytes]
 def test_a_slow_round_leaves_the_speedups_alone(made: dict[str, tuple[Finding, bytes]]) -> None:
     finding, _ = made["fig8"]
     assert finding.rows[2] == (
-        "2", "0.25 (0.25 to 0.25)", "0.77 (0.77 to 0.77)", "1.05", "0.77 (0.77 to 0.77)",
+        "2", "0.25 (0.25 to 0.25)", "0.77 (0.77 to 0.77)", "1.05", "0.77 (0.77 to 0.77)", "-",
     )  # fmt: skip
+
+
+def test_the_papers_own_words_stand_beside_four_workers() -> None:
+    pytest.importorskip("matplotlib", reason="needs the plots extra")
+    runs = [run_of(way, workers, 0, 0.1, 1.0) for workers in (0, 4) for way in WAYS]
+    for make in (make_figure_7, make_figure_8):
+        finding = make(runs, "a sphere", 1, BytesIO())
+        assert [row[-1] for row in finding.rows] == ["-", "almost double"]
+        assert "share 1 core," in finding.sentence
+        assert "Step 1, to denoise and resample, is off" in finding.sentence
 
 
 @pytest.mark.parametrize("name", ["fig7", "fig8"])
