@@ -76,9 +76,10 @@ class Mesh:
 
     Examples
     --------
+    >>> import hpcapp
     >>> import numpy as np
     >>> corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]) + 1000
-    >>> mesh = Mesh(corners, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+    >>> mesh = hpcapp.Mesh(corners, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
     >>> mesh
     Mesh(4 vertices, 4 faces, watertight, 1 x 1 x 1)
     >>> round(mesh.volume, 6), round(mesh.area, 6)
