@@ -109,10 +109,16 @@ def describe_python() -> Iterator[str]:
     yield "# Python\n"
     yield "`import hpcapp` gives all of this, each imported when it is first used.\n"
     for name in sorted(hpcapp.__all__):
-        home = getattr(hpcapp, name)
-        kind = "autoclass" if isinstance(home, type) else "autofunction"
+        public = getattr(hpcapp, name)
         yield f"## `hpcapp.{name}`\n"
-        yield f"```{{eval-rst}}\n.. {kind}:: {home.__module__}.{home.__qualname__}\n```\n"
+        yield "```{eval-rst}"
+        if not isinstance(public, type):
+            yield f".. autofunction:: hpcapp.{name}"
+        elif issubclass(public, Exception):
+            yield f".. autoexception:: hpcapp.{name}"
+        else:
+            yield f".. autoclass:: hpcapp.{name}\n   :members:"
+        yield "```\n"
 
 
 def describe_benchmarks(folder: Path) -> Iterator[str]:

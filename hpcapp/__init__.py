@@ -62,6 +62,7 @@ __all__ = [
     "write_points",
 ]
 
+_ERRORS = "hpccomponent.errors"
 _HOMES = {
     "hpcapp.api.awaiting": ("reconstruct_async",),
     "hpcapp.api.comparison": ("Comparison", "compare"),
@@ -74,7 +75,7 @@ _HOMES = {
     "hpcapp.backends.selection": ("open_executor",),
     "hpcapp.cancellation": ("Cancellation",),
     "hpcapp.io": ("read_points", "write_points"),
-    "hpccomponent.errors": (
+    _ERRORS: (
         "HpcError",
         "InputError",
         "JobCancelledError",
@@ -91,10 +92,11 @@ def __getattr__(name: str) -> Any:
     """Import what is asked for when it is: ``import hpcapp`` must stay light."""
     if name not in _HOME_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    found = getattr(import_module(_HOME_OF[name]), name)
-    found.__module__ = __name__  # by which its users know it, in tracebacks and pickles
-    globals()[name] = found
-    return found
+    for one in {name, *_HOMES[_ERRORS]} - globals().keys():
+        found = getattr(import_module(_HOME_OF[one]), one)
+        found.__module__ = __name__  # by which its users know it, in tracebacks and pickles
+        globals()[one] = found
+    return globals()[name]
 
 
 def __dir__() -> list[str]:

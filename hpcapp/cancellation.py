@@ -17,10 +17,14 @@ class Cancellation:
 
     Examples
     --------
-    >>> cancellation = Cancellation()
-    >>> cancellation.cancel()
-    >>> cancellation.is_cancelled
-    True
+    >>> import hpcapp
+    >>> import threading
+    >>> cancel = hpcapp.Cancellation()
+    >>> threading.Timer(0.0, cancel.cancel).start()
+    >>> hpcapp.reconstruct(hpcapp.simulate("knot"), grid=256, cancel=cancel)
+    Traceback (most recent call last):
+        ...
+    hpcapp.JobCancelledError: the job was cancelled
     """
 
     def __init__(self) -> None:

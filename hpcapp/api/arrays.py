@@ -15,28 +15,30 @@ from hpccomponent.errors import InputError, UsageError
 __all__ = ["check_cloud", "check_colours", "check_column", "check_faces", "check_rows"]
 
 
-def check_cloud(points: ArrayLike | PointCloud, normals: ArrayLike | None) -> PointCloud:
+def check_cloud(
+    points: ArrayLike | PointCloud, normals: ArrayLike | None, name: str = "points"
+) -> PointCloud:
     """Return the arrays as a cloud in its local frame; InputError names the argument at fault."""
     if isinstance(points, PointCloud):
         if normals is not None:
             raise UsageError("normals stands beside a cloud", "give the cloud its normals")
         given = points
     else:
-        given = PointCloud(check_rows("points", points), _check_normals(normals))
-    positions, directions = check_rows("points", given.positions), _check_normals(given.normals)
+        given = PointCloud(check_rows(name, points), _check_normals(normals))
+    positions, directions = check_rows(name, given.positions), _check_normals(given.normals)
     if directions is not None and len(positions) != len(directions):
         raise InputError(
-            f"points has {len(positions)} rows and normals {len(directions)}",
+            f"{name} has {len(positions)} rows and normals {len(directions)}",
             "give one normal for each point",
         )
     colours = None if given.colours is None else check_colours(given.colours, len(positions))
     attributes = {
-        name: check_column(name, column, len(positions))
-        for name, column in given.attributes.items()
+        label: check_column(label, column, len(positions))
+        for label, column in given.attributes.items()
     }
     local, origin = (positions, given.origin) if given.origin.any() else to_local(positions)
     whole = PointCloud(local, directions, colours, attributes, origin)
-    cloud, dropped = drop_unusable(whole, "points")
+    cloud, dropped = drop_unusable(whole, name)
     if dropped.total:
         raise InputError(
             f"normals has {dropped.total} of {len(positions)} rows of length zero",

@@ -52,9 +52,11 @@ Mesh
 
 Examples
 --------
->>> async def main() -> list[Mesh]:
-...     scans = [simulate("torus", points=3000), simulate("sphere", points=3000)]
-...     return await asyncio.gather(*(reconstruct_async(scan, grid=32) for scan in scans))
+>>> import asyncio
+>>> import hpcapp
+>>> async def main() -> list[hpcapp.Mesh]:
+...     scans = [hpcapp.simulate(name, points=3000) for name in ("torus", "sphere")]
+...     return await asyncio.gather(*(hpcapp.reconstruct_async(scan, grid=32) for scan in scans))
 >>> [mesh.is_watertight for mesh in asyncio.run(main())]
 [True, True]
 """

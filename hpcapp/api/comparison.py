@@ -129,8 +129,9 @@ def compare(
 
     Examples
     --------
-    >>> mesh = reconstruct(simulate("torus", points=5000), grid=48)
-    >>> result = compare(mesh, "shape:torus", samples=2000)
+    >>> import hpcapp
+    >>> mesh = hpcapp.reconstruct(hpcapp.simulate("torus", points=5000), grid=48)
+    >>> result = hpcapp.compare(mesh, "shape:torus", samples=2000)
     >>> result.is_watertight, result.mean < 0.01 * result.diagonal
     (True, True)
     """
@@ -158,5 +159,5 @@ def _open_truth(
         return MeshTruth(
             replace(mesh, vertices=mesh.vertices + (mesh.origin - origin), origin=origin)
         )
-    cloud = check_cloud(truth, None)
+    cloud = check_cloud(truth, None, "truth")
     return PointTruth(replace(cloud, positions=cloud.positions + (cloud.origin - origin)))

@@ -34,6 +34,7 @@ __all__ = ["JobRecord", "Mesh", "read_mesh", "unwrap_mesh", "wrap_mesh"]
 
 _IN_NOTEBOOK = 200_000  # faces: the notebook keeps the page in its file
 _HEIGHT = 480  # pixels of a frame
+_PICTURE = 360  # pixels along a side
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,9 +77,10 @@ class Mesh:
 
     Examples
     --------
+    >>> import hpcapp
     >>> import numpy as np
     >>> corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]) + 1000
-    >>> mesh = Mesh(corners, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+    >>> mesh = hpcapp.Mesh(corners, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
     >>> mesh
     Mesh(4 vertices, 4 faces, watertight, 1 x 1 x 1)
     >>> round(mesh.volume, 6), round(mesh.area, 6)
@@ -314,6 +316,14 @@ class Mesh:
             f'<iframe srcdoc="{page}" style="width: 100%; height: {_HEIGHT}px; border: 0" '
             'title="mesh"></iframe>'
         )
+
+    def _repr_png_(self) -> bytes:
+        """Return a picture, for notebooks where no page can be shown."""
+        from hpcapp.pages.picture import EYE
+        from hpcapp.pages.png import encode_png
+        from hpcapp.pages.render import render_mesh
+
+        return encode_png(render_mesh(thin_mesh(self._plain, _IN_NOTEBOOK), *EYE, _PICTURE, "z"))
 
     def _page(self, most: int, points: PointCloud | None = None, *, is_small: bool = False) -> str:
         thin = thin_mesh(self._plain, most)

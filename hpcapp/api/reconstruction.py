@@ -160,9 +160,11 @@ def reconstruct(
 
     Examples
     --------
+    >>> import hpcapp
+    >>> import numpy as np
     >>> normals = np.random.default_rng(0).normal(size=(2000, 3))
     >>> normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    >>> mesh = reconstruct(7.0 + 2.0 * normals, normals, grid=32)
+    >>> mesh = hpcapp.reconstruct(7.0 + 2.0 * normals, normals, grid=32)
     >>> float(np.abs(np.linalg.norm(mesh.vertices - 7.0, axis=1) - 2.0).max()) < 0.1
     True
     """

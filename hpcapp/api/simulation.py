@@ -70,7 +70,8 @@ def simulate(
 
     Examples
     --------
-    >>> len(simulate("torus", points=2000, noise=0.001))
+    >>> import hpcapp
+    >>> len(hpcapp.simulate("torus", points=2000, noise=0.001))
     2000
     """
     settings = ScanSettings(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from hpcapp.io.staging import replacing
 
-__all__ = ["write_png"]
+__all__ = ["encode_png", "write_png"]
 
 
 def write_png(path: Path, picture: NDArray[np.uint8]) -> None:
@@ -24,7 +25,15 @@ def write_png(path: Path, picture: NDArray[np.uint8]) -> None:
     OutputError
         The file cannot be written.
     """
+    content = encode_png(picture)
+    with replacing(path) as file:
+        file.write(content)
+
+
+def encode_png(picture: NDArray[np.uint8]) -> bytes:
+    """Return a picture as the bytes of a PNG file; see `write_png`."""
     from PIL import Image
 
-    with replacing(path) as file:
-        Image.fromarray(picture).save(file, "PNG", optimize=True)
+    encoded = BytesIO()
+    Image.fromarray(picture).save(encoded, "PNG", optimize=True)
+    return encoded.getvalue()

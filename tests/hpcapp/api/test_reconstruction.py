@@ -1,7 +1,6 @@
 from __future__ import annotations
 
-import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,8 @@ import hpcapp
 from hpcapp.applications.surface.job.run import JobSettings, run_job
 from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.applications.surface.viewpoint import parse_viewpoint
-from hpcapp.io import read_points
+from hpcapp.cli import _run
+from hpcapp.io import read_points, write_points
 from hpcapp.progress import Progress
 from hpccomponent.errors import HpcError, InputError, UsageError
 
@@ -197,13 +197,94 @@ def test_a_wrong_option_is_named(options: dict[str, Any], words: str) -> None:
     assert isinstance(caught.value, HpcError)
 
 
-def test_importing_the_package_imports_nothing_heavy() -> None:
-    code = (
-        "import sys, hpcapp; print(dir(hpcapp)); "
-        "sys.exit(bool({'numpy', 'zmq', 'click', 'hpccomponent'} & set(sys.modules)))"
+def write_scan(path: Path, cloud: PointCloud) -> Path:
+    write_points(path, cloud)
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".glb", ".stl"])
+@pytest.mark.parametrize("shift", [np.zeros(3), FAR])
+def test_a_file_gives_the_bytes_of_the_command(
+    sphere: PointCloud, tmp_path: Path, suffix: str, shift: NDArray[np.float64]
+) -> None:
+    colours = np.full((len(sphere), 3), 90, np.uint8)
+    scan = write_scan(
+        tmp_path / "scan.ply", PointCloud(sphere.positions + shift, sphere.normals, colours)
     )
-    found = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True)
-    assert found.returncode == 0, found.stderr
-    assert "'reconstruct'" in found.stdout
-    with pytest.raises(AttributeError, match="no attribute 'reconstrukt'"):
-        getattr(hpcapp, "reconstrukt")  # noqa: B009 - mypy knows that it is not there
+    command = ["reconstruct", str(scan), "-o", str(tmp_path / f"job{suffix}"), "--grid", "32"]
+    assert _run([*command, "--attributes", "auto,normals"], debug=False) == 0
+    mesh = hpcapp.reconstruct(scan, grid=32, attributes="auto,normals")
+    mesh.save(tmp_path / f"api{suffix}")
+    job = (tmp_path / f"job{suffix}").read_bytes()
+    assert (tmp_path / f"api{suffix}").read_bytes() == job
+    assert mesh.facts["input"]["files"] == [str(scan)]
+
+
+def test_several_files_and_patterns_are_one_cloud(sphere: PointCloud, tmp_path: Path) -> None:
+    half = len(sphere) // 2
+    names = [
+        write_scan(tmp_path / f"{name}.ply", sphere.view(rows))
+        for name, rows in (("a", slice(0, half)), ("b", slice(half, None)))
+    ]
+    whole = hpcapp.reconstruct(sphere, grid=32)
+    for points in (names, tuple(map(str, names)), str(tmp_path / "?.ply")):
+        mesh = hpcapp.reconstruct(points, grid=32)
+        assert mesh.facts["points"] == whole.facts["points"]
+        assert np.abs(mesh.bounds - whole.bounds).max() < 1e-5
+
+
+def test_points_are_taken_from_meshes_where_they_are_asked_for(tmp_path: Path) -> None:
+    solid = hpcapp.reconstruct(hpcapp.simulate("torus", points=4000), grid=48)
+    solid.save(tmp_path / "solid.stl")
+    mesh = hpcapp.reconstruct(tmp_path / "solid.stl", sample=4000, grid=32)
+    assert mesh.is_watertight
+    assert mesh.volume == pytest.approx(solid.volume, rel=0.05)
+    with pytest.raises(UsageError, match="sample is for files"):
+        hpcapp.reconstruct(GOOD, sample=100)
+
+
+def test_normals_are_treated_as_the_command_treats_them(sphere: PointCloud, tmp_path: Path) -> None:
+    assert sphere.normals is not None
+    inwards = PointCloud(sphere.positions, -sphere.normals)
+    scan = write_scan(tmp_path / "scan.ply", inwards)
+    for points in (scan, inwards):
+        mesh = hpcapp.reconstruct(points, "estimate", grid=32)
+        assert mesh.facts["normals"]["source"] == "estimated"
+        assert mesh.volume == pytest.approx(4.0 / 3.0 * np.pi, rel=0.02)
+        kept = hpcapp.reconstruct(points, normals="file", grid=32)
+        assert kept.facts["normals"]["source"] == "file"
+    with pytest.raises(UsageError, match="normals is 'keep'; choose auto, file, estimate"):
+        hpcapp.reconstruct(scan, normals="keep")
+    with pytest.raises(UsageError, match="normals stands beside files"):
+        hpcapp.reconstruct(scan, GOOD)
+
+
+def test_steps_before_all_else_can_be_asked_for(sphere: PointCloud) -> None:
+    seen: list[str] = []
+    hpcapp.reconstruct(
+        sphere, grid=32, outliers=True, denoise=True, resample=True,
+        on_progress=lambda stage, done, total: seen.append(stage),
+    )  # fmt: skip
+    assert {"remove outliers", "denoise", "resample"} <= set(seen)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: hpcapp.reconstruct("no-such-scan.laz"),
+        lambda: hpcapp.reconstruct("none/*.laz"),
+        lambda: hpcapp.reconstruct(GOOD, GOOD, viewpoints="sideways"),
+        lambda: hpcapp.reconstruct(GOOD, GOOD, attributes="intensity"),
+        lambda: hpcapp.reconstruct(GOOD, GOOD, voxel_size=1e9),
+        lambda: hpcapp.reconstruct(GOOD, GOOD, method=hpcapp.Paper(), grid=4096),
+        lambda: hpcapp.reconstruct(GOOD, GOOD, executor="serial", workers=2),
+        lambda: hpcapp.reconstruct(GOOD, GOOD, executor="threads", verify=0.5),
+        lambda: hpcapp.reconstruct(GOOD, GOOD, executor="zmq", workers=100_000),
+        lambda: hpcapp.Hierarchical(close="yes", trim="3s"),
+        lambda: hpcapp.Paper(patches=9, max_points=5),
+    ],
+)
+def test_no_error_speaks_of_flags(call: Callable[[], object]) -> None:
+    with pytest.raises(HpcError) as caught:
+        call()
+    assert "--" not in str(caught.value)
