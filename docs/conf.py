@@ -18,13 +18,13 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "sphinx
 exclude_patterns = ["README.md"]
 myst_heading_anchors = 4
 myst_enable_extensions = ["dollarmath"]
-html_static_path = ["_static"]
-html_css_files = ["front.css"]
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"
 napoleon_google_docstring = False
 html_theme = "furo"
 html_title = "hpcapp"
+html_static_path = ["_static"]
+html_css_files = ["front.css"]
 man_pages = [
     ("reference/generated/command-line", "hpcapp", "watertight meshes from point clouds", "", 1)
 ]
