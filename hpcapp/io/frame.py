@@ -104,8 +104,9 @@ def scale_heights(cloud: PointCloud, factor: float) -> PointCloud:
     >>> scale_heights(slope, 0.75).normals.round(3).tolist()
     [[-0.707, 0.0, 0.707]]
     """
-    scales = np.array([1.0, 1.0, factor])
-    normals = cloud.normals
+    if factor == 1.0:
+        return cloud
+    scales, normals = np.array([1.0, 1.0, factor]), cloud.normals
     if normals is not None:
         normals = normals / scales
         lengths = np.linalg.norm(normals, axis=1, keepdims=True)

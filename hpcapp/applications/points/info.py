@@ -43,8 +43,8 @@ def describe_file(source: PointSource) -> tuple[dict[str, object], Findings, Poi
     InputError
         The file is damaged.
     """
-    cloud, factor = read_whole(source), source.frame.height_scale
-    upright = cloud if factor == 1.0 else scale_heights(cloud, factor)
+    cloud = read_whole(source)
+    upright = scale_heights(cloud, source.frame.height_scale)
     warnings = [*source.findings.warnings, *_tell_no_surface(upright)]
     findings = Findings(warnings, _count_dropped(source, cloud))
     facts = {

@@ -149,24 +149,7 @@ def recognise(source: PointSource) -> PointSource:
     colours = usable.normals if use == "colours" else usable.colours
     scale = None if colours is None else _judge_scale(colours, findings)
     decisions = _Decisions(scale, use, missing)
-    if _look_like_millimetres(source, usable.positions):
-        findings.warn(
-            "all coordinates are whole numbers, as of millimetres, and are taken for metres, as "
-            f"{source.format.partition(',')[0]} has them: if they are millimetres, export the file "
-            "in metres, or read the lengths of the result as millimetres"
-        )
-    is_degree = _are_degrees(source, usable.positions)
-    if is_degree:
-        findings.warn(
-            "x and y are in degrees: project them to metres, a surface in degrees is distorted"
-        )
-
-    unit = "degree" if is_degree else source.unit
-    if (factor := source.frame.height_scale) != 1.0:
-        findings.warn(
-            f"x and y are in {unit}, heights in {source.height_unit}: heights are multiplied by "
-            f"{factor:.5g} for the surface, which is written in the file's own coordinates"
-        )
+    unit = _find_unit(source, usable.positions)
 
     def scan(rows: int) -> Iterator[PointCloud]:
         findings.dropped.clear()
@@ -378,6 +361,27 @@ def _scale_colours(colours: Numbers, scale: ColourScale) -> NDArray[np.uint8]:
     scaled = known // 256 if scale == "16 bit" else np.rint(np.multiply(known, 255 / whole))
     as_bytes: NDArray[np.uint8] = np.clip(scaled, 0, 255).astype(np.uint8)
     return as_bytes
+
+
+def _find_unit(source: PointSource, positions: FloatArray) -> str | None:
+    """Return the unit of x and y, and warn of units that are odd."""
+    warn = source.findings.warn
+    if _look_like_millimetres(source, positions):
+        warn(
+            "all coordinates are whole numbers, as of millimetres, and are taken for metres, as "
+            "the format has them: if they are millimetres, export the file in metres, or read the "
+            "lengths of the result as millimetres"
+        )
+    if _are_degrees(source, positions):
+        warn("x and y are in degrees: project them to metres, a surface in degrees is distorted")
+        return "degree"
+    if (factor := source.frame.height_scale) != 1.0:
+        warn(
+            f"x and y are in {source.unit}, heights in {source.height_unit}: heights are "
+            f"multiplied by {factor:.5g} for the surface, which is written in the file's own "
+            "coordinates"
+        )
+    return source.unit
 
 
 def _look_like_millimetres(source: PointSource, positions: FloatArray) -> bool:

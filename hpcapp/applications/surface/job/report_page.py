@@ -161,9 +161,9 @@ def show_files(mesh: Path, points: Path, report: Mapping[str, Any]) -> Shown:
     """
     source = open_points(points).isotropic()
     whole = read_mesh(mesh)
-    if (factor := source.frame.height_scale) != 1.0:
-        vertices = scale_heights(replace(find_vertices(whole), origin=whole.origin), factor)
-        whole = make_mesh(vertices, whole.faces, vertices.origin)
+    vertices = replace(find_vertices(whole), origin=whole.origin)
+    vertices = scale_heights(vertices, source.frame.height_scale)
+    whole = make_mesh(vertices, whole.faces, vertices.origin)
     marked, workers = mark_tiles(whole, mesh, report, "the head's report")
     thin, labels = take_labels(thin_mesh(marked), workers)
     cloud = take_finite(read_whole(source), str(points))
