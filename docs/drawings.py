@@ -212,9 +212,9 @@ def _machine(x: float, title: str, loader: str, component: str, *within: str) ->
         Box("loader", x + 12, 218, 131, 32, (loader,)),
         Arrow(x + 77.5, 250, x + 77.5, 278, "starts"),
         Box("frame", x + 12, 278, 131, 126, (component,)),
-        Box("worker", x + 24, 360, 107, 32, within[-1:]),
+        Box("worker", x + 24, 360 if within[1:] else 330, 107, 32, within[-1:]),
     ]
-    if len(within) > 1:
+    if within[1:]:
         parts.append(Box("master", x + 24, 306, 107, 32, within[:1]))
         parts.append(Arrow(x + 77.5, 338, x + 77.5, 360, both=True))
     return tuple(parts)

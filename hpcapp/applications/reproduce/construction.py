@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from hpcapp.applications.reproduce.finding import Finding
 from hpcapp.applications.reproduce.panels import PANEL, Picture, colour_patches, draw_panels
@@ -17,7 +18,6 @@ from hpcapp.applications.reproduce.subject import Subject
 from hpcapp.applications.surface.cloud.arranged import MemoryCloud
 from hpcapp.applications.surface.paper.method import PaperMethod, PaperPartition
 from hpcapp.applications.surface.paper.patch_quadrics import evaluate_quadrics, gradient_quadrics
-from hpcapp.applications.surface.paper.preprocess import measure_spacing
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import (
     ByteArray,
@@ -31,6 +31,7 @@ from hpcapp.progress import StageClock
 __all__ = ["build_discs", "make_figure_2", "project_points"]
 
 _GRID = 128  # of the surface
+_NEIGHBOURS = 4  # the last of them is a spacing away, where points lie evenly or at random
 _NEWTON_STEPS = 5
 _REACH = 0.25  # half sides of a box: how far a point is moved along each axis, at most
 _SHOWN = Reading("complement", "tight")
@@ -110,7 +111,8 @@ def build_discs(points: PointCloud, colours: ByteArray, size: float = 1.0) -> Me
         Half of a square's diagonal, in point spacings.
     """
     assert points.normals is not None  # noqa: S101 - a subject has them
-    half = size * measure_spacing(points.positions)
+    distances, _ = cKDTree(points.positions).query(points.positions, k=_NEIGHBOURS + 1)
+    half = size * float(np.median(distances[:, -1]))
     # (n, 3) each: with the normal a right-angled frame
     first = np.cross(points.normals, np.eye(3)[np.abs(points.normals).argmin(axis=1)])
     first *= half / np.linalg.norm(first, axis=1, keepdims=True)

@@ -95,6 +95,9 @@ def make_figure_8(runs: Sequence[Run], subject: str, cores: int, file: BinaryIO)
     workers = [line.workers for line in fits]
     axes.plot(workers, limits, "--", color="grey", label="fits, if handing them out were free")
     axes.plot(workers, [max(1, count) for count in workers], ":", color="grey", label="ideal")
+    if (slaves := max(_PAPER_SPEEDUP)) in workers:
+        words = f"the paper: {_PAPER_SPEEDUP[slaves]}"
+        axes.plot([slaves], [2.0], "v", color="black", fillstyle="none", label=words)
     axes.set(ylim=(0, None), ylabel="speed-up over the master alone")
     axes.set_title("Speed-up (the paper's Figure 8)")
     _save(figure, axes, file)
@@ -153,7 +156,7 @@ def _name(line: Summary) -> str:
 def _open_axes(ways: dict[str, list[Summary]], cores: int) -> tuple[Figure, Axes]:
     from matplotlib.figure import Figure  # optional and heavy
 
-    figure = Figure(figsize=(6.4, 4.2), dpi=120, layout="constrained")
+    figure = Figure(figsize=(6.4, 4.8), dpi=120, layout="constrained")
     axes = figure.subplots()
     axes.set(
         xticks=[line.workers for line in ways["fits"]],
@@ -175,5 +178,5 @@ def _draw(axes: Axes, lines: list[Summary], values: list[Spread], label: str, ma
 
 
 def _save(figure: Figure, axes: Axes, file: BinaryIO) -> None:
-    axes.legend()
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, frameon=False)
     figure.savefig(file, format="png")
