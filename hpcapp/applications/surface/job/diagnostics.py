@@ -52,8 +52,8 @@ def check_resolution(cloud: PointCloud, step: float) -> list[str]:
     if cells >= 2.0 * along or cells > len(cloud) // 4:
         return []
     return [
-        f"the {len(cloud)} points lie in only {cells} cells of the grid, too few to show a shape: "
-        "remove far outliers (--outliers), or choose a finer --grid"
+        f"the {len(cloud):,} points lie in only {cells:,} cells of the grid, too few to show a "
+        "shape: remove far outliers (--outliers), or choose a finer --grid"
     ]
 
 
