@@ -12,7 +12,7 @@ __all__ = ["draw_timeline"]
 
 _WIDTH, _LEFT, _ROW = 380, 86, 15
 _TICKS = 4  # at most
-_SERIES = 8  # colours of the design
+_SERIES = 12  # colours of the design
 _FAILED = {"lost", "failed", "refused"}
 _MOST_BARS = 4000  # more cannot be told apart, and make the page slow
 _MOST_ROWS = 64

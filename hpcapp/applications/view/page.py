@@ -12,8 +12,8 @@ from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
-from hpcapp.io import holds_faces, read_mesh, read_points, take_finite
-from hpcapp.pages.job import describe_job
+from hpcapp.io import holds_faces, open_points, read_mesh, read_points, take_finite
+from hpcapp.pages.job import describe_job, find_unit
 from hpcapp.pages.owners import mark_tiles, take_labels
 from hpcapp.pages.page import Section, build_page, make_table
 from hpcapp.pages.report import read_report
@@ -70,7 +70,9 @@ def make_page(
                 **_describe_box(shown.positions, shown.origin)}  # fmt: skip
         summary = f"{len(shown):,} points"
         sections.insert(0, Section("Points", make_table(row)))
-        return build_page(path.name, summary, Scene(None, points=shown, up=up), sections)
+        unit = open_points(path).unit or ""
+        scene = Scene(None, points=shown, up=up, unit=unit)
+        return build_page(path.name, summary, scene, sections)
     marked, workers = mark_tiles(shown, path, facts, str(report))
     thin, labels = take_labels(thin_mesh(marked), workers)
     topology = check_mesh(shown)
@@ -86,11 +88,12 @@ def make_page(
         rows["shown"] = f"a copy with {len(thin.faces):,} faces"
     sections.insert(0, Section("Mesh", make_table(rows)))
     cloud = None if points is None else _read_beside(points, shown)
-    measured = [] if cloud is None else [_measure(thin, cloud)]
+    unit = find_unit(facts) if points is None else open_points(points).unit or ""
+    measured = [] if cloud is None else [_measure(thin, cloud, unit)]
     fields = [*fields_of(thin), *measured, *labels]
     closed = "watertight" if topology.watertight else "not watertight"
     summary = f"{topology.vertices:,} vertices, {topology.faces:,} faces, {closed}"
-    return build_page(path.name, summary, Scene(thin, fields, cloud, up=up), sections)
+    return build_page(path.name, summary, Scene(thin, fields, cloud, up=up, unit=unit), sections)
 
 
 def _describe_box(positions: FloatArray, origin: FloatArray) -> dict[str, str]:
@@ -111,8 +114,8 @@ def _read_beside(path: Path, mesh: Mesh) -> PointCloud:
     return replace(cloud, positions=cloud.positions + (cloud.origin - mesh.origin))
 
 
-def _measure(mesh: Mesh, cloud: PointCloud) -> Field:
+def _measure(mesh: Mesh, cloud: PointCloud, unit: str) -> Field:
     """Return the distance of each vertex from the nearest point."""
     finite = np.nan_to_num(mesh.vertices)
     distances, _ = cKDTree(cloud.positions).query(finite, workers=-1)
-    return Field("distance", "Distance to the points", distances, low=0.0)
+    return Field("distance", "Distance to the points", distances, unit, low=0.0)

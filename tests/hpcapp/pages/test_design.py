@@ -62,7 +62,7 @@ def test_states_can_be_read(theme: str, state: str) -> None:
 
 @pytest.mark.parametrize("theme", THEMES)
 @pytest.mark.parametrize("ground", ["paper", "panel"])
-@pytest.mark.parametrize("mark", ["edge", *(f"series-{n}" for n in range(1, 9))])
+@pytest.mark.parametrize("mark", ["edge", *(f"series-{n}" for n in range(1, 13))])
 def test_marks_can_be_seen(theme: str, ground: str, mark: str) -> None:
     colours = THEMES[theme]
     assert contrast(colours[mark], colours[ground]) >= MARKS
@@ -77,7 +77,7 @@ def test_no_series_has_the_colour_of_another_or_of_a_state() -> None:
     for colours in THEMES.values():
         shown = [c for name, c in colours.items() if name.startswith("series") or name in
                  ("idle", "running", "done", "failed")]  # fmt: skip
-        assert len(set(shown)) == len(shown) == 12
+        assert len(set(shown)) == len(shown) == 16
 
 
 def test_a_finger_has_40_pixels() -> None:

@@ -53,8 +53,8 @@ def check_resolution(cloud: PointCloud, step: float) -> list[str]:
     if cells >= 2.0 * along or cells > len(cloud) // 4:
         return []
     return [
-        f"the {len(cloud)} points lie in only {cells} cells of the grid, too few to show a shape: "
-        f"remove far outliers ({name_option('outliers')}), or choose a finer grid"
+        f"the {len(cloud):,} points lie in only {cells:,} cells of the grid, too few to show a "
+        f"shape: remove far outliers ({name_option('outliers')}), or choose a finer grid"
     ]
 
 

@@ -153,3 +153,14 @@ def test_an_eye_is_two_angles(tmp_path: Path, eye: str) -> None:
     assert done.exit_code == 2
     assert "is not two angles" in done.output
     assert not (tmp_path / "p.png").exists()
+
+
+def test_lengths_have_the_unit_of_the_points(tmp_path: Path) -> None:
+    write_points(tmp_path / "c.e57", PointCloud(CORNERS))  # in metres, as the format has it
+    write_mesh(tmp_path / "m.ply", Mesh(CORNERS, FACES))
+    page = tmp_path / "p.html"
+    for words in ((tmp_path / "c.e57",), (tmp_path / "m.ply", "--points", tmp_path / "c.e57")):
+        run(*words, "-o", page, "--no-open")
+        scene = json.loads(page.read_text().split('id="scene">')[1].split("</script>")[0])
+        assert scene["unit"] == "m"
+        assert all(one["unit"] == "m" for one in scene["fields"] if one["name"] == "distance")
