@@ -6,6 +6,7 @@ import inspect
 import json
 import re
 from collections.abc import Iterator
+from dataclasses import is_dataclass
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin
@@ -116,6 +117,8 @@ def describe_python() -> Iterator[str]:
             yield f".. autofunction:: hpcapp.{name}"
         elif issubclass(public, Exception):
             yield f".. autoexception:: hpcapp.{name}"
+        elif is_dataclass(public):  # its fields are its parameters; the rest is for the job
+            yield f".. autoclass:: hpcapp.{name}"
         else:
             yield f".. autoclass:: hpcapp.{name}\n   :members:"
         yield "```\n"

@@ -110,7 +110,7 @@ class Mesh:
 
     @cached_property
     def vertices(self) -> FloatArray:
-        """Coordinates of the input, world coordinates, shape (v, 3): nothing is to be added."""
+        """World coordinates, those of the input, shape (v, 3); nothing is to be added to them."""
         mesh = self._plain
         return _read_only(mesh.vertices + mesh.origin if mesh.origin.any() else mesh.vertices)
 

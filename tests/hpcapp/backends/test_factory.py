@@ -69,7 +69,7 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
         ("broken_for_test:pool", None, "cannot be imported .ZeroDivisionError"),
         ("made_for_test:pool", None, "the module made_for_test has no pool"),
         ("made_for_test:NUMBER", None, "it is 3, not a function"),
-        ("made_for_test:plain", 4, "cannot be called with workers=4: .* leave --workers out"),
+        ("made_for_test:plain", 4, "cannot be called with workers=4: .* leave workers out"),
         ("made_for_test:demanding", None, "cannot be called without arguments: .*'workers'"),
         ("made_for_test:demanding", 4, "cannot be called with workers=4: .*'queue'"),
         ("made_for_test:failing", None, "failed .OSError: no licence"),

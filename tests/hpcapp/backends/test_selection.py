@@ -29,11 +29,11 @@ from hpccomponent.limits import available_cores
         ("dask", None, "pull", "names no scheduler; write dask=tcp://HOST:PORT"),
         ("dask=tcp://here", None, "pull", "names no scheduler"),
         ("dask=ftp://here:1", None, "pull", "names no scheduler"),
-        ("dask=tcp://127.0.0.1:1", 2, "pull", "leave --workers out"),
+        ("dask=tcp://127.0.0.1:1", 2, "pull", "leave workers out"),
         ("mpi", None, "pull", "start it as 'mpiexec -n 5 python -m mpi4py.futures -m hpcapp"),
         ("threads", 2, "fair", "choose one of adaptive, pull, equal"),
         ("threads", 0, "pull", "cannot have 0 workers"),
-        ("serial", 2, "pull", "choose another --backend"),
+        ("serial", 2, "pull", "choose another executor"),
     ],
 )
 def test_what_cannot_be_opened_is_refused(
