@@ -1,7 +1,8 @@
 """A picture of a mesh without any graphics library.
 
 Faces are smooth where their normals are near those of their vertices, and sharp elsewhere. Back
-faces are drawn in red, so that holes and turned faces stand out.
+faces are drawn in red, so that holes and turned faces stand out. Where most of what is seen are
+backs with fronts behind them, as of a room, they are red glass.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ Floats = NDArray[np.float32]
 _BACK = np.array([0.85, 0.25, 0.20], np.float32)
 _FILL = 0.92  # share of the picture's side
 _CREASE = 0.87  # cosine: a face that turns by 30 degrees from its vertex is not smoothed there
+_GLASS = 0.2  # how red backs are through which fronts are seen
 _FACES = 200_000  # that are worked on at once
 
 
@@ -84,11 +86,18 @@ def draw_mesh(
     shadow = cast_shadow(camera, up, bounds, draw)
     used = surface.screen[is_used, 2]
     nearness = float(used.min()), float(used.max())
-    return paint(camera, surface, nearness, shadow), camera.pixels_per_unit
+    picture = paint(camera, surface, nearness, shadow)
+    if surface.backs > 0.5 * surface.samples:
+        inside = _Surface(surface.screen, _take_fronts(surface.screen, faces), mesh.colours)
+        fronts = paint(camera, inside, nearness, shadow)
+        if inside.samples > 0.5 * surface.samples:
+            mixed = _GLASS * picture.astype(np.float32) + (1.0 - _GLASS) * fronts
+            picture = (mixed + 0.5).astype(np.uint8)
+    return picture, camera.pixels_per_unit
 
 
 class _Surface:
-    """Faces on the screen."""
+    """Faces on the screen, and how many samples of them, and of their backs, have been shaded."""
 
     def __init__(self, screen: Screen, faces: IntArray, colours: ByteArray | None) -> None:
         self.screen = screen
@@ -96,6 +105,7 @@ class _Surface:
         self._colours = colours
         self._rows = find_rows(screen, faces)
         self._normals = _sum_normals(screen, faces)
+        self.samples = self.backs = 0
 
     def enter(self, buffer: DepthBuffer) -> None:
         """Draw the faces that reach into the band."""
@@ -118,6 +128,8 @@ class _Surface:
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
         is_front = flat[:, 2] >= 0.0
         normal[~is_front] *= -1.0
+        self.samples += len(item)
+        self.backs += int(np.count_nonzero(~is_front))
         light = light_normals(normal, is_coloured=self._colours is not None)
         front: Floats = np.array(GREY, np.float32)
         if self._colours is not None:
@@ -125,6 +137,12 @@ class _Surface:
             front = (weights[..., None] * corner_colours).sum(axis=1)
         shades: Floats = light[:, None] * np.where(is_front[:, None], front, _BACK)
         return shades
+
+
+def _take_fronts(screen: Screen, faces: IntArray) -> IntArray:
+    """Return the faces that turn towards the eye."""
+    parts = (faces[begin : begin + _FACES] for begin in range(0, len(faces), _FACES))
+    return np.concatenate([part[_cross_corners(screen[part])[:, 2] > 0.0] for part in parts])
 
 
 def _weigh(corners: Floats, column: IntArray, row: IntArray) -> Floats:

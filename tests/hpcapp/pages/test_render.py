@@ -105,6 +105,19 @@ def test_the_ground_below_is_in_the_shadow_and_far_from_it_is_not() -> None:
     assert is_background(from_the_ground)[199].all()
 
 
+def test_a_room_is_seen_through_its_walls() -> None:
+    room, thing = make_ball(30), make_ball(10)
+    vertices = np.concatenate([3.0 * room.vertices, 0.8 * thing.vertices + [0.0, 0, 2]])
+    faces = np.concatenate([room.faces[:, ::-1], thing.faces + len(room.vertices)])
+    colours = np.full((len(vertices), 3), 200, np.uint8)
+    colours[len(room.vertices) :] = (0, 0, 255)
+    picture = render_mesh(Mesh(vertices, faces, colours=colours), 20, 20, 100).astype(int)
+    blue = picture[..., 2] > 2 * picture[..., 1]
+    assert 0.02 < blue.mean() < 0.1  # the thing in the room
+    red = (picture[..., 0] > picture[..., 1] + 10) & ~is_background(picture)
+    assert red.mean() > 0.4  # and it is told that these are backs
+
+
 @pytest.mark.parametrize("up", ["x", "y"])
 def test_every_axis_can_point_up(up: str) -> None:
     ball = make_ball(16)
