@@ -64,6 +64,7 @@ async function join(viewer, scene, mesh) {
     fieldOf(scene.tint.field), await valuesOf(scene.tint.field), scene.tint.beyond);
   async function recolour() {
     const name = find('colouring').value, field = fieldOf(name), levels = await valuesOf(name);
+    if (find('colouring').value !== name) return; // another one was chosen meanwhile
     const end = ends.get(name) ?? field.high, isTinted = find('tint')?.checked;
     find('legend').replaceChildren(...legend(field, levels, end),
       ...(isTinted ? [explainTint(scene.tint.text)] : []));
@@ -71,6 +72,7 @@ async function join(viewer, scene, mesh) {
     if (field.kind === 'scale') find('scale-end').value = placeOf(field, end);
     const shading = shadeField(viewer, mesh, field, levels, end);
     viewer.colour(mesh, isTinted ? tint(shading, viewer.plain, guesses) : shading);
+    find('legend').dataset.field = name;
   }
   listen('colouring', 'change', recolour);
   listen('tint', 'change', recolour);

@@ -201,8 +201,7 @@ def test_guesswork_is_tinted_in_every_colouring(cube: Page) -> None:
     corners = np.linalg.norm(make_cube().vertices, axis=1) > 1.6
     for name in ("plain", "distance", "tile", "height"):
         cube.select_option("#colouring", name)
-        cube.wait_for_function("document.querySelector('#legend').innerText.includes('guesswork')")
-        cube.check("#tint")
+        cube.wait_for_selector(f"#legend[data-field='{name}']")
         with_tint = np.array(cube.evaluate(tinted))
         cube.uncheck("#tint")
         cube.wait_for_function("!document.querySelector('#legend').innerText.includes('guess')")

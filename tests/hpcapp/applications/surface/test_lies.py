@@ -48,7 +48,10 @@ BELIEVED: dict[str, set[str]] = {
         "survey_range",  # the box and the sample of a file, which nobody else has read
         "survey_support",
     },
-    "permuted": {"fit_patches"},  # which patch has which quadric
+    "permuted": {
+        "fit_patches",  # which patch has which quadric
+        "judge_support",  # in which order places are
+    },
     "shifted": set(),
     "giant": set(),
 }
