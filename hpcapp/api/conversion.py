@@ -41,10 +41,10 @@ def to_open3d(mesh: Mesh) -> Any:
     open3d = _load("open3d")
     rows = open3d.utility.Vector3dVector
     copy = open3d.geometry.TriangleMesh(
-        rows(mesh.vertices), open3d.utility.Vector3iVector(mesh.faces.astype(np.int32))
+        rows(mesh.vertices.copy()), open3d.utility.Vector3iVector(mesh.faces.astype(np.int32))
     )
     if mesh.normals is not None:
-        copy.vertex_normals = rows(mesh.normals)
+        copy.vertex_normals = rows(mesh.normals.copy())
     if mesh.colours is not None:
         copy.vertex_colors = rows(mesh.colours / 255.0)
     return copy
