@@ -57,16 +57,21 @@ class _Rims:
 
     def find(self, bricks: IntArray, numbers: Int32Array) -> IntArray:
         """Return where vertices, by brick and number, stand in the row."""
-        there = find_keys(self._bricks.keys, bricks)
-        if (there == len(self._bricks.keys)).any():
-            raise _refuse_unknown()
-        copies = self._bricks.taken[there]
-        owners = self._bricks.part_of(copies)
-        starts = self._vertex_starts
-        rows = starts[copies] - starts[self._bricks.parts[owners]] + numbers
-        found = find_keys(self._keys, owners << 32 | rows)
+        found = self.look_up(bricks, numbers)
         if (found == len(self._keys)).any():
             raise _refuse_unknown()
+        return found
+
+    def look_up(self, bricks: IntArray, numbers: Int32Array) -> IntArray:
+        """Return the same; where a vertex is not there, the length of the row."""
+        there = find_keys(self._bricks.keys, bricks)
+        is_known = there < len(self._bricks.keys)
+        copies = self._bricks.taken[there[is_known]]
+        owners = self._bricks.part_of(copies)
+        starts = self._vertex_starts
+        rows = starts[copies] - starts[self._bricks.parts[owners]] + numbers[is_known]
+        found = np.full(len(bricks), len(self._keys), np.int64)
+        found[is_known] = find_keys(self._keys, owners << 32 | rows)
         return found
 
 
@@ -83,11 +88,14 @@ def place_foreign(plan: StitchingPlan) -> list[FloatArray]:
     Returns
     -------
     list of ndarray of float64, shape (g, 3)
+        NaN where only guest bricks that another part gives use the vertex: inside of that part it
+        may be no part of the rim.
     """
     rims = _Rims(plan)
     places = np.concatenate([summary.rim_places for summary in plan.summaries])
+    places = np.append(places, np.full((1, 3), np.nan), axis=0)
     return [
-        places[rims.find(summary.foreign_bricks, summary.foreign_numbers)]
+        places[rims.look_up(summary.foreign_bricks, summary.foreign_numbers)]
         for summary in plan.summaries
     ]
 
