@@ -98,7 +98,7 @@ def reproduce(
     \b
     fig2    from points to a surface: input, patches, quadrics, surface
     fig4    patches by the most points that each may hold
-    fig6    the surface at 24, 64 and 256 cells, by the paper's method and the default
+    fig6    the surface at 24, 64 and 256 cells, by both methods
     fig7-8  time and speed-up by the number of workers: fits handed out, and tiles
     table1  one head that works and three workers, deployed
     """  # noqa: D301 - click's mark
