@@ -117,3 +117,10 @@ def test_particles_are_no_surface(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert _run("cases/fluid_particles.xyz", tmp_path / "mesh.ply") == 3
     assert "fill a volume" in capsys.readouterr().err
     assert not (tmp_path / "mesh.ply").exists()
+
+
+def test_tiles_of_an_open_scan_give_the_same_bytes(tmp_path: Path) -> None:
+    """Cells of several sizes meet at the seams of these, and copies of bricks reach far."""
+    for name, options in (("one", ()), ("two", ("--backend", "zmq", "--workers", "2"))):
+        assert _run("raw/airborne/hills.laz", tmp_path / f"{name}.ply", *options) == 0
+    assert (tmp_path / "one.ply").read_bytes() == (tmp_path / "two.ply").read_bytes()
