@@ -87,7 +87,7 @@ class Hierarchical:
         if self.close == "yes" and (self.trim, self.fill_holes) != ("auto", "auto"):
             raise UsageError(
                 f"{name_option('trim')} and {name_option('fill_holes')} need an open mesh",
-                f"leave them out, or {name_option('close', 'yes')}",
+                f"leave them out, or say {name_option('close', 'no')}",
             )
 
     @property

@@ -22,5 +22,5 @@ def test_what_is_no_length_is_refused(text: str) -> None:
 
 
 def test_a_closed_mesh_has_nothing_to_trim() -> None:
-    with pytest.raises(UsageError, match="closed"):
+    with pytest.raises(UsageError, match="need an open mesh"):
         Hierarchical(close="yes", trim="3s")
