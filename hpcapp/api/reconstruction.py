@@ -285,7 +285,8 @@ def _run(
                 topology = outcome.result.surface.check()
                 told = describe_outcome(settings, loaded, outcome, topology, carrying) | facts
                 told["stages"] = dict(clock.seconds)
-                return wrap_mesh(mesh, JobRecord(source, loaded.cloud, told), topology)
+                record = JobRecord(source, loaded.cloud, told)
+                return wrap_mesh(mesh, record, topology, carrying.crs)
 
         return repeat_until_trusted(verification, run)
 

@@ -33,6 +33,7 @@ __all__ = [
     "STANDARD_INPUT",
     "check_writable",
     "describe_losses",
+    "find_mesh_crs",
     "holds_faces",
     "open_points",
     "read_mesh",
@@ -104,6 +105,15 @@ def holds_faces(path: str | PathLike[str]) -> bool:
         if file.suffix.lower() not in MESH_SUFFIXES:
             return False
         return find_mesh_reader(file).has_faces(file)
+
+
+def find_mesh_crs(path: str | PathLike[str]) -> Crs:
+    """Return what the coordinates of a mesh's file mean, as a PLY says; errors of `read_mesh`."""
+    file = Path(path)
+    reader = find_mesh_reader(file)
+    with translated(file):
+        _refuse_special(file)
+        return reader.find_crs(file)
 
 
 def read_mesh(path: str | PathLike[str]) -> Mesh:

@@ -220,6 +220,26 @@ def test_a_file_gives_the_bytes_of_the_command(
     assert mesh.facts["input"]["files"] == [str(scan)]
 
 
+@pytest.mark.parametrize("suffix", [".ply", ".glb", ".3mf"])
+@pytest.mark.parametrize("height_unit", [None, "m"])
+def test_a_mesh_of_a_survey_says_what_its_coordinates_mean_as_the_commands(
+    sphere: PointCloud, tmp_path: Path, suffix: str, height_unit: str | None
+) -> None:
+    pytest.importorskip("laspy", reason="laspy is not installed")
+    scan = tmp_path / "scan.las"
+    ball = PointCloud(100.0 * sphere.positions + FAR, sphere.normals)
+    write_points(scan, ball, "EPSG:2229", "US ft", height_unit=height_unit)
+    job, own = tmp_path / f"job{suffix}", tmp_path / f"api{suffix}"
+    assert _run(["reconstruct", str(scan), "-o", str(job), "--grid", "32"], debug=False) == 0
+    mesh = hpcapp.reconstruct(scan, grid=32)
+    mesh.save(own)
+    assert own.read_bytes() == job.read_bytes()
+    if suffix == ".ply":
+        assert b"\ncomment crs EPSG:2229\n" in own.read_bytes()
+        hpcapp.read_mesh(own).save(tmp_path / "again.ply")
+        assert (tmp_path / "again.ply").read_bytes() == job.read_bytes()
+
+
 def test_several_files_and_patterns_are_one_cloud(sphere: PointCloud, tmp_path: Path) -> None:
     half = len(sphere) // 2
     names = [
