@@ -153,6 +153,8 @@ def reconstruct(
         A file or an array cannot be used, or shows no surface.
     UsageError
         Another argument is out of its range.
+    MissingLibraryError
+        A file or another argument needs a package that is not installed.
     JobCancelledError
         `cancel` was called.
     JobError

@@ -174,7 +174,7 @@ def write_points(
     ------
     OutputError
         The suffix is unknown, or the file cannot be written.
-    UsageError
+    MissingLibraryError
         The library that writes the format is not installed.
     """
     writer = find_point_writer(Path(path))

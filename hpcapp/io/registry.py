@@ -3,7 +3,8 @@
 Functions are named as ``module:function`` of this package, and imported when they are called. What
 the system refuses is left to `formats` to translate; a reader raises InputError where a file is
 damaged, a writer OutputError where it cannot be written: it appears whole or not at all. Both raise
-UsageError where a library that they need is not installed. A how-to page shows how to add a format.
+MissingLibraryError where a library that they need is not installed. A how-to page shows how to add
+a format.
 """
 
 from __future__ import annotations
