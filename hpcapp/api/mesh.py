@@ -257,7 +257,7 @@ class Mesh:
         from hpcapp.pages.picture import write_picture
 
         check_picture(Path(path), "picture")
-        write_picture(Path(path), self._plain, eye, size, up)
+        write_picture(Path(path), self._plain, eye, size, up, self._crs.unit)
 
     def show(self, points: PointCloud | None = None, *, open_browser: bool = True) -> Path:
         """Open a page with the mesh in a browser, and return its path in the temporary folder.
@@ -335,7 +335,7 @@ class Mesh:
         summary = f"{len(self._plain.vertices):,} vertices, {len(self._plain.faces):,} faces"
         if thin is not self._plain:
             summary += f"; a copy with {len(thin.faces):,} faces is shown"
-        scene = Scene(thin, fields_of(thin), points)
+        scene = Scene(thin, fields_of(thin), points, unit=self._crs.unit or "")
         return build_page("Mesh", summary, scene, is_small=is_small)
 
 
