@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from html import escape
 from os import PathLike
@@ -21,7 +21,9 @@ from hpcapp.applications.surface.stitching.topology import Topology, check_mesh,
 from hpcapp.applications.surface.types import mesh as plain
 from hpcapp.applications.surface.types.points import ByteArray, FloatArray, IntArray, PointCloud
 from hpcapp.io import formats
+from hpcapp.io.crs import UNKNOWN, Crs
 from hpcapp.io.frame import to_local
+from hpcapp.io.meshes.mesh_stream import as_stream
 from hpcapp.pages.browser import show_page
 from hpcapp.pages.page import build_page, write_page
 from hpcapp.pages.scene import Scene, fields_of
@@ -107,6 +109,7 @@ class Mesh:
         corners = check_faces(faces, count)
         self._plain = plain.Mesh(local, corners, origin, directions, shades, columns)
         self._job: JobRecord | None = None
+        self._crs = UNKNOWN
 
     @cached_property
     def vertices(self) -> FloatArray:
@@ -187,6 +190,9 @@ class Mesh:
     def save(self, path: str | PathLike[str]) -> None:
         """Write it to a file, with the bytes that ``hpcapp reconstruct -o`` writes.
 
+        The unit and the coordinate reference system of the files that it was made from go along;
+        so do those of a PLY that it was read from.
+
         Parameters
         ----------
         path : str or PathLike
@@ -198,7 +204,7 @@ class Mesh:
         OutputError
             The suffix is unknown, or the file cannot be written.
         """
-        formats.write_mesh(path, self._plain)
+        formats.write_mesh(path, replace(as_stream(self._plain), crs=self._crs))
 
     def report(self, path: str | PathLike[str]) -> None:
         """Write the page of ``hpcapp reconstruct --report``: the mesh, its points, all decisions.
@@ -222,7 +228,6 @@ class Mesh:
             write_page(page, self._page(MOST_FACES))
             return
         from hpcapp.applications.surface.job.report_page import show_cloud, write_job_page
-        from hpcapp.io.meshes.mesh_stream import as_stream
 
         job = self._job
         spacing = float(job.facts.get("spacing") or 0.0)
@@ -252,7 +257,7 @@ class Mesh:
         from hpcapp.pages.picture import write_picture
 
         check_picture(Path(path), "picture")
-        write_picture(Path(path), self._plain, eye, size, up)
+        write_picture(Path(path), self._plain, eye, size, up, self._crs.unit)
 
     def show(self, points: PointCloud | None = None, *, open_browser: bool = True) -> Path:
         """Open a page with the mesh in a browser, and return its path in the temporary folder.
@@ -330,16 +335,19 @@ class Mesh:
         summary = f"{len(self._plain.vertices):,} vertices, {len(self._plain.faces):,} faces"
         if thin is not self._plain:
             summary += f"; a copy with {len(thin.faces):,} faces is shown"
-        scene = Scene(thin, fields_of(thin), points)
+        scene = Scene(thin, fields_of(thin), points, unit=self._crs.unit or "")
         return build_page("Mesh", summary, scene, is_small=is_small)
 
 
 def wrap_mesh(
-    mesh: plain.Mesh, job: JobRecord | None = None, topology: Topology | None = None
+    mesh: plain.Mesh,
+    job: JobRecord | None = None,
+    topology: Topology | None = None,
+    crs: Crs = UNKNOWN,
 ) -> Mesh:
     """Return a mesh of the pipeline for users; its topology, where it is known already."""
     wrapped = Mesh.__new__(Mesh)
-    wrapped._plain, wrapped._job = mesh, job
+    wrapped._plain, wrapped._job, wrapped._crs = mesh, job, crs
     if topology is not None:
         wrapped.__dict__["_topology"] = topology
     return wrapped
@@ -365,7 +373,7 @@ def read_mesh(path: str | PathLike[str]) -> Mesh:
     UsageError
         The suffix is unknown.
     """
-    return wrap_mesh(formats.read_mesh(path))
+    return wrap_mesh(formats.read_mesh(path), crs=formats.find_mesh_crs(path))
 
 
 def _read_only(array: NDArray[Any]) -> NDArray[Any]:

@@ -153,6 +153,8 @@ def reconstruct(
         A file or an array cannot be used, or shows no surface.
     UsageError
         Another argument is out of its range.
+    MissingLibraryError
+        A file or another argument needs a package that is not installed.
     JobCancelledError
         `cancel` was called.
     JobError
@@ -285,7 +287,8 @@ def _run(
                 topology = outcome.result.surface.check()
                 told = describe_outcome(settings, loaded, outcome, topology, carrying) | facts
                 told["stages"] = dict(clock.seconds)
-                return wrap_mesh(mesh, JobRecord(source, loaded.cloud, told), topology)
+                record = JobRecord(source, loaded.cloud, told)
+                return wrap_mesh(mesh, record, topology, carrying.crs)
 
         return repeat_until_trusted(verification, run)
 

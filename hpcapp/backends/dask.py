@@ -17,14 +17,16 @@ from typing import TypeVar
 
 from hpcapp.backends.retrying import RetryingExecutor
 from hpcapp.extras import how_to_install
-from hpccomponent.errors import NoWorkersError, UsageError
+from hpccomponent.errors import MissingLibraryError, NoWorkersError, UsageError
 
 try:
     import dask
     from distributed import Client, Security
     from distributed.scheduler import KilledWorker
 except ImportError as error:
-    raise UsageError(f"Dask is not installed here ({error})", how_to_install("dask")) from None
+    raise MissingLibraryError(
+        f"Dask is not installed here ({error})", how_to_install("dask")
+    ) from None
 
 __all__ = ["DaskExecutor", "borrow_client", "open_dask"]
 

@@ -42,6 +42,7 @@ from hpcapp.extras import how_to_install
 from hpccomponent.errors import (
     HpcError,
     JobError,
+    MissingLibraryError,
     NoWorkersError,
     TaskError,
     UsageError,
@@ -274,9 +275,9 @@ def count_losses(error: BaseException) -> int:
 
 
 def check_ray() -> None:
-    """Raise UsageError where Ray is not installed."""
+    """Raise MissingLibraryError where Ray is not installed."""
     if find_spec("ray") is None:
-        raise UsageError("Ray is not installed here", how_to_install("ray"))
+        raise MissingLibraryError("Ray is not installed here", how_to_install("ray"))
 
 
 @contextmanager
@@ -367,7 +368,7 @@ def _connect(address: str) -> Iterator[tuple[ModuleType, Head]]:
     with _environment(variables):
         ray = _import_ray()
         if scheme and find_spec("grpc") is None:
-            raise UsageError("Ray's client is not installed here", how_to_install("ray"))
+            raise MissingLibraryError("Ray's client is not installed here", how_to_install("ray"))
         with _joined(ray, address=address):
             yield ray, head or _find_head(ray)
 
@@ -439,7 +440,9 @@ def _import_ray() -> ModuleType:
         import ray
         import ray.util.client.common
     except ImportError as error:
-        raise UsageError(f"Ray is not installed here ({error})", how_to_install("ray")) from None
+        raise MissingLibraryError(
+            f"Ray is not installed here ({error})", how_to_install("ray")
+        ) from None
     logging.getLogger("ray").setLevel(
         logging.CRITICAL
     )  # a lost connection is told in one line: ours

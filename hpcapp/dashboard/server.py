@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, cast
 
 from hpcapp.dashboard.watched_job import WatchedJob
 from hpcapp.extras import how_to_install
-from hpccomponent.errors import UsageError
+from hpccomponent.errors import MissingLibraryError, UsageError
 
 if TYPE_CHECKING:
     import asyncio
@@ -113,7 +113,7 @@ def _make_server(job: WatchedJob, token: str) -> uvicorn.Server:
         from hpcapp.dashboard.app import make_app
         from hpcapp.dashboard.unauthenticated import TrackedProtocol, UnauthenticatedConnections
     except ImportError as error:
-        raise UsageError(
+        raise MissingLibraryError(
             f"the dashboard is not installed here ({error})", how_to_install("dashboard")
         ) from None
     connections = UnauthenticatedConnections()

@@ -33,6 +33,7 @@ __all__ = [
     "STANDARD_INPUT",
     "check_writable",
     "describe_losses",
+    "find_mesh_crs",
     "holds_faces",
     "open_points",
     "read_mesh",
@@ -106,6 +107,15 @@ def holds_faces(path: str | PathLike[str]) -> bool:
         return find_mesh_reader(file).has_faces(file)
 
 
+def find_mesh_crs(path: str | PathLike[str]) -> Crs:
+    """Return what the coordinates of a mesh's file mean, as a PLY says; errors of `read_mesh`."""
+    file = Path(path)
+    reader = find_mesh_reader(file)
+    with translated(file):
+        _refuse_special(file)
+        return reader.find_crs(file)
+
+
 def read_mesh(path: str | PathLike[str]) -> Mesh:
     """Read a triangle mesh: .ply, .obj, .off, .stl, .glb, .vtp; polygons become triangle fans.
 
@@ -164,7 +174,7 @@ def write_points(
     ------
     OutputError
         The suffix is unknown, or the file cannot be written.
-    UsageError
+    MissingLibraryError
         The library that writes the format is not installed.
     """
     writer = find_point_writer(Path(path))

@@ -3,7 +3,8 @@
 Functions are named as ``module:function`` of this package, and imported when they are called. What
 the system refuses is left to `formats` to translate; a reader raises InputError where a file is
 damaged, a writer OutputError where it cannot be written: it appears whole or not at all. Both raise
-UsageError where a library that they need is not installed. A how-to page shows how to add a format.
+MissingLibraryError where a library that they need is not installed. A how-to page shows how to add
+a format.
 """
 
 from __future__ import annotations
@@ -86,10 +87,13 @@ class MeshReader:
     ----------
     finds_faces : str, optional
         Function that tells whether a file has faces, where it may hold points alone.
+    finds_crs : str, optional
+        Function that tells what coordinates mean, where the format has a place for it.
     """
 
     function: str
     finds_faces: str | None = None
+    finds_crs: str | None = None
 
     def read(self, path: Path) -> Mesh:
         """Read a file."""
@@ -99,6 +103,13 @@ class MeshReader:
     def has_faces(self, path: Path) -> bool:
         """Tell whether a file is a mesh, by its start or by all of its lines."""
         return self.finds_faces is None or bool(_call(self.finds_faces, path))
+
+    def find_crs(self, path: Path) -> Crs:
+        """Return what the coordinates of a file mean."""
+        from hpcapp.io.crs import UNKNOWN
+
+        crs: Crs = UNKNOWN if self.finds_crs is None else _call(self.finds_crs, path)
+        return crs
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,7 +245,9 @@ FORMATS = (
     Format(
         (".ply",),
         PointReader("ply.points:open_ply", 3, states_count=True),
-        MeshReader("ply.format:read_ply_mesh", "ply.format:holds_ply_faces"),
+        MeshReader(
+            "ply.format:read_ply_mesh", "ply.format:holds_ply_faces", "ply.format:find_ply_crs"
+        ),
         PointWriter(
             "ply.format:write_ply_points",
             ("crs", "unit", "height_unit", "scans"),

@@ -52,7 +52,10 @@ log = logging.getLogger("hpcapp")
 )
 def simplify(mesh: Path, output: str, faces: int | None, tolerance: float | None) -> None:
     """Simplify a mesh, with all that its vertices carry."""
-    from hpcapp.io import read_mesh, write_mesh
+    from dataclasses import replace
+
+    from hpcapp.io import find_mesh_crs, read_mesh, write_mesh
+    from hpcapp.io.meshes.mesh_stream import as_stream
     from hpcapp.io.output import open_output
     from hpcapp.simplification.mesh import Target, simplify_mesh
 
@@ -63,7 +66,7 @@ def simplify(mesh: Path, output: str, faces: int | None, tolerance: float | None
     with open_output(output, [mesh]) as path:
         whole = read_mesh(mesh)
         light = simplify_mesh(whole, target)
-        write_mesh(path, light)
+        write_mesh(path, replace(as_stream(light), crs=find_mesh_crs(mesh)))
     if tolerance is None and len(light.faces) > (faces or 0):
         log.warning("warning: %d faces are left: fewer would break the mesh", len(light.faces))
     log.info("%s: %d of %d faces", output, len(light.faces), len(whole.faces))

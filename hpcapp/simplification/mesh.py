@@ -24,7 +24,7 @@ from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpcapp.extras import how_to_install
-from hpccomponent.errors import UsageError
+from hpccomponent.errors import MissingLibraryError, UsageError
 
 __all__ = ["Target", "simplify_faces", "simplify_mesh", "unite_vertices"]
 
@@ -61,7 +61,9 @@ class Target:
         Raises
         ------
         UsageError
-            A number is out of its range, or the library is not installed.
+            A number is out of its range.
+        MissingLibraryError
+            pyfqmr is not installed.
         """
         if self.faces is not None and not self.faces >= 4:
             raise UsageError(f"faces is {self.faces!r}", "give 4 or more")
@@ -71,7 +73,9 @@ class Target:
             try:
                 import pyfqmr  # noqa: F401
             except ImportError:
-                raise UsageError("fewer faces need pyfqmr", how_to_install("light")) from None
+                raise MissingLibraryError(
+                    "fewer faces need pyfqmr", how_to_install("light")
+                ) from None
 
 
 def simplify_mesh(mesh: Mesh, target: Target) -> Mesh:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.extras import how_to_install
-from hpccomponent.errors import UsageError
+from hpccomponent.errors import MissingLibraryError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,7 +30,7 @@ _GOLDEN = 0.618033988749895  # turns of hue between neighbours of the tree: all 
 def check_plots() -> None:
     """Refuse a figure before it is measured, where matplotlib is not installed."""
     if find_spec("matplotlib") is None:
-        raise UsageError(
+        raise MissingLibraryError(
             "figures are drawn by matplotlib, which is not installed",
             how_to_install("plots"),
         )

@@ -130,17 +130,14 @@ def view(
     for flag, beside in (("--points", points), ("--report", report)):
         if beside is not None and png is not None and output is None:
             raise UsageError(f"{flag} means nothing to a picture", "give -o for a page, too")
-    from hpcapp.applications.surface.types.points import PointCloud
-    from hpcapp.applications.view.page import make_page, read_shown
-    from hpcapp.io import open_points
+    from hpcapp.applications.view.page import find_shown_unit, make_page, read_shown
     from hpcapp.pages.browser import show_page
     from hpcapp.pages.page import write_page
     from hpcapp.pages.picture import write_picture
 
     shown = read_shown(file)
     if png is not None:
-        unit = open_points(file).unit if isinstance(shown, PointCloud) else None
-        write_picture(png, shown, eye, size, up, unit)
+        write_picture(png, shown, eye, size, up, find_shown_unit(file, shown))
         log.info("%s: a picture of %s", png, file)
         if output is None:
             return

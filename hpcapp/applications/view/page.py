@@ -12,7 +12,14 @@ from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
-from hpcapp.io import holds_faces, open_points, read_mesh, read_points, take_finite
+from hpcapp.io import (
+    find_mesh_crs,
+    holds_faces,
+    open_points,
+    read_mesh,
+    read_points,
+    take_finite,
+)
 from hpcapp.pages.job import describe_job, find_unit
 from hpcapp.pages.owners import mark_tiles, take_labels
 from hpcapp.pages.page import Section, build_page, make_table
@@ -20,7 +27,7 @@ from hpcapp.pages.report import read_report
 from hpcapp.pages.scene import Field, Scene, fields_of
 from hpcapp.pages.thin import thin_mesh
 
-__all__ = ["make_page", "read_shown"]
+__all__ = ["find_shown_unit", "make_page", "read_shown"]
 
 
 def read_shown(path: Path) -> Mesh | PointCloud:
@@ -36,6 +43,11 @@ def read_shown(path: Path) -> Mesh | PointCloud:
     if holds_faces(path):
         return read_mesh(path)
     return take_finite(read_points(path), str(path))
+
+
+def find_shown_unit(path: Path, shown: Mesh | PointCloud) -> str | None:
+    """Return the unit of the coordinates in a file, where it says that."""
+    return open_points(path).unit if isinstance(shown, PointCloud) else find_mesh_crs(path).unit
 
 
 def make_page(
@@ -70,7 +82,7 @@ def make_page(
                 **_describe_box(shown.positions, shown.origin)}  # fmt: skip
         summary = f"{len(shown):,} points"
         sections.insert(0, Section("Points", make_table(row)))
-        unit = open_points(path).unit or ""
+        unit = find_shown_unit(path, shown) or ""
         scene = Scene(None, points=shown, up=up, unit=unit)
         return build_page(path.name, summary, scene, sections)
     marked, workers = mark_tiles(shown, path, facts, str(report))
@@ -88,7 +100,8 @@ def make_page(
         rows["shown"] = f"a copy with {len(thin.faces):,} faces"
     sections.insert(0, Section("Mesh", make_table(rows)))
     cloud = None if points is None else _read_beside(points, shown)
-    unit = find_unit(facts) if points is None else open_points(points).unit or ""
+    told = find_unit(facts) if points is None else open_points(points).unit
+    unit = told or find_shown_unit(path, shown) or ""
     measured = [] if cloud is None else [_measure(thin, cloud, unit)]
     fields = [*fields_of(thin), *measured, *labels]
     closed = "watertight" if topology.watertight else "not watertight"

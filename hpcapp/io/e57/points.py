@@ -25,7 +25,7 @@ from hpcapp.io.e57.scans import (
 )
 from hpcapp.io.points.column_roles import COLOURS, NORMALS
 from hpcapp.io.points.point_source import Findings, PointSource, Scan, keep_small
-from hpccomponent.errors import InputError, UsageError
+from hpccomponent.errors import InputError, MissingLibraryError
 
 __all__ = ["open_e57"]
 
@@ -64,7 +64,7 @@ def open_e57(path: Path) -> PointSource:
         The file is damaged, or holds no scan or no points.
     """
     if find_spec("pye57") is None:
-        raise UsageError(f"{path}: E57 needs the package pye57", how_to_install("e57"))
+        raise MissingLibraryError(f"{path}: E57 needs the package pye57", how_to_install("e57"))
     findings = Findings()
     root = read_document(path)
     try:

@@ -17,7 +17,7 @@ from hpcapp.io.columns import Numbers
 from hpcapp.io.frame import finite_bounds
 from hpcapp.io.points.usable import drop_non_finite
 from hpcapp.io.staging import replacing
-from hpccomponent.errors import OutputError, UsageError
+from hpccomponent.errors import MissingLibraryError, OutputError
 
 __all__ = ["write_e57"]
 
@@ -62,7 +62,9 @@ def _load_library(path: Path) -> _Foreign:
     try:
         return import_module("pye57.libe57")
     except ImportError as error:
-        raise UsageError(f"{path}: E57 needs the package pye57", how_to_install("e57")) from error
+        raise MissingLibraryError(
+            f"{path}: E57 needs the package pye57", how_to_install("e57")
+        ) from error
 
 
 def _write_image(library: _Foreign, image: _Foreign, cloud: PointCloud, crs: str | None) -> None:

@@ -15,7 +15,7 @@ from hpcapp.extras import how_to_install
 from hpcapp.io.las.header import LasHeader
 from hpccomponent.decoding.laz import read_items
 from hpccomponent.decoding.process import open_decoder
-from hpccomponent.errors import InputError, UsageError
+from hpccomponent.errors import InputError, MissingLibraryError
 
 __all__ = ["Take", "find_library", "open_decompressor"]
 
@@ -32,7 +32,7 @@ def find_library(header: LasHeader, path: Path) -> str:
     ------
     InputError
         What the compressor makes are no points of the length that the header says.
-    UsageError
+    MissingLibraryError
         None that could is installed.
     """
     record = _find_record(header)
@@ -44,7 +44,7 @@ def find_library(header: LasHeader, path: Path) -> str:
     for library in libraries:
         if find_spec(library) is not None:
             return library
-    raise UsageError(
+    raise MissingLibraryError(
         f"{path}: compressed points need the package {libraries[0]}", how_to_install("las")
     )
 

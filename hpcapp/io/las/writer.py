@@ -20,7 +20,7 @@ from hpcapp.io.frame import finite_bounds
 from hpcapp.io.las.layout import DEGREES_A_STEP
 from hpcapp.io.points.usable import drop_non_finite
 from hpcapp.io.staging import replacing
-from hpccomponent.errors import OutputError, UsageError
+from hpccomponent.errors import MissingLibraryError, OutputError
 
 __all__ = ["choose_grid", "write_las"]
 
@@ -139,7 +139,7 @@ def _load_laspy(path: Path) -> _Foreign:
     try:
         return import_module("laspy")
     except ImportError as error:
-        raise UsageError(
+        raise MissingLibraryError(
             f"{path}: LAS is written with the package laspy", how_to_install("las")
         ) from error
 

@@ -32,7 +32,7 @@ from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.meshes.polygons import mesh_of_polygons
 from hpcapp.io.ply.body import read_body
 from hpcapp.io.ply.columns import VertexProperties
-from hpcapp.io.ply.comments import keep
+from hpcapp.io.ply.comments import keep, parse_comments
 from hpcapp.io.ply.faces import find_polygons
 from hpcapp.io.ply.header import read_header
 from hpcapp.io.ply.points import plan_vertex
@@ -42,7 +42,14 @@ from hpcapp.io.points.point_source import Scan
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import InputError, OutputError
 
-__all__ = ["holds_ply_faces", "read_ply_mesh", "shared_ply", "write_ply_mesh", "write_ply_points"]
+__all__ = [
+    "find_ply_crs",
+    "holds_ply_faces",
+    "read_ply_mesh",
+    "shared_ply",
+    "write_ply_mesh",
+    "write_ply_points",
+]
 
 _ROWS_AT_ONCE = 1 << 16
 _MOST_VERTICES = 2**31 - 1
@@ -54,6 +61,12 @@ def holds_ply_faces(path: Path) -> bool:
     if find_polygons(header) is None:
         return False
     return any(one.name == "face" and one.count > 0 for one in header.elements)
+
+
+def find_ply_crs(path: Path) -> Crs:
+    """Return what the comments of a PLY file say of its coordinates."""
+    kept = parse_comments(read_header(path).comments)
+    return Crs(kept.crs, kept.unit, kept.height_unit)
 
 
 def read_ply_mesh(path: Path) -> Mesh:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from hpcapp.applications.surface.viewpoint import parse_viewpoint
 from hpcapp.cli import _run
 from hpcapp.io import read_points, write_points
 from hpcapp.progress import Progress
-from hpccomponent.errors import HpcError, InputError, UsageError
+from hpccomponent.errors import HpcError, InputError, MissingLibraryError, UsageError
 
 FAR = np.array([5_400_000.0, 400_000.0, 100.0])
 
@@ -218,6 +219,49 @@ def test_a_file_gives_the_bytes_of_the_command(
     job = (tmp_path / f"job{suffix}").read_bytes()
     assert (tmp_path / f"api{suffix}").read_bytes() == job
     assert mesh.facts["input"]["files"] == [str(scan)]
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".glb", ".3mf"])
+@pytest.mark.parametrize("height_unit", [None, "m"])
+def test_a_mesh_of_a_survey_says_what_its_coordinates_mean_as_the_commands(
+    sphere: PointCloud, tmp_path: Path, suffix: str, height_unit: str | None
+) -> None:
+    pytest.importorskip("laspy", reason="laspy is not installed")
+    scan = tmp_path / "scan.las"
+    ball = PointCloud(100.0 * sphere.positions + FAR, sphere.normals)
+    write_points(scan, ball, "EPSG:2229", "US ft", height_unit=height_unit)
+    job, own = tmp_path / f"job{suffix}", tmp_path / f"api{suffix}"
+    assert _run(["reconstruct", str(scan), "-o", str(job), "--grid", "32"], debug=False) == 0
+    mesh = hpcapp.reconstruct(scan, grid=32)
+    mesh.save(own)
+    assert own.read_bytes() == job.read_bytes()
+    if suffix == ".ply":
+        assert b"\ncomment crs EPSG:2229\n" in own.read_bytes()
+        hpcapp.read_mesh(own).save(tmp_path / "again.ply")
+        assert (tmp_path / "again.ply").read_bytes() == job.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("package", "name", "options"),
+    [("pye57", "scan.e57", {}), ("lazrs", "scan.laz", {}), ("pyfqmr", "scan.ply", {"faces": 100})],
+)
+def test_a_library_that_is_missing_is_an_import_error_too(
+    sphere: PointCloud,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    package: str,
+    name: str,
+    options: dict[str, Any],
+) -> None:
+    pytest.importorskip(package, reason=f"{package} is not installed")
+    scan = write_scan(tmp_path / name, sphere)
+    for library in (package, "laszip"):
+        monkeypatch.setitem(sys.modules, library, None)  # as if it were not installed
+    with pytest.raises(ImportError, match=f"{package}.*pip install") as caught:
+        hpcapp.reconstruct(scan, **options)
+    assert isinstance(caught.value, MissingLibraryError)
+    flags = [f"--{option}={value}" for option, value in options.items()]
+    assert _run(["reconstruct", str(scan), "-o", str(tmp_path / "a.ply"), *flags], debug=False) == 2
 
 
 def test_several_files_and_patterns_are_one_cloud(sphere: PointCloud, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,9 @@ import pytest
 from click.testing import CliRunner
 
 from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.io import read_mesh, write_mesh
+from hpcapp.io import find_mesh_crs, read_mesh, write_mesh
+from hpcapp.io.crs import UNKNOWN, Crs
+from hpcapp.io.meshes.mesh_stream import as_stream
 from hpcapp.simplification.command import simplify
 from hpccomponent.errors import InputError, UsageError
 
@@ -52,6 +55,19 @@ def test_faces_that_cannot_go_are_told(
     caplog.set_level(logging.INFO, "hpcapp")
     run(tmp_path / "apart.ply", "-o", tmp_path / "light.ply", "--faces", "50")
     assert "warning: 200 faces are left" in caplog.text
+
+
+def test_what_coordinates_mean_is_kept(plane: Path, tmp_path: Path) -> None:
+    crs, survey, light = Crs("EPSG:2229", "US ft", "m"), tmp_path / "a.ply", tmp_path / "light.ply"
+    write_mesh(survey, replace(as_stream(read_mesh(plane)), crs=crs))
+    run(survey, "-o", light, "--faces", "50")
+    lines = b"comment unit US ft\ncomment height_unit m\ncomment crs EPSG:2229\n"
+    assert lines in light.read_bytes()
+    assert find_mesh_crs(light) == crs
+    run(plane, "-o", light, "--faces", "50")
+    assert find_mesh_crs(light) == UNKNOWN
+    write_mesh(tmp_path / "a.obj", read_mesh(plane))
+    assert find_mesh_crs(tmp_path / "a.obj") == UNKNOWN
 
 
 def test_bad_input_leaves_nothing(plane: Path, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from level_sets import mesh_level_set
 from hpcapp.applications.surface.stitching.topology import check_mesh, signed_volume
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.simplification.mesh import Target, simplify_mesh
-from hpccomponent.errors import UsageError
+from hpccomponent.errors import MissingLibraryError, UsageError
 
 
 def make_torus(cells: int = 64) -> Mesh:
@@ -128,5 +128,5 @@ def test_wrong_numbers_and_a_missing_library_are_said(monkeypatch: pytest.Monkey
         Target(tolerance=float("nan")).check()
     monkeypatch.setitem(sys.modules, "pyfqmr", None)
     Target().check()
-    with pytest.raises(UsageError, match="pyfqmr"):
+    with pytest.raises(MissingLibraryError, match="pyfqmr"):
         Target(faces=100).check()

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
+import hpcapp
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.applications.view.command import view
-from hpcapp.io import write_mesh, write_points
+from hpcapp.io import read_mesh, write_mesh, write_points
+from hpcapp.io.crs import UNKNOWN, Crs
+from hpcapp.io.meshes.mesh_stream import as_stream
+from hpcapp.pages.picture import write_picture
 from hpccomponent.errors import InputError, OutputError, UsageError
 
 CORNERS = np.array([[0.0, 0, 0], [2.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]])
@@ -155,12 +161,38 @@ def test_an_eye_is_two_angles(tmp_path: Path, eye: str) -> None:
     assert not (tmp_path / "p.png").exists()
 
 
+def test_lengths_have_the_unit_of_the_mesh(tmp_path: Path) -> None:
+    page, paths = tmp_path / "p.html", (tmp_path / "bare.ply", tmp_path / "feet.ply")
+    for path, crs in zip(paths, (UNKNOWN, Crs("EPSG:2229", "US ft")), strict=True):
+        write_mesh(path, replace(as_stream(Mesh(CORNERS, FACES)), crs=crs))
+        run(path, "--png", path.with_suffix(".png"), "--size", "200")
+    write_points(tmp_path / "c.xyz", PointCloud(CORNERS))
+    for words in ((), ("--points", tmp_path / "c.xyz")):
+        run(paths[1], *words, "-o", page, "--no-open")
+        assert read_scene(page)["unit"] == "US ft"
+    for path, unit in zip(paths, (None, "US ft"), strict=True):
+        mesh = hpcapp.read_mesh(path)
+        mesh.picture(tmp_path / "own.png", size=200)
+        write_picture(tmp_path / "truth.png", read_mesh(path), size=200, unit=unit)
+        for drawn in (tmp_path / "own.png", path.with_suffix(".png")):
+            assert drawn.read_bytes() == (tmp_path / "truth.png").read_bytes()
+        mesh.report(page)
+        assert read_scene(page)["unit"] == (unit or "")
+    assert len({path.with_suffix(".png").read_bytes() for path in paths}) == 2
+
+
+def read_scene(page: Path) -> dict[str, Any]:
+    text = page.read_text().split('id="scene">')[1].split("</script>")[0]
+    scene: dict[str, Any] = json.loads(text)
+    return scene
+
+
 def test_lengths_have_the_unit_of_the_points(tmp_path: Path) -> None:
     write_points(tmp_path / "c.e57", PointCloud(CORNERS))  # in metres, as the format has it
     write_mesh(tmp_path / "m.ply", Mesh(CORNERS, FACES))
     page = tmp_path / "p.html"
     for words in ((tmp_path / "c.e57",), (tmp_path / "m.ply", "--points", tmp_path / "c.e57")):
         run(*words, "-o", page, "--no-open")
-        scene = json.loads(page.read_text().split('id="scene">')[1].split("</script>")[0])
+        scene = read_scene(page)
         assert scene["unit"] == "m"
         assert all(one["unit"] == "m" for one in scene["fields"] if one["name"] == "distance")

@@ -17,7 +17,7 @@ from mutated_files import page_e57, read_pages
 from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io.e57.points import open_e57
 from hpcapp.io.points.point_source import PointSource
-from hpccomponent.errors import InputError, UsageError
+from hpccomponent.errors import InputError, MissingLibraryError
 
 pytest.importorskip("pye57", reason="pye57 is not installed")
 
@@ -324,7 +324,7 @@ def test_fewer_points_than_declared(make_e57: MakeE57, scan: MakeScan) -> None:
 
 def test_no_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pye57", None)
-    with pytest.raises(UsageError, match=r"pip install 'pye57>"):
+    with pytest.raises(MissingLibraryError, match=r"pip install 'pye57>"):
         open_e57(tmp_path / "a.e57")
 
 

@@ -11,7 +11,7 @@ import pytest
 from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import read_points, write_points
 from hpcapp.io.e57.points import open_e57
-from hpccomponent.errors import OutputError, UsageError
+from hpccomponent.errors import MissingLibraryError, OutputError
 
 pye57 = pytest.importorskip("pye57", reason="pye57 is not installed")
 
@@ -102,5 +102,5 @@ def test_no_folder(tmp_path: Path) -> None:
 
 def test_no_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pye57.libe57", None)
-    with pytest.raises(UsageError, match=r"pip install 'pye57>"):
+    with pytest.raises(MissingLibraryError, match=r"pip install 'pye57>"):
         write_points(tmp_path / "a.e57", PointCloud(np.eye(3)))

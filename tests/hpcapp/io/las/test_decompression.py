@@ -14,7 +14,7 @@ import pytest
 from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import write_points
 from hpcapp.io.las.points import open_las
-from hpccomponent.errors import InputError, UsageError
+from hpccomponent.errors import InputError, MissingLibraryError
 
 pytest.importorskip("laspy", reason="laspy is not installed")
 pytest.importorskip("lazrs", reason="lazrs is not installed")
@@ -54,7 +54,9 @@ def test_laszip_reads_the_same(laz: Path, monkeypatch: pytest.MonkeyPatch) -> No
 def test_no_library(laz: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for library in ("lazrs", "laszip"):
         monkeypatch.setitem(sys.modules, library, None)
-    with pytest.raises(UsageError, match=r"need the package lazrs; .* -m pip install 'laspy\["):
+    with pytest.raises(
+        MissingLibraryError, match=r"need the package lazrs; .* -m pip install 'laspy\["
+    ):
         open_las(laz)
 
 

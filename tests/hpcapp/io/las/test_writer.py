@@ -14,7 +14,7 @@ from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import read_points, write_points
 from hpcapp.io.las.points import open_las
 from hpcapp.io.las.writer import choose_grid
-from hpccomponent.errors import OutputError, UsageError
+from hpccomponent.errors import MissingLibraryError, OutputError
 
 laspy = pytest.importorskip("laspy", reason="laspy is not installed")
 pytest.importorskip("lazrs", reason="lazrs is not installed")
@@ -193,5 +193,5 @@ def test_no_points(tmp_path: Path) -> None:
 
 def test_no_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "laspy", None)
-    with pytest.raises(UsageError, match=r"pip install 'laspy\["):
+    with pytest.raises(MissingLibraryError, match=r"pip install 'laspy\["):
         write_points(tmp_path / "a.las", PointCloud(np.eye(3)))
