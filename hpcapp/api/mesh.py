@@ -28,6 +28,7 @@ from hpcapp.pages.browser import show_page
 from hpcapp.pages.page import build_page, write_page
 from hpcapp.pages.scene import Scene, fields_of
 from hpcapp.pages.thin import MOST_FACES, thin_mesh
+from hpccomponent.errors import UsageError
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
@@ -186,6 +187,31 @@ class Mesh:
             f"Mesh({len(self._plain.vertices):,} vertices, {len(self._plain.faces):,} faces, "
             f"{kind}, {sides})"
         )
+
+    def simplify(self, faces: int | None = None, tolerance: float | None = None) -> Mesh:
+        """Return it with fewer faces; it stops at whichever comes first.
+
+        Parameters
+        ----------
+        faces : int, optional
+            No fewer faces than that, but for one.
+        tolerance : float, optional
+            How far the surface may move, in units of the input.
+
+        Raises
+        ------
+        UsageError
+            Neither is given, or one is out of its range.
+        MissingLibraryError
+            pyfqmr is not installed.
+        """
+        from hpcapp.simplification.mesh import Target, simplify_mesh
+
+        target = Target(faces, tolerance)
+        target.check()
+        if not target.is_something:
+            raise UsageError("simplify has no target", "give faces or tolerance")
+        return wrap_mesh(simplify_mesh(self._plain, target), crs=self._crs)
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write it to a file, with the bytes that ``hpcapp reconstruct -o`` writes.

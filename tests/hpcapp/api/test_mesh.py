@@ -216,3 +216,17 @@ def test_a_package_that_is_missing_is_named(package: str, monkeypatch: pytest.Mo
         getattr(mesh, f"to_{package}")()
     assert isinstance(caught.value, MissingLibraryError)
     assert isinstance(caught.value, HpcError)
+
+
+def test_fewer_faces_lie_where_the_mesh_does() -> None:
+    """Far from zero, too."""
+    points = np.random.default_rng(0).normal(size=(8_000, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    middle = np.array([512_000.0, 5_403_000.0, 120.0])
+    mesh = hpcapp.reconstruct(points + middle, points, grid=32)
+    light = mesh.simplify(faces=500)
+    assert light.is_watertight
+    assert 400 < len(light.faces) <= 500 < len(mesh.faces)
+    np.testing.assert_allclose(np.linalg.norm(light.vertices - middle, axis=1), 1.0, atol=0.03)
+    with pytest.raises(UsageError, match="no target"):
+        mesh.simplify()
