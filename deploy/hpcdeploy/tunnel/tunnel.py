@@ -35,6 +35,7 @@ log = logging.getLogger("hpcapp")
 
 ANSWER_S = 60.0
 """Until the relay on the head says its port, or why it has none."""
+_ENDED_S = 60.0  # until its thread has ended
 MOST_SHOWN = 200  # characters of a line
 
 Lead = Callable[[str], AbstractContextManager[None]]
@@ -126,7 +127,7 @@ def lead_workers(shell: Shell, folder: str, endpoint: str) -> Iterator[None]:
         finally:
             loop.call_soon_threadsafe(tunnel.cancel)
             thread.join()
-        relay.join(ANSWER_S)  # it ends with its channel, which its shell closes at the latest
+        relay.join(_ENDED_S)  # it ends with its channel, which its shell closes at the latest
     finally:
         loop.close()
 
