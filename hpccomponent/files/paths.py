@@ -90,9 +90,11 @@ def new_file_here(name: str, flag: str) -> Path:
 
     Examples
     --------
-    >>> new_file_here("../../.bashrc", "-o")
-    Traceback (most recent call last):
-    hpccomponent.errors.OutputError: '../../.bashrc' is no name for a new file here; name one by -o
+    >>> try:
+    ...     new_file_here("../../.bashrc", "-o")
+    ... except OutputError as error:
+    ...     print(error)
+    '../../.bashrc' is no name for a new file here; name one by -o
     """
     if not name or "/" in name or name[0] in ".-~" or visible_line(name) != name:
         raise OutputError(f"{name!r} is no name for a new file here", f"name one by {flag}")
