@@ -239,8 +239,9 @@ def _find_numbers(
             or (roles[i] in NORMALS + COLOURS and any(map(is_number, words)))
             or (names[i] and words and all(map(is_number, words)))
         )
-        passed_over = [names[i] for i, words in enumerate(columns) if words and i not in wanted]
-        if named := list(filter(None, passed_over)):
+        # A column without any number has names or dates of the points: nothing that a mesh has.
+        mixed = [i for i, words in enumerate(columns) if any(map(is_number, words))]
+        if named := [names[i] for i in mixed if names[i] and i not in wanted]:
             findings.warn(f"left out, as not all of a column is numbers: {name_some(named)}")
     if len(wanted) < 3:
         problem = f"{len(wanted)} columns of numbers, x, y and z are 3"
