@@ -127,15 +127,7 @@ def _read(name: str) -> str:
 
 def _make_controls(scene: Scene, colourings: Sequence[tuple[str, str]]) -> str:
     """Return the controls that mean something for a scene."""
-    rows: list[tuple[str, str]] = []
-    boxes = [] if scene.mesh is None else [_box("show-mesh", "mesh", True)]
-    if scene.points is not None:
-        boxes.append(_box("show-points", "points", scene.mesh is None))
-    if scene.markers:
-        boxes.append(_box("show-markers", "warnings", True))
-    if scene.tint is not None:
-        boxes.append(_box("tint", "guesswork", True))
-    rows.append(("Show", " ".join(boxes)))
+    rows = [("Show", _make_boxes(scene))]
     if scene.mesh is not None:
         options = "".join(
             f'<option value="{escape(name)}">{escape(label)}</option>' for name, label in colourings
@@ -179,6 +171,18 @@ def _make_controls(scene: Scene, colourings: Sequence[tuple[str, str]]) -> str:
     ))  # fmt: skip
     lines = [f'<span>{name}</span><div class="row">{body}</div>' for name, body in rows]
     return '<div class="controls">\n' + "\n".join(lines) + "\n</div>"
+
+
+def _make_boxes(scene: Scene) -> str:
+    """Return a box for each part of a scene that can be hidden."""
+    boxes = [] if scene.mesh is None else [_box("show-mesh", "mesh", True)]
+    if scene.points is not None:
+        boxes.append(_box("show-points", "points", scene.mesh is None))
+    if scene.markers:
+        boxes.append(_box("show-markers", "warnings", True))
+    if scene.tint is not None:
+        boxes.append(_box("tint", "guesswork", True))
+    return " ".join(boxes)
 
 
 def _box(name: str, label: str, is_checked: bool = False) -> str:

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from hpcapp.applications.reproduce.finding import Finding
 from hpcapp.applications.reproduce.panels import PANEL, Picture, colour_patches, draw_panels
-from hpcapp.applications.reproduce.readings import DELTA, STEP_1, Reading
+from hpcapp.applications.reproduce.readings import DELTA, OTHER_CLOUD, STEP_1, Reading
 from hpcapp.applications.reproduce.subject import Subject
 from hpcapp.applications.surface.cloud.arranged import MemoryCloud
 from hpcapp.applications.surface.paper.method import PaperMethod, PaperPartition
@@ -45,10 +45,6 @@ _ON_BUNNY = (
     "only within 2 to 7 %, and only where normals agree above 1 - delta, as the paper's text has "
     "it and its formula has not. "
 )
-_OTHER_CLOUD = (
-    "The paper's numbers are of the Stanford bunny with 35,947 points, so those of this cloud "
-    "need not be near them. "
-)
 
 
 def make_figure_2(subject: Subject, up: str, clock: StageClock) -> tuple[Finding, Picture]:
@@ -72,7 +68,7 @@ def make_figure_2(subject: Subject, up: str, clock: StageClock) -> tuple[Finding
         f"Figure 2: from points to a surface, {subject.name}",
         ("rule", "patches here", "with step 1", "in the paper"),
         rows,
-        (_ON_BUNNY if subject.is_papers else _OTHER_CLOUD) + f"{STEP_1}.",
+        (_ON_BUNNY if subject.is_papers else OTHER_CLOUD) + f"{STEP_1}.",
         f"By the rule {_SHOWN}: (a) the input; (b) patches, each in a colour of its own; (c) their "
         f"quadrics, where their points lie; (d) the surface.",
     )

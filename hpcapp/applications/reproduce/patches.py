@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from hpcapp.applications.reproduce.finding import Finding
 from hpcapp.applications.reproduce.panels import PANEL, Picture, colour_patches, draw_panels
-from hpcapp.applications.reproduce.readings import STEP_1, Reading
+from hpcapp.applications.reproduce.readings import OTHER_CLOUD, STEP_1, Reading
 from hpcapp.applications.reproduce.subject import Subject
 from hpcapp.applications.reproduce.surfaces import mesh_by_default
 from hpcapp.applications.surface.paper.kdtree import Patches
@@ -35,10 +35,6 @@ _ON_BUNNY = (
     "No reading gives 4 or 115. With the normal cone the bunny has 240 patches or more, whatever "
     "the limit on points; without it, halving boxes gives 3 patches of at most 20,000 points and 7 "
     "of at most 10,000. "
-)
-_OTHER_CLOUD = (
-    "The paper's numbers are of the Stanford bunny with 35,947 points, so those of this cloud "
-    "need not be near them. "
 )
 
 
@@ -72,7 +68,7 @@ def make_figure_4(subject: Subject, up: str, clock: StageClock) -> tuple[Finding
         f"Figure 4: patches of {subject.name} by their most points",
         ("most points", "in the paper", *_CONES.values(), "nearest reading", "that with step 1"),
         tuple(rows),
-        (_ON_BUNNY if subject.is_papers else _OTHER_CLOUD) + f"{STEP_1}.",
+        (_ON_BUNNY if subject.is_papers else OTHER_CLOUD) + f"{STEP_1}.",
         "Each patch in a colour of its own, by the reading with the nearest number: at most "
         + ", ".join(f"{limit:,}" for limit in PAPER_COUNTS)
         + " points.",

@@ -172,12 +172,15 @@ def _compare(planes: _Planes, edge: float, scans: int) -> tuple[IntArray, IntArr
         How many cells both have, and in how many of these they agree.
     """
     pairs, agrees = [np.empty((0, 2), np.int64)], [np.empty(0, np.bool_)]
-    for step in range(1, scans):  # the scan so many planes on in the same cell
+    for step in range(1, scans):
+        # (m,): planes with another scan's, so many rows on, in the same cell.
         first = np.flatnonzero(planes.cells[step:] == planes.cells[:-step])
         second = first + step
         cosines = (planes.normals[first] * planes.normals[second]).sum(axis=1)
+        # Those that were seen from opposite sides are left out; 0 where a side is not known.
         is_one_side = cosines * planes.sides[first] * planes.sides[second] >= 0.0
         first, second, cosines = first[is_one_side], second[is_one_side], cosines[is_one_side]
+        # (m,): how far the second centre is from the first plane.
         between = planes.centres[second] - planes.centres[first]
         apart = np.abs((between * planes.normals[first]).sum(axis=1))
         allowed = _NOISES * (planes.noises[first] + planes.noises[second])
