@@ -121,6 +121,23 @@ def test_a_head_that_hangs_is_told_with_a_way_on_that_works(idle_site: Site) -> 
     idle_site.end()
 
 
+@pytest.mark.parametrize("fault", ["hangs", "is cut off"])
+def test_nothing_is_launched_for_a_head_that_is_dead(idle_site: Site, fault: str) -> None:
+    """By `up` that would launch a lost worker, and by `scale` that would launch two more."""
+    idle_site.write(workers={"count": 1}, limits={"boot": "1h"})
+    idle_site.succeed("up", "-y")
+    head, worker = idle_site.bed.machine("head"), idle_site.bed.instance("worker-1")
+    head.freeze() if fault == "hangs" else idle_site.bed.network.cut(head.private)
+    interrupt(idle_site.bed, worker)
+    calls = len(idle_site.bed.cloud.calls)
+    for verb in (["up"], ["scale", "3"]):
+        told = idle_site.hpcapp(*verb, "-y")
+        assert_one_clear_line(told, "head cannot be had: ", "in the cloud's console")
+    assert not [call.action for call in idle_site.bed.cloud.calls[calls:] if call.changes]
+    assert len(idle_site.bed.cloud.living) == 1
+    idle_site.end()
+
+
 def test_group_in_use_for_a_while(idle_site: Site) -> None:
     idle_site.write(workers={"count": 0})
     idle_site.succeed("up", "-y")

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 
 import pytest
+from shared_data import FOLDER
 from testbed.chaos import ProcessList
 from testbed.sites import OPTIONS, POINTS, Site, make_mesh
 
@@ -15,7 +15,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
 def shared_points() -> Path:
     """Return the cloud of the paper's Figure 7 where it is at hand, else the small one."""
-    path = Path(os.environ.get("HPCAPP_DATA", ""), "bunny_263256.ply")
+    path = FOLDER / "bunny_263256.ply"
     return path if path.is_file() else POINTS
 
 

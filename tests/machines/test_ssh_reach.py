@@ -168,6 +168,29 @@ def test_of_three_hosts_the_one_that_never_opens_ssh_is_done_without(
         cluster.provider.terminate(cluster.machines())
 
 
+@pytest.mark.usefixtures("impatient")
+@pytest.mark.parametrize("verb", [["up"], ["scale", "1"]], ids=lambda verb: verb[0])
+@pytest.mark.parametrize("cause", ["unreachable", "does not answer"])
+def test_nothing_is_put_on_workers_whose_head_cannot_be_looked_at(
+    file: Path, hosts: tuple[Server, Server], silent_port: int, verb: list[str], cause: str
+) -> None:
+    with open_rude(ACTS["shut"]) as gone:
+        pass
+    port = silent_port if cause == "does not answer" else gone
+    head = {"address": "127.0.0.1", "port": port, "user": USER}
+    write_hosts(file, [head, host(hosts[1])], env={})
+    words = [verb[0], str(file), *verb[1:], "-y", "--skip-checks"]
+    done = CliRunner().invoke(hpcapp, words, standalone_mode=False)
+    assert isinstance(done.exception, CloudError)
+    assert done.exception.exit_code == 4
+    said = str(done.exception)
+    assert said.startswith(f"head cannot be had: {cause}: ")
+    assert f"127.0.0.1:{port}" in said
+    assert said.endswith(f"; it stays as it is; look at hpcapp doctor {file}")
+    assert not [*hosts[1].home.iterdir()]
+    assert "taking away" not in done.output
+
+
 MANY = """
 import resource, sys
 from pathlib import Path

@@ -74,8 +74,8 @@ def bring_up(
     OutdatedError
         More would be done than was agreed to; nothing was done.
     CloudError
-        The cluster was made elsewhere, and nothing was done; or fewer machines than `workers.min`
-        are to be had, and unless `keep`, what was made is gone.
+        The cluster was made elsewhere, or its head lets nobody in, and nothing was done; or fewer
+        machines than `workers.min` are to be had, and unless `keep`, what was made is gone.
     LeftoverError
         So it is, but something is left.
     UsageError

@@ -32,7 +32,14 @@ from hpcdeploy.reconcile.plan import (
 )
 from hpcdeploy.reconcile.removal import remove
 from hpcdeploy.reconcile.termination import Proof, Reason, end, may_terminate
-from hpcdeploy.spec.names import HEAD, Desired, NodeName, Owner, draw_incarnation
+from hpcdeploy.spec.names import (
+    HEAD,
+    Desired,
+    NodeName,
+    Owner,
+    draw_incarnation,
+    without_node,
+)
 from hpcdeploy.spec.polling import Polling
 from hpcdeploy.spec.ssh_networks import ssh_networks
 
@@ -93,7 +100,9 @@ class Reconciler:
         """Go round until every node is set up or given up; see the module's diagram."""
         if self._only_replace and not plan.actions and not self._is_unsettled:
             return
+        self._try_head(plan)
         while True:
+            self._check_enough()
             awaited = self._carry_out(plan)
             self._check_enough()
             running, failed = self._await_running(awaited)
@@ -103,13 +112,28 @@ class Reconciler:
             for machine, reason in failed:
                 if machine.name.node in self._spec.nodes():
                     self._dismiss(machine, reason)
-            self._check_enough()
             workers = self._spec.worker_count
             plan = self.plan()
             if not failed and self._is_settled(plan) and workers == self._spec.worker_count:
                 break
         for node, error in self._lost().items():
             self._report(f"going without {node}: {error.problem}")
+
+    def _try_head(self, plan: Plan) -> None:
+        """Log in to a head that was at work before workers are launched for it.
+
+        A cloud lists as running what hangs or has lost its network, too.
+        """
+        if not any(isinstance(action, LaunchNode) for action in plan.actions):
+            return
+        heads = (m for m in plan.kept if m.name.node == HEAD and m.state is State.RUNNING)
+        for head in filter(self._may_be_at_work, heads):
+            try:
+                self._cluster.access.open(head).close()
+            except CloudError as error:
+                if error.excerpt:
+                    self._report(f"{HEAD}:\n{write_block(error.excerpt)}")
+                self._dismiss(head, without_node(str(error), HEAD))
 
     def _is_settled(self, plan: Plan) -> bool:
         """Tell whether all are there and nobody else: some are lost or listed only by now."""
@@ -385,9 +409,7 @@ class Reconciler:
     def _dismiss(self, machine: MachineSeen, reason: str) -> None:
         """Decide whether a machine that failed is replaced; the next plan carries it out."""
         is_preempted = machine.market == "spot" and machine.state not in LIVE
-        proof = self._proof(Observed((machine,)))
-        is_new = machine.id in proof.unused | (proof.launched - self._journal.set_up)
-        if self._provider.makes_machines and machine.state in LIVE and not is_new:
+        if self._may_be_at_work(machine):
             self._give_up(
                 machine, f"{reason}; it stays, for it may be at work", self._ways_on(machine)
             )
@@ -402,6 +424,12 @@ class Reconciler:
             self._report(f"{machine.name.node}: {reason}; replacing it")
         else:
             self._give_up(machine, reason)
+
+    def _may_be_at_work(self, machine: MachineSeen) -> bool:
+        """Tell whether a cloud's machine lives and was ever set up, as far as we know."""
+        proof = self._proof(Observed((machine,)))
+        is_new = machine.id in proof.unused | (proof.launched - self._journal.set_up)
+        return self._provider.makes_machines and machine.state in LIVE and not is_new
 
     def _ways_on(self, machine: MachineSeen) -> str:
         """Say what helps against a machine that was at work and cannot be set up any more."""

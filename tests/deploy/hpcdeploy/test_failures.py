@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -38,7 +38,7 @@ class Scene:
         self.lines: list[str] = []
         self.least = 2
 
-    def cluster(self, **profile: Any) -> Cluster:
+    def cluster(self, silent: Sequence[str] = (), **profile: Any) -> Cluster:
         path = self.folder / "cluster.yaml"
         provider = self.cloud.provider_block(small=profile)
         workers = {"count": 3, "min": self.least}
@@ -46,7 +46,7 @@ class Scene:
             json.dumps({"version": 1, "cluster": "bunny", "provider": provider, "workers": workers})
         )
         spec = read_spec(path)
-        access: Any = Keyring("bunny", public=PUBLIC_KEY)
+        access: Any = Keyring("bunny", public=PUBLIC_KEY, silent=set(silent))
         return Cluster(path, spec, open_provider(spec, self.folder), access)
 
     def up(self, **profile: Any) -> None:
@@ -134,6 +134,31 @@ def test_a_head_that_cannot_be_set_up_fails_and_leaves_nothing(scene: Scene) -> 
     with pytest.raises(CloudError, match=r"^head cannot be had: pip is missing; look at hpcapp"):
         scene.up()
     assert scene.cloud.left() == []
+
+
+@pytest.mark.parametrize("count", [3, 5])
+def test_a_head_that_runs_and_lets_nobody_in_is_told_before_anything_is_launched(
+    scene: Scene, count: int
+) -> None:
+    """By `up` that would launch a lost worker, and by `scale` that would launch more."""
+    scene.up()
+    of_node(scene.cloud, "worker-2")[0].die("Server.SpotInstanceTermination")
+    cluster = scene.cluster(silent=["head"])
+    calls = len(scene.cloud.calls)
+    with pytest.raises(CloudError, match=r"^head cannot be had: unreachable: no answer; it stays"):
+        bring_up(replace(cluster, spec=cluster.spec.scaled(count)), print, polling=POLLING)
+    assert not [call.action for call in scene.cloud.calls[calls:] if call.changes]
+    assert scene.nodes() == ["head", "worker-1", "worker-3"]
+
+
+@pytest.mark.parametrize("is_stopped", [False, True])
+def test_a_head_that_has_ended_is_made_anew(scene: Scene, is_stopped: bool) -> None:
+    scene.up()
+    [head] = of_node(scene.cloud, "head")
+    head.shut_down() if is_stopped else head.die("Server.InternalError")
+    scene.up()
+    assert scene.nodes() == ["head", "worker-1", "worker-2", "worker-3"]
+    assert len(of_node(scene.cloud, "head")) == 2
 
 
 def test_an_exhausted_subnet_fails_with_its_reason_and_leaves_nothing(scene: Scene) -> None:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import secrets
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 from hpccomponent.config.reader import parse_config
+from hpcdeploy.login.ssh.reach import ReachError
 from hpcdeploy.ownership.journal import peek_journal
 from hpcdeploy.ownership.ownership import Ownership, fingerprint
 from hpcdeploy.provider import MachineSeen, Observed
@@ -107,12 +109,21 @@ class SetUp:
 class Keyring:
     """Stands for the access to machines: one user's key of a cluster, and who that user is.
 
+    The nodes `silent` let nobody in.
+
     The key lies where the real one does, so that `down` forgets it and another home has another.
     """
 
     cluster: str
     user: str = "anna@lab"
     public: str | None = None
+    silent: set[str] = field(default_factory=set)
+
+    def open(self, machine: MachineSeen) -> ExitStack:
+        """Let in, as a shell of which nothing is asked."""
+        if machine.name.node in self.silent:
+            raise ReachError(f"{machine.name.node} ({machine.id}): unreachable: no answer")
+        return ExitStack()
 
     def public_key(self) -> str:
         path = state_folder(self.cluster) / "id"

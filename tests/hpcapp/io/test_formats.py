@@ -1,4 +1,3 @@
-import os
 import zipfile
 from collections.abc import Callable
 from dataclasses import replace
@@ -6,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shared_data import shared
 
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import PointCloud
@@ -103,10 +103,7 @@ def test_a_truncated_mesh_is_refused_wherever_it_is_cut(
 
 
 def test_the_stanford_bunny_is_read() -> None:
-    folder = Path(os.environ.get("HPCAPP_DATA", "nowhere"))
-    scan, truth = folder / "bunny_35947.ply", folder / "bunny_zipper_mesh.ply"
-    if not (scan.is_file() and truth.is_file()):
-        pytest.skip("HPCAPP_DATA names no folder with the bunny")
+    scan, truth = shared("bunny_35947.ply"), shared("bunny_zipper_mesh.ply")
     cloud, dropped = drop_unusable(read_points(scan))
     mesh = read_mesh(truth)
     assert len(cloud) == len(mesh.vertices) == 35_947

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import shared_data
 
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.cli import main
@@ -21,7 +21,7 @@ from hpcapp.io.points.inputs import gather_points
 Told = tuple[int, str, str]
 Tell = Callable[[Path], Told]
 
-FOLDER = Path(os.environ.get("HPCAPP_DATA", "nowhere")) / "real"
+FOLDER = shared_data.FOLDER / "real"
 VERDICTS = (
     "right",
     "refused",
@@ -89,10 +89,11 @@ def tally(request: pytest.FixtureRequest) -> Iterator[dict[str, str]]:
         terminal.write_line(f"{folder:8}" + "".join(f"{counts[v]:25}" for v in VERDICTS))
 
 
-@pytest.mark.parametrize("name", EXPECTED)
+@pytest.mark.parametrize("name", EXPECTED or ["expected.json"])
 def test_what_must_come_of_a_file_comes_of_it(name: str, tell: Tell, tally: dict[str, str]) -> None:
+    path = shared_data.shared(f"real/{name}")
     expected = EXPECTED[name]
-    code, stdout, stderr = tell(FOLDER / name)
+    code, stdout, stderr = tell(path)
     assert "Traceback" not in stderr
     assert "internal error" not in stderr
     if code:
@@ -101,7 +102,7 @@ def test_what_must_come_of_a_file_comes_of_it(name: str, tell: Tell, tally: dict
     else:
         warnings = [line for line in stderr.splitlines() if line.startswith("warning: ")]
         facts = json.loads(stdout)
-        with gather_points([str(FOLDER / name)]) as path:
+        with gather_points([str(path)]) as path:
             cloud = read_whole(open_points(path))
         mistakes = [
             *find_mistakes_of_outcome(name, expected, warnings),

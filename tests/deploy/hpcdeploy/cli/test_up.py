@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -26,6 +27,7 @@ def cloud(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[MemoryPro
     cloud = MemoryProvider(utc_now)
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     monkeypatch.setattr("hpcdeploy.install.bootstrap.set_up", SetUp())
+    monkeypatch.setattr("hpcdeploy.login.access.Access.open", lambda *about: ExitStack())
     monkeypatch.setattr("hpcdeploy.install.user_data.user_data", lambda *about: "#!")
     for module in ("hpcdeploy.providers", "hpcdeploy.providers.clouds"):
         monkeypatch.setattr(f"{module}.open_provider", lambda spec, base: cloud)

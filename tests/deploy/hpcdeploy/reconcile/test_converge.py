@@ -295,6 +295,37 @@ def test_a_lost_head_is_not_replaced_during_a_job(simulation: Simulation) -> Non
         replace_lost(cluster, simulation.lines.append, polling=simulation.time.polling())
 
 
+@pytest.mark.parametrize("verb", ["up", "replace_lost"])
+def test_nothing_is_launched_for_a_head_that_runs_and_lets_nobody_in(
+    simulation: Simulation, verb: str
+) -> None:
+    simulation.up(3)
+    simulation.cloud.interrupt("worker-1")
+    simulation.time.advance(60)
+    cluster = make_cluster(make_spec(3), simulation.cloud)
+    vars(cluster.access)["silent"] = {"head"}
+    simulation.calls.clear()
+    run = bring_up if verb == "up" else replace_lost
+    said = (
+        r"^head cannot be had: unreachable: no answer; it stays, for it may be at work; "
+        r"mend it \(hpcapp ssh cluster.yaml head\); where it lets nobody in, end i-\w+ in the "
+        r"cloud's console and run hpcapp up cluster.yaml, or begin anew: hpcapp down [^\n]*$"
+    )
+    with pytest.raises(CloudError, match=said):
+        run(cluster, simulation.lines.append, polling=simulation.time.polling())
+    assert not CHANGES & simulation.calls.keys()
+    assert simulation.alive() == ["head", "worker-2", "worker-3"]
+
+
+def test_workers_go_though_the_head_lets_nobody_in(simulation: Simulation, set_up: SetUp) -> None:
+    simulation.up(3)
+    simulation.time.advance(60)
+    cluster = make_cluster(make_spec(1), simulation.cloud)
+    vars(cluster.access)["silent"] = {"head"}
+    bring_up(cluster, simulation.lines.append, polling=simulation.time.polling())
+    assert simulation.alive() == ["head", "worker-1"]
+
+
 @pytest.mark.parametrize("count", [0, 1, 5])
 def test_who_watches_goes_by_the_last_number_of_workers(simulation: Simulation, count: int) -> None:
     """A `submit` has read the file when it said 3; meanwhile somebody else has scaled."""

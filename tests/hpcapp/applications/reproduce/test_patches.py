@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import pytest
+from shared_data import shared
 
 from hpcapp.applications.reproduce.patches import make_figure_4
 from hpcapp.applications.reproduce.subject import open_subject
 from hpcapp.progress import Progress, StageClock
 
-BUNNY = Path(os.environ.get("HPCAPP_DATA", "/")) / "bunny_35947.ply"
-
 
 @pytest.mark.slow
-@pytest.mark.skipif(not BUNNY.exists(), reason="HPCAPP_DATA holds no bunny_35947.ply")
 def test_all_four_counts_have_their_nearest_reading() -> None:
     pytest.importorskip("matplotlib", reason="needs the plots extra")
-    with open_subject(BUNNY) as subject:
+    with open_subject(shared("bunny_35947.ply")) as subject:
         finding, _ = make_figure_4(subject, "y", StageClock(Progress()))
     assert [row[1] for row in finding.rows] == ["4", "115", "237", "2,727"]
     assert [row[2:5] for row in finding.rows] == [

@@ -1,32 +1,28 @@
 """Scans without normals as people have them: right side out, open or closed as they were seen.
 
-They are in the folders `cases` and `raw` of `HPCAPP_DATA`.
+They are in the folders `cases` and `raw` of the shared scans.
 """
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
+from shared_data import shared
 
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.cli import main
 from hpcapp.io import open_points, read_mesh, read_whole
 
-FOLDER = Path(os.environ.get("HPCAPP_DATA", "nowhere"))
-
-pytestmark = pytest.mark.skipif(
-    not (FOLDER / "cases").is_dir(), reason="HPCAPP_DATA names no folder with raw scans"
-)
+pytestmark = pytest.mark.slow
 
 
 def _run(name: str, place: Path, *options: str) -> int:
     with pytest.raises(SystemExit) as left:
-        main(["reconstruct", str(FOLDER / name), "-o", str(place), "--backend", "serial", *options])
+        main(["reconstruct", str(shared(name)), "-o", str(place), "--backend", "serial", *options])
     return int(left.value.code or 0)
 
 
@@ -62,7 +58,7 @@ def _borders(mesh: Mesh) -> int:
 )
 def test_ground_from_the_air_faces_up_under_trees_too(name: str, tmp_path: Path) -> None:
     mesh = _mesh(name, tmp_path)
-    points = read_whole(open_points(FOLDER / name))
+    points = read_whole(open_points(shared(name)))
     ground = points.positions[points.attributes["classification"] == 2] + points.origin
     middles = mesh.vertices[mesh.faces].mean(axis=1) + mesh.origin
     nearest = cKDTree(middles).query(ground)[1]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import struct
 import sys
 from collections.abc import Callable
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mutated_files import page_e57, read_pages
+from shared_data import shared
 
 from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io.e57.points import open_e57
@@ -338,11 +338,7 @@ def test_no_file(tmp_path: Path) -> None:
     [("pumpAVisualReferenceImage", 155_201), ("bunnyInt32", 30_571), ("ColourRepresentation", 153)],
 )
 def test_real_files(name: str, count: int) -> None:
-    folder = Path(os.environ.get("HPCAPP_DATA", "nowhere")) / "real" / "e57"
-    path = folder / f"{name}.e57"
-    if not path.exists():
-        pytest.skip(f"HPCAPP_DATA names no folder with real/e57/{name}.e57")
-    source, cloud = read(path, 10_000)
+    source, cloud = read(shared(f"real/e57/{name}.e57"), 10_000)
     assert len(cloud) == count
     if name.startswith("pump"):
         assert source.scans[0].grid == (345, 1074)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import struct
 import sys
 from contextlib import suppress
@@ -10,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shared_data import shared
 
 from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import write_points
@@ -157,10 +157,7 @@ def test_flipped_bytes(tmp_path: Path, seed: int) -> None:
 
 def test_oldest_compressor(capfd: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("laszip", reason="laszip is not installed")
-    folder = Path(os.environ.get("HPCAPP_DATA", "nowhere")) / "real" / "las"
-    path = folder / "simple-laszip-compressor-version-1.2r0.laz"
-    if not path.exists():
-        pytest.skip(f"HPCAPP_DATA names no folder with real/las/{path.name}")
+    path = shared("real/las/simple-laszip-compressor-version-1.2r0.laz")
     positions = read(path, 100).positions
     assert len(positions) == 1065
     np.testing.assert_allclose(positions[-1], [637342.85, 853240.32, 423.92], atol=1e-6)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import struct
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from shared_data import shared
 
 from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import open_points
@@ -129,10 +129,7 @@ def test_parts_are_the_whole(make_las: MakeLas, rows: int) -> None:
 
 
 def real(name: str) -> Path:
-    path = Path(os.environ.get("HPCAPP_DATA", "nowhere")) / "real" / "las" / name
-    if not path.exists():
-        pytest.skip(f"HPCAPP_DATA names no folder with real/las/{name}")
-    return path
+    return shared(f"real/las/{name}")
 
 
 def read_real(name: str) -> PointCloud:

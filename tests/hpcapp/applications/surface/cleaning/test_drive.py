@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
+from shared_data import shared
 
 from hpcapp.api.reconstruction import reconstruct
 from hpcapp.applications.simulate.scanner import simulate_scan
@@ -140,8 +139,5 @@ def test_rounding_moves_a_mesh_by_nothing_to_speak_of(
     [("bunny_35947", 0), ("bunny_raw_362272", 5), ("kinect_table", 0), ("kitten_5210", 0)],
 )
 def test_real_scans_keep_their_points(name: str, most: int) -> None:
-    path = Path(os.environ.get("HPCAPP_DATA", "nowhere")) / f"{name}.ply"
-    if not path.exists():
-        pytest.skip(f"HPCAPP_DATA names no folder with {name}.ply")
-    cloud, _ = drop_unusable(read_points(path))
+    cloud, _ = drop_unusable(read_points(shared(f"{name}.ply")))
     assert clean(cloud)[1].outliers <= most

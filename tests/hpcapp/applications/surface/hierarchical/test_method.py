@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -11,6 +10,7 @@ import numpy as np
 import pytest
 from disk_clouds import DiskCloudWriter
 from recorder import Recorder
+from shared_data import shared
 
 from hpcapp.applications.surface.checkpoint import Checkpoint
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud
@@ -30,6 +30,7 @@ from hpcapp.applications.surface.types.grid import BRICK, BrickKinds, BrickStrid
 from hpcapp.applications.surface.types.lattice import pack_places, unpack_keys
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
+from hpcapp.io import read_points
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import InputError, UsageError
 
@@ -436,13 +437,7 @@ def test_a_cloud_that_says_nothing_is_refused() -> None:
 
 
 def test_the_bunny_is_closed_in_one_piece() -> None:
-    folder = os.environ.get("HPCAPP_DATA")
-    if not folder:
-        pytest.skip("HPCAPP_DATA names no folder with bunny_35947.ply")
-    from hpcapp.io import read_points
-
-    cloud = read_points(Path(folder) / "bunny_35947.ply")
-    mesh, _ = reconstruct(cloud, HierarchicalMethod(128))
+    mesh, _ = reconstruct(read_points(shared("bunny_35947.ply")), HierarchicalMethod(128))
     assert_closed(mesh, genus=0)
 
 

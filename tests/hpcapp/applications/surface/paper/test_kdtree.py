@@ -1,13 +1,11 @@
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from shared_data import shared
 
 from hpcapp.applications.surface.paper.kdtree import partition_by_count, partition_by_rule
 from hpcapp.applications.surface.paper.split_rule import SplitRule
@@ -18,10 +16,7 @@ ROOTS = ("cube", "box", "tight")
 
 
 def read_bunny(name: str) -> tuple[FloatArray, FloatArray]:
-    folder = os.environ.get("HPCAPP_DATA")
-    if folder is None:
-        pytest.skip("HPCAPP_DATA does not name the folder with the Stanford bunny")
-    content = (Path(folder) / name).read_bytes()
+    content = shared(name).read_bytes()
     start = content.index(b"end_header\n") + len(b"end_header\n")
     rows = np.frombuffer(content[start:], "<f4").reshape(-1, 6).astype(float)
     return rows[:, :3], rows[:, 3:]
