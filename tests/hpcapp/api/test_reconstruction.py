@@ -181,7 +181,7 @@ def test_a_wrong_array_is_named(points: Any, normals: Any, words: str) -> None:
         ({"grid": 8}, "grid is 8; give a number from 16 to 4096"),
         ({"grid": 64.5}, "grid is 64.5; give a whole number"),
         ({"grid": 64, "voxel_size": 0.1}, "exclude each other"),
-        ({"voxel_size": -1.0}, "longer than zero"),
+        ({"voxel_size": -1.0}, "give a number above 0"),
         ({"voxel_size": 1e9}, "choose one that gives 16 to 4096"),
         ({"smoothness": 0.0}, "smoothness is 0.0"),
         ({"detail": float("nan")}, "detail is nan"),
