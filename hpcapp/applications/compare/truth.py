@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 from scipy.spatial import KDTree
 
-from hpcapp.applications.compare.nearest import NearestFace, face_normals
+from hpcapp.applications.compare.nearest import ROUNDING, NearestFace, face_normals
 from hpcapp.applications.compare.sides import find_sides
 from hpcapp.applications.simulate.rays import closest_points
 from hpcapp.applications.simulate.scanner import sample_surface
@@ -101,7 +101,7 @@ class ShapeTruth:
 
     def distance(self, points: FloatArray) -> FloatArray:
         """Return the distances to the surface."""
-        guesses = self._guesses[self._tree.query(points)[1]]
+        guesses = self._guesses[self._tree.query(points, eps=ROUNDING)[1]]
         feet = closest_points(self.shape, points, guesses, rounds=3)
         lengths: FloatArray = np.linalg.norm(points - feet, axis=1)
         return lengths
@@ -184,7 +184,7 @@ class PointTruth:
 
     def distance(self, points: FloatArray) -> FloatArray:
         """Return the distances to the nearest points."""
-        lengths: FloatArray = self._tree.query(points)[0]
+        lengths: FloatArray = self._tree.query(points, eps=ROUNDING)[0]
         return lengths
 
     def find_sides(self, points: FloatArray) -> FloatArray | None:
