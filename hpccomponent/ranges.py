@@ -6,7 +6,10 @@ from math import inf
 
 from hpccomponent.errors import UsageError
 
-__all__ = ["check_range", "is_finite"]
+__all__ = ["FARTHEST", "check_range", "is_finite", "is_place"]
+
+FARTHEST = 2.0**53
+"""Of a coordinate: beyond it, a double has no fractions of a unit."""
 
 
 def is_finite(value: object) -> bool:
@@ -20,6 +23,17 @@ def is_finite(value: object) -> bool:
     if isinstance(value, list | tuple):
         return all(map(is_finite, value))
     return not isinstance(value, float) or -inf < value < inf
+
+
+def is_place(*coordinates: float) -> bool:
+    """Tell whether coordinates, none of which may be NaN or beyond `FARTHEST`, are a place.
+
+    Examples
+    --------
+    >>> is_place(1.5, 0.0, -2.0), is_place(1e300, 0.0, 0.0)
+    (True, False)
+    """
+    return all(abs(number) <= FARTHEST for number in coordinates)
 
 
 def check_range(

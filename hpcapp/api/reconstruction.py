@@ -47,7 +47,7 @@ from hpcapp.io.points.survey import is_flown_over
 from hpcapp.io.points.usable import Dropped, refuse_too_few
 from hpcapp.progress import Progress, ProgressObserver, StageClock
 from hpccomponent.errors import UsageError
-from hpccomponent.ranges import check_range
+from hpccomponent.ranges import FARTHEST, check_range, is_place
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -376,6 +376,9 @@ def _choose_viewpoint(viewpoints: str | ArrayLike | None) -> Viewpoint:
     if viewpoints is None:
         return ()
     places = check_rows("viewpoints", np.atleast_2d(np.asarray(viewpoints)))
+    for place in places.tolist():
+        if not is_place(*place):
+            raise UsageError(f"viewpoints has {place}", f"give numbers up to {FARTHEST:.0e}")
     return tuple((x, y, z) for x, y, z in places.tolist())
 
 

@@ -34,6 +34,7 @@ __all__ = [
 
 SHAPE = "shape:"
 """In front of the name of a shape that is the truth."""
+_LARGEST = 1e150  # of a coordinate: the square of a distance is a double, too
 _GUESSES = 50_000  # points on a shape, from which its nearest one is sought
 
 
@@ -277,9 +278,11 @@ def check_usable(mesh: Mesh, path: Path) -> None:
     Raises
     ------
     InputError
-        It has no faces, or a vertex of a face is not finite.
+        It has no faces, or a vertex of a face is not finite, or its squares would not be.
     """
     if not len(mesh.faces):
         raise InputError(f"{path}: holds no faces", "give a mesh")
-    if not np.isfinite(mesh.vertices[mesh.faces]).all():
-        raise InputError(f"{path}: has vertices that are NaN or infinite", "leave them out")
+    if not (np.abs(mesh.vertices[mesh.faces]) < _LARGEST).all():
+        raise InputError(
+            f"{path}: has vertices that are NaN, infinite or beyond {_LARGEST:g}", "leave them out"
+        )
