@@ -10,6 +10,7 @@ import sys
 
 from hpccomponent.errors import HpcError
 from hpccomponent.protocol.connection import read_connection
+from hpccomponent.ranges import check_range
 from hpccomponent.runtime.component import ComponentOptions, run_component
 from hpccomponent.runtime.garbage_collection import rare_collections
 from hpccomponent.runtime.lifetime import die_with_parent
@@ -28,6 +29,7 @@ def main(arguments: list[str] | None = None) -> int:
     if options.lifeline_fd is not None:
         die_with_parent(os.getppid(), signal.SIGTERM)
     try:
+        check_range("--silence", options.silence, 0.0)
         connection = read_connection(options.connection)
         TaskRegistry(options.task)  # a malformed entry is found here, not in the worker
         return run_component(

@@ -10,6 +10,7 @@ from typing import Any
 
 import click
 
+from hpccomponent.ranges import is_finite
 from hpccomponent.verbosity import Verbosity, set_verbosity
 
 __all__ = ["COMMON", "Verb"]
@@ -66,6 +67,15 @@ class Verb(click.Command):
         own = super().get_params(ctx)
         passes_on = self.context_settings.get("ignore_unknown_options")
         return own if passes_on else [*own[:-1], *COMMON, own[-1]]
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse what was typed; NaN and infinity are no numbers of any option."""
+        rest = super().parse_args(ctx, args)
+        for parameter in self.params:
+            value = ctx.params.get(parameter.name or "")
+            if not is_finite(value):
+                raise click.BadParameter("give a finite number", ctx, parameter)
+        return rest
 
     def group_options(self, ctx: click.Context) -> dict[str, list[click.Option]]:
         """Return the options below their headings, the common ones last."""

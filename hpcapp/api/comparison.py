@@ -17,7 +17,8 @@ from hpcapp.applications.compare.truth import MeshTruth, PointTruth, Truth, chec
 from hpcapp.applications.surface.types import mesh as plain
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io import formats
-from hpccomponent.errors import InputError, UsageError
+from hpccomponent.errors import InputError
+from hpccomponent.ranges import check_range
 
 __all__ = ["Comparison", "compare"]
 
@@ -135,10 +136,10 @@ def compare(
     >>> result.is_watertight, result.mean < 0.01 * result.diagonal
     (True, True)
     """
-    if samples < _LEAST_SAMPLES:
-        raise UsageError(f"samples is {samples!r}", f"give {_LEAST_SAMPLES} or more")
-    if not all(0.0 < threshold < float("inf") for threshold in thresholds):
-        raise UsageError("thresholds are no numbers above zero", "give per cent, as 0.1")
+    check_range("samples", samples, _LEAST_SAMPLES)
+    check_range("seed", seed, 0)
+    for threshold in thresholds:
+        check_range("thresholds", threshold, 0.0, is_open=True)
     surface = unwrap_mesh(mesh) if isinstance(mesh, Mesh) else formats.read_mesh(mesh)
     check_usable(surface, Path("the mesh" if isinstance(mesh, Mesh) else mesh))
     reference = _open_truth(truth, surface.origin)

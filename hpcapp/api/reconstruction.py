@@ -47,6 +47,7 @@ from hpcapp.io.points.survey import is_flown_over
 from hpcapp.io.points.usable import Dropped, refuse_too_few
 from hpcapp.progress import Progress, ProgressObserver, StageClock
 from hpccomponent.errors import UsageError
+from hpccomponent.ranges import FARTHEST, check_range, is_place
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -201,6 +202,8 @@ def reconstruct(
     names = _find_names(points)
     if not names and sample is not None:
         raise UsageError("sample is for files", "leave it out")
+    if sample is not None:
+        check_range("sample", sample, 1)
     if names and rows is not None:
         raise UsageError("normals stands beside files, which have their own", "leave it out")
     reporter = _Reporter(on_progress or (lambda *_: None), cancel or Cancellation())
@@ -373,6 +376,9 @@ def _choose_viewpoint(viewpoints: str | ArrayLike | None) -> Viewpoint:
     if viewpoints is None:
         return ()
     places = check_rows("viewpoints", np.atleast_2d(np.asarray(viewpoints)))
+    for place in places.tolist():
+        if not is_place(*place):
+            raise UsageError(f"viewpoints has {place}", f"give numbers up to {FARTHEST:.0e}")
     return tuple((x, y, z) for x, y, z in places.tolist())
 
 
@@ -386,19 +392,13 @@ def _find_sensor(settings: Settings, points: PointCloud) -> Sensor:
 def _check_settings(settings: Settings) -> None:
     """Refuse what the command would refuse."""
     settings.target.check()
-    _check_range("verify", settings.verify or 0.0, 0.0, 1.0)
+    check_range("verify", settings.verify or 0.0, 0.0, 1.0)
     if settings.grid is not None:
         if not isinstance(settings.grid, int | np.integer):
             raise UsageError(f"grid is {settings.grid!r}", "give a whole number of cells")
-        _check_range("grid", settings.grid, MIN_GRID, MAX_GRID)
+        check_range("grid", settings.grid, MIN_GRID, MAX_GRID)
     if settings.voxel_size is None:
         return
     if settings.grid is not None:
         raise UsageError("grid and voxel_size exclude each other", "give one of them")
-    if not settings.voxel_size > 0.0:
-        raise UsageError(f"voxel_size is {settings.voxel_size!r}", "give an edge longer than zero")
-
-
-def _check_range(name: str, value: Any, low: float, high: float) -> None:
-    if not low <= value <= high:
-        raise UsageError(f"{name} is {value!r}", f"give a number from {low:g} to {high:g}")
+    check_range("voxel_size", settings.voxel_size, 0.0, is_open=True)

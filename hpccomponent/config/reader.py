@@ -53,9 +53,9 @@ _TYPED = {TAG + kind for kind in ("null", "bool", "int", "float")}
 
 
 class ConfigModel(BaseModel):
-    """The base of every model of a configuration file: unknown keys are errors."""
+    """The base of every model of a configuration file: unknown keys, NaN, infinities are errors."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class Misfit(NamedTuple):

@@ -2,11 +2,13 @@
 
 Arguments are the library, the byte at which the points begin, how many the header announces, and
 the record of the compressor in hexadecimal. A request is a number of bytes of whole points, which
-come next; so many fill the memory from its start.
+come next; so many fill the memory from its start. After the last of them, ``more`` tells by 1
+whether the file holds more points than it announces.
 """
 
 from __future__ import annotations
 
+import io
 import os
 import struct
 
@@ -20,14 +22,20 @@ if TYPE_CHECKING:
     from hpccomponent.decoding.serving import Answer
 
     _Fill = Callable[[memoryview], object]
+    _Opened = tuple[_Fill, Callable[[], bool]]
 
-__all__ = ["main", "read_items"]
+__all__ = ["ONE_STREAM", "main", "read_items"]
+
+ONE_STREAM = 1
+"""The compressor of the oldest files: no chunks, and lazrs has no word for it."""
 
 _LAYERED = 3  # the compressor of point formats 6 to 10
 _LAYERS_OF = {10: 9, 11: 1, 12: 2, 13: 1}  # by kind of item; extra bytes have one a byte
 _ITEMS_AT = 34
 _LEAST_CHUNK = 20  # bytes: its first point is not compressed
 _LARGEST_CHUNK = 1 << 24  # points that lazrs makes room for: usual are 50,000
+_SPARE = 8  # bytes behind the last point that are no others: the compressor flushes what it holds
+_READ_AHEAD = 64  # bytes that laszip is given at once, so that it is known how far it has come
 _ITEM = struct.Struct("<HHH")
 
 
@@ -44,11 +52,12 @@ def main() -> None:
 
 def _open(path: str, memory: memoryview, arguments: list[str]) -> Answer:
     library, start, count, record = arguments
-    file = open(path, "rb")  # noqa: SIM115 - as long as the process
     opener = _open_lazrs if library == "lazrs" else _open_laszip
-    fill = opener(file, int(start), int(count), bytes.fromhex(record))
+    fill, has_more = opener(path, int(start), int(count), bytes.fromhex(record))
 
     def answer(request: list[str]) -> int:
+        if request[0] == "more":
+            return int(has_more())
         size = int(request[0])
         fill(memory[:size])
         return size
@@ -56,9 +65,10 @@ def _open(path: str, memory: memoryview, arguments: list[str]) -> Answer:
     return answer
 
 
-def _open_lazrs(file: BinaryIO, start: int, count: int, record: bytes) -> _Fill:
+def _open_lazrs(path: str, start: int, count: int, record: bytes) -> _Opened:
     import lazrs
 
+    file = open(path, "rb")  # noqa: SIM115 - as long as the process
     table_at = _find_chunk_table(file, start)
     file.seek(start)
     chunks = lazrs.read_chunk_table(file, lazrs.LazVlr(record))
@@ -75,7 +85,40 @@ def _open_lazrs(file: BinaryIO, start: int, count: int, record: bytes) -> _Fill:
         _check_layers(file, start + 8, lengths, read_items(record))
     file.seek(start)
     fill: _Fill = lazrs.ParLasZipDecompressor(file, record).decompress_many
-    return fill
+    return fill, lambda: _holds_more(path, start + 8, count, chunks, record)
+
+
+def _holds_more(
+    path: str, at: int, count: int, chunks: list[tuple[int, int]], record: bytes
+) -> bool:
+    """Tell whether chunks hold more than so many points.
+
+    Most tables say nothing of the points of the last chunk. It says so itself where it has layers;
+    else its bytes do not suffice, but for a few, for the points that it has.
+    """
+    import lazrs
+
+    points, last = count, 0
+    while points > chunks[last][0]:
+        points -= chunks[last][0]
+        at += chunks[last][1]
+        last += 1
+    if any(length for _, length in chunks[last + 1 :]):
+        return True
+    with open(path, "rb") as file:
+        file.seek(at)
+        chunk = file.read(chunks[last][1])
+    size = sum(size for _, size, _ in read_items(record))
+    if int.from_bytes(record[:2], "little") == _LAYERED:
+        return int.from_bytes(chunk[size : size + 4], "little") > points
+    short = chunk[:-_SPARE]
+    try:
+        lazrs.decompress_points_with_chunk_table(
+            short, record, bytearray(points * size), [(points, len(short))]
+        )
+    except (lazrs.LazrsError, MemoryError):
+        return False
+    return True
 
 
 def _find_chunk_table(file: BinaryIO, start: int) -> int:
@@ -115,10 +158,20 @@ def _read_number(file: BinaryIO, size: int) -> int:
     return int.from_bytes(file.read(size), "little")
 
 
-def _open_laszip(file: BinaryIO, start: int, count: int, record: bytes) -> _Fill:  # noqa: ARG001
+class _Sipped(io.FileIO):
+    """A file that is read a little at a time."""
+
+    def read(self, size: int | None = -1) -> bytes:
+        return super().read(_READ_AHEAD if size is None or size < 0 else min(size, _READ_AHEAD))
+
+
+def _open_laszip(path: str, start: int, count: int, record: bytes) -> _Opened:  # noqa: ARG001
     """Open a file with a library that reads the header itself."""
     import laszip
 
+    file = _Sipped(path)
+    is_one_stream = int.from_bytes(record[:2], "little") == ONE_STREAM
+    end = os.path.getsize(path) if is_one_stream else _find_chunk_table(file, start)
     file.seek(0)
     fill: _Fill = laszip.LasUnZipper(file).decompress_into
-    return fill
+    return fill, lambda: file.tell() + _SPARE < end

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import logging
 import sys
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from hpcapp.applications.view.command import check_page
-from hpccomponent.errors import InputError, UsageError
+from hpccomponent.errors import InputError
 from hpccomponent.terminal import echo, echo_json
 from hpccomponent.verb import Verb
 
@@ -92,8 +91,6 @@ def compare(
     and are in per cent of the diagonal of TRUTH's bounding box.
     """
     check_page(html, "--html")
-    if not all(map(isfinite, thresholds)):
-        raise UsageError("--threshold is no number", "give per cent of the diagonal, as 0.1")
     from hpcapp.applications.compare.metrics import as_json as to_json
     from hpcapp.progress import Progress, StageClock
     from hpcapp.progress_display import open_progress

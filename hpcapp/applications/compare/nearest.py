@@ -8,11 +8,11 @@ from scipy.spatial import KDTree
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
 
-__all__ = ["NearestFace", "face_normals"]
+__all__ = ["ROUNDING", "NearestFace", "distance_to_triangles", "face_normals"]
 
-_FIRST_CANDIDATES = 8
-_MOST_CANDIDATES = 512
-_CHUNK_ROWS = 1_000_000  # of point-triangle pairs: about 300 MB
+_CHUNK_ROWS = 300_000  # of point-triangle pairs: about 100 MB
+ROUNDING = 1e-12
+"""Of a squared distance; from afar, no two places of a mesh differ by more."""
 
 
 class NearestFace:
@@ -25,15 +25,21 @@ class NearestFace:
 
     Notes
     -----
-    A k-d tree over the faces' middles proposes candidates. Faces much larger than the median
-    are cut up, so that a bound on their radius holds: once the k-th middle is farther away than
-    the best distance and that radius together, no other face can be nearer. For points far from
-    the mesh, which 512 candidates do not settle, all middles within that reach are tried.
+    A place in a triangle with sides of at most e is at a distance d from a point with
+    d^2 >= v^2 - e^2 / 3, where v is the distance to the nearest corner: by Lagrange's identity, as
+    barycentric coordinates have sum(w_i w_j) <= 1/3. So only faces with a corner within
+    sqrt(d^2 + e^2 / 3) can be nearer than d: from far away hardly more than one. Faces of other
+    sizes have trees of their own, so that a few large ones widen no search among the small.
     """
 
     def __init__(self, mesh: Mesh) -> None:
-        self._triangles, self._face, self._radius = _cut_large(mesh.vertices[mesh.faces])
-        self._tree = KDTree(self._triangles.mean(axis=1))
+        triangles = mesh.vertices[mesh.faces]
+        sides = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2).max(axis=1)
+        sizes = _class_sizes(sides)
+        self._classes = [
+            _SizeClass(mesh, np.flatnonzero(sizes == size), float(sides[sizes == size].max()))
+            for size in np.unique(sizes)
+        ]
 
     def query(self, points: FloatArray) -> tuple[FloatArray, IntArray]:
         """Return the distance to the nearest face and that face's number.
@@ -47,51 +53,63 @@ class NearestFace:
         distances : ndarray of float64, shape (n,)
         faces : ndarray of int64, shape (n,)
         """
-        # (n,): the best so far; `open_rows` are those that another face might still beat
         distances = np.full(len(points), np.inf)
         faces = np.zeros(len(points), dtype=np.int64)
-        open_rows = np.arange(len(points))
-        k = min(_FIRST_CANDIDATES, len(self._triangles))
-        while len(open_rows):
-            settled = np.empty(len(open_rows), dtype=bool)
-            step = max(1, _CHUNK_ROWS // k)
-            for start in range(0, len(open_rows), step):
-                rows = open_rows[start : start + step]
-                # (rows,): the best of k pieces, which it is, and how far the k-th middle is
-                best, piece, farthest = self._try(points[rows], k)
-                distances[rows], faces[rows] = best, self._face[piece]
-                settled[start : start + step] = best <= farthest - self._radius
-            if k == len(self._triangles):
-                break
-            open_rows = open_rows[~settled]
-            if k == _MOST_CANDIDATES:
-                self._try_all(points, open_rows, distances, faces)
-                break
-            k = min(4 * k, _MOST_CANDIDATES, len(self._triangles))
+        for size in self._classes:
+            size.improve(points, distances, faces)
         return distances, faces
 
-    def _try_all(
-        self, points: FloatArray, rows: IntArray, distances: FloatArray, faces: IntArray
-    ) -> None:
-        """Settle some points, whose best distances so far bound the search."""
-        for row in rows.tolist():
-            reach = (distances[row] + self._radius) * (1.0 + 1e-9)
-            pieces = np.array(self._tree.query_ball_point(points[row], reach))
-            pairs = _distance_to_triangles(points[row : row + 1], self._triangles[pieces])
-            best = int(pairs.argmin())
-            if pairs[best] < distances[row]:
-                distances[row], faces[row] = pairs[best], self._face[pieces[best]]
 
-    def _try(self, points: FloatArray, k: int) -> tuple[FloatArray, IntArray, FloatArray]:
-        """Return the best of k candidates, which it is, and how far the last middle is."""
-        # (n, k): the k nearest middles of each point, and the pieces that they belong to
-        away, piece = (column.reshape(len(points), k) for column in self._tree.query(points, k=k))
-        pairs = _distance_to_triangles(np.repeat(points, k, axis=0), self._triangles[piece.ravel()])
-        # (n, k): exact distances; (n,): which piece is nearest
-        pairs = pairs.reshape(len(points), k)
-        choice = pairs.argmin(axis=1)
-        rows = np.arange(len(points))
-        return pairs[rows, choice], piece[rows, choice], away[:, -1]
+class _SizeClass:
+    """Faces of about one size, and a tree of their corners."""
+
+    def __init__(self, mesh: Mesh, faces: IntArray, longest: float) -> None:
+        self._triangles, self._faces = mesh.vertices[mesh.faces[faces]], faces
+        self._margin = longest**2 / 3.0
+        vertices, corners = np.unique(mesh.faces[faces], return_inverse=True)
+        self._tree = KDTree(mesh.vertices[vertices])
+        # the faces around vertex v: _around[_starts[v]:_starts[v + 1]]
+        self._around = np.argsort(corners.ravel(), kind="stable") // 3
+        self._starts = np.r_[0, np.cumsum(np.bincount(corners.ravel()))]
+
+    def improve(self, points: FloatArray, distances: FloatArray, faces: IntArray) -> None:
+        """Lower the distances of points where one of these faces is nearer."""
+        every = np.arange(len(points))
+        for rows in np.array_split(every, 1 + 8 * len(every) // _CHUNK_ROWS):
+            nearest = self._tree.query(points[rows], eps=ROUNDING)[1]
+            self._try(points, rows, nearest, distances, faces)
+        # from afar, the nearest corner is as near as any face
+        open_rows = np.flatnonzero(self._margin > ROUNDING * distances**2)
+        reach = np.sqrt(distances[open_rows] ** 2 + self._margin) * (1.0 + ROUNDING)
+        counts = self._tree.query_ball_point(points[open_rows], reach, return_length=True)
+        batches = np.cumsum(8 * counts) // _CHUNK_ROWS
+        for part in np.split(np.arange(len(open_rows)), np.flatnonzero(np.diff(batches)) + 1):
+            rows = open_rows[part]
+            near = self._tree.query_ball_point(points[rows], reach[part], return_sorted=False)
+            vertices = np.array([v for some in near for v in some], dtype=np.int64)
+            self._try(points, np.repeat(rows, counts[part]), vertices, distances, faces)
+
+    def _try(
+        self,
+        points: FloatArray,
+        rows: IntArray,
+        vertices: IntArray,
+        distances: FloatArray,
+        faces: IntArray,
+    ) -> None:
+        """Measure points, in ascending rows, against the faces around a vertex of each."""
+        counts = self._starts[vertices + 1] - self._starts[vertices]
+        # (p,): pairs of a point and a face, each once
+        first = np.repeat(self._starts[vertices] - (np.cumsum(counts) - counts), counts)
+        face = self._around[first + np.arange(counts.sum())]
+        keys = np.unique(np.repeat(rows, counts) * len(self._faces) + face)
+        row, face = np.divmod(keys, len(self._faces))
+        pairs = distance_to_triangles(points[row], self._triangles[face])
+        # the nearest of each row comes first; (r,): where it stands
+        order = np.lexsort((pairs, row))
+        best = order[np.unique(row[order], return_index=True)[1]]
+        best = best[pairs[best] < distances[row[best]]]
+        distances[row[best]], faces[row[best]] = pairs[best], self._faces[face[best]]
 
 
 def face_normals(mesh: Mesh) -> FloatArray:
@@ -107,44 +125,18 @@ def _unit_normals(triangles: FloatArray) -> FloatArray:
     return normals
 
 
-def _cut_large(triangles: FloatArray) -> tuple[FloatArray, IntArray, float]:
-    """Cut triangles in four until none is much larger than the median.
+def _class_sizes(sides: FloatArray) -> IntArray:
+    """Return a number for each length: 0 up to twice the median, and one more for each four times.
 
-    Returns
-    -------
-    triangles : ndarray of float64, shape (m, 3, 3)
-    face : ndarray of int64, shape (m,)
-        The triangle that each one is a piece of.
-    radius : float
-        No piece's corner is farther from its middle.
+    Most meshes have one class, and none has more than there are powers of 4 in a float.
     """
-    face = np.arange(len(triangles))
-    limit = 2.0 * float(np.median(_radii(triangles)))
-    for _ in range(12):
-        large = _radii(triangles) > limit
-        if not large.any() or len(triangles) > 2_000_000:
-            break
-        # (l, 3) each: the corners of large triangles, and the middles of their sides
-        a, b, c = triangles[large].transpose(1, 0, 2)
-        ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
-        pieces = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
-        cut = [np.stack(piece, axis=1) for piece in pieces]
-        # (m + 3 l, 3, 3): small ones, then the four pieces of each large one, corner pieces first
-        triangles = np.concatenate([triangles[~large], *cut])
-        face = np.concatenate([face[~large], np.tile(face[large], 4)])
-    return triangles, face, float(_radii(triangles).max())
+    usual = 2.0 * float(np.median(sides)) or 1.0
+    classes: IntArray = np.ceil(np.log2(np.maximum(sides / usual, 1.0)) / 2.0).astype(np.int64)
+    return classes
 
 
-def _radii(triangles: FloatArray) -> FloatArray:
-    """Return how far each triangle's farthest corner is from its middle."""
-    # (m, 3, 3): corners about their middle; (m,): the longest of the three
-    offset = triangles - triangles.mean(axis=1, keepdims=True)
-    radii: FloatArray = np.sqrt(np.einsum("ijk,ijk->ij", offset, offset).max(axis=1))
-    return radii
-
-
-def _distance_to_triangles(points: FloatArray, triangles: FloatArray) -> FloatArray:
-    """Return the distance from each point to its own triangle; one point serves all.
+def distance_to_triangles(points: FloatArray, triangles: FloatArray) -> FloatArray:
+    """Return the distance from each point to its own triangle.
 
     Notes
     -----

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 from scipy.spatial import KDTree
 
-from hpcapp.applications.compare.nearest import NearestFace, face_normals
+from hpcapp.applications.compare.nearest import ROUNDING, NearestFace, face_normals
 from hpcapp.applications.compare.sides import find_sides
 from hpcapp.applications.simulate.rays import closest_points
 from hpcapp.applications.simulate.scanner import sample_surface
@@ -34,6 +34,7 @@ __all__ = [
 
 SHAPE = "shape:"
 """In front of the name of a shape that is the truth."""
+_LARGEST = 1e150  # of a coordinate: the square of a distance is a double, too
 _GUESSES = 50_000  # points on a shape, from which its nearest one is sought
 
 
@@ -101,7 +102,7 @@ class ShapeTruth:
 
     def distance(self, points: FloatArray) -> FloatArray:
         """Return the distances to the surface."""
-        guesses = self._guesses[self._tree.query(points)[1]]
+        guesses = self._guesses[self._tree.query(points, eps=ROUNDING)[1]]
         feet = closest_points(self.shape, points, guesses, rounds=3)
         lengths: FloatArray = np.linalg.norm(points - feet, axis=1)
         return lengths
@@ -184,7 +185,7 @@ class PointTruth:
 
     def distance(self, points: FloatArray) -> FloatArray:
         """Return the distances to the nearest points."""
-        lengths: FloatArray = self._tree.query(points)[0]
+        lengths: FloatArray = self._tree.query(points, eps=ROUNDING)[0]
         return lengths
 
     def find_sides(self, points: FloatArray) -> FloatArray | None:
@@ -277,9 +278,11 @@ def check_usable(mesh: Mesh, path: Path) -> None:
     Raises
     ------
     InputError
-        It has no faces, or a vertex of a face is not finite.
+        It has no faces, or a vertex of a face is not finite, or its squares would not be.
     """
     if not len(mesh.faces):
         raise InputError(f"{path}: holds no faces", "give a mesh")
-    if not np.isfinite(mesh.vertices[mesh.faces]).all():
-        raise InputError(f"{path}: has vertices that are NaN or infinite", "leave them out")
+    if not (np.abs(mesh.vertices[mesh.faces]) < _LARGEST).all():
+        raise InputError(
+            f"{path}: has vertices that are NaN, infinite or beyond {_LARGEST:g}", "leave them out"
+        )

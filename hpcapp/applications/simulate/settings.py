@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from hpccomponent.errors import UsageError
+from hpccomponent.ranges import check_range
 
 __all__ = ["ScanSettings", "check_ranges"]
 
@@ -96,11 +97,4 @@ class ScanSettings:
 def check_ranges(settings: object, ranges: Mapping[str, tuple[float, float]]) -> None:
     """Raise `UsageError` for the first setting that is not within its range, ends included."""
     for name, (low, high) in ranges.items():
-        value = getattr(settings, name)
-        if not low <= value <= high:
-            raise UsageError(f"{name} is {value}", f"choose {_range_text(low, high)}")
-
-
-def _range_text(low: float, high: float) -> str:
-    """Return a range in words."""
-    return f"at least {low:g}" if high == np.inf else f"from {low:g} to {high:g}"
+        check_range(name, getattr(settings, name), low, high)

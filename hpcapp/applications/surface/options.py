@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from dataclasses import Field, dataclass, field, fields
+from math import inf
 from types import NoneType, UnionType
 from typing import Any, ClassVar, Protocol, get_args, get_type_hints
 
@@ -15,6 +16,7 @@ import click
 
 from hpccomponent.errors import UsageError
 from hpccomponent.option_names import name_option
+from hpccomponent.ranges import check_range
 
 __all__ = [
     "WATCHED",
@@ -111,12 +113,13 @@ def check_options(settings: Options) -> None:
             continue
         if asked.choices and value not in asked.choices:
             raise UsageError(f"{name} is {value!r}", f"choose {' or '.join(asked.choices)}")
-        if kind is bool or asked.low is None:
-            continue
-        if not asked.low <= value <= (float("inf") if asked.high is None else asked.high):
-            most = " or more" if asked.high is None else f" to {asked.high:g}"
-            start = f"{asked.low:g}" if asked.high is None else f"from {asked.low:g}"
-            raise UsageError(f"{name} is {value!r}", f"give a number {start}{most}")
+        if kind in (int, float):
+            check_range(
+                name,
+                value,
+                -inf if asked.low is None else asked.low,
+                inf if asked.high is None else asked.high,
+            )
 
 
 def check_exclusive(settings: type[Options], given: set[str]) -> None:

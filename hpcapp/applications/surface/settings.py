@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,7 @@ from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY
 from hpcapp.simplification.mesh import Target
 from hpcapp.workforce import Workforce
 from hpccomponent.limits import available_cores
+from hpccomponent.ranges import check_range
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.pipeline import Preprocess
@@ -90,6 +91,12 @@ class Settings:
     viewpoint: Viewpoint = ()
     faces: int | None = None
     tolerance: float | None = None
+
+    def __post_init__(self) -> None:
+        for one in fields(self):
+            value = getattr(self, one.name)
+            if isinstance(value, float):
+                check_range(one.name, value)
 
     @property
     def target(self) -> Target:

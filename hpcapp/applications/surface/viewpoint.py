@@ -6,12 +6,12 @@ This module is imported for every ``--help``: nothing heavy is imported.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import isfinite
 from pathlib import Path
 from typing import Literal, get_args
 
 from hpccomponent.errors import UsageError
 from hpccomponent.option_names import name_option
+from hpccomponent.ranges import FARTHEST, is_place
 
 __all__ = ["Direction", "Place", "Viewpoint", "parse_viewpoint", "type_viewpoint"]
 
@@ -70,10 +70,10 @@ def _parse_places(word: str) -> tuple[Place, ...]:
 
             return tuple((x, y, z) for x, y, z in read_trajectory(Path(word)).tolist())
     else:
-        if isfinite(x) and isfinite(y) and isfinite(z):
+        if is_place(x, y, z):
             return ((x, y, z),)
     raise UsageError(
-        f"{name_option('viewpoint', word)} is neither {', '.join(_DIRECTIONS)}, nor three numbers, "
-        "nor a file of a trajectory",
+        f"{name_option('viewpoint', word)} is neither {', '.join(_DIRECTIONS)}, nor three numbers "
+        f"up to {FARTHEST:.0e}, nor a file of a trajectory",
         "give where the sensor was, as 1.5,0,-2",
     )

@@ -6,7 +6,6 @@ This module is imported for every ``--help``: numpy and all that stands on it ar
 from __future__ import annotations
 
 import logging
-from math import isfinite, nan
 from pathlib import Path
 
 import click
@@ -50,9 +49,7 @@ def _parse_eye(
     try:
         azimuth, elevation = (float(part) for part in text.split(","))
     except ValueError:
-        azimuth = elevation = nan
-    if not (isfinite(azimuth) and isfinite(elevation)):
-        raise click.BadParameter(f"{text!r} is not two angles, as 30,20", ctx, param)
+        raise click.BadParameter(f"{text!r} is not two angles, as 30,20", ctx, param) from None
     return azimuth, elevation
 
 

@@ -20,6 +20,7 @@ from hpcapp.io.e57.scans import (
     E57Scan,
     bound_grids,
     describe_scan,
+    holds_more,
     open_fields,
     read_fields,
 )
@@ -68,7 +69,7 @@ def open_e57(path: Path) -> PointSource:
     findings = Findings()
     root = read_document(path)
     try:
-        scans = _describe_scans(root, path)
+        scans = _describe_scans(root, path, findings)
     except (ValueError, OverflowError) as error:  # of a number
         raise refuse(path, f"its XML: {error}") from None
     columns = _join_columns(scans, findings)
@@ -108,11 +109,17 @@ def _place_scanners(scans: Sequence[E57Scan]) -> tuple[Scan, ...]:
     )
 
 
-def _describe_scans(root: Element, path: Path) -> list[E57Scan]:
+def _describe_scans(root: Element, path: Path, findings: Findings) -> list[E57Scan]:
     nodes = root.find("data3D")
     if nodes is None or not nodes.children:
         raise InputError(f"{path}: holds no scan", "check that the right file was exported")
     scans = [describe_scan(node, i, path) for i, node in enumerate(nodes.children)]
+    for node, one in zip(nodes.children, scans, strict=True):
+        if holds_more(node, one.points, path):
+            findings.warn(
+                f"scan {one.index} declares {one.points} points, and holds more: the others are "
+                "left out"
+            )
     if not any(one.points for one in scans):
         raise InputError(
             f"{path}: no points: its scans are empty", "check that the right file was exported"

@@ -12,6 +12,7 @@ import numpy as np
 
 from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.io.e57.document import Element, refuse
+from hpcapp.io.e57.packets import hold_more
 from hpcapp.io.points.column_roles import COLOURS, find_role
 from hpccomponent.decoding.process import Decoder, open_decoder
 from hpccomponent.errors import InputError
@@ -23,6 +24,7 @@ __all__ = [
     "E57Scan",
     "bound_grids",
     "describe_scan",
+    "holds_more",
     "open_fields",
     "read_fields",
 ]
@@ -42,6 +44,7 @@ _ROLES = {
     "pointSourceId": "point_source_id",
 }
 _INVALID = ("cartesianInvalidState", "sphericalInvalidState")
+_NUMBERS = ("Float", "Integer", "ScaledInteger")  # types of a field
 _SPARSEST = 100  # cells of a grid for each point, above which it is none
 _ROWS_AT_ONCE = 1 << 16
 
@@ -121,7 +124,7 @@ def describe_scan(node: Element, index: int, path: Path) -> E57Scan:
     fields = {
         child.name: child
         for child in prototype.children
-        if child.attributes.get("type") in ("Float", "Integer", "ScaledInteger")
+        if child.attributes.get("type") in _NUMBERS
     }
     position = next((names for names in (CARTESIAN, SPHERICAL) if set(names) <= set(fields)), None)
     if position is None:
@@ -159,6 +162,18 @@ def _count_points(points: Element, fields: dict[str, Element], index: int, path:
             "bytes hold",
         )
     return count
+
+
+def holds_more(node: Element, points: int, path: Path) -> bool:
+    """Tell whether a scan surely holds more points than the XML declares."""
+    vector, prototype = node.find("points"), node.find("points", "prototype")
+    if vector is None or prototype is None or not points:
+        return False
+    bits = [
+        _count_bits(field) if field.attributes.get("type") in _NUMBERS else 0
+        for field in prototype.children
+    ]
+    return hold_more(path, int(vector.attributes.get("fileOffset", 0)), bits, points)
 
 
 def _count_bits(field: Element) -> int:

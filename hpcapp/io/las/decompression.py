@@ -13,7 +13,8 @@ from pathlib import Path
 from hpcapp.applications.surface.types.points import ByteArray
 from hpcapp.extras import how_to_install
 from hpcapp.io.las.header import LasHeader
-from hpccomponent.decoding.laz import read_items
+from hpcapp.io.points.point_source import Findings
+from hpccomponent.decoding.laz import ONE_STREAM, read_items
 from hpccomponent.decoding.process import open_decoder
 from hpccomponent.errors import InputError, MissingLibraryError
 
@@ -21,8 +22,6 @@ __all__ = ["Take", "find_library", "open_decompressor"]
 
 Take = Callable[[int], ByteArray]
 """Takes so many bytes of points, which come next; they are there until it is called again."""
-
-_ONE_STREAM = 1  # the compressor of the oldest files: no chunks, and lazrs has no word for it
 
 
 def find_library(header: LasHeader, path: Path) -> str:
@@ -39,7 +38,7 @@ def find_library(header: LasHeader, path: Path) -> str:
     if sum(size for _, size, _ in read_items(record)) != header.record_length:
         raise _damaged(path, "its record of the compressor does not fit the points")
     libraries = ["lazrs", "laszip"]
-    if int.from_bytes(record[:2], "little") == _ONE_STREAM:
+    if int.from_bytes(record[:2], "little") == ONE_STREAM:
         del libraries[0]
     for library in libraries:
         if find_spec(library) is not None:
@@ -50,8 +49,12 @@ def find_library(header: LasHeader, path: Path) -> str:
 
 
 @contextmanager
-def open_decompressor(path: Path, header: LasHeader, rows: int) -> Iterator[Take]:
+def open_decompressor(
+    path: Path, header: LasHeader, rows: int, findings: Findings
+) -> Iterator[Take]:
     """Open the compressed points of a file, of which so many rows are taken at once at most.
+
+    There is a warning, after the last, where the file holds more than its header announces.
 
     Yields
     ------
@@ -79,6 +82,11 @@ def open_decompressor(path: Path, header: LasHeader, rows: int) -> Iterator[Take
             if decoder.ask(size) != size:
                 raise refuse("they end")
             taken += size // header.record_length
+            if taken == header.count and decoder.ask("more"):
+                findings.warn(
+                    f"the header announces {header.count} points, the file holds more: the others "
+                    "are left out"
+                )
             return decoder.memory[:size]
 
         yield take

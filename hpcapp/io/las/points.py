@@ -55,7 +55,7 @@ def open_las(path: Path) -> PointSource:
     def scan(rows: int) -> Iterator[PointCloud]:
         findings.dropped.clear()  # they are counted anew
         at_once = _A_CORE * available_cores() if header.is_compressed else rows
-        parts = _read_points(path, header, layout, min(rows, at_once))
+        parts = _read_points(path, header, layout, min(rows, at_once), findings)
         return batch_points(_decode_parts(parts, layout, findings), rows)
 
     source = PointSource(
@@ -127,19 +127,19 @@ def _read_sound_header(file: BinaryIO, path: Path, findings: Findings) -> LasHea
 
 
 def _read_points(
-    path: Path, header: LasHeader, layout: LasLayout, rows: int
+    path: Path, header: LasHeader, layout: LasLayout, rows: int, findings: Findings
 ) -> Iterator[NDArray[np.void]]:
     """Yield the points of a file, so many at a time; each part may overwrite the one before."""
-    with _open_bytes(path, header, rows) as take:
+    with _open_bytes(path, header, rows, findings) as take:
         for start in range(0, header.count, rows):
             size = min(rows, header.count - start) * header.record_length
             yield take(size).view(layout.dtype)
 
 
 @contextmanager
-def _open_bytes(path: Path, header: LasHeader, rows: int) -> Iterator[Take]:
+def _open_bytes(path: Path, header: LasHeader, rows: int, findings: Findings) -> Iterator[Take]:
     if header.is_compressed:
-        with open_decompressor(path, header, rows) as take:
+        with open_decompressor(path, header, rows, findings) as take:
             yield take
         return
     with path.open("rb") as file:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import mmap
 import struct
-from collections.abc import Container, Iterator
+from collections.abc import Callable, Container, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +28,11 @@ _ROWS_AT_ONCE = 1 << 16
 
 
 def scan_binary(
-    path: Path, header: Header, wanted: Container[str], at_once: int
+    path: Path,
+    header: Header,
+    wanted: Container[str],
+    at_once: int,
+    warn: Callable[[str], None] | None = None,
 ) -> Iterator[tuple[str, Rows]]:
     """Read elements of a binary file in parts; see `scan_body`."""
     body = np.memmap(path, np.uint8, "r")
@@ -52,10 +56,22 @@ def scan_binary(
                 yield element.name, _gather(body, start, element, lengths, header.byte_order)
             _give_back(body, start, at - start)
     if body[at : at + 3].tobytes() not in (b"", b"\n", b"\r\n"):
-        raise InputError(
-            f"{path}: {body.size - at} bytes follow after the last element",
-            "a count in the header is too small: export the file again",
+        last = [element for element in header.elements if element.count][-1:]
+        if warn is None or not last or not _is_more_of(body.size - at, last[0]):
+            raise InputError(
+                f"{path}: {body.size - at} bytes follow after the last element",
+                "a count in the header is too small: export the file again",
+            )
+        warn(
+            f"{body.size - at} bytes follow after the {last[0].count} vertices that the header "
+            "announces: they are left out"
         )
+
+
+def _is_more_of(size: int, element: Element) -> bool:
+    """Tell whether so many bytes can be further points."""
+    is_whole = not element.has_lists and size % _row_bytes(element.properties) == 0
+    return element.name == "vertex" and is_whole
 
 
 def find_records(path: Path, header: Header, name: str) -> tuple[int, np.dtype[np.void]] | None:

@@ -35,7 +35,7 @@ def scan_body(
     at_once : int
         Rows in a part, at most.
     warn : callable, optional
-        See `scan_ascii`.
+        Told of more points than the header announces; without it they are refused.
 
     Yields
     ------
@@ -52,5 +52,5 @@ def scan_body(
         the last row is looked at in the end.
     """
     if header.byte_order:
-        return scan_binary(path, header, wanted, at_once)
+        return scan_binary(path, header, wanted, at_once, warn)
     return scan_ascii(path, header, wanted, at_once, warn)

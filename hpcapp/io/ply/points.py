@@ -140,7 +140,7 @@ class _Body:
             yield self.build(part.scalars, self.plan)
 
     def check_rest(self) -> None:
-        for _ in scan_body(self.path, self.header, (), 1):
+        for _ in scan_body(self.path, self.header, (), 1, self.findings.warn):
             """Nothing is asked for: all is measured."""
 
 

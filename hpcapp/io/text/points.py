@@ -16,6 +16,7 @@ import numpy as np
 from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io.batches import batch_points
 from hpcapp.io.points.point_source import Findings, PointSource, Scan
+from hpcapp.io.rows import line_error
 from hpcapp.io.text.columns import DEGREES, Columns, assign_by_name, assign_by_value
 from hpcapp.io.text.layout import Layout, find_layout
 from hpcapp.io.text.lines import Block, LineReader, read_blocks
@@ -94,8 +95,13 @@ def _read_clouds(
         rows_of[number] += len(table)
         yield cloud
     for (line, count), rows in zip(layout.counts, rows_of, strict=False):
-        if count != rows:
-            notes.note("count", f"line {line} announces {count} points, {rows} follow")
+        if count > rows:
+            problem = f"truncated: {count} points are announced, {rows} follow"
+            raise line_error(path, (line, ""), problem, "copy or export the file again")
+        if count < rows:
+            notes.note(
+                "count", f"line {line} announces {count} points, {rows} follow, and are read"
+            )
     notes.tell(findings)
 
 

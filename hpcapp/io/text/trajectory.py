@@ -13,6 +13,7 @@ from hpcapp.io.text.layout import find_layout
 from hpcapp.io.text.lines import LineReader, read_blocks
 from hpcapp.io.text.tables import RowNotes, parse_block
 from hpccomponent.errors import InputError
+from hpccomponent.ranges import FARTHEST
 
 __all__ = ["MOST_PLACES", "read_trajectory"]
 
@@ -45,7 +46,15 @@ def read_trajectory(path: Path) -> FloatArray:
         rest = path.stat().st_size
         tables = [parse_block(block, layout.rows, notes)[:, axes] for block in lines.take(rest)]
     places = np.concatenate([np.empty((0, 3)), *tables])
-    places = places[np.isfinite(places).all(axis=1)]
+    is_finite = np.isfinite(places)
+    beyond = np.flatnonzero((is_finite & (np.abs(places) > FARTHEST)).any(axis=1))
+    if len(beyond):
+        row = int(beyond[0])
+        raise InputError(
+            f"{path}: row {row + 1} of the trajectory is no place: {places[row].tolist()}",
+            f"coordinates are numbers up to {FARTHEST:.0e}: correct or remove it",
+        )
+    places = places[is_finite.all(axis=1)]
     if not len(places):
         raise InputError(f"{path}: is no trajectory: no line has x, y and z", "check the file")
     return _thin(places)

@@ -28,7 +28,7 @@ def test_the_whole_surface_can_be_had_exactly() -> None:
 
 
 def test_wrong_values_are_named_as_python_has_them() -> None:
-    with pytest.raises(UsageError, match=r"noise is 3\.0; choose from 0 to 0\.2"):
+    with pytest.raises(UsageError, match=r"noise is 3\.0; give a number from 0 to 0\.2"):
         hpcapp.simulate("torus", noise=3.0)
     with pytest.raises(UsageError, match="knot"):
         hpcapp.simulate("donut")

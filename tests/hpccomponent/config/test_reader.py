@@ -394,3 +394,9 @@ def test_entries_that_are_wrong_are_not_counted_as_missing(text: str, said: list
     with pytest.raises(ConfigError) as caught:
         parse_config(text, "c", Lists)
     assert [line.split(": ")[1] for line in str(caught.value).splitlines()] == said
+
+
+@pytest.mark.parametrize("number", [".nan", ".inf", "-.INF", "1.0e+999"])
+def test_numbers_are_finite(number: str) -> None:
+    with pytest.raises(ConfigError, match=r"c.yaml:2:5: restarts\[0\].first_s: "):
+        parse_config(f"restarts:\n  - first_s: {number}\n", "c.yaml", Cluster)

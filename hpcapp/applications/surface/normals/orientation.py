@@ -219,7 +219,8 @@ def _settle(
         asked = 1.0 - weights
     else:
         weights = np.where(followed * leanings > 0.0, weights, 0.0)
-        sides = followed / (2.0 * max(float(np.median(np.abs(followed))), 1e-300))
+        reached = np.abs(followed[followed != 0.0])  # links may lead to a few patches alone
+        sides = followed / (2.0 * float(np.median(reached))) if len(reached) else followed
         asked = np.ones(len(patches))
     total = weights + asked
     for _ in range(_ROUNDS):

@@ -25,6 +25,7 @@ _NOISES = 3.0  # or so many standard deviations of it, where that is more
 _DISTANCE = 2.5  # of the viewpoints around an object, in half diagonals of its box
 _PLACES = 5  # inside an object along each side of its box
 _INSIDE = 27  # of them are looked from
+_FINEST = 2.0**-29  # of an edge of 2: pixels of six faces are numbered in 64 bits
 _CLOSE = 4  # sizes of pixels, each twice the last, for patches near the viewpoint
 
 
@@ -120,7 +121,7 @@ def find_seen(
     cosines = np.einsum("ij,ij->i", arms, patches.normals) / far
     thick = np.maximum(_THICK * spacing, _NOISES * patches.noise)
     places, sides = _project(arms)
-    pixel = _PIXEL * spacing / float(np.median(far))
+    pixel = max(_PIXEL * spacing / float(np.median(far)), _FINEST)
     near = np.maximum(_PIXEL * spacing / far / pixel, 1e-300)
     level_of = np.clip(np.ceil(np.log2(near)), 0, _CLOSE - 1).astype(np.int64)
     is_seen = np.abs(cosines) > _LEAST_COSINE

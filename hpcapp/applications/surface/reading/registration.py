@@ -2,8 +2,9 @@
 
 In cells of a few spacings a plane is fitted to the points of each scan. Where two scans have one in
 the same cell they should be the same plane. Of scans that were registered nine planes in ten and
-more are; of scans a few spacings or degrees apart less than half. Planes that were seen from
-opposite sides are two sides of a wall, and not compared.
+more are; of scans a few spacings or degrees apart less than half. Scans that are farther apart have
+hardly a plane in the same cell: larger cells are asked where these share too few. Planes that were
+seen from opposite sides are two sides of a wall, and not compared.
 """
 
 from __future__ import annotations
@@ -20,17 +21,21 @@ from hpcapp.applications.surface.types.points import FloatArray, IntArray, Point
 from hpcapp.io.points.point_source import SCAN, Scan
 from hpccomponent.errors import InputError
 
-__all__ = ["check_registration"]
+__all__ = ["AGREEING", "PairOfScans", "check_registration", "compare_scans"]
 
-_CELL = 5.0  # spacings of the sparsest scan: an edge
+Samples = Mapping[int, tuple[FloatArray, FloatArray]]
+
+_CELLS = (5.0, 20.0)  # spacings of the sparsest scan: edges, the first that tell anything decide
 _FARTHEST = 1e6  # edges from the middle: what is beyond is no part of a scene
 _FEWEST = 8  # points of a scan in a cell, to fit a plane
 _FLAT = 0.2  # share of the variance across a plane in the one along its shorter side
 _ALIKE = np.cos(np.radians(25.0))  # of two normals
-_NOISES, _CELLS = 1.5, 0.1  # of both planes' noise, and of a cell: how far apart they may be
-_TELLING = 40  # cells that two scans share, at least
+_NOISES, _EDGES = 1.5, 0.1  # of both planes' noise, and of a cell: how far apart they may be
+_TELLING = 20  # cells that two scans share, at least
 _MOST_SCANS = 256  # more numbers than that are of scan lines
-_AGREEING = 0.7  # of these, at least, where the scans are registered
+AGREEING = 0.7
+"""Of these, at least, where scans are registered: it parts the registered and the moved scans of
+``benchmarks/registration.py``."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,6 +58,27 @@ class _Planes:
     normals: FloatArray
     noises: FloatArray
     sides: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class PairOfScans:
+    """Two scans that have a surface in the same cells.
+
+    Parameters
+    ----------
+    first, second : int
+        Their numbers.
+    cells, agreeing : int
+        In how many cells both have one, and in how many of these it is the same.
+    is_sided : bool
+        Whether it is known of all planes which side was seen.
+    """
+
+    first: int
+    second: int
+    cells: int
+    agreeing: int
+    is_sided: bool
 
 
 def check_registration(chunks: Iterable[PointCloud], scans: Sequence[Scan]) -> str | None:
@@ -78,28 +104,43 @@ def check_registration(chunks: Iterable[PointCloud], scans: Sequence[Scan]) -> s
     samples = _sample(chunks, scans)
     if len(samples) < 2:
         return None
-    edge = _CELL * max(estimate_spacing(places) for places, _ in samples.values())
-    planes = _fit_planes(samples, edge)
-    pairs, cells, agreeing = _compare(planes, edge, len(samples))
-    apart = (cells >= _TELLING) & (agreeing < _AGREEING * cells)
-    if not apart.any():
+    pairs = compare_scans(samples)
+    apart = [pair for pair in pairs if pair.agreeing < AGREEING * pair.cells]
+    if not apart:
         return None
-    worst = int(np.argmax(np.where(apart, cells - agreeing, 0)))
-    first, second = (int(number) + 1 for number in pairs[worst])
-    share = agreeing[worst] / cells[worst]
+    worst = max(apart, key=lambda pair: pair.cells - pair.agreeing)
     problem = (
-        f"scans {first} and {second} do not fit together: of {cells[worst]} places where both have "
-        f"a surface it is the same in {share:.0%}"
+        f"scans {worst.first + 1} and {worst.second + 1} do not fit together: of {worst.cells} "
+        f"places where both have a surface it is the same in {worst.agreeing / worst.cells:.0%}"
     )
     advice = "register the scans first (ICP), or make a mesh of each by itself"
-    if planes.sides.all():
+    if worst.is_sided:
         raise InputError(problem, advice)
     return f"{problem}; if these are not the two sides of thin walls, {advice}"
 
 
-def _sample(
-    chunks: Iterable[PointCloud], scans: Sequence[Scan]
-) -> dict[int, tuple[FloatArray, FloatArray]]:
+def compare_scans(samples: Samples) -> list[PairOfScans]:
+    """Return what each two scans that overlap have in common, by number.
+
+    Parameters
+    ----------
+    samples : mapping of int to (ndarray, ndarray)
+        Points of each scan, and vectors to where they were seen from, or zeros.
+    """
+    spacing = max(estimate_spacing(places) for places, _ in samples.values())
+    found: dict[tuple[int, int], PairOfScans] = {}
+    for cell in _CELLS:
+        planes = _fit_planes(samples, cell * spacing)
+        is_sided = bool(planes.sides.all())
+        pairs, cells, agreeing = _compare(planes, cell * spacing, len(samples))
+        for row in np.flatnonzero(cells >= _TELLING).tolist():
+            first, second = pairs[row].tolist()
+            pair = PairOfScans(first, second, int(cells[row]), int(agreeing[row]), is_sided)
+            found.setdefault((first, second), pair)
+    return [found[numbers] for numbers in sorted(found)]
+
+
+def _sample(chunks: Iterable[PointCloud], scans: Sequence[Scan]) -> Samples:
     """Return some points of each scan, and vectors to where they were seen from, or zeros."""
     samples: dict[int, tuple[EvenSample, EvenSample]] = {}
     for chunk in chunks:
@@ -129,7 +170,7 @@ def _is_spread(places: FloatArray) -> bool:
     return len(places) >= _TELLING and bool((np.ptp(places, axis=0) > 0.0).any())
 
 
-def _fit_planes(samples: Mapping[int, tuple[FloatArray, FloatArray]], edge: float) -> _Planes:
+def _fit_planes(samples: Samples, edge: float) -> _Planes:
     """Fit a plane to the points of each scan in each cell where they are flat."""
     middle = np.median(np.concatenate([places for places, _ in samples.values()]), axis=0)
     found = []
@@ -184,7 +225,7 @@ def _compare(planes: _Planes, edge: float, scans: int) -> tuple[IntArray, IntArr
         between = planes.centres[second] - planes.centres[first]
         apart = np.abs((between * planes.normals[first]).sum(axis=1))
         allowed = _NOISES * (planes.noises[first] + planes.noises[second])
-        agrees.append((np.abs(cosines) > _ALIKE) & (apart < np.maximum(allowed, _CELLS * edge)))
+        agrees.append((np.abs(cosines) > _ALIKE) & (apart < np.maximum(allowed, _EDGES * edge)))
         pairs.append(np.stack([planes.scans[first], planes.scans[second]], axis=1))
     found, row = np.unique(np.concatenate(pairs), axis=0, return_inverse=True)
     row, count = row.reshape(-1), len(found)

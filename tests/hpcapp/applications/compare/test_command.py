@@ -121,12 +121,6 @@ def test_a_truth_at_one_place_is_refused(cube: Path, tmp_path: Path, count: int)
         run(cube, tmp_path / "same.ply")
 
 
-@pytest.mark.parametrize("threshold", ["nan", "inf"])
-def test_a_threshold_that_is_no_number_is_refused(cube: Path, threshold: str) -> None:
-    with pytest.raises(UsageError, match="--threshold"):
-        run(cube, cube, "--threshold", threshold)
-
-
 def test_the_side_is_known_of_a_closed_truth(cube: Path, tmp_path: Path) -> None:
     ends = {}
     for name, size in (("more", 1.2), ("less", 0.8)):

@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from skimage.measure import marching_cubes
 
+from hpcapp.applications.compare import nearest
 from hpcapp.applications.compare.metrics import measure_mesh
 from hpcapp.applications.compare.nearest import NearestFace
-from hpcapp.applications.compare.truth import MeshTruth, PointTruth, ShapeTruth, sample_mesh
+from hpcapp.applications.compare.truth import (
+    MeshTruth,
+    PointTruth,
+    ShapeTruth,
+    Truth,
+    sample_mesh,
+)
 from hpcapp.applications.simulate.shapes import SHAPES, diagonal_of
 from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 
 
 def ball(radius: float = 1.0, cells: int = 40) -> Mesh:
@@ -104,6 +113,37 @@ def test_far_points_are_exact_too() -> None:
     assert distances[:1] == pytest.approx(single, abs=1e-12)
     assert distances[2] == pytest.approx(29.0, abs=2e-3)
     assert distances[3] == pytest.approx(np.sqrt(1200) - 1.0, abs=2e-3)
+
+
+def count_pairs(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Return a list that grows by the pairs of a point and a triangle that are measured."""
+    counts: list[int] = []
+    measure = nearest.distance_to_triangles
+
+    def counted(points: FloatArray, triangles: FloatArray) -> FloatArray:
+        counts.append(len(points))
+        return measure(points, triangles)
+
+    monkeypatch.setattr(nearest, "distance_to_triangles", counted)
+    return counts
+
+
+@pytest.mark.parametrize("away", [1e3, 1e6, 1e9, 1e30, 1e100])
+@pytest.mark.parametrize("truth_of", [MeshTruth, lambda mesh: PointTruth(sample_mesh(mesh, 9000))])
+def test_a_stray_vertex_costs_no_more(
+    away: float, truth_of: Callable[[Mesh], Truth], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = ball(cells=30)
+    vertices = whole.vertices.copy()
+    vertices[7] = [away, 0.0, 0.0]
+    truth = truth_of(whole)
+    counts = count_pairs(monkeypatch)
+    found = measure_mesh(Mesh(vertices, whole.faces), truth, samples=1000)
+    assert sum(counts) < 40 * 2000
+    assert max(counts) < 40 * 1000
+    assert found.completeness < 1e-3
+    # by area, samples of a triangle are at two thirds of its height on average
+    assert found.accuracy == pytest.approx(100 * away / 3 / truth.diagonal, rel=0.05)
 
 
 def test_points_are_a_truth_without_normals() -> None:

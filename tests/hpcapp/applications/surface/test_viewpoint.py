@@ -36,7 +36,10 @@ def test_places_and_trajectories_stand_together(tmp_path: Path) -> None:
     assert parse_viewpoint(["0,0,9", str(path)]) == ((0.0, 0.0, 9.0), (1.0, 2.0, 3.0))
 
 
-@pytest.mark.parametrize("words", [["1,2"], ["1,2,nan"], ["up"], ["no.csv"], [""]])
+@pytest.mark.parametrize(
+    "words",
+    [["1,2"], ["1,2,nan"], ["1e300,0,0"], ["1,9999999999999999999,2"], ["up"], ["no.csv"], [""]],
+)
 def test_other_words_are_refused(words: list[str]) -> None:
     with pytest.raises(UsageError, match=r"neither above, below, inside, nor"):
         parse_viewpoint(words)

@@ -87,9 +87,7 @@ def test_binary_junk_is_refused(make_file: Make) -> None:
     ("count", "warnings"),
     [
         ("2\n", []),
-        ("1\n", ["line 1 announces 1 points, 2 follow"]),
-        ("3\n", ["line 1 announces 3 points, 2 follow"]),
-        ("4000000000\n", ["line 1 announces 4000000000 points, 2 follow"]),
+        ("1\n", ["line 1 announces 1 points, 2 follow, and are read"]),
         ("", []),
     ],
 )
@@ -104,15 +102,24 @@ def test_counts_are_compared_with_the_rows(
 
 @pytest.mark.parametrize("rows", [1, 2, 100])
 def test_scans_one_behind_the_other(make_file: Make, rows: int) -> None:
-    source = open_points(make_file("a.pts", "2\n1 2 3\n4 5 6\n1\n7 8 9\n\n0\n3\n1 1 1\n"))
+    source = open_points(make_file("a.pts", "2\n1 2 3\n4 5 6\n1\n7 8 9\n\n0\n1\n1 1 1\n"))
     parts = list(source.chunks(rows))
     positions = np.concatenate([part.positions for part in parts])
     assert positions.tolist() == [[1, 2, 3], [4, 5, 6], [7, 8, 9], [1, 1, 1]]
     numbers = np.concatenate([part.attributes["scan"] for part in parts])
     assert numbers.tolist() == [0, 0, 1, 3]
     assert numbers.dtype == np.int32
-    assert [scan.points for scan in source.scans] == [2, 1, 0, 3]
-    assert source.findings.warnings == ["line 8 announces 3 points, 1 follow"]
+    assert [scan.points for scan in source.scans] == [2, 1, 0, 1]
+    assert not source.findings.warnings
+
+
+@pytest.mark.parametrize("count", ["3", "4000000000"])
+@pytest.mark.parametrize(("before", "line"), [("", 1), ("1\n1 2 3\n", 3)])
+def test_a_scan_that_is_cut_is_refused(make_file: Make, before: str, line: int, count: str) -> None:
+    path = make_file("a.pts", f"{before}{count}\n1 2 3\n4 5 6\n")
+    problem = rf"a\.pts:{line}: truncated: {count} points are announced, 2 follow"
+    with pytest.raises(InputError, match=problem):
+        list(open_points(path).chunks(5))
 
 
 def test_columns_go_by_their_names(make_file: Make) -> None:

@@ -49,6 +49,8 @@ def test_places_are_even_along_the_path(tmp_path: Path) -> None:
         ("time,lat\n1,2\n3,4\n", "no column is named X"),
         ("a,b,c\n1,2,3\n", "no column is named X"),
         ("1 2 3\nhere it ends\n", ":2"),
+        ("0.5 1 2 3\n0.6 9223372036854775808 2 3\n", r"row 2 .* \[9\.2233\d*e\+18, 2"),
+        ("1 2 3\n\n4 5 nan\n-1e300 2 3\n", r"row 3 .* \[-1e\+300, 2"),
     ],
 )
 def test_what_is_no_trajectory_is_refused_in_a_line(

@@ -26,6 +26,7 @@ def _orient(
     vectors = estimate_normals(positions, every, low, spacing)
     found = find_patches(positions, vectors, every, low, spacing)
     sides = orient_patches(*found, spacing, zero, sensor or Sensor()).sides
+    assert np.isfinite(sides.values).all()
     return turn_points(positions, vectors, low, spacing, sides)[0].astype(np.float64)
 
 
@@ -52,6 +53,16 @@ def _sheet() -> FloatArray:
     sheet = random.uniform(-1.0, 1.0, (6_000, 3))
     sheet[:, 2] = 0.1 * np.sin(3.0 * sheet[:, 0])
     return sheet
+
+
+def test_evidence_may_reach_a_few_patches_alone() -> None:
+    """Fans of an echo sounder, each in a plane that is parallel to the view from above."""
+    random = np.random.default_rng(0)
+    along, across = (axis.ravel() for axis in np.mgrid[0:12, 0:12:0.05])
+    bottom = 0.3 * np.sin(across) + random.normal(0.0, 0.02, len(along))
+    fans = np.stack([along, across, bottom], axis=1)
+    fans[along == 11.0, 0] += random.normal(0.0, 0.3, int((along == 11.0).sum()))
+    assert np.linalg.norm(_orient(fans), axis=1) == pytest.approx(1.0, abs=1e-6)
 
 
 def test_ground_faces_up() -> None:

@@ -38,6 +38,14 @@ def test_half_of_a_ball_is_seen() -> None:
     assert is_seen[up < -0.4].mean() < 0.1
 
 
+@pytest.mark.parametrize("spacing", [SPACING, 1e-7])
+def test_pixels_are_numbered_however_far_the_viewpoint_is(spacing: float) -> None:
+    ball = _ball()
+    _, is_seen = find_seen(ball, np.array([0.0, 0.0, 1e13]), spacing)
+    assert is_seen[np.argmax(ball.centres[:, 2])]
+    assert not is_seen[ball.centres[:, 2] < -0.9].any()
+
+
 def test_all_of_a_ball_is_seen_from_within() -> None:
     _, is_seen = find_seen(_ball(), np.array([0.1, 0.0, -0.2]), SPACING)
     assert is_seen.all()

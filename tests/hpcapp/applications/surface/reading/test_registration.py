@@ -9,7 +9,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hpcapp.applications.surface.reading.registration import check_registration
+from hpcapp.applications.surface.reading.registration import (
+    AGREEING,
+    check_registration,
+    compare_scans,
+)
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io.points.point_source import Scan
 from hpccomponent.errors import InputError
@@ -62,13 +66,34 @@ def test_registered_scans_pass(random: np.random.Generator) -> None:
     assert check_registration(two(random, 0.2, 0.002), []) is None  # as a registration leaves them
 
 
-@pytest.mark.parametrize(("degrees", "shift"), [(0.0, 0.1), (12.0, 0.0), (70.0, 0.1)])
+@pytest.mark.parametrize(
+    ("degrees", "shift"),
+    [(0.0, 0.1), (0.0, 0.2), (0.0, 0.3), (12.0, 0.0), (70.0, 0.1)],
+)
 def test_scans_in_two_frames_are_told(
     random: np.random.Generator, degrees: float, shift: float
 ) -> None:
     warning = check_registration(two(random, degrees, shift), [])
     assert warning is not None
     assert "scans 1 and 2 do not fit together" in warning
+
+
+SPACING = 0.03  # of the sparser scan
+
+
+def share(clouds: Sequence[PointCloud]) -> float:
+    samples = {i: (one.positions, np.zeros_like(one.positions)) for i, one in enumerate(clouds)}
+    [pair] = compare_scans(samples)
+    return pair.agreeing / pair.cells
+
+
+@pytest.mark.parametrize("spacings", [3.0, 5.0, 10.0, 15.0])
+def test_the_share_that_decides_has_a_margin(random: np.random.Generator, spacings: float) -> None:
+    """A tenth more or less changes nothing; half as much more would refuse registered scans."""
+    first, second = (box(random, stand) for stand in STANDS)
+    registered = share([first, moved(second, 0.2, 0.002)])
+    assert 1.1 * AGREEING < registered < 1.5 * AGREEING
+    assert share([first, moved(second, 0.0, spacings * SPACING / np.sqrt(3.0))]) < 0.9 * AGREEING
 
 
 def test_they_are_refused_where_the_sides_are_known(random: np.random.Generator) -> None:
