@@ -1,11 +1,13 @@
 """The tasks of a reconstruction as a machine runs them that gives wrong answers.
 
-``LIE`` in the environment names the lie (see `lies`), ``LIE_ABOUT`` the task, or ``all``.
+``LIE`` in the environment names the lie (see `lies`), ``LIE_ABOUT`` the task, or ``all``. Where
+it is not there, the machine is honest and ``DELAY_S`` slower.
 """
 
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -60,4 +62,8 @@ def __getattr__(name: str) -> Callable[..., object]:
     def run(*arguments: object) -> object:
         return LIES[os.environ["LIE"]](real(*arguments))
 
-    return run
+    def lag(*arguments: object) -> object:
+        time.sleep(float(os.environ["DELAY_S"]))  # the slowness is what this machine is for
+        return real(*arguments)
+
+    return run if "LIE" in os.environ else lag

@@ -85,7 +85,7 @@ class Verification:
     Attributes
     ----------
     liars : dict of str to str
-        Names and keys of machines that have lied, and what they did.
+        Names of machines that have lied, and what they did. A key has one name, see `Admission`.
     answers : Counter of str
         How many answers of each machine have been used in this attempt without a second one.
     everything : bool
@@ -141,8 +141,10 @@ class Verification:
             Returns what tells this answer from another one: see `digest_answer`.
         """
         is_first = not task.answers
-        self.machines = max(self.machines, len(others) + is_first)
-        if is_first and not (task.is_verified and self._is_drawn(len(others))):
+        # Whoever failed at it is none of the others, and has an opinion.
+        machines = len(others) + is_first + task.has_failed
+        self.machines = max(self.machines, machines)
+        if is_first and not (task.is_verified and self._is_drawn(machines)):
             self.answers[machine] += 1
             return Verdict.BELIEVED, []
         answer, earlier = digest(), task.answers.get(machine)
@@ -163,28 +165,23 @@ class Verification:
         self.answers[machine] += 1
         return Verdict.BELIEVED, []
 
-    def _is_drawn(self, others: int) -> bool:
+    def _is_drawn(self, machines: int) -> bool:
         share = 1.0 if self.everything else self.share or 0.0
-        return others >= LEAST_MACHINES - 1 and self.draw() < share
+        return machines >= LEAST_MACHINES and self.draw() < share
 
-    def accuse(
-        self, names: Collection[str], key: str, reason: str, tasks: Iterable[Task] = ()
-    ) -> None:
+    def accuse(self, machine: str, reason: str, tasks: Iterable[Task] = ()) -> None:
         """Note that a machine has lied.
 
         Parameters
         ----------
-        names : collection of str
-            Its name, and others that its key has had.
         tasks : iterable of Task
             All that are open: its answers to them count no more.
         """
         for task in tasks:
-            for name in task.answers.keys() & set(names):
-                del task.answers[name]
-                self.answers[name] += task.has_written  # others may leave it, and read it
-        self.liars.update(dict.fromkeys(filter(None, [*names, key]), reason))
-        if count := sum(self.answers[name] for name in names):
+            if task.answers.pop(machine, None) is not None:
+                self.answers[machine] += task.has_written  # others may leave it, and read it
+        self.liars[machine] = reason
+        if count := self.answers[machine]:
             self.distrust = f"{reason}; {count} of its answers had been used before"
 
     def suspect(self, error: Exception) -> str:

@@ -76,8 +76,11 @@ LIES: dict[str, Answer] = {
 class Liar(threading.Thread):
     """A component that answers the first batch it gets with a lie."""
 
-    def __init__(self, executor: CommunicatorExecutor, answer: Answer) -> None:
+    def __init__(
+        self, executor: CommunicatorExecutor, answer: Answer, pretends: str = "liar"
+    ) -> None:
         super().__init__(daemon=True)
+        self._pretends = pretends
         self._connection = executor.invite("liar")
         self._answer = answer
         self.public_key = self._connection.public_key
@@ -93,7 +96,7 @@ class Liar(threading.Thread):
             dealer.setsockopt(zmq.CURVE_SECRETKEY, keys.secret_key.encode())
             dealer.connect(keys.endpoint)
             register = Register(
-                PROTOCOL_VERSION, package_version(), "liar", "1", "portable",
+                PROTOCOL_VERSION, package_version(), self._pretends, "1", "portable",
                 numerics_id("portable"), 1, 1 << 30, LARGEST_FRAME,
             )  # fmt: skip
             dealer.send(encode_message(register))
@@ -130,6 +133,16 @@ def test_a_liar_that_sends_nan_is_turned_away(
     assert "NaN" in liar.reason
     start_component()
     assert fitted.result(WAIT).shape == (1, 10)
+
+
+def test_a_liar_that_calls_itself_otherwise_is_turned_away(
+    executor: CommunicatorExecutor, start_component: StartComponent
+) -> None:
+    liar = Liar(executor, say(None), pretends="worker-0")
+    liar.join(WAIT)
+    assert liar.reason == "its key is not that of 'worker-0'"
+    start_component("worker-0")
+    executor.wait_for_workers(1, WAIT)
 
 
 def forget_peak() -> None:

@@ -44,6 +44,12 @@ def test_a_third_machine_decides_between_two_answers(liar: str) -> None:
     assert verification.disagreements == 1
 
 
+def test_who_fails_alone_is_one_of_the_three_that_decide() -> None:
+    verification, task = Verification(1.0), Task(1, "t", 1, has_failed=True)
+    assert judge(verification, task, "a", b"x", "ab") == (Verdict.ASK_ANOTHER, [])
+    assert judge(verification, task, "b", b"y", "ab") == (Verdict.UNDECIDED, [])
+
+
 def test_three_different_answers_decide_nothing() -> None:
     verification, task = Verification(1.0), Task(1, "t", 1)
     for machine, told in zip("ab", (b"x", b"y"), strict=True):
@@ -96,12 +102,12 @@ def test_work_that_has_used_a_liars_answer_begins_anew() -> None:
         verification.begin()
         with attempt(verification):
             verification.answers["a"] += is_first
-            verification.accuse({"a"}, "key", "it lied")
+            verification.accuse("a", "it lied")
         return "true"
 
     assert repeat_until_trusted(verification, run) == "true"
     assert runs == [True, False]
-    assert verification.liars == {"a": "it lied", "key": "it lied"}
+    assert verification.liars == {"a": "it lied"}
     assert "1 of its answers had been used" in verification.repeats[0]
 
 
@@ -138,7 +144,7 @@ def test_what_no_lie_can_cause_is_not_made_again(error: BaseException) -> None:
 def test_an_error_after_a_lie_came_out_is_laid_to_the_lie() -> None:
     verification = Verification()
     verification.answers["a"] += 1
-    verification.accuse({"a"}, "", "it lied")
+    verification.accuse("a", "it lied")
     with pytest.raises(DistrustError, match="it lied"), attempt(verification):
         raise IndexError(7)
 
@@ -152,11 +158,11 @@ def test_what_a_liar_has_written_for_a_pending_answer_is_distrusted() -> None:
     verification = Verification(1.0)
     plain, written = Task(1, "t", 1), Task(2, "t", 1, has_written=True)
     judge(verification, plain, "a", b"x")
-    verification.accuse({"a"}, "", "it lied", [plain])
+    verification.accuse("a", "it lied", [plain])
     assert not verification.distrust
     assert not plain.answers
     judge(verification, written, "a", b"x")
-    verification.accuse({"a"}, "", "it lied", [written])
+    verification.accuse("a", "it lied", [written])
     assert verification.distrust
 
 
@@ -177,7 +183,7 @@ def test_an_error_before_the_next_attempt_has_begun_ends_the_job() -> None:
             if not is_first:
                 raise ConfigError("the inventory is gone")
             verification.answers["a"] += 1
-            verification.accuse({"a"}, "", "it lied")
+            verification.accuse("a", "it lied")
 
     with pytest.raises(ConfigError, match="gone"):
         repeat_until_trusted(verification, run)
