@@ -157,7 +157,7 @@ def test_what_the_next_task_finds_impossible_is_laid_to_who_made_it(
 
     assert repeat_until_trusted(verification, run) == [0.0] * 60
     assert "is no pair" in verification.repeats[0]
-    assert {"liar"} < verification.liars.keys()
+    assert verification.liars.keys() == {"liar"}
     assert "the work begins anew: every answer is verified" in caplog.text
 
 

@@ -362,7 +362,7 @@ class Scheduler:
         self.verification.seconds += result.seconds if task.answers else 0.0
         verdict, lying = self.verification.judge(task, machine, others, digest)
         if lying and result.written:  # what a liar has written may be what others read
-            self.verification.answers.update(lying)
+            self.verification.note_written(lying)
         liars |= dict.fromkeys(lying, f"its answer to {task.name!r} is not that of the others")
         if verdict is Verdict.BELIEVED:
             return None
