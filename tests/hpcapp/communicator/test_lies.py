@@ -15,6 +15,7 @@ from fixture_types import StartComponent
 from hpcapp.applications.quadrature.application import estimate
 from hpcapp.applications.surface.paper.patch_quadrics import fit_patches
 from hpcapp.communicator.executor import CommunicatorExecutor
+from hpccomponent.errors import TaskError
 from hpccomponent.protocol.codec import encode_values
 from hpccomponent.protocol.frames import LARGEST_FRAME, Buffer, split_buffers
 from hpccomponent.protocol.messages import (
@@ -133,6 +134,21 @@ def test_a_liar_that_sends_nan_is_turned_away(
     assert "NaN" in liar.reason
     start_component()
     assert fitted.result(WAIT).shape == (1, 10)
+
+
+@pytest.mark.parametrize(
+    "kind",
+    ["CloudError", "DistrustError", "JobCancelledError", "NoWorkersError", "WorkerLostError"],
+)
+def test_a_liar_does_not_speak_for_the_master(executor: CommunicatorExecutor, kind: str) -> None:
+    """A job would be begun anew for ever, or be believed to have no lie in it."""
+    failure = Failure(kind, "begin again", "", "")
+    liar = Liar(executor, lambda task: ([Result(task, 0.0, b"", [], failure)], []))
+    assert liar.registered.wait(WAIT)
+    with pytest.raises(TaskError, match="begin again"):
+        executor.submit(estimate, "wave", GOOD[:, 0], GOOD[:, 1]).result(WAIT)
+    executor.revoke(liar.public_key)
+    liar.join(WAIT)
 
 
 def test_a_liar_that_calls_itself_otherwise_is_turned_away(
