@@ -137,7 +137,7 @@ def _open_listener(inventory: Inventory, *, is_led: bool) -> Listener:
 
     return Listener(
         "tcp://127.0.0.1:0" if is_led else inventory.bind,
-        allowed_keys=[worker.public_key for worker in inventory.workers],
+        workers={worker.public_key: worker.name for worker in inventory.workers},
         keys=KeyPair(inventory.server_public_key, inventory.server_secret_key),
     )
 
@@ -164,7 +164,7 @@ def _follow_inventory(
                 listed = {w.public_key: w.name for w in read_inventory(path).workers}
                 raise_descriptor_limit(len(listed.keys() - known.keys()))
                 for key in listed.keys() - known.keys():
-                    executor.allow(key)
+                    executor.allow(key, listed[key])
                 for key in known.keys() - listed.keys():
                     executor.revoke(key)
                 _tell_size(inventory.cluster, set(known.values()), set(listed.values()))

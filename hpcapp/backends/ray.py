@@ -333,7 +333,7 @@ def _start(cores: int) -> Iterator[tuple[ModuleType, Head]]:
     """Start a Ray of this machine that listens on loopback only, to who knows its token."""
     variables = QUIET | ONE_THREAD | {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": _token()}
     variables |= LOOPBACK_ONLY
-    with _private_place() as place, _environment(variables):
+    with _private_place() as (place, tell), _environment(variables):
         ray = _import_ray()
         if ray.util.get_node_ip_address() != LOOPBACK:
             raise UsageError(
@@ -348,6 +348,8 @@ def _start(cores: int) -> Iterator[tuple[ModuleType, Head]]:
             _temp_dir=str(place),
             _node_ip_address=LOOPBACK,
         ):
+            [raylet] = ray._private.worker._global_node.all_processes["raylet"]
+            tell(raylet.process.pid)
             yield ray, _find_head(ray)
 
 
@@ -473,16 +475,16 @@ def _environment(variables: dict[str, str]) -> Iterator[None]:
 
 
 @contextmanager
-def _private_place() -> Iterator[Path]:
+def _private_place() -> Iterator[tuple[Path, Callable[[int], None]]]:
     """Make a folder that only this user can enter, with a short path, and remove it in the end.
 
-    What lives in it ends with this process, even if that is killed.
+    What lives in it ends with this process, even if that is killed; see `watched`.
     """
     usual = tempfile.gettempdir()
     parent = Path(usual if len(usual) <= LONGEST_PLACE else SHORT_PLACE)
     folder = create_held(parent / f"hpcapp-{secrets.token_hex(4)}")
     try:
-        with watched(folder.path):
-            yield folder.path / "ray"  # Ray opens its own folder to everybody
+        with watched(folder.path) as tell:
+            yield folder.path / "ray", tell  # Ray opens its own folder to everybody
     finally:
         folder.remove()

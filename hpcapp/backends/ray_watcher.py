@@ -6,30 +6,41 @@
       │                                                                the folder open, removes it
       └── Ray's processes, and theirs: they write their logs there
 
-Ray ends some of its processes with the master; the agents that these have started stay.
+Ray ends some of its processes with the master; the agents that these have started stay. The other
+way round it ends the master too, at once and without a word, where that reaches for an object while
+the raylet is gone, as it is once one of its agents is: then the watcher says why.
 """
 
 from __future__ import annotations
 
 import os
+import select
 import shutil
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 __all__ = ["watched"]
 
-DONE = b"0"
+DONE = b"0"  # on the pipe, after the raylet's process id in so many bytes, if it has started
+ID_BYTES = 8
+SAY_GONE = (
+    "hpcapp: Ray has ended under the job, and ended the job with it; "
+    "look whether an agent of it ran out of memory, and start the job again\n"
+)
 TRIES, LOOK_S = 50, 0.1  # what is being killed may have started something
 
 
 @contextmanager
-def watched(place: Path) -> Iterator[None]:
-    """Have a folder removed, and who uses it killed, if this process is killed in the block."""
+def watched(place: Path) -> Iterator[Callable[[int], None]]:
+    """Have a folder removed, and who uses it killed, if this process is killed in the block.
+
+    Gives a function that takes the raylet's process id: where that one ends first, it is said.
+    """
     reading, writing = os.pipe()
     command = [sys.executable, "-P", "-m", "hpcapp.backends.ray_watcher", str(reading), str(place)]
     try:
@@ -37,7 +48,6 @@ def watched(place: Path) -> Iterator[None]:
             command,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
             pass_fds=(reading,),
             start_new_session=True,  # Ctrl-C is for the master
         )
@@ -46,8 +56,13 @@ def watched(place: Path) -> Iterator[None]:
         raise
     finally:
         os.close(reading)
+
+    def tell(raylet: int) -> None:
+        with suppress(BrokenPipeError):
+            os.write(writing, raylet.to_bytes(ID_BYTES, "little"))
+
     try:
-        yield
+        yield tell
     finally:
         with suppress(BrokenPipeError):
             os.write(writing, DONE)
@@ -85,6 +100,34 @@ def _list_open(process: Path) -> Iterator[str]:
                 yield os.readlink(process / "fd" / descriptor)
 
 
+def await_first_end(pipe: int, raylet: int) -> bool:
+    """Wait until the raylet or the master has ended or is done; tell whether the raylet was first.
+
+    False where the system has no descriptors of processes.
+    """
+    if not hasattr(os, "pidfd_open"):
+        return False
+    try:
+        process = os.pidfd_open(raylet)
+    except ProcessLookupError:
+        return True
+    return select.select([pipe, process], [], [])[0] == [process]
+
+
+def main() -> None:
+    """Wait for the end of the master, and do what it cannot do any more."""
+    pipe, place = int(sys.argv[1]), sys.argv[2]
+    is_first, told = False, os.read(pipe, ID_BYTES)
+    if len(told) == ID_BYTES:
+        is_first = await_first_end(pipe, int.from_bytes(told, "little"))
+        told = os.read(pipe, len(DONE))
+    if told:
+        return
+    if is_first:
+        sys.stderr.write(SAY_GONE)
+        sys.stderr.flush()
+    end_all(place)
+
+
 if __name__ == "__main__":
-    if not os.read(int(sys.argv[1]), 1):
-        end_all(sys.argv[2])
+    main()

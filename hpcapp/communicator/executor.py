@@ -120,6 +120,7 @@ class CommunicatorExecutor(Executor):
             timing.worker_wait_s,
             pending.split,
             self.verification,
+            self._listener.names,
         )
         self._transport = self._listener.answer()
         self._loop = EventLoop(scheduler, pending, self._transport, clock, timing)
@@ -173,15 +174,15 @@ class CommunicatorExecutor(Executor):
 
     # -- workers -------------------------------------------------------------------------------
 
-    def allow(self, public_key: str) -> None:
-        """Let the owner of `public_key` connect.
+    def allow(self, public_key: str, worker: str) -> None:
+        """Let the owner of `public_key` connect, as `worker` and nobody else.
 
         Raises
         ------
         UsageError
             If it is not a key.
         """
-        self._listener.allow(public_key)
+        self._listener.allow(public_key, worker)
 
     def revoke(self, public_key: str) -> None:
         """Keep the owner of `public_key` out, and turn its workers away."""

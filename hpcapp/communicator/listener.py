@@ -6,8 +6,8 @@ what it will compute with. What comes early waits until it answers.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from types import TracebackType
+from collections.abc import Mapping
+from types import MappingProxyType, TracebackType
 
 from hpcapp.capacity import reserve_connections
 from hpcapp.communicator.transport import RouterTransport
@@ -19,14 +19,15 @@ __all__ = ["Listener"]
 
 
 class Listener:
-    """A listening socket with a list of keys that may connect.
+    """A listening socket with a list of keys that may connect, each under one name.
 
     Parameters
     ----------
     bind : str
         ZeroMQ endpoint to listen on: loopback and any free port by default.
-    allowed_keys : iterable of str
-        Public keys (Z85) of workers that may connect; `allow` and `invite` add more.
+    workers : mapping of str to str
+        Public keys (Z85) of workers that may connect, and each one's name; `allow` and `invite` add
+        more.
     keys : KeyPair, optional
         The master's own keys; fresh ones by default.
 
@@ -41,15 +42,15 @@ class Listener:
         self,
         bind: str = "tcp://127.0.0.1:0",
         *,
-        allowed_keys: Iterable[str] = (),
+        workers: Mapping[str, str] = MappingProxyType({}),
         keys: KeyPair | None = None,
     ) -> None:
-        self._allowed: set[str] = set()
-        for key in allowed_keys:
-            self.allow(key)
-        reserve_connections(len(self._allowed))
+        self.names: dict[str, str] = {}
+        for key, name in workers.items():
+            self.allow(key, name)
+        reserve_connections(len(self.names))
         self._keys = keys or make_key_pair()
-        self._transport = RouterTransport(bind, self._keys, self._allowed.__contains__)
+        self._transport = RouterTransport(bind, self._keys, self.names.__contains__)
         self._is_answered = False
 
     def __enter__(self) -> Listener:
@@ -79,8 +80,8 @@ class Listener:
         self._is_answered = True
         return self._transport
 
-    def allow(self, public_key: str) -> None:
-        """Let the owner of `public_key` connect.
+    def allow(self, public_key: str, worker: str) -> None:
+        """Let the owner of `public_key` connect, as `worker` and nobody else.
 
         Raises
         ------
@@ -89,14 +90,14 @@ class Listener:
         """
         if not is_key(public_key):
             raise UsageError(f"{public_key!r} is not a Z85 CURVE key of 40 characters")
-        self._allowed.add(public_key)
+        self.names[public_key] = worker
 
     def forbid(self, public_key: str) -> None:
         """Keep the owner of `public_key` out from now on."""
-        self._allowed.discard(public_key)
+        self.names.pop(public_key, None)
 
     def invite(self, worker: str) -> Connection:
         """Make keys for one worker, allow them, and return what its component must know."""
         keys = make_key_pair()
-        self.allow(keys.public)
+        self.allow(keys.public, worker)
         return Connection(self.endpoint, self.server_key, keys.public, keys.secret, worker)

@@ -18,6 +18,15 @@ __all__ = ["PendingTasks"]
 
 _log = logging.getLogger(__name__)
 
+_OF_MASTERS = (
+    errors.CloudError,
+    errors.DistrustError,
+    errors.JobCancelledError,
+    errors.NoWorkersError,
+    errors.WorkerLostError,
+)
+"""What no task can find: a worker that says so would have the job begun anew, or believed."""
+
 
 class PendingTasks:
     """Entries by task number; each leaves exactly once, with its future done.
@@ -150,8 +159,9 @@ class PendingTasks:
 
 def _rebuild(failure: Failure, task: str) -> HpcError:
     """Make an error of what a task raised; one of our own tree keeps its class and exit code."""
-    if failure.kind in errors.__all__:
-        error: HpcError = getattr(errors, failure.kind)(failure.problem, failure.advice)
+    kind = getattr(errors, failure.kind) if failure.kind in errors.__all__ else None
+    if kind is not None and not issubclass(kind, _OF_MASTERS):
+        error: HpcError = kind(failure.problem, failure.advice)
     else:
         error = TaskError(f"task {task!r} failed: {failure.problem}", failure.advice)
     error.add_note(f"On the worker:\n{failure.traceback}")

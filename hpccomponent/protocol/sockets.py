@@ -27,7 +27,6 @@ FRAME_ALLOWANCE = 8 * 1024 * 1024
 
 MONITORED_EVENTS = (
     zmq.Event.HANDSHAKE_FAILED_AUTH
-    | zmq.Event.HANDSHAKE_FAILED_NO_DETAIL
     | zmq.Event.HANDSHAKE_FAILED_PROTOCOL
     | zmq.Event.DISCONNECTED
     | zmq.Event.ACCEPTED
@@ -35,8 +34,8 @@ MONITORED_EVENTS = (
 _WORDS = {
     zmq.Event.HANDSHAKE_FAILED_AUTH: "a peer was refused: its key is not on the list",
     zmq.Event.HANDSHAKE_FAILED_PROTOCOL: "a peer with a wrong key, or without CURVE, was refused",
-    zmq.Event.HANDSHAKE_FAILED_NO_DETAIL: "a peer broke off the handshake: its key, or the key it "
-    "holds of this end, is wrong",
+    zmq.Event.HANDSHAKE_FAILED_NO_DETAIL: "it broke off the handshake; where it always does, a key "
+    "in the connection file is wrong",
 }
 
 
@@ -87,7 +86,9 @@ def send_probes(socket: zmq.Socket[bytes]) -> None:
 
 
 @contextmanager
-def open_monitor(socket: zmq.Socket[bytes]) -> Iterator[zmq.Socket[bytes]]:
+def open_monitor(
+    socket: zmq.Socket[bytes], tells_breaks: bool = False
+) -> Iterator[zmq.Socket[bytes]]:
     """Watch a socket's connections; give the socket whose messages `read_event` takes.
 
     libzmq's own thread waits for room where a monitor's queue is full or its reader is gone, and
@@ -97,12 +98,16 @@ def open_monitor(socket: zmq.Socket[bytes]) -> Iterator[zmq.Socket[bytes]]:
     ----------
     socket : zmq.Socket
         Not yet bound or connected; closed after this.
+    tells_breaks : bool
+        Whether handshakes are reported that the peer breaks off. The end that listens does so where
+        a key is wrong; the end that connects does so only where it ends, or has lost patience.
     """
+    breaks = zmq.Event.HANDSHAKE_FAILED_NO_DETAIL if tells_breaks else 0
     endpoint = f"inproc://monitor-{id(socket)}"
     with socket.context.socket(zmq.PAIR) as reader:
         reader.setsockopt(zmq.LINGER, 0)
         reader.setsockopt(zmq.RCVHWM, 0)
-        socket.monitor(endpoint, MONITORED_EVENTS)
+        socket.monitor(endpoint, MONITORED_EVENTS | breaks)
         try:
             reader.connect(endpoint)
             yield reader

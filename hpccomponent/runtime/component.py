@@ -113,7 +113,7 @@ class _Component:
         stack.callback(self._end_worker)
         context = stack.enter_context(zmq.Context())
         self._socket = stack.enter_context(_open_socket(context, connection, self._register))
-        self._monitor = stack.enter_context(open_monitor(self._socket))
+        self._monitor = stack.enter_context(open_monitor(self._socket, tells_breaks=True))
         self._signals = stack.enter_context(_catch_signals())
         self._poller = zmq.Poller()
         sources = [self._socket, self._monitor, self._signals, options.lifeline]
@@ -193,9 +193,11 @@ class _Component:
             self._carry_out(self._session.worker_results(results, control, payload, now))
 
     def _hear_monitor(self) -> None:
-        trouble = describe_event(read_event(self._monitor.recv_multipart())[0])
+        event, _ = read_event(self._monitor.recv_multipart())
+        trouble = describe_event(event)
         if trouble is not None:
             _log.warning("the connection to %s failed: %s", self._endpoint, trouble)
+        if event in (zmq.Event.HANDSHAKE_FAILED_AUTH, zmq.Event.HANDSHAKE_FAILED_PROTOCOL):
             # ZeroMQ tries no more, but the master may learn of this worker a little later.
             self._connect_at = time.monotonic() + CONNECT_AGAIN_S
 

@@ -1,11 +1,14 @@
 """The tasks of a reconstruction as a machine runs them that gives wrong answers.
 
-``LIE`` in the environment names the lie (see `lies`), ``LIE_ABOUT`` the task, or ``all``.
+``LIE`` in the environment names the lie (see `lies`), or is ``failure``; ``LIE_ABOUT`` the tasks,
+with commas between them, or ``all``. Where it is not there, the machine is honest and ``DELAY_S``
+slower.
 """
 
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -14,7 +17,7 @@ from lies import LIES
 
 from hpccomponent.errors import InputError
 
-__all__ = ["TASKS"]
+__all__ = ["EVIL_TEXT", "TASKS", "list_tasks"]
 
 _PREFIX = "surface."
 _REAL = {
@@ -24,6 +27,13 @@ _REAL = {
 }
 TASKS = [f"{_PREFIX}{name}=lying_tasks:{name}" for name in _REAL]
 """For ``python -m hpccomponent --task``."""
+EVIL_TEXT = "\x1b]0;owned\x07\x1b[2J\r<script>alert(1)</script>\u202e\n" + "no room " * 400_000
+"""Of a failure: it clears a terminal and sets its title, is a page's script, and has 3 MB."""
+
+
+def list_tasks(subject: str) -> str:
+    """Return the tasks of a package of ``applications/surface``, with commas between them."""
+    return ",".join(name for name, of in _REAL.items() if f".surface.{subject}." in of)
 
 
 def fail(*arguments: object) -> object:
@@ -54,10 +64,16 @@ def __getattr__(name: str) -> Callable[..., object]:
     module, _, function = _REAL[name].partition(":")
     # And with it the records that it takes.
     real: Callable[..., object] = getattr(import_module(module), function)
-    if os.environ.get("LIE_ABOUT", "all") not in ("all", name):
+    if not {"all", name} & set(os.environ.get("LIE_ABOUT", "all").split(",")):
         return real
 
     def run(*arguments: object) -> object:
+        if os.environ["LIE"] == "failure":
+            raise InputError(EVIL_TEXT, EVIL_TEXT)
         return LIES[os.environ["LIE"]](real(*arguments))
 
-    return run
+    def lag(*arguments: object) -> object:
+        time.sleep(float(os.environ["DELAY_S"]))  # the slowness is what this machine is for
+        return real(*arguments)
+
+    return run if "LIE" in os.environ else lag

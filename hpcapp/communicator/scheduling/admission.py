@@ -1,4 +1,4 @@
-"""Who may work for this master: versions, numerics, and one key per name."""
+"""Who may work for this master: versions, numerics, and one name per key."""
 
 from __future__ import annotations
 
@@ -23,13 +23,17 @@ class Admission:
     numerics : str or None
         The numerics id; None until the first worker has set it. A job uses one, so that every
         worker gives the same bits.
-    banned : dict of str to str
-        Names and keys of workers that have been turned away, and why.
+    banned : mapping of str to str
+        Names of workers that have been turned away, and why.
+    names : mapping of str to str or None
+        The name of each key (Z85) that may work; None where they are not looked at. The master
+        gives them: who could choose would have as many opinions as names, or an honest worker's.
     """
 
     package: str
     numerics: str | None
     banned: Mapping[str, str]
+    names: Mapping[str, str] | None
 
     def objection(self, register: Register, key: str, workers: Collection[Worker]) -> str | None:
         """Return why a component cannot join `workers`, or None if it can.
@@ -39,9 +43,10 @@ class Admission:
         key : str
             The public key (Z85) that it came under.
         """
-        reason = self.banned.get(key) or self.banned.get(register.worker)
-        if reason is not None:
-            return reason
+        if self.names is not None and self.names.get(key) != register.worker:
+            return f"its key is not that of {register.worker!r}"
+        if register.worker in self.banned:
+            return self.banned[register.worker]
         if register.protocol != PROTOCOL_VERSION:
             return f"it speaks protocol {register.protocol}, the master {PROTOCOL_VERSION}"
         if register.package != self.package:
@@ -53,9 +58,6 @@ class Admission:
             )
         if register.largest_frame < SMALLEST_FRAME:
             return f"its largest frame is {register.largest_frame} bytes, below {SMALLEST_FRAME}"
-        others = (worker for worker in workers if worker.register.worker != register.worker)
-        if key and any(worker.key == key for worker in others):
-            return "its key is at work under another name"
         namesakes = (worker for worker in workers if worker.register.worker == register.worker)
         if any(worker.key != key for worker in namesakes):
             return f"another key is at work under the name {register.worker!r}"

@@ -17,7 +17,7 @@ retired, as long as there are others; a worker that lies is turned away.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 
 from hpcapp.communicator.scheduling.admission import Admission
@@ -61,6 +61,8 @@ class Scheduler:
         Called with the number of a task that can be split; returns those that replace it, if any.
     verification : Verification, optional
         What the job knows of the honesty of machines; by default nothing is asked for again.
+    names : mapping of str to str, optional
+        The name of each key that may come; by default they are not looked at.
     numerics : str, optional
         Numerics id that components must have; by default that of the first one.
     liveness_s : float
@@ -80,6 +82,7 @@ class Scheduler:
         worker_wait_s: float = 60.0,
         split: Callable[[int], list[Task]] = lambda _: [],
         verification: Verification | None = None,
+        names: Mapping[str, str] | None = None,
     ) -> None:
         self.verification = verification or Verification()
         self.verification.begin()
@@ -88,13 +91,12 @@ class Scheduler:
         self.counts: Counter[str] = Counter()
         self.recording = Recording()
         self._clock = clock
-        self._admission = Admission(package, numerics, self.verification.liars)
+        self._admission = Admission(package, numerics, self.verification.liars, names)
         self._claim = claim
         self._split = split
         self._liveness_s = liveness_s
         self._worker_wait_s = worker_wait_s
         self._losses = Losses()
-        self._keys: dict[str, str] = {}  # of every machine that has come, by its name
         self.dispatcher = Dispatcher(
             policy, clock, self._losses, self._claim_task, self._split_task
         )
@@ -166,7 +168,6 @@ class Scheduler:
             self.recording.turned_away(register)
             return [Refuse(identity, reason)]
         self._admission.numerics = register.numerics
-        self._keys[register.worker] = key
         level = min((worker.placed for worker in self._open_workers()), default=0)
         worker = Worker(identity, register, key, self._clock.now(), placed=level)
         worker.is_retired = worker.machine in self._losses.retired
@@ -229,7 +230,7 @@ class Scheduler:
         if is_finished:
             actions += self._take_back(worker, batch, "it left out a result", is_blamed=True)
         for machine, reason in liars.items():
-            actions += self._turn_liar_away(machine, self._keys[machine], reason)
+            actions += self._turn_liar_away(machine, reason)
         return actions + self.dispatch()
 
     def expose(self, identity: bytes, reason: str) -> list[Action]:
@@ -238,7 +239,7 @@ class Scheduler:
         if liar is None:
             return []
         self._losses.accuse(liar, reason)
-        return self._turn_liar_away(liar.machine, liar.key, reason) + self.dispatch()
+        return self._turn_liar_away(liar.machine, reason) + self.dispatch()
 
     def heartbeat(
         self, identity: bytes, progress: int, last_batch: int, held: Iterable[int]
@@ -361,7 +362,7 @@ class Scheduler:
         self.verification.seconds += result.seconds if task.answers else 0.0
         verdict, lying = self.verification.judge(task, machine, others, digest)
         if lying and result.written:  # what a liar has written may be what others read
-            self.verification.answers.update(lying)
+            self.verification.note_written(lying)
         liars |= dict.fromkeys(lying, f"its answer to {task.name!r} is not that of the others")
         if verdict is Verdict.BELIEVED:
             return None
@@ -373,16 +374,12 @@ class Scheduler:
             self.dispatcher.requeue([task])
         return []
 
-    def _turn_liar_away(self, machine: str, key: str, reason: str) -> list[Action]:
-        """Ban a machine and all that came under its key, and with it what its answers led to."""
+    def _turn_liar_away(self, machine: str, reason: str) -> list[Action]:
+        """Ban a machine, and with it what its answers led to."""
         self.counts["lies"] += 1
         why = f"{machine} works for this job no more: {reason}"
-        names = {
-            machine,
-            *(name for name, worker_key in self._keys.items() if key and worker_key == key),
-        }
-        self.verification.accuse(names, key, why, self.tasks.values())
-        same = [w for w in self.workers.values() if w.machine == machine or (key and w.key == key)]
+        self.verification.accuse(machine, why, self.tasks.values())
+        same = [worker for worker in self.workers.values() if worker.machine == machine]
         return self._turn_away(same, why) + (self._distrust() if self.verification.distrust else [])
 
     def _distrust(self) -> list[Action]:

@@ -6,7 +6,7 @@
                  │ yes
                  └─> another machine: the same bytes? ── yes ─> believed
                                           │ no
-                                          └─> a third decides: who stands alone is a liar
+                                          └─> others decide: who agrees with none is a liar
 
 Tasks are deterministic within one numerics id, so that honest machines give the same bytes. What is
 drawn is chosen after the answer has come: no machine can know which of its answers matter. Until
@@ -58,7 +58,8 @@ Outcome = TypeVar("Outcome")
 CLUSTER_SHARE = 0.02
 """Of the answers of a cluster's workers, where nothing else is asked for."""
 LEAST_MACHINES = 3
-"""With fewer nobody could decide between two answers."""
+"""With fewer nobody could decide between two answers; with more so many must agree on a disputed
+one, so that two that conspire throw nobody out."""
 _NO_LIES = (UsageError, CloudError, NoWorkersError, WorkerLostError, OSError)
 
 
@@ -85,9 +86,9 @@ class Verification:
     Attributes
     ----------
     liars : dict of str to str
-        Names and keys of machines that have lied, and what they did.
-    answers : Counter of str
-        How many answers of each machine have been used in this attempt without a second one.
+        Names of machines that have lied, and what they did. A key has one name, see `Admission`.
+    answers : Counter of frozenset of str
+        How many answers have been used in this attempt on the word of these machines alone.
     everything : bool
         Whether every answer is asked for again, whatever the share.
     machines : int
@@ -105,7 +106,7 @@ class Verification:
     share: float | None = None
     draw: Callable[[], float] = SystemRandom().random
     liars: dict[str, str] = field(default_factory=dict)
-    answers: Counter[str] = field(default_factory=Counter)
+    answers: Counter[frozenset[str]] = field(default_factory=Counter)
     everything: bool = False
     machines: int = 0
     distrust: str = ""
@@ -131,7 +132,8 @@ class Verification:
     ) -> tuple[Verdict, list[str]]:
         """Judge an answer, and name the machines that have lied.
 
-        These have given another answer than two others, or than themselves before.
+        These have given another answer than two others, or three where four machines can answer,
+        or than themselves before.
 
         Parameters
         ----------
@@ -141,51 +143,58 @@ class Verification:
             Returns what tells this answer from another one: see `digest_answer`.
         """
         is_first = not task.answers
-        self.machines = max(self.machines, len(others) + is_first)
-        if is_first and not (task.is_verified and self._is_drawn(len(others))):
-            self.answers[machine] += 1
+        # Whoever failed at it is none of the others, and has an opinion.
+        machines = len(others) + is_first + task.has_failed
+        self.machines = max(self.machines, machines)
+        if is_first and not (task.is_verified and self._is_drawn(machines)):
+            self.answers[frozenset({machine})] += 1
             return Verdict.BELIEVED, []
         answer, earlier = digest(), task.answers.get(machine)
         if earlier is not None and earlier != answer:
             return Verdict.ASK_ANOTHER, [machine]
         task.answers[machine] = answer
-        agreeing = [name for name, given in task.answers.items() if given == answer]
-        lying = [name for name, given in task.answers.items() if given != answer]
-        if len(agreeing) > 1:
+        counts = Counter(task.answers.values())
+        [(accepted, agreeing)] = counts.most_common(1)
+        is_small = len(task.answers) + len(others) <= LEAST_MACHINES
+        if agreeing >= (2 if len(counts) == 1 or is_small else LEAST_MACHINES):
+            lying = [name for name, given in task.answers.items() if given != accepted]
+            if answer != accepted:
+                return Verdict.ASK_ANOTHER, lying
             self.verified += 1
+            self.answers[frozenset(task.answers.keys() - lying)] += 1
             return Verdict.BELIEVED, lying
         if others:
-            self.disagreements += bool(lying)
+            self.disagreements += len(counts) == len(task.answers) == 2
             return Verdict.ASK_ANOTHER, []
-        if lying:
+        if len(counts) > 1:
             return Verdict.UNDECIDED, []
         self.unverified += 1
-        self.answers[machine] += 1
+        self.answers[frozenset({machine})] += 1
         return Verdict.BELIEVED, []
 
-    def _is_drawn(self, others: int) -> bool:
+    def _is_drawn(self, machines: int) -> bool:
         share = 1.0 if self.everything else self.share or 0.0
-        return others >= LEAST_MACHINES - 1 and self.draw() < share
+        return machines >= LEAST_MACHINES and self.draw() < share
 
-    def accuse(
-        self, names: Collection[str], key: str, reason: str, tasks: Iterable[Task] = ()
-    ) -> None:
+    def accuse(self, machine: str, reason: str, tasks: Iterable[Task] = ()) -> None:
         """Note that a machine has lied.
 
         Parameters
         ----------
-        names : collection of str
-            Its name, and others that its key has had.
         tasks : iterable of Task
             All that are open: its answers to them count no more.
         """
         for task in tasks:
-            for name in task.answers.keys() & set(names):
-                del task.answers[name]
-                self.answers[name] += task.has_written  # others may leave it, and read it
-        self.liars.update(dict.fromkeys(filter(None, [*names, key]), reason))
-        if count := sum(self.answers[name] for name in names):
+            if task.answers.pop(machine, None) is not None:
+                self.note_written([machine] * task.has_written)
+        self.liars[machine] = reason
+        known = self.liars.keys()
+        if count := sum(n for vouching, n in self.answers.items() if vouching <= known):
             self.distrust = f"{reason}; {count} of its answers had been used before"
+
+    def note_written(self, machines: Iterable[str]) -> None:
+        """Note that a machine has left in a folder, for others to read, what nobody vouches for."""
+        self.answers.update(frozenset({machine}) for machine in machines)
 
     def suspect(self, error: Exception) -> str:
         """Return why an attempt that ends with an error is to be made again; empty where not.
@@ -196,7 +205,8 @@ class Verification:
         if self.distrust or isinstance(error, DistrustError):
             return self.distrust or str(error)
         can_tell = self.machines >= LEAST_MACHINES and bool(self.share) and not self.everything
-        if isinstance(error, _NO_LIES) or not (can_tell and self.answers):
+        has_trusted = any(len(vouching) == 1 for vouching in self.answers)
+        if isinstance(error, _NO_LIES) or not (can_tell and has_trusted):
             return ""
         self.everything = True
         return f"every answer is verified, because this may come of a wrong one: {error}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import select
 import signal
 import socket
 import subprocess
@@ -40,6 +41,16 @@ if __name__ == "__main__":
     with open_executor("ray", workers=2) as backend:
         print(backend.executor.submit(pow, 2, 3).result(), flush=True)
         sys.stdin.read()
+"""
+SHARE = """
+import sys
+from hpcapp.backends.selection import open_executor
+
+if __name__ == "__main__":
+    with open_executor("ray", workers=2) as backend:
+        print(flush=True)
+        sys.stdin.readline()
+        backend.workforce.share(bytes(1 << 20))
 """
 HIDE_RAY = """
 import sys
@@ -98,6 +109,32 @@ def test_nothing_is_left_of_a_killed_master() -> None:
         assert len(below) > 4
         assert are_gone(below)
         assert os.listdir(folder) == []
+
+
+@pytest.mark.slow
+def test_a_master_that_ray_ends_with_itself_says_why() -> None:
+    """Ray's agents take its raylet along, and that whoever asks for an object."""
+    with subprocess.Popen(
+        [sys.executable, "-P", "-c", SHARE],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as master:
+        assert master.stdout is not None
+        assert master.stdout.readline() == "\n"
+        below = descendants(master.pid)
+        (agent,) = below & set(find_processes("DashboardAgent"))
+        (raylet,) = below & set(find_processes("raylet/raylet"))
+        gone = os.pidfd_open(raylet)
+        os.kill(agent, signal.SIGKILL)
+        assert select.select([gone], [], [], 60.0)[0]
+        os.close(gone)
+        _, said = master.communicate("\n")
+    assert master.returncode == 1
+    assert "Ray has ended under the job" in said
+    assert "Traceback" not in said
+    assert are_gone(below)
 
 
 @pytest.mark.slow

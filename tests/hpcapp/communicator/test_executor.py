@@ -5,6 +5,8 @@ from __future__ import annotations
 import errno
 import os
 import signal
+import socket
+import struct
 import threading
 from collections.abc import Callable
 from concurrent.futures import CancelledError, Future
@@ -16,6 +18,7 @@ import numpy as np
 import pytest
 import zmq
 from fixture_types import StartComponent
+from raw_peer import GREETING
 
 from hpcapp.communicator.executor import CommunicatorExecutor
 from hpccomponent.errors import (
@@ -363,6 +366,25 @@ def test_a_wrong_server_key_is_told_in_words(
     await_count(executor, "refused")
     with pytest.raises(NoWorkersError, match="key"):
         executor.wait_for_workers(1, 0.0)
+
+
+@pytest.mark.parametrize("sent", [b"", GREETING], ids=["nothing", "greeting"])
+@pytest.mark.parametrize("is_reset", [True, False])
+def test_a_peer_that_breaks_off_the_handshake_says_nothing_of_keys(
+    executor: CommunicatorExecutor, start_component: StartComponent, sent: bytes, is_reset: bool
+) -> None:
+    host, port = executor.endpoint.removeprefix("tcp://").split(":")
+    with socket.create_connection((host, int(port)), timeout=WAIT) as peer:
+        peer.sendall(sent)
+        assert peer.recv(10)
+        if is_reset:
+            peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    start_component("friend")
+    executor.wait_for_workers(1, WAIT)
+    with pytest.raises(NoWorkersError) as raised:
+        executor.wait_for_workers(2, 0.0)
+    assert "key" not in str(raised.value)
+    assert executor.statistics()["refused"] == 0
 
 
 def test_a_key_that_is_not_on_the_list_is_told_in_words(

@@ -15,6 +15,7 @@ from fixture_types import StartComponent
 from hpcapp.applications.quadrature.application import estimate
 from hpcapp.applications.surface.paper.patch_quadrics import fit_patches
 from hpcapp.communicator.executor import CommunicatorExecutor
+from hpccomponent.errors import TaskError
 from hpccomponent.protocol.codec import encode_values
 from hpccomponent.protocol.frames import LARGEST_FRAME, Buffer, split_buffers
 from hpccomponent.protocol.messages import (
@@ -76,8 +77,11 @@ LIES: dict[str, Answer] = {
 class Liar(threading.Thread):
     """A component that answers the first batch it gets with a lie."""
 
-    def __init__(self, executor: CommunicatorExecutor, answer: Answer) -> None:
+    def __init__(
+        self, executor: CommunicatorExecutor, answer: Answer, pretends: str = "liar"
+    ) -> None:
         super().__init__(daemon=True)
+        self._pretends = pretends
         self._connection = executor.invite("liar")
         self._answer = answer
         self.public_key = self._connection.public_key
@@ -93,7 +97,7 @@ class Liar(threading.Thread):
             dealer.setsockopt(zmq.CURVE_SECRETKEY, keys.secret_key.encode())
             dealer.connect(keys.endpoint)
             register = Register(
-                PROTOCOL_VERSION, package_version(), "liar", "1", "portable",
+                PROTOCOL_VERSION, package_version(), self._pretends, "1", "portable",
                 numerics_id("portable"), 1, 1 << 30, LARGEST_FRAME,
             )  # fmt: skip
             dealer.send(encode_message(register))
@@ -130,6 +134,31 @@ def test_a_liar_that_sends_nan_is_turned_away(
     assert "NaN" in liar.reason
     start_component()
     assert fitted.result(WAIT).shape == (1, 10)
+
+
+@pytest.mark.parametrize(
+    "kind",
+    ["CloudError", "DistrustError", "JobCancelledError", "NoWorkersError", "WorkerLostError"],
+)
+def test_a_liar_does_not_speak_for_the_master(executor: CommunicatorExecutor, kind: str) -> None:
+    """A job would be begun anew for ever, or be believed to have no lie in it."""
+    failure = Failure(kind, "begin again", "", "")
+    liar = Liar(executor, lambda task: ([Result(task, 0.0, b"", [], failure)], []))
+    assert liar.registered.wait(WAIT)
+    with pytest.raises(TaskError, match="begin again"):
+        executor.submit(estimate, "wave", GOOD[:, 0], GOOD[:, 1]).result(WAIT)
+    executor.revoke(liar.public_key)
+    liar.join(WAIT)
+
+
+def test_a_liar_that_calls_itself_otherwise_is_turned_away(
+    executor: CommunicatorExecutor, start_component: StartComponent
+) -> None:
+    liar = Liar(executor, say(None), pretends="worker-0")
+    liar.join(WAIT)
+    assert liar.reason == "its key is not that of 'worker-0'"
+    start_component("worker-0")
+    executor.wait_for_workers(1, WAIT)
 
 
 def forget_peak() -> None:

@@ -33,7 +33,7 @@ def test_an_address_of_another_machine_is_a_usage_error() -> None:
 
 def test_what_is_no_key_is_refused_before_anything_listens() -> None:
     with pytest.raises(UsageError, match="not a Z85 CURVE key"):
-        Listener(allowed_keys=["short"])
+        Listener(workers={"short": "one"})
 
 
 def test_an_invitation_says_all_that_a_component_must_know() -> None:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -23,6 +25,7 @@ from hpccomponent.protocol.messages import (
     decode_component_message,
     encode_message,
 )
+from hpccomponent.runtime.component import CONNECT_AGAIN_S
 
 Start = Callable[..., "subprocess.Popen[str]"]
 
@@ -57,9 +60,11 @@ def master() -> Iterator[Master]:
 def start(master: Master, tmp_path: Path) -> Iterator[Start]:
     started: list[subprocess.Popen[str]] = []
 
-    def start(*arguments: str, pass_fds: tuple[int, ...] = ()) -> subprocess.Popen[str]:
+    def start(
+        *arguments: str, pass_fds: tuple[int, ...] = (), endpoint: str = master.endpoint
+    ) -> subprocess.Popen[str]:
         keys = make_key_pair()
-        connection = Connection(master.endpoint, master.public, keys.public, keys.secret, "w")
+        connection = Connection(endpoint, master.public, keys.public, keys.secret, "w")
         write_connection(tmp_path / "connection.json", connection)
         command = [sys.executable, "-P", "-m", "hpccomponent"]
         command += ["--connection", str(tmp_path / "connection.json"), *arguments]
@@ -81,6 +86,13 @@ def children(pid: int) -> list[int]:
             if int((process / "stat").read_text().rsplit(")", 1)[1].split()[1]) == pid:
                 found.append(int(process.name))
     return found
+
+
+def forward(source: socket.socket, sink: socket.socket) -> None:
+    """Pass on all that comes."""
+    with contextlib.suppress(OSError):
+        while part := source.recv(65536):
+            sink.sendall(part)
 
 
 def is_alive(pid: int) -> bool:
@@ -155,6 +167,24 @@ def test_a_refused_component_says_why_and_asks_not_to_be_started_again(
     assert component.wait() == 2
     assert component.stderr is not None
     assert "wrong release" in component.stderr.read()
+
+
+def test_a_handshake_that_was_broken_off_is_made_again_once(master: Master, start: Start) -> None:
+    """A master that is slow to answer ends it; what comes after that works, and is left alone."""
+    host, port = master.endpoint.removeprefix("tcp://").split(":")
+    with socket.create_server(("127.0.0.1", 0)) as way:
+        start(endpoint=f"tcp://127.0.0.1:{way.getsockname()[1]}")
+        way.accept()[0].close()
+        (one, _), other = way.accept(), socket.create_connection((host, int(port)))
+        with one, other:
+            for ends in ((one, other), (other, one)):
+                threading.Thread(target=forward, args=ends, daemon=True).start()
+            master.hear_register()
+            way.settimeout(CONNECT_AGAIN_S + 1.0)
+            with pytest.raises(TimeoutError):
+                way.accept()
+            for end in (one, other):
+                end.shutdown(socket.SHUT_RDWR)
 
 
 def test_a_silent_master_is_left(master: Master, start: Start) -> None:

@@ -103,6 +103,7 @@ class Component:
     """A session with its worker process, and what is on its way to and from it."""
 
     identity: bytes
+    key: str
     session: WorkerSession
     down: deque[MasterMessage] = field(default_factory=deque)
     up: deque[tuple[ComponentMessage, Sequence[Buffer]]] = field(default_factory=deque)
@@ -139,7 +140,10 @@ class Cluster:
     def __init__(self, policy: Policy, verification: Verification | None = None) -> None:
         self.clock = ManualClock()
         self.cancelled: set[int] = set()
-        self.scheduler = Scheduler(policy, self.clock, "1", self.claim, verification=verification)
+        self.names: dict[str, str] = {}
+        self.scheduler = Scheduler(
+            policy, self.clock, "1", self.claim, verification=verification, names=self.names
+        )
         self.fetcher = Fetcher(SESSION)
         self.components: list[Component] = []
         self.calls: dict[int, Call] = {}
@@ -173,14 +177,17 @@ class Cluster:
             self.cancelled.add(number)
             self.carry_out(self.scheduler.cancel(number))
 
-    def start_component(self, name: str | None = None) -> Component:
+    def start_component(self, name: str | None = None, key: str | None = None) -> Component:
+        """Start one under a key of its own, which gets its name, or under one that has a name."""
         self.started += 1
         name = name or f"worker-{self.started}"
+        key = key or f"key of {name}"
+        self.names.setdefault(key, name)
         register = Register(
             PROTOCOL_VERSION, "1", name, str(self.started), "b", "n", 1, 1, 1 << 20, KEPT_BYTES
         )
         session = WorkerSession(register, self.clock.now())
-        component = Component(f"{name}/{self.started}".encode(), session)
+        component = Component(f"{name}/{self.started}".encode(), key, session)
         self.components.append(component)
         component.carry_out(session.begin())
         return component
@@ -221,17 +228,19 @@ class Cluster:
     def pump(self, component: Component, count: int) -> None:
         """Let `count` messages through in each direction."""
         for _ in range(min(count, len(component.up))):
-            self.judge(component.identity, *component.up.popleft())
+            self.judge(component, *component.up.popleft())
         for _ in range(0 if component.is_frozen else min(count, len(component.down))):
             message = component.down.popleft()
             component.carry_out(component.session.receive(message, (), self.clock.now()))
         if component.session.state is State.STOPPED:
             component.work.clear()
 
-    def judge(self, identity: bytes, message: ComponentMessage, buffers: Sequence[Buffer]) -> None:
-        scheduler = self.scheduler
+    def judge(
+        self, component: Component, message: ComponentMessage, buffers: Sequence[Buffer]
+    ) -> None:
+        scheduler, identity = self.scheduler, component.identity
         if isinstance(message, Register):
-            self.carry_out(scheduler.register(identity, message, f"key of {message.worker}"))
+            self.carry_out(scheduler.register(identity, message, component.key))
         elif isinstance(message, Results | Announce | Piece | Lost):
             self.take(identity, message, buffers)
         elif isinstance(message, Heartbeat):
@@ -615,6 +624,8 @@ class ClusterWithABadMachine(RuleBasedStateMachine):
 class ClusterWithALiar(RuleBasedStateMachine):
     """Of four machines one gives wrong answers that look right, whenever it likes.
 
+    It leaves whenever it likes too, and comes again under any name.
+
     Work begins anew where answers of a liar have been used, as `repeat_until_trusted` has it.
     """
 
@@ -647,6 +658,16 @@ class ClusterWithALiar(RuleBasedStateMachine):
     @rule(lie=st.integers(min_value=0, max_value=3))
     def change_mind(self, lie: int) -> None:
         self.liar.lie = lie
+
+    @rule(name=st.sampled_from(["liar", "another", "good-1"]), says_goodbye=st.booleans())
+    def come_again(self, name: str, says_goodbye: bool) -> None:
+        if says_goodbye:
+            self.liar.carry_out(self.liar.session.terminate("for a while"))
+            self.cluster.pump(self.liar, 100)
+        self.cluster.kill(self.liar)
+        lie, self.liar = self.liar.lie, self.cluster.start_component(name, "key of liar")
+        self.liar.lie = lie
+        self.cluster.pump(self.liar, 10)
 
     @rule(which=which, count=st.integers(min_value=1, max_value=10))
     def work(self, which: int, count: int) -> None:
@@ -683,7 +704,16 @@ class ClusterWithALiar(RuleBasedStateMachine):
     @invariant()
     def nobody_is_accused_who_has_not_lied(self) -> None:
         assert not self.verification.liars or self.has_lied
-        assert self.verification.liars.keys() <= {"liar", "key of liar"}
+        assert self.verification.liars.keys() <= {"liar"}
+
+    @invariant()
+    def nobody_honest_is_thrown_out(self) -> None:
+        assert self.cluster.scheduler._losses.retired.keys() <= {"liar"}
+        assert all(
+            component.session.state is not State.STOPPED
+            for component in self.cluster.components
+            if component is not self.liar
+        )
 
     @invariant()
     def with_every_answer_verified_no_lie_is_used(self) -> None:
@@ -875,9 +905,11 @@ def test_tasks_of_two_kinds_that_wait_together_are_placed() -> None:
     assert cluster.ended.keys() == set(range(19))
 
 
-def test_a_key_is_at_work_under_one_name() -> None:
+@pytest.mark.parametrize("key", ["key of worker-1", "unknown"])
+def test_a_key_works_under_its_own_name_alone(key: str) -> None:
     cluster = Cluster(AdaptivePolicy())
     [first, second] = [cluster.start_component() for _ in range(2)]
-    cluster.carry_out(cluster.scheduler.register(first.identity, first.session._register, "key"))
-    actions = cluster.scheduler.register(second.identity, second.session._register, "key")
-    assert [type(action) for action in actions] == [Refuse]
+    cluster.pump(first, 10)
+    cluster.leave(first)
+    actions = cluster.scheduler.register(second.identity, second.session._register, key)
+    assert actions == [Refuse(second.identity, "its key is not that of 'worker-2'")]

@@ -18,6 +18,8 @@ from hpcapp.communicator.scheduling.verification import (
 from hpccomponent.errors import ConfigError, DistrustError, NoWorkersError, TaskError
 from hpccomponent.protocol.messages import Result
 
+A = frozenset("a")
+
 
 def judge(
     verification: Verification, task: Task, machine: str, told: bytes, names: str = "abc"
@@ -31,7 +33,7 @@ def test_two_equal_answers_are_believed() -> None:
     assert judge(verification, task, "a", b"x") == (Verdict.ASK_ANOTHER, [])
     assert judge(verification, task, "b", b"x") == (Verdict.BELIEVED, [])
     assert verification.verified == 1
-    assert not verification.answers
+    assert verification.answers == {frozenset("ab"): 1}
 
 
 @pytest.mark.parametrize("liar", ["a", "b"])
@@ -42,6 +44,49 @@ def test_a_third_machine_decides_between_two_answers(liar: str) -> None:
     assert judge(verification, task, "b", told["b"]) == (Verdict.ASK_ANOTHER, [])
     assert judge(verification, task, "c", told["c"]) == (Verdict.BELIEVED, [liar])
     assert verification.disagreements == 1
+
+
+def test_of_four_machines_three_must_agree_on_a_disputed_answer() -> None:
+    verification, task = Verification(1.0), Task(1, "t", 1)
+    for machine, told in zip("abc", (b"y", b"x", b"x"), strict=True):
+        assert judge(verification, task, machine, told, "abcd") == (Verdict.ASK_ANOTHER, [])
+    assert verification.disagreements == 1
+    assert judge(verification, task, "d", b"x", "abcd") == (Verdict.BELIEVED, ["a"])
+
+
+def test_two_that_conspire_among_four_throw_nobody_out() -> None:
+    verification, task = Verification(1.0), Task(1, "t", 1)
+    for machine, told in zip("abc", (b"y", b"x", b"y"), strict=True):
+        assert judge(verification, task, machine, told, "abcd") == (Verdict.ASK_ANOTHER, [])
+    assert judge(verification, task, "d", b"x", "abcd") == (Verdict.UNDECIDED, [])
+
+
+def test_where_the_fourth_is_lost_two_of_three_decide_whoever_answers_again() -> None:
+    verification, task = Verification(1.0), Task(1, "t", 1)
+    for machine, told in zip("abc", (b"y", b"x", b"x"), strict=True):
+        judge(verification, task, machine, told, "abcd")
+    assert judge(verification, task, "a", b"y", "abc") == (Verdict.ASK_ANOTHER, ["a"])
+    assert judge(verification, task, "b", b"x", "abc") == (Verdict.BELIEVED, ["a"])
+
+
+def test_what_two_liars_agreed_on_is_distrusted_once_both_are_found() -> None:
+    verification, first, second = Verification(1.0), Task(1, "t", 1), Task(2, "t", 1)
+    for machine in "ab":
+        verdict, _ = judge(verification, first, machine, b"y", "abcde")
+    assert verdict is Verdict.BELIEVED
+    for machine, told in zip("acbde", (b"y", b"x", b"y", b"x", b"x"), strict=True):
+        verdict, lying = judge(verification, second, machine, told, "abcde")
+    assert (verdict, lying) == (Verdict.BELIEVED, ["a", "b"])
+    verification.accuse("a", "it lied")
+    assert not verification.distrust
+    verification.accuse("b", "it lied")
+    assert "1 of its answers" in verification.distrust
+
+
+def test_who_fails_alone_is_one_of_the_three_that_decide() -> None:
+    verification, task = Verification(1.0), Task(1, "t", 1, has_failed=True)
+    assert judge(verification, task, "a", b"x", "ab") == (Verdict.ASK_ANOTHER, [])
+    assert judge(verification, task, "b", b"y", "ab") == (Verdict.UNDECIDED, [])
 
 
 def test_three_different_answers_decide_nothing() -> None:
@@ -62,7 +107,7 @@ def test_where_nobody_else_is_left_the_same_answer_again_is_taken_and_counted() 
     judge(verification, task, "a", b"x")
     assert judge(verification, task, "a", b"x", "a") == (Verdict.BELIEVED, [])
     assert (verification.verified, verification.unverified) == (0, 1)
-    assert verification.answers["a"] == 1
+    assert verification.answers[A] == 1
 
 
 @pytest.mark.parametrize(("share", "names"), [(0.0, "abc"), (None, "abc"), (1.0, "ab")])
@@ -95,13 +140,13 @@ def test_work_that_has_used_a_liars_answer_begins_anew() -> None:
         runs.append(is_first)
         verification.begin()
         with attempt(verification):
-            verification.answers["a"] += is_first
-            verification.accuse({"a"}, "key", "it lied")
+            verification.answers[A] += is_first
+            verification.accuse("a", "it lied")
         return "true"
 
     assert repeat_until_trusted(verification, run) == "true"
     assert runs == [True, False]
-    assert verification.liars == {"a": "it lied", "key": "it lied"}
+    assert verification.liars == {"a": "it lied"}
     assert "1 of its answers had been used" in verification.repeats[0]
 
 
@@ -114,7 +159,7 @@ def test_what_a_task_finds_impossible_is_made_again_once_with_every_answer_verif
         verification.begin()
         shares.append(verification.everything)
         judge(verification, Task(1, "t", 1), "a", b"x")
-        verification.answers["a"] += 1
+        verification.answers[A] += 1
         with attempt(verification):
             raise TaskError("no such block")
 
@@ -129,7 +174,7 @@ def test_what_a_task_finds_impossible_is_made_again_once_with_every_answer_verif
 def test_what_no_lie_can_cause_is_not_made_again(error: BaseException) -> None:
     verification = Verification(0.02)
     judge(verification, Task(1, "t", 1), "a", b"x")
-    verification.answers["a"] += 1
+    verification.answers[A] += 1
     with pytest.raises(type(error)) as raised, attempt(verification):
         raise error
     assert raised.value is error
@@ -137,8 +182,8 @@ def test_what_no_lie_can_cause_is_not_made_again(error: BaseException) -> None:
 
 def test_an_error_after_a_lie_came_out_is_laid_to_the_lie() -> None:
     verification = Verification()
-    verification.answers["a"] += 1
-    verification.accuse({"a"}, "", "it lied")
+    verification.answers[A] += 1
+    verification.accuse("a", "it lied")
     with pytest.raises(DistrustError, match="it lied"), attempt(verification):
         raise IndexError(7)
 
@@ -152,18 +197,18 @@ def test_what_a_liar_has_written_for_a_pending_answer_is_distrusted() -> None:
     verification = Verification(1.0)
     plain, written = Task(1, "t", 1), Task(2, "t", 1, has_written=True)
     judge(verification, plain, "a", b"x")
-    verification.accuse({"a"}, "", "it lied", [plain])
+    verification.accuse("a", "it lied", [plain])
     assert not verification.distrust
     assert not plain.answers
     judge(verification, written, "a", b"x")
-    verification.accuse({"a"}, "", "it lied", [written])
+    verification.accuse("a", "it lied", [written])
     assert verification.distrust
 
 
 def test_what_the_caller_raises_is_no_lie() -> None:
     verification = Verification(0.5)
     judge(verification, Task(1, "t", 1), "a", b"x")
-    verification.answers["a"] += 1
+    verification.answers[A] += 1
     own = RuntimeError("enough")
     with pytest.raises(RuntimeError, match="enough"), attempt(verification, lambda e: e is own):
         raise own
@@ -176,8 +221,8 @@ def test_an_error_before_the_next_attempt_has_begun_ends_the_job() -> None:
         with attempt(verification):
             if not is_first:
                 raise ConfigError("the inventory is gone")
-            verification.answers["a"] += 1
-            verification.accuse({"a"}, "", "it lied")
+            verification.answers[A] += 1
+            verification.accuse("a", "it lied")
 
     with pytest.raises(ConfigError, match="gone"):
         repeat_until_trusted(verification, run)
