@@ -16,9 +16,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-from hpcapp.applications.surface.cleaning.drive import drop_strays, mend_normals
+from hpcapp.applications.surface.cleaning.drive import drop_strays, mend_normals, thin_lines
 from hpcapp.applications.surface.cloud.folder_pass import FolderPass, make_cloud_folder
-from hpcapp.applications.surface.cloud.measure import measure_cloud, measure_spacing
+from hpcapp.applications.surface.cloud.measure import measure_cloud
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.hierarchical.estimates import choose_scale
 from hpcapp.applications.surface.method import TILE_POINTS
@@ -82,16 +82,16 @@ def run(path: Path, folder: Path, backend_name: str, workers: int | None) -> Non
         source = open_points(path)
         ingested = take("ingest", lambda: ingest_file(source, arranged, those))
         read = FolderPass(ingested.cloud, folder, those)
-        spacing = take("spacing", lambda: measure_spacing(read))
-        kept, cleaned, spacing = take("clean", lambda: drop_strays(read, spacing))
-        kept, _ = take("mend", lambda: mend_normals(kept, spacing))
-        cloud = take("sample", lambda: measure_cloud(kept, spacing)).cloud
-        scale = take("noise", lambda: choose_scale(cloud.measure(), 0.0, 1.0, 1.0))
-        coarse = 16.0 * scale.cell_size
+        kept, _, scale = take("lines", lambda: thin_lines(read))
+        kept, cleaned, scale = take("clean", lambda: drop_strays(kept, scale))
+        kept, _ = take("mend", lambda: mend_normals(kept, scale.spacing))
+        cloud = take("sample", lambda: measure_cloud(kept, scale)).cloud
+        cells_of = take("noise", lambda: choose_scale(cloud.measure(), 0.0, 1.0, 1.0))
+        coarse = 16.0 * cells_of.cell_size
         cells, _ = take("cells", lambda: those.count_cells(cloud, cloud.low, coarse))
         tell("all", totals)
     print(f"{len(cloud)} points in {len(cloud.keys)} blocks, {ingested.dropped}, {cleaned}")
-    print(f"{scale}, {len(cells)} cells, {os.path.getsize(path) / 1e6:.0f} MB read")
+    print(f"{cells_of}, {len(cells)} cells, {os.path.getsize(path) / 1e6:.0f} MB read")
 
 
 if __name__ == "__main__":

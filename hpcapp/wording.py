@@ -30,6 +30,7 @@ _NAMES = {
     "points": "points used",
     "reach": "no point supports beyond",
     "refined_levels": "levels added for detail",
+    "scan_lines": "scan lines: gap and step",
     "share": "supported by points",
     "spacing": "spacing of the points",
     "spacing_range": "spacing, from and to",

@@ -18,7 +18,7 @@ from hpcapp.io.points.column_roles import tell_use
 from hpcapp.io.points.point_source import Findings
 from hpccomponent.errors import InputError
 
-__all__ = ["describe", "describe_file", "measure_typical"]
+__all__ = ["describe", "describe_file", "measure_spacing"]
 
 
 def describe_file(source: PointSource) -> tuple[dict[str, object], Findings, PointCloud]:
@@ -33,7 +33,8 @@ def describe_file(source: PointSource) -> tuple[dict[str, object], Findings, Poi
         of other columns that are kept; ``scans``: for each its ``points``, ``scanner`` and
         ``grid``, or None; ``grid`` of the first; ``crs``; ``unit``; ``height_unit``: of z, where
         it is stated of that alone; ``up``: which way that is, and why; ``dropped``: points that
-        are no part of the cloud, by reason; ``warnings``; and all that `describe` tells.
+        are no part of the cloud, by reason; ``warnings``; and all that `describe` and
+        `measure_spacing` tell.
 
     cloud : PointCloud
         The points, z in the unit of x and y.
@@ -50,7 +51,7 @@ def describe_file(source: PointSource) -> tuple[dict[str, object], Findings, Poi
     facts = {
         "format": source.format,
         **describe(cloud),
-        "spacing": measure_typical(upright),
+        **measure_spacing(upright),
         "normals": source.normals_from if cloud.normals is not None else None,
         "is_oriented": source.oriented if cloud.normals is not None else None,
         "attributes": list(cloud.attributes),
@@ -147,16 +148,28 @@ def _count_normals(normals: FloatArray | None) -> dict[str, int]:
     }
 
 
-def measure_typical(cloud: PointCloud) -> float | None:
-    """Measure how far apart points are, as a job does; None where it would refuse them.
+def measure_spacing(cloud: PointCloud) -> dict[str, object]:
+    """Measure how far apart points are, as a job does.
 
     Parameters
     ----------
     cloud : PointCloud
         As it was read, z in the unit of x and y.
+
+    Returns
+    -------
+    dict
+        JSON values, None where a job would refuse the points. ``spacing``, and ``spacing_range``
+        from place to place, of the points that a job takes; ``scan_lines``: their ``gap``, the
+        ``step`` along them, and how many points they ``spared``, or None where there are none.
     """
     try:
         usable, _ = drop_unusable(cloud, "the cloud")
-        return reject_points(usable)[2]
+        _, cleaned, scale = reject_points(usable)
     except InputError:
-        return None
+        return dict.fromkeys(("spacing", "spacing_range", "scan_lines"))
+    return {
+        "spacing": scale.spacing,
+        "spacing_range": list(scale.range),
+        "scan_lines": cleaned.tell_lines(),
+    }

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from hpcapp.applications.surface.cleaning.drive import Cleaned, drop_repeated, drop_strays
+from hpcapp.applications.surface.cleaning.drive import (
+    Cleaned,
+    drop_repeated,
+    drop_strays,
+    thin_lines,
+)
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
-from hpcapp.applications.surface.cloud.measure import measure_spacing
 from hpcapp.applications.surface.reading.reach import drop_far
+from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.applications.surface.types.points import BoolArray, PointCloud
 from hpcapp.io import drop_unusable
 
@@ -36,8 +39,10 @@ def take_rejected(cloud: PointCloud, source: str) -> tuple[PointCloud, Cleaned]:
     return usable.take(np.flatnonzero(is_rejected)), cleaned
 
 
-def reject_points(usable: PointCloud) -> tuple[BoolArray, Cleaned, float]:
+def reject_points(usable: PointCloud) -> tuple[BoolArray, Cleaned, LocalScale]:
     """Find the outliers and the strays of a cloud as a job does; normals are not asked.
+
+    Points that scan lines can spare are none of them.
 
     Parameters
     ----------
@@ -49,8 +54,8 @@ def reject_points(usable: PointCloud) -> tuple[BoolArray, Cleaned, float]:
     is_rejected : ndarray of bool, shape (n,)
     cleaned : Cleaned
         How many they are.
-    spacing : float
-        Of the others, in length units of the input: the one that the job tells.
+    scale : LocalScale
+        Of the points that the job takes.
 
     Raises
     ------
@@ -60,11 +65,12 @@ def reject_points(usable: PointCloud) -> tuple[BoolArray, Cleaned, float]:
     rows = {"row": np.arange(len(usable))}
     near = drop_far(PointCloud(usable.positions, attributes=rows))
     cloud_pass, _ = drop_repeated(MemoryPass(arrange_cloud(near)))
+    cloud_pass, thinned, scale = thin_lines(cloud_pass)
     before = cloud_pass.cloud.points.attributes["row"]
-    cloud_pass, cleaned, spacing = drop_strays(cloud_pass, measure_spacing(cloud_pass))
+    cloud_pass, found, scale = drop_strays(cloud_pass, scale)
     is_rejected = np.ones(len(usable), np.bool_)
     is_rejected[near.attributes["row"]] = False
     is_rejected[before] = True
     is_rejected[cloud_pass.cloud.points.attributes["row"]] = False
-    outliers = cleaned.outliers + len(usable) - len(near)
-    return is_rejected, replace(cleaned, outliers=outliers), spacing
+    far = Cleaned(outliers=len(usable) - len(near))
+    return is_rejected, far.plus(thinned).plus(found), scale

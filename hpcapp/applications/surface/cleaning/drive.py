@@ -2,17 +2,15 @@
 
 ::
 
-    drop_far ── drop_repeated ── outliers dropped ── strays dropped ── (normals) ── normals mended
-                                        ▲                  │
-                                        └──── once more ───┘
+    drop_far ─ drop_repeated ─ lines thinned ─ outliers, strays dropped ─ (normals) ─ normals mended
 
-Outliers lie far from every surface (see `outliers`), strays near one (see `strays`). Where some are
-gone, fewer are left that could vouch for the others.
+What lies closer along scan lines than these lie apart is spared (see `scan_lines`). Outliers lie
+far from every surface (see `outliers`), strays near one (see `strays`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 
@@ -21,8 +19,10 @@ from hpcapp.applications.surface.cleaning import tasks as tasks
 from hpcapp.applications.surface.cleaning.outlier_regions import DroppedCells
 from hpcapp.applications.surface.cleaning.strays import MARGIN, ROUNDS
 from hpcapp.applications.surface.cloud.cloud_pass import CloudPass, PassT
-from hpcapp.applications.surface.cloud.measure import measure_scale, measure_spacing
+from hpcapp.applications.surface.cloud.measure import measure_scale
 from hpcapp.applications.surface.normals import consistency
+from hpcapp.applications.surface.scale.local_scale import LocalScale
+from hpcapp.applications.surface.scale.scan_lines import keep_lines
 from hpcapp.applications.surface.types.lattice import lay_lattice, unique_keys
 
 __all__ = [
@@ -30,6 +30,7 @@ __all__ = [
     "drop_repeated",
     "drop_strays",
     "mend_normals",
+    "thin_lines",
 ]
 
 
@@ -50,12 +51,30 @@ class Cleaned:
         Normals that were turned round.
     repeated : int
         Points at the place of another that were dropped.
+    spared : int
+        Points along scan lines that were not needed.
+    line_gap, line_step : float
+        From line to line, and from point to point along one, in length units of the input: the
+        medians over the cells that hold lines; 0 where none does.
     """
 
     outliers: int = 0
     strays: int = 0
     flipped: int = 0
     repeated: int = 0
+    spared: int = 0
+    line_gap: float = 0.0
+    line_step: float = 0.0
+
+    def tell_lines(self) -> dict[str, float] | None:
+        """Return the JSON value for scan lines; None where there are none."""
+        if not self.spared:
+            return None
+        return {"gap": self.line_gap, "step": self.line_step, "spared": self.spared}
+
+    def plus(self, other: Cleaned) -> Cleaned:
+        """Return what both have found; each thing is found by one of them alone, but outliers."""
+        return Cleaned(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
 
 
 def drop_repeated(cloud_pass: PassT) -> tuple[PassT, int]:
@@ -67,25 +86,50 @@ def drop_repeated(cloud_pass: PassT) -> tuple[PassT, int]:
     return cloud_pass, sum(count for (count,) in counts)
 
 
-def drop_strays(cloud_pass: PassT, spacing: float) -> tuple[PassT, Cleaned, float]:
-    """Drop the points that belong to no surface; normals are not asked.
-
-    Parameters
-    ----------
-    cloud_pass : CloudPass
-        Through ten points or more. Far ones must have been dropped: see `drop_far`.
-    spacing : float
-        In length units of the input.
+def thin_lines(cloud_pass: PassT) -> tuple[PassT, Cleaned, LocalScale]:
+    """Drop the points along scan lines that are closer than the lines' gap asks for.
 
     Returns
     -------
     cloud_pass : CloudPass
         Through the points that remain, in their order.
     cleaned : Cleaned
-    spacing : float
+    scale : LocalScale
         Of these.
     """
-    scale, margin = measure_scale(cloud_pass, spacing), MARGIN * spacing
+    scale, boxes = measure_scale(cloud_pass)
+    if len(boxes.keys):
+        boxes = keep_lines(boxes, cloud_pass.each(tasks.count_lines, boxes))
+    if not len(boxes.keys):
+        return cloud_pass, Cleaned(), scale
+    cloud_pass, counts = cloud_pass.rewrite(tasks.thin_lines, boxes)
+    scale, _ = measure_scale(cloud_pass)
+    gap, step = float(np.median(boxes.gaps)), float(np.median(boxes.steps))
+    spared = sum(count for (count,) in counts)
+    return cloud_pass, Cleaned(spared=spared, line_gap=gap, line_step=step), scale
+
+
+def drop_strays(cloud_pass: PassT, scale: LocalScale) -> tuple[PassT, Cleaned, LocalScale]:
+    """Drop the points that belong to no surface; normals are not asked.
+
+    Where some are gone, fewer are left that could vouch for the others: these are asked again.
+
+    Parameters
+    ----------
+    cloud_pass : CloudPass
+        Through ten points or more. Far ones must have been dropped: see `drop_far`.
+    scale : LocalScale
+        Of these.
+
+    Returns
+    -------
+    cloud_pass : CloudPass
+        Through the points that remain, in their order.
+    cleaned : Cleaned
+    scale : LocalScale
+        Of these.
+    """
+    spacing, margin = scale.spacing, MARGIN * scale.spacing
     outliers = strays = 0
     for _ in range(ROUNDS):
         far = 0
@@ -99,8 +143,8 @@ def drop_strays(cloud_pass: PassT, spacing: float) -> tuple[PassT, Cleaned, floa
         if near <= _MANY * len(cloud_pass.cloud):
             break
     if outliers + strays:
-        spacing = measure_spacing(cloud_pass)
-    return cloud_pass, Cleaned(outliers, strays), spacing
+        scale, _ = measure_scale(cloud_pass)
+    return cloud_pass, Cleaned(outliers, strays), scale
 
 
 def mend_normals(cloud_pass: PassT, spacing: float) -> tuple[PassT, int]:

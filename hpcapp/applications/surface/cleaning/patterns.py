@@ -10,11 +10,12 @@ from hpcapp.applications.surface.cleaning.outlier_regions import LOCAL_RANK
 from hpcapp.applications.surface.cleaning.outliers import EDGE, ISLAND_LEVEL
 from hpcapp.applications.surface.cloud.patterns import UNIT, AssignedPoints
 from hpcapp.applications.surface.cloud.regions import StoredBlocks
+from hpcapp.applications.surface.scale.scan_lines import GapBoxes
 from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.applications.surface.types.result_patterns import are_units
 from hpccomponent.protocol.declared import Array, Declared, Either, Fixed, Nothing, Where, Whole
 
-__all__ = ["mended_region", "ranked_region", "stray_cells", "without_points"]
+__all__ = ["counted_lines", "mended_region", "ranked_region", "stray_cells", "without_points"]
 
 
 def without_points(points: StoredBlocks, *_: Any) -> Declared:
@@ -25,6 +26,17 @@ def without_points(points: StoredBlocks, *_: Any) -> Declared:
         Fixed(rest, Whole(0, own.points)),
         lambda result: own.lacks(*result),
         "blocks lack the points that are dropped",
+    )
+
+
+def counted_lines(points: StoredBlocks, boxes: GapBoxes) -> Declared:
+    """Return the pattern of what `tasks.count_lines` counts."""
+    own, cells = AssignedPoints.of(points), len(boxes.keys)
+    counts = Array("<i8", cells, low=0, total=(0, own.points))
+    return Where(
+        Fixed(counts, counts),
+        lambda counted: bool((counted[1] <= counted[0]).all()),
+        "those along lines are among all",
     )
 
 

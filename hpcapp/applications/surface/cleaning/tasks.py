@@ -3,6 +3,7 @@
 ::
 
     region ── drop_repeated ──> without repeated points
+    region ── count_lines ──> master ── thin_lines ──> without points that scan lines can spare
     region ── rank_region ──> master ── judge_region ──> stray cells ── drop_cells ──> without them
     region ── drop_strays ──> without points that lie apart from their neighbours
     region ── mend_region ──> inconsistent normals flipped
@@ -15,6 +16,7 @@ import numpy as np
 from hpcapp.applications.surface.cleaning import outlier_regions as outliers
 from hpcapp.applications.surface.cleaning.outlier_regions import DroppedCells, RegionRanks
 from hpcapp.applications.surface.cleaning.patterns import (
+    counted_lines,
     mended_region,
     ranked_region,
     stray_cells,
@@ -26,16 +28,20 @@ from hpcapp.applications.surface.cloud.patterns import region_bytes
 from hpcapp.applications.surface.cloud.regions import RegionPoints, Replaced
 from hpcapp.applications.surface.normals.consistency import find_turned
 from hpcapp.applications.surface.scale.local_scale import LocalScale
+from hpcapp.applications.surface.scale.scan_lines import GapBoxes, count_narrow, find_spare
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.applications.surface.types.result_patterns import SMALL_BYTES
 from hpccomponent.runtime.tasks import declare
 
 __all__ = [
+    "count_lines",
     "drop_cells",
     "drop_repeated",
     "drop_strays",
     "judge_region",
     "mend_region",
     "rank_region",
+    "thin_lines",
 ]
 
 
@@ -45,6 +51,20 @@ def drop_repeated(points: RegionPoints) -> tuple[Replaced | None, int]:
     region = points.take()
     repeated = find_repeated(region.positions)
     return region.drop(repeated), int(np.count_nonzero(repeated))
+
+
+@declare(result=counted_lines, limit=lambda _, boxes: SMALL_BYTES + 16 * len(boxes.keys))
+def count_lines(points: RegionPoints, boxes: GapBoxes) -> tuple[IntArray, IntArray]:
+    """Count a region's points that lie along lines (a task); see `count_narrow`."""
+    return count_narrow(points.take().positions, boxes)
+
+
+@declare(result=without_points, limit=region_bytes(16))
+def thin_lines(points: RegionPoints, boxes: GapBoxes) -> tuple[Replaced | None, int]:
+    """Drop the points that scan lines can spare (a task); return how many, too."""
+    region = points.take()
+    spare = find_spare(region.positions, boxes)
+    return region.drop(spare), int(np.count_nonzero(spare))
 
 
 @declare(result=ranked_region, limit=region_bytes(56))

@@ -20,6 +20,7 @@ from hpcapp.applications.surface.scale.local_scale import (
     count_depth,
     make_scale,
 )
+from hpcapp.applications.surface.scale.scan_lines import GapBoxes, find_gaps
 from hpcapp.applications.surface.types.lattice import lay_lattice, unique_keys
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpccomponent.errors import InputError
@@ -57,29 +58,29 @@ def check_surface(cloud_pass: CloudPass, spacing: float) -> InputError | None:
     return find_no_surface(draw, len(cloud), cloud.low, cloud.high, spacing)
 
 
-def measure_scale(cloud_pass: CloudPass, spacing: float) -> LocalScale:
-    """Find how the spacing of an arranged cloud changes from place to place.
+def measure_scale(cloud_pass: CloudPass) -> tuple[LocalScale, GapBoxes]:
+    """Find how the spacing of an arranged cloud changes from place to place, and where lines are.
 
-    Parameters
-    ----------
-    cloud_pass : CloudPass
-    spacing : float
-        Of the whole cloud, in length units of the input.
+    Raises
+    ------
+    InputError
+        All points are the same.
     """
-    lattice = cloud_pass.cloud.arrangement
+    spacing, lattice = measure_spacing(cloud_pass), cloud_pass.cloud.arrangement
     edge = lattice.edge * 2.0**-HALVINGS
-    counted = cloud_pass.each(count_region_scale, lattice.origin, edge, count_depth(edge, spacing))
-    return make_scale(spacing, lattice.origin, edge, counted)
+    depth = count_depth(edge, spacing)
+    counted = cloud_pass.each(count_region_scale, lattice.origin, edge, depth)
+    scale = make_scale(spacing, lattice.origin, edge, counted)
+    return scale, find_gaps(lattice.origin, edge, depth, counted)
 
 
-def measure_cloud(cloud_pass: PassT, spacing: float) -> PassT:
-    """Keep with a cloud what methods ask of it."""
+def measure_cloud(cloud_pass: PassT, scale: LocalScale) -> PassT:
+    """Keep with a cloud what methods ask of it: its scale, which is given, and a sample."""
 
     def draw(one_in: int) -> Points:
-        return draw_boxes(cloud_pass, SAMPLED_BOX * spacing, one_in)
+        return draw_boxes(cloud_pass, SAMPLED_BOX * scale.spacing, one_in)
 
     sample = draw_sample(draw, len(cloud_pass.cloud))
-    scale = measure_scale(cloud_pass, spacing)
     return cloud_pass.note(Measured(scale, PointCloud(*sample)))
 
 

@@ -21,6 +21,7 @@ from hpcapp.applications.surface.cleaning.drive import (
     drop_repeated,
     drop_strays,
     mend_normals,
+    thin_lines,
 )
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, MemoryCloud, arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import CloudPass, MemoryPass
@@ -29,6 +30,7 @@ from hpcapp.applications.surface.cloud.folder_pass import FolderPass, make_cloud
 from hpcapp.applications.surface.cloud.measure import (
     check_surface,
     measure_cloud,
+    measure_scale,
     measure_spacing,
 )
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
@@ -38,6 +40,7 @@ from hpcapp.applications.surface.normals.sides import Oriented, orient_cloud
 from hpcapp.applications.surface.reading.drive import ingest_file
 from hpcapp.applications.surface.reading.reach import drop_far
 from hpcapp.applications.surface.reading.registration import check_registration
+from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.applications.surface.settings import JobSettings, Settings
 from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.applications.surface.viewpoint import Viewpoint
@@ -148,6 +151,11 @@ class Loaded:
         for line in self.findings.lines():
             log.warning("warning: %s: %s", shown, line)
         dropped, cleaned = self.dropped, self.cleaned
+        if cleaned.spared:
+            log.info(
+                "%s: scan lines some %.3g apart, with points every %.3g: %d of these spared",
+                shown, cleaned.line_gap, cleaned.line_step, cleaned.spared,
+            )  # fmt: skip
         for count, what in (
             (dropped.non_finite_points, "dropped %d points that are NaN or Inf"),
             (dropped.bad_normals, "dropped %d points whose normal is zero, NaN or Inf"),
@@ -313,17 +321,24 @@ def prepare(settings: Settings, read: Read, clock: StageClock) -> Loaded:
     cloud_pass, method = read.cloud_pass, settings.method
     is_asked = settings.attributes.has_confidence
     keeps = is_asked and CONFIDENCE not in read.columns.layout.attributes
-    spacing, cleaned = measure_spacing(cloud_pass), read.cleaned
-    if not read.has_normals and (problem := check_surface(cloud_pass, spacing)) is not None:
-        raise problem
+    cleaned = read.cleaned
     if method.cleans:
         with clock.stage("clean"):
-            cloud_pass, found, spacing = drop_strays(cloud_pass, spacing)
-        outliers = cleaned.outliers + found.outliers
-        cleaned = replace(cleaned, outliers=outliers, strays=found.strays)
+            cloud_pass, thinned, scale = thin_lines(cloud_pass)
+            _check_surface(read, cloud_pass, scale.spacing)
+            cloud_pass, found, scale = drop_strays(cloud_pass, scale)
+        cleaned = cleaned.plus(thinned).plus(found)
+    else:
+        is_whole = method.needs_whole_cloud  # in no blocks
+        scale = (
+            LocalScale.uniform(measure_spacing(cloud_pass))
+            if is_whole
+            else measure_scale(cloud_pass)[0]
+        )
+        _check_surface(read, cloud_pass, scale.spacing)
     cloud_pass, oriented = orient_cloud(
         cloud_pass,
-        spacing,
+        scale.spacing,
         settings.normals,
         read.sensor,
         clock,
@@ -333,13 +348,19 @@ def prepare(settings: Settings, read: Read, clock: StageClock) -> Loaded:
     )
     if method.cleans:
         with clock.stage("mend normals"):
-            cloud_pass, flipped = mend_normals(cloud_pass, spacing)
+            cloud_pass, flipped = mend_normals(cloud_pass, scale.spacing)
         cleaned = replace(cleaned, flipped=flipped)
     if not method.needs_whole_cloud:
-        cloud_pass = measure_cloud(cloud_pass, spacing)
+        cloud_pass = measure_cloud(cloud_pass, scale)
     cloud = cloud_pass.cloud
     columns = read.columns.of_cloud(cloud)
     return Loaded(cloud, read.dropped, cleaned, columns, oriented, Findings(), read.crs)
+
+
+def _check_surface(read: Read, cloud_pass: CloudPass, spacing: float) -> None:
+    """Refuse points without normals that lie on no surface."""
+    if not read.has_normals and (problem := check_surface(cloud_pass, spacing)) is not None:
+        raise problem
 
 
 def _note(folder: Path, loaded: Loaded) -> None:

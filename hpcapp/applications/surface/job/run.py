@@ -213,6 +213,7 @@ def describe_outcome(
         "strays": loaded.cleaned.strays,
     }
     report["turned_normals"] = loaded.cleaned.flipped
+    report["scan_lines"] = loaded.cleaned.tell_lines()
     report["normals"] = loaded.oriented.to_json()
     return report
 

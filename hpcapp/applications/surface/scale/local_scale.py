@@ -33,12 +33,23 @@ from hpcapp.applications.surface.types.lattice import (
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpccomponent.protocol.records import record
 
-__all__ = ["LocalScale", "ScaleCounts", "count_depth", "count_scale", "make_scale"]
+__all__ = [
+    "LEAST",
+    "LocalScale",
+    "ScaleCounts",
+    "count_depth",
+    "count_scale",
+    "double_cells",
+    "make_scale",
+    "merge_scale_counts",
+]
 
 HALVINGS = 2
 """So often a block is halved for the finest cells."""
 
-_LEAST = 64  # points that tell a spacing
+LEAST = 64
+"""Points that tell a spacing."""
+
 _BEST = 5.0  # points in a box, of the 3 to 20 of the whole cloud's
 _NARROW = 2.0  # likewise, where the points of a line must not pass for those of a sparse surface
 _APART = 2.0  # times as far as all points in a cell: those that no smaller cell speaks for
@@ -214,19 +225,15 @@ def make_scale(
     Boxes of a surface hold points in proportion to their faces: with n points in b boxes of edge
     H the spacing is H / sqrt(n / b). Of all H that with some five points in a box is taken.
     """
-    keys = np.concatenate([some.keys for some in counted])
-    order = np.argsort(keys, kind="stable")
+    keys, every = merge_scale_counts(counted)
     # Of each cell its points and boxes: all, and those that no smaller cell speaks for.
-    points = np.concatenate([some.points for some in counted])[order]
-    boxes = np.concatenate([some.boxes for some in counted])[order]
-    keys, every = keys[order], np.column_stack([points, boxes])
     rest, levels, cells, spoken, spacings = every, [], [], [], []
     for level in range(BITS):
         edges = cell_edge * 2.0 ** (level - np.arange(every.shape[1] - 1))
-        tells = rest[:, 0] >= _LEAST
-        told = _tell_spacings(every[tells], edges, _BEST)
+        tells = rest[:, 0] >= LEAST
+        told = _tell_spacings(every[tells], edges)
         is_apart = _tell_spacings(rest[tells], edges, _NARROW) > _APART * told
-        told[is_apart] = _tell_spacings(rest[tells][is_apart], edges, _BEST)
+        told[is_apart] = _tell_spacings(rest[tells][is_apart], edges)
         levels.append(np.full(len(told), level))
         cells.append(keys[tells])
         spoken.append(rest[tells, 0])
@@ -235,7 +242,7 @@ def make_scale(
             break
         keys, parent = number_keys(ancestor_keys(keys))
         rest = np.where(tells[:, None], 0, rest)
-        every, rest = (_double_cells(counts, parent, len(keys)) for counts in (every, rest))
+        every, rest = (double_cells(counts, parent, len(keys)) for counts in (every, rest))
     return LocalScale(
         spacing,
         origin,
@@ -247,14 +254,31 @@ def make_scale(
     )
 
 
-def _double_cells(counts: IntArray, parent: IntArray, parents: int) -> IntArray:
+def merge_scale_counts(counted: Sequence[ScaleCounts]) -> tuple[IntArray, IntArray]:
+    """Put together what was counted of all regions; d halvings.
+
+    Returns
+    -------
+    keys : ndarray of int64, shape (c,)
+        Of the occupied finest cells, sorted.
+    counts : ndarray of int64, shape (c, d + 2)
+        The points of each, and its boxes of once, half, a quarter of its edge and so on.
+    """
+    keys = np.concatenate([some.keys for some in counted])
+    order = np.argsort(keys, kind="stable")
+    points = np.concatenate([some.points for some in counted])[order]
+    boxes = np.concatenate([some.boxes for some in counted])[order]
+    return keys[order], np.column_stack([points, boxes])
+
+
+def double_cells(counts: IntArray, parent: IntArray, parents: int) -> IntArray:
     """Sum the counts of cells to those of their parents, which are boxes themselves."""
     points, *boxes = (np.bincount(parent, column, parents).astype(np.int64) for column in counts.T)
     return np.column_stack([points, np.minimum(points, 1), *boxes])
 
 
-def _tell_spacings(counts: IntArray, edges: FloatArray, wanted: float) -> FloatArray:
-    """Return the spacing in each cell, by boxes that hold about so many points."""
+def _tell_spacings(counts: IntArray, edges: FloatArray, wanted: float = _BEST) -> FloatArray:
+    """Return the spacing in each cell, by boxes of these edges that hold about so many points."""
     held = counts[:, :1] / counts[:, 1:]  # (c, d): points in an occupied box
     best = np.abs(np.log(held / wanted)).argmin(axis=1)
     spacings: FloatArray = edges[best] / np.sqrt(held[np.arange(len(best)), best])

@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hpcapp.applications.points.info import describe, describe_file, measure_typical
+from hpcapp.applications.points.info import describe, describe_file, measure_spacing
 from hpcapp.applications.surface.job.run import JobSettings, run_job
 from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import open_points
@@ -73,11 +73,24 @@ def test_the_spacing_is_that_of_the_job(tmp_path: Path) -> None:
     assert facts["spacing"] == pytest.approx(np.sqrt(4 * np.pi / len(ball)), rel=0.2)
 
 
+def test_scan_lines_are_told_as_the_job_takes_them(tmp_path: Path) -> None:
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0, 5, 0.1), np.arange(0, 5, 0.008)))
+    np.savetxt(tmp_path / "lines.xyz", np.stack([x, y, 0.3 * np.sin(x) * np.cos(y)], axis=1))
+    facts, _, _ = describe_file(open_points(tmp_path / "lines.xyz"))
+    settings = JobSettings(tmp_path / "lines.xyz", str(tmp_path / "m.ply"), grid=32)
+    told = facts["scan_lines"]
+    assert told == run_job(settings, Progress())["scan_lines"]
+    assert isinstance(told, dict)
+    assert told["gap"] == pytest.approx(0.1, rel=0.25)
+    assert told["step"] == pytest.approx(0.008, rel=0.5)
+    assert told["spared"] > 0.7 * len(x)
+
+
 @pytest.mark.parametrize("positions", [np.empty((0, 3)), np.full((3, 3), np.nan)])
 def test_nothing_to_measure_is_none(positions: np.ndarray) -> None:
     facts = describe(PointCloud(positions))
     assert facts["bounds"] is None
-    assert measure_typical(PointCloud(positions)) is None
+    assert measure_spacing(PointCloud(positions))["spacing"] is None
     assert facts["points"] == len(positions)
 
 

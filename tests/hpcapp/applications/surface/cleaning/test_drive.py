@@ -18,7 +18,7 @@ from hpcapp.applications.surface.cloud import arranged as arranged_cloud
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.cloud.arrangement import choose_arrangement, snap_points
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
-from hpcapp.applications.surface.cloud.spacing import estimate_spacing
+from hpcapp.applications.surface.cloud.measure import measure_scale
 from hpcapp.applications.surface.reading.reach import drop_far
 from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import drop_unusable, read_points
@@ -26,8 +26,8 @@ from hpcapp.io import drop_unusable, read_points
 
 def clean(points: PointCloud) -> tuple[PointCloud, Cleaned]:
     arranged = MemoryPass(arrange_cloud(points))
-    kept, cleaned, spacing = drop_strays(arranged, estimate_spacing(points.positions))
-    kept, flipped = mend_normals(kept, spacing)
+    kept, cleaned, scale = drop_strays(arranged, measure_scale(arranged)[0])
+    kept, flipped = mend_normals(kept, scale.spacing)
     return kept.cloud.points, replace(cleaned, flipped=flipped)
 
 

@@ -8,7 +8,7 @@ import pytest
 from hpcapp.applications.surface.cleaning.drive import drop_strays
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
-from hpcapp.applications.surface.cloud.measure import measure_spacing
+from hpcapp.applications.surface.cloud.measure import measure_scale
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, PointCloud
 
 Random = np.random.Generator
@@ -22,7 +22,7 @@ def random() -> Random:
 def find_dropped(positions: FloatArray) -> BoolArray:
     cloud = PointCloud(positions, attributes={"row": np.arange(len(positions))})
     cloud_pass = MemoryPass(arrange_cloud(cloud))
-    kept, cleaned, _ = drop_strays(cloud_pass, measure_spacing(cloud_pass))
+    kept, cleaned, _ = drop_strays(cloud_pass, measure_scale(cloud_pass)[0])
     dropped = np.ones(len(positions), np.bool_)
     dropped[kept.cloud.points.attributes["row"]] = False
     assert dropped.sum() == cleaned.outliers + cleaned.strays

@@ -1,0 +1,262 @@
+"""Where points lie along scan lines: much closer along a line than the lines are apart.
+
+::
+
+    counts of cells ── find_gaps ──> GapBoxes ── count_narrow ──> keep_lines ── find_spare ──>
+    the boxes in which more points lie than the gap asks for, and those where they lie along lines,
+    of whose points one stays
+
+Where points cover a surface, boxes of half the edge are four times as many; along lines they are
+twice as many, and where each holds one point as many as before. So the *gap*, which a surface must
+bridge, is where the growth falls below 2^1.5 as boxes are halved, and the *step* along a line is
+what the density leaves for it. In boxes of half a gap the points of lines lie along them; those of
+a dense part of a scan do not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hpcapp.applications.surface.scale.local_scale import (
+    LEAST,
+    ScaleCounts,
+    double_cells,
+    merge_scale_counts,
+)
+from hpcapp.applications.surface.types.lattice import (
+    BITS,
+    ancestor_keys,
+    cells_of,
+    find_first,
+    find_keys,
+    number_keys,
+    pack_places,
+    unique_keys,
+)
+from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
+from hpccomponent.protocol.records import record
+
+__all__ = ["SHARE", "GapBoxes", "count_narrow", "find_gaps", "find_spare", "keep_lines"]
+
+_GROWTH = 1.5  # powers of two: half way between a line and a surface
+_ACROSS = 2.0**0.5  # gaps: edge of the boxes at that growth, of lines all one gap apart
+_BOX = 0.5  # gaps: edge of the boxes of which one point is kept
+_ASPECT = 4.0  # gaps by steps: lines less dense than that have fewer than two points in such a box
+_COVERED = 3  # halvings of a cell: it speaks where its points cover a surface in such boxes
+_WHOLE = 2  # doublings of a finest cell that make a block: no box is larger
+
+_FEWEST = 3  # points that tell whether a box's points lie along a line
+_NARROW = 0.18  # minors of their covariance by its trace squared: 0 on a line, 1/4 all over a plane
+SHARE = 0.35
+"""Of the points around, in boxes where they lie along a line: see ``benchmarks/scan_lines.py``."""
+_AROUND = 1024  # points that are asked together
+
+
+@record("surface.gap_boxes")
+@dataclass(frozen=True, slots=True, eq=False)
+class GapBoxes:
+    """Where points may lie along lines, and of which boxes there one is enough; c cells.
+
+    Parameters
+    ----------
+    origin : ndarray of float64, shape (3,)
+        Corner of a box of any size.
+    edge : float
+        Of the finest boxes, in length units of the input.
+    depth : int
+        So often the finest cells of the local scale are halved for these.
+    keys : ndarray of int64, shape (c,)
+        Of the finest cells, sorted.
+    doublings : ndarray of int64, shape (c,)
+        So often the finest boxes are doubled there.
+    gaps, steps : ndarray of float64, shape (c,)
+        From line to line, and from point to point along them, in length units of the input.
+    """
+
+    origin: FloatArray
+    edge: float
+    depth: int
+    keys: IntArray
+    doublings: IntArray
+    gaps: FloatArray
+    steps: FloatArray
+
+    def take(self, chosen: BoolArray) -> GapBoxes:
+        """Return some of the cells, which a mask of shape (c,) names."""
+        return replace(
+            self,
+            keys=self.keys[chosen],
+            doublings=self.doublings[chosen],
+            gaps=self.gaps[chosen],
+            steps=self.steps[chosen],
+        )
+
+
+def find_gaps(
+    origin: FloatArray,
+    cell_edge: float,
+    depth: int,
+    counted: Sequence[ScaleCounts],
+) -> GapBoxes:
+    """Find the finest cells whose points are dense beside the gaps among them.
+
+    Parameters
+    ----------
+    origin, cell_edge, depth
+        See `count_scale`.
+    counted : sequence of ScaleCounts
+        See `make_scale`.
+
+    Notes
+    -----
+    For each of them the smallest cell around it speaks whose points cover a surface. A lone line
+    does so in no cell.
+    """
+    finest, counts = merge_scale_counts(counted)
+    keys, row_of = finest, np.arange(len(finest))
+    gaps, steps = np.zeros((2, len(finest)))
+    for level in range(BITS):
+        pending = np.flatnonzero(gaps == 0.0)
+        edges = cell_edge * 2.0 ** (level - np.arange(counts.shape[1] - 1))
+        if len(edges) > _COVERED + 2:  # from the cell itself to boxes finer than those it covers
+            found = _measure_gaps(counts, edges)
+            gaps[pending], steps[pending] = (some[row_of[pending]] for some in found)
+        if len(keys) <= 1:
+            break
+        keys, parent = number_keys(ancestor_keys(keys))
+        counts, row_of = double_cells(counts, parent, len(keys)), parent[row_of]
+    lines = np.flatnonzero(gaps > _ASPECT * steps)
+    gaps, steps, edge = gaps[lines], steps[lines], cell_edge * 2.0**-depth
+    doublings = np.rint(np.log2(_BOX * gaps / edge)).astype(np.int64).clip(0, depth + _WHOLE)
+    return GapBoxes(origin, edge, depth, finest[lines], doublings, gaps, steps)
+
+
+def _measure_gaps(counts: IntArray, edges: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the gap in each cell, beyond which boxes grow like those of a surface, and the step.
+
+    Both are 0 where they do not do so in boxes of a quarter and of an eighth of the cell. Both
+    must: noise makes a line as thick as a surface, but over one halving alone.
+    """
+    gaps, steps = np.zeros((2, len(counts)))
+    # (c, d): of the boxes of each edge, into how many of half the edge they part, as powers of two
+    growth = np.diff(np.log2(counts[:, 1:]), axis=1)
+    covers = counts[:, 0] >= LEAST
+    covers &= (growth[:, _COVERED - 1 : _COVERED + 1] > _GROWTH).all(axis=1)
+    is_less = growth[covers, _COVERED + 1 :] <= _GROWTH
+    turned = np.flatnonzero(covers)[is_less.any(axis=1)]
+    finer = _COVERED + 1 + is_less.argmax(axis=1)[is_less.any(axis=1)]
+    below, above = growth[turned, finer], growth[turned, finer - 1]
+    gaps[covers] = edges[-1]  # or less: denser than is counted
+    gaps[turned] = edges[finer] * 2.0 ** ((_GROWTH - below) / (above - below)) / _ACROSS
+    # n points in b boxes that a surface fills: each has H^2 b / n of it, a gap wide
+    held = counts[covers, 0] / counts[covers, 1 + _COVERED]
+    steps[covers] = edges[_COVERED] ** 2 / (held * gaps[covers])
+    return gaps, steps
+
+
+def count_narrow(positions: FloatArray, boxes: GapBoxes) -> tuple[IntArray, IntArray]:
+    """Count the points in each cell of `boxes`, and those that lie along a line in their box.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+        Of whole blocks, in length units of the input.
+    boxes : GapBoxes
+
+    Returns
+    -------
+    points, narrow : ndarray of int64, shape (c,)
+    """
+    points, narrow = np.zeros((2, len(boxes.keys)), np.int64)
+    for rows, cells, box, _ in _sort_boxes(positions, boxes):
+        points += np.bincount(cells, minlength=len(points))
+        narrow += np.bincount(cells[_are_narrow(positions[rows], box)[box]], minlength=len(points))
+    return points, narrow
+
+
+def keep_lines(
+    boxes: GapBoxes, counted: Sequence[tuple[IntArray, IntArray]], share: float = SHARE
+) -> GapBoxes:
+    """Keep the cells where enough of the points around lie along lines.
+
+    Parameters
+    ----------
+    boxes : GapBoxes
+    counted : sequence of (ndarray, ndarray)
+        What `count_narrow` has counted in all regions.
+    share : float
+        See `SHARE`.
+    """
+    points, narrow = (np.sum(column, axis=0) for column in zip(*counted, strict=True))
+    keys, row_of = boxes.keys, np.arange(len(points))
+    is_line, pending = np.zeros(len(points), np.bool_), np.ones(len(points), np.bool_)
+    for _ in range(BITS):
+        told = pending & ((points >= _AROUND) | (len(keys) <= 1))[row_of]
+        is_line[told] = (narrow > share * points)[row_of[told]]
+        pending &= ~told
+        if not pending.any():
+            break
+        keys, parent = number_keys(ancestor_keys(keys))
+        points, narrow = (np.bincount(parent, row, len(keys)) for row in (points, narrow))
+        row_of = parent[row_of]
+    return boxes.take(is_line)
+
+
+def find_spare(positions: FloatArray, boxes: GapBoxes) -> BoolArray:
+    """Tell which points along lines can be spared: all but one of each box.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+        Of whole blocks, in length units of the input.
+    boxes : GapBoxes
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+        False for the point nearest to the mean of its box, and for all that lie in no box.
+    """
+    is_spare = np.zeros(len(positions), np.bool_)
+    for rows, _, box, count in _sort_boxes(positions, boxes):
+        arms = _center(positions[rows], box)
+        squares = arms[0] * arms[0] + arms[1] * arms[1] + arms[2] * arms[2]
+        nearest = np.full(count, np.inf)
+        np.minimum.at(nearest, box, squares)
+        candidates = np.flatnonzero(squares == nearest[box])
+        is_spare[rows] = True
+        is_spare[rows[candidates[find_first(box[candidates])[1]]]] = False
+    return is_spare
+
+
+def _sort_boxes(
+    positions: FloatArray, boxes: GapBoxes
+) -> Iterator[tuple[IntArray, IntArray, IntArray, int]]:
+    """Yield the points in boxes of each size: rows, their cells and boxes, and how many boxes."""
+    places = np.floor(cells_of(positions, boxes.origin, boxes.edge)).astype(np.int64)
+    keys = pack_places(places)
+    cells = find_keys(boxes.keys, ancestor_keys(keys, boxes.depth))
+    doublings = np.append(boxes.doublings, -1)[cells]
+    for doubling in unique_keys(doublings[doublings >= 0]).tolist():
+        rows = np.flatnonzero(doublings == doubling)
+        names, box = number_keys(ancestor_keys(keys[rows], doubling))
+        yield rows, cells[rows], box, len(names)
+
+
+def _center(positions: FloatArray, box: IntArray) -> list[FloatArray]:
+    """Return the coordinates of points from the means of their boxes."""
+    held = np.bincount(box)
+    return [column - (np.bincount(box, column) / held)[box] for column in positions.T]
+
+
+def _are_narrow(positions: FloatArray, box: IntArray) -> BoolArray:
+    """Tell in which boxes the points lie along a line."""
+    x, y, z = _center(positions, box)
+    xx, yy, zz, xy, xz, yz = (
+        np.bincount(box, product) for product in (x * x, y * y, z * z, x * y, x * z, y * z)
+    )
+    minors = xx * yy - xy * xy + xx * zz - xz * xz + yy * zz - yz * yz
+    are_narrow: BoolArray = minors <= _NARROW * (xx + yy + zz) ** 2
+    return are_narrow & (np.bincount(box) >= _FEWEST)
