@@ -224,7 +224,7 @@ class Mesh {
     }
     place = is_a ? place_[a] : is_b ? place_[b] : place_[a] + half + offset;
     const double error = std::max(sum.at(offset), 0.0) + soft * (dot(offset, offset) + dot(half, half));
-    return is_bounded_ || !(error > 0.0) ? error : error * (error / weight);
+    return is_bounded_ || !(error > 0.0) ? error : error * std::sqrt(error / weight);
   }
 
   void propose(int32_t a, int32_t b) {
@@ -302,7 +302,7 @@ class Mesh {
         across += std::sqrt(dot(normal, normal));
         longest = std::max(longest, dot(side, side));
       }
-    const double cost = across * longest * longest;  // each face was met three times: once for each vertex
+    const double cost = across * longest * std::sqrt(longest);  // each face was met three times: once for each vertex
     if (edge.cost < cost) {
       heap_.push_back({cost, edge.low, edge.high, edge.stamp});
       std::push_heap(heap_.begin(), heap_.end());

@@ -65,8 +65,8 @@ def collapse_edges(
     Notes
     -----
     An edge errs by the squared distances of its new vertex from the planes of all faces that its
-    ends stand for [1]_, and of those around them now [2]_. It costs that times their mean, so that
-    little that is far off counts as well as much that is near.
+    ends stand for [1]_, and of those around them now [2]_. It costs that times the root of their
+    mean, so that little that is far off counts as well as much that is near.
 
     References
     ----------
@@ -299,7 +299,8 @@ class _Mesh:
             place = _add(_add(self.place[a], half), offset)
         error = max(_evaluate(total, offset), 0.0)
         error += soft * (_dot(offset, offset) + _dot(half, half))
-        return error if self.is_bounded or not error > 0.0 else error * (error / weight), place
+        is_plain = self.is_bounded or not error > 0.0
+        return error if is_plain else error * sqrt(error / weight), place
 
     def _propose(self, a: int, b: int) -> None:
         if self.is_stuck[a] or self.is_stuck[b] or (self.is_fixed[a] and self.is_fixed[b]):
@@ -357,7 +358,9 @@ class _Mesh:
                 normal = _cross(side, _subtract(self.place[self._tail(c)], self.place[v]))
                 across += sqrt(_dot(normal, normal))
                 longest = max(longest, _dot(side, side))
-        cost = across * longest * longest  # each face was met three times: once for each vertex
+        cost = (
+            across * longest * sqrt(longest)
+        )  # each face was met three times: once for each vertex
         if edge[0] < cost:
             heappush(self.heap, (cost, *edge[1:]))
             return
