@@ -87,7 +87,11 @@ class Mesh {
     for (int32_t v = 0; v < count; ++v) survey(v);
     if (keeps_border) is_fixed_ = is_border_;
     for (int32_t f = 0; f < face_count; ++f) count_face(f, 1.0);
-    for (int64_t v = 0; v < count; ++v) history_[v].planes = around_[v];
+    for (int64_t v = 0; v < count; ++v) {
+      history_[v].planes = around_[v];
+      Planes& held = history_[v].planes;  // planes alone would let a tip of the border draw back
+      if (is_bounded_ && is_border_[v]) held.xx += 1.0, held.yy += 1.0, held.zz += 1.0;
+    }
     heap_.reserve(most_candidates());
   }
 

@@ -46,8 +46,8 @@ def collapse_edges(
     goal : int
         Stop at so many faces.
     limit : float
-        What the sum of the squared distances from the planes of the faces and borders that a vertex
-        stands for stays below; infinite to have planes weigh as their faces are large, and to have
+        What the sum of the squared distances from the planes of the faces, and the vertices of
+        borders, that a vertex stands for stays below; infinite to have planes weigh as their faces are large, and to have
         tetrahedra dropped that move less than the rest would.
     keeps_border : bool
         Whether the vertices of borders stay where they are, and not the shape of the borders alone.
@@ -185,6 +185,9 @@ class _Mesh:
         self.around: list[_Planes] = [(0.0,) * 6] * count
         for f in range(len(faces)):
             self._count_face(f, 1.0)
+        if self.is_bounded:  # planes alone would let a tip of the border draw back
+            for v in np.flatnonzero(self.is_border).tolist():
+                self.around[v] = _add_planes(self.around[v], 1.0, (1.0, 0.0, 0.0, 1.0, 0.0, 1.0))
         self.history: list[_Quadric] = [(planes, (0.0, 0.0, 0.0), 0.0) for planes in self.around]
         self.heap: list[_Candidate] = []
 
