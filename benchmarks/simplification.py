@@ -59,8 +59,12 @@ def measure_distances(mesh: Mesh, light: Mesh) -> tuple[float, float]:
     means, largest = [], []
     for here, there in (scaled, scaled[::-1]):
         scene = open3d.t.geometry.RaycastingScene()
-        scene.add_triangles(there.vertices.astype(np.float32), there.faces.astype(np.uint32))
-        found = scene.compute_distance(sample(here).astype(np.float32)).numpy()
+        corners, places = (np.float32(one) for one in (there.vertices, sample(here)))
+        scene.add_triangles(
+            open3d.core.Tensor.from_numpy(corners),
+            open3d.core.Tensor.from_numpy(there.faces.astype(np.uint32)),
+        )
+        found = scene.compute_distance(open3d.core.Tensor.from_numpy(places)).numpy()
         means.append(found[:SAMPLES].mean())
         largest.append(found.max())
     return 100.0 * float(np.mean(means)), 100.0 * float(max(largest))

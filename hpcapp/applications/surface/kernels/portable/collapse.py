@@ -47,8 +47,8 @@ def collapse_edges(
         Stop at so many faces.
     limit : float
         What the sum of the squared distances from the planes of the faces, and the vertices of
-        borders, that a vertex stands for stays below; infinite to have planes weigh as their faces are large, and to have
-        tetrahedra dropped that move less than the rest would.
+        borders, that a vertex stands for stays below; infinite to have planes weigh as their faces
+        are large, and to have tetrahedra dropped that move less than the rest would.
     keeps_border : bool
         Whether the vertices of borders stay where they are, and not the shape of the borders alone.
 
