@@ -202,8 +202,6 @@ class Mesh:
         ------
         UsageError
             Neither is given, or one is out of its range.
-        MissingLibraryError
-            pyfqmr is not installed.
         """
         from hpcapp.simplification.mesh import Target, simplify_mesh
 
@@ -213,7 +211,7 @@ class Mesh:
             raise UsageError("simplify has no target", "give faces or tolerance")
         return wrap_mesh(simplify_mesh(self._plain, target), crs=self._crs)
 
-    def save(self, path: str | PathLike[str]) -> None:
+    def save(self, path: str | PathLike[str], size: int | str | None = None) -> None:
         """Write it to a file, with the bytes that ``hpcapp reconstruct -o`` writes.
 
         The unit and the coordinate reference system of the files that it was made from go along;
@@ -224,13 +222,23 @@ class Mesh:
         path : str or PathLike
             The suffix chooses the format: .ply, .obj, .glb, .vtp, .3mf, .off, .stl, or the folders
             .tiles and .3dtiles. What a format does not hold is logged as a warning.
+        size : int or str, optional
+            Bytes that the file has at most, as 20_000_000 or "20MB": what is written is simplified
+            to fit.
 
         Raises
         ------
+        UsageError
+            No mesh that was tried fits the size, or the output is a folder.
         OutputError
             The suffix is unknown, or the file cannot be written.
         """
-        formats.write_mesh(path, replace(as_stream(self._plain), crs=self._crs))
+        plain = self._plain
+        if size is not None:
+            from hpcapp.simplification.size import fit_mesh, read_size
+
+            plain = fit_mesh(plain, read_size(size, path), Path(path).suffix, self._crs)
+        formats.write_mesh(path, replace(as_stream(plain), crs=self._crs))
 
     def report(self, path: str | PathLike[str]) -> None:
         """Write the page of ``hpcapp reconstruct --report``: the mesh, its points, all decisions.

@@ -30,6 +30,10 @@ log = logging.getLogger("hpcapp")
             "hpcapp simplify mesh.stl -o print.3mf --faces 200000 --tolerance 0.1",
             "Stop at whichever is met first.",
         ),
+        (
+            "hpcapp simplify mesh.ply -o light.glb --size 20MB",
+            "Leave as many triangles as a file of 20 MB holds.",
+        ),
     ],
 )
 @click.argument(
@@ -50,7 +54,10 @@ log = logging.getLogger("hpcapp")
     metavar="LENGTH",
     help="Simplify it while its surface moves by less, in its own units.",
 )
-def simplify(mesh: Path, output: str, faces: int | None, tolerance: float | None) -> None:
+@click.option("--size", metavar="BYTES", help="Simplify it to a file of at most that: 20MB.")
+def simplify(
+    mesh: Path, output: str, faces: int | None, tolerance: float | None, size: str | None
+) -> None:
     """Simplify a mesh, with all that its vertices carry."""
     from dataclasses import replace
 
@@ -58,15 +65,20 @@ def simplify(mesh: Path, output: str, faces: int | None, tolerance: float | None
     from hpcapp.io.meshes.mesh_stream import as_stream
     from hpcapp.io.output import open_output
     from hpcapp.simplification.mesh import Target, simplify_mesh
+    from hpcapp.simplification.size import fit_mesh, read_size
 
     target = Target(faces, tolerance)
-    if not target.is_something:
-        raise UsageError("nothing to simplify to", "give --faces, --tolerance or both")
+    if not target.is_something and size is None:
+        raise UsageError("nothing to simplify to", "give --faces, --tolerance or --size")
     target.check()
+    most_bytes = None if size is None else read_size(size, output)
     with open_output(output, [mesh]) as path:
         whole = read_mesh(mesh)
+        crs = find_mesh_crs(mesh)
         light = simplify_mesh(whole, target)
-        write_mesh(path, replace(as_stream(light), crs=find_mesh_crs(mesh)))
-    if tolerance is None and len(light.faces) > (faces or 0):
+        if most_bytes is not None:
+            light = fit_mesh(light, most_bytes, path.suffix, crs)
+        write_mesh(path, replace(as_stream(light), crs=crs))
+    if faces is not None and tolerance is None and len(light.faces) > faces:
         log.warning("warning: %d faces are left: fewer would break the mesh", len(light.faces))
     log.info("%s: %d of %d faces", output, len(light.faces), len(whole.faces))

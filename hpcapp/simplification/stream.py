@@ -85,7 +85,7 @@ def _simplify_runs(
         if target.faces is not None:
             run_target = replace(target, faces=max(4, ceil(share * len(run))))
         moved, corners, kept_names = simplify_faces(
-            np.asarray(places[used]), rows.reshape(-1, 3), run_target
+            np.asarray(places[used]), rows.reshape(-1, 3), run_target, keeps_border=True
         )
         vertices.append(moved)
         faces.append(corners + count)

@@ -338,6 +338,11 @@ def _add_method_options(command: click.Command) -> click.Command:
     help="Simplify the mesh while its surface moves by less, in the units of the input.",
 )
 @click.option(
+    "--size",
+    metavar="BYTES",
+    help="Simplify the mesh to a file of at most that: 20MB.",
+)
+@click.option(
     "--events",
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",
@@ -462,12 +467,15 @@ def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:
         from hpcapp.applications.surface.settings import JobSettings
         from hpcapp.io.points.inputs import find_paths, gather_points
         from hpcapp.simplification.mesh import Target
+        from hpcapp.simplification.size import read_size
 
         if options["max_memory"] is not None:
             options["max_memory"] = parse_limit(options["max_memory"])
         options["attributes"] = parse_attributes(options["attributes"])
         options["viewpoint"] = parse_viewpoint(options["viewpoint"])
         Target(options["faces"], options["tolerance"]).check()
+        if options["size"] is not None:
+            options["size"] = read_size(options["size"], options["output"])
         own = {name: options.pop(name) for name in METHOD_OPTIONS}
         method = find_method(options.pop("method"))
         chosen = {name: own[name] for name in option_names(method)}

@@ -120,6 +120,8 @@ class JobSettings(Settings):
         The page and the picture to write beside the mesh.
     command : tuple of str
         What the user typed, to be typed again.
+    size : int or None
+        Bytes of the output, at most: it is simplified to fit.
     details : bool
         Whether the report tells when each task ran, and which tile each vertex is from.
     """
@@ -130,6 +132,7 @@ class JobSettings(Settings):
     report: Path | None = None
     png: Path | None = None
     command: tuple[str, ...] = ()
+    size: int | None = None
     details: bool = False
 
     @property

@@ -45,16 +45,9 @@ def write_tileset(path: Path, mesh: Mesh | MeshStream, tile_faces: int = TILE_FA
         the transform of the root adds the origin.
     tile_faces : int
         Most triangles of a tile.
-
-    Raises
-    ------
-    UsageError
-        The mesh needs coarser levels, and pyfqmr is not installed.
     """
     stream = as_stream(mesh)
     whole = _collect(stream)
-    if len(whole.faces) > tile_faces:
-        Target(faces=tile_faces).check()
     with replacing_folder(path) as folder:
         tile, _ = _write_tile(folder, "0", whole, np.arange(len(whole.faces)), tile_faces)
         root = {**tile.to_json(), "refine": "REPLACE"}
@@ -121,7 +114,7 @@ def _write_tile(
             children.append(child)
             halves.append(half)
         joined = _unite(*halves)
-        mesh = simplify_mesh(joined, Target(faces=most))
+        mesh = simplify_mesh(joined, Target(faces=most), keeps_border=True)
         error = max(child.error for child in children) + _distance(joined, mesh)
     write_glb(folder / f"{name}.glb", replace(mesh, origin=np.zeros(3)), turns_up=True)
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)

@@ -244,7 +244,7 @@ def test_a_mesh_of_a_survey_says_what_its_coordinates_mean_as_the_commands(
 
 @pytest.mark.parametrize(
     ("package", "name", "options"),
-    [("pye57", "scan.e57", {}), ("lazrs", "scan.laz", {}), ("pyfqmr", "scan.ply", {"faces": 100})],
+    [("pye57", "scan.e57", {}), ("lazrs", "scan.laz", {})],
 )
 def test_a_library_that_is_missing_is_an_import_error_too(
     sphere: PointCloud,

@@ -17,8 +17,6 @@ from hpcapp.io.meshes.mesh_stream import as_stream
 from hpcapp.simplification.command import simplify
 from hpccomponent.errors import InputError, UsageError
 
-pytest.importorskip("pyfqmr", reason="needs the light extra")
-
 
 def run(*words: str | Path) -> None:
     done = CliRunner().invoke(simplify, list(map(str, words)), catch_exceptions=False)

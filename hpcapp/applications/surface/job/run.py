@@ -32,12 +32,16 @@ from hpcapp.communicator.scheduling.verification import Verification, attempt, r
 from hpcapp.io import describe_losses
 from hpcapp.io.output import open_output
 from hpcapp.progress import Progress, StageClock
+from hpcapp.simplification.mesh import Target
+from hpcapp.simplification.size import fit_size
 from hpcapp.timeline import Timeline
+from hpccomponent.files.held_folders import temporary_folder
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.attributes.carrying import Carrying
     from hpcapp.applications.surface.job.steps import Outcome
     from hpcapp.applications.surface.stitching.topology import Topology
+    from hpcapp.applications.surface.surface import Surface
     from hpcapp.backends.local_cluster import LocalMachines
 
 __all__ = ["JobSettings", "describe_outcome", "run_job"]
@@ -163,6 +167,9 @@ def _write(
 ) -> dict[str, Any]:
     """Write the mesh, and describe what came of the job."""
     carrying = carry_columns(settings, loaded, outcome, clock)
+    if settings.size is not None:
+        with clock.stage("fit size"):
+            outcome = _fit(outcome, settings.size, target.suffix, carrying)
     with clock.stage("write"):
         outcome.result.surface.write(target, outcome.backend.workforce, carrying)
     with clock.stage("check"):  # most of it is done while workers write
@@ -183,6 +190,26 @@ def _write(
         with clock.stage("show"):
             _show(settings, loaded, outcome, carrying, clock, report)
     return report
+
+
+def _fit(outcome: Outcome, size: int, suffix: str, carrying: Carrying) -> Outcome:
+    """Return an outcome whose surface is simplified to a file of a size at most."""
+    from hpcapp.applications.surface.surface import simplify_surface
+
+    surface = outcome.result.surface
+    most = surface.stream().face_count
+    with temporary_folder() as folder:
+        path = folder / f"mesh{suffix}"
+
+        def simplify(faces: int) -> Surface:
+            return surface if faces == most else simplify_surface(surface, Target(faces))
+
+        def weigh(faces: int) -> int:
+            simplify(faces).write(path, outcome.backend.workforce, carrying)
+            return path.stat().st_size
+
+        light = simplify(fit_size(size, most, weigh))
+    return replace(outcome, result=replace(outcome.result, surface=light))
 
 
 def describe_outcome(

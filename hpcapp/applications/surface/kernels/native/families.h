@@ -41,5 +41,6 @@ void bind_features(nb::module_& module);
 void bind_planes(nb::module_& module);
 void bind_links(nb::module_& module);
 void bind_sheets(nb::module_& module);
+void bind_collapse(nb::module_& module);
 
 }  // namespace hpc

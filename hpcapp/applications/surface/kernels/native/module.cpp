@@ -29,6 +29,7 @@ NB_MODULE(_native, module) {
   hpc::bind_planes(module);
   hpc::bind_links(module);
   hpc::bind_sheets(module);
+  hpc::bind_collapse(module);
   nb::list names;
   for (const auto [name, kernel] : nb::borrow<nb::dict>(module.attr("__dict__")))
     if (nb::isinstance<nb::callable>(kernel)) names.append(name);

@@ -30,6 +30,9 @@ from hpcapp.applications.surface.kernels.portable.coarse_grid import (
     sample_corners,
     sample_grid,
 )
+from hpcapp.applications.surface.kernels.portable.collapse import (
+    collapse_edges,
+)
 from hpcapp.applications.surface.kernels.portable.connectivity import (
     find_seams,
     label_components,
@@ -90,7 +93,8 @@ from hpcapp.applications.surface.kernels.portable.robust import (
 )
 
 __all__ = [
-    "accumulate_moments", "balance_vertices", "bound_free_memory", "bound_points", "corner_moments",
+    "accumulate_moments", "balance_vertices", "bound_free_memory", "bound_points",
+    "collapse_edges", "corner_moments",
     "count_boxes", "count_cells", "count_packed", "evaluate_bricks", "evaluate_residuals",
     "find_keys", "find_nearest", "find_seams", "find_sparse", "fit_corners", "fit_features",
     "fit_planes", "gather_points", "group_sheets", "grow_surface", "inherit_level",

@@ -1,0 +1,123 @@
+"""As many triangles as fit a file: found by writing files and weighing them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from os import PathLike
+from pathlib import Path
+
+from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.io import FOLDER_SUFFIXES, write_mesh
+from hpcapp.io.crs import Crs
+from hpcapp.io.meshes.mesh_stream import as_stream
+from hpcapp.simplification.mesh import Target, simplify_mesh
+from hpccomponent.errors import UsageError
+from hpccomponent.files.held_folders import temporary_folder
+from hpccomponent.units import parse_size
+
+__all__ = ["fit_mesh", "fit_size", "read_size"]
+
+_LEAST_BYTES = 16
+"""Of a triangle: no format of ours takes fewer, or the first file would be too small."""
+_FULL, _AIM = 0.97, 0.985
+"""What is enough of the size, and what is aimed at."""
+_TRIES = 8
+
+
+def read_size(size: int | str, output: str | PathLike[str]) -> int:
+    """Return the size of a file in bytes.
+
+    Parameters
+    ----------
+    size : int or str
+        See `parse_size`.
+    output : str or PathLike
+        What is to have it.
+
+    Raises
+    ------
+    UsageError
+        It is no size, or the output is a folder.
+    """
+    try:
+        bytes_ = parse_size(size)
+    except ValueError as error:
+        raise UsageError(f"size is {size!r}", str(error).replace("should be", "give")) from None
+    if Path(output).suffix.lower() in FOLDER_SUFFIXES:
+        raise UsageError(f"size is of a file, and {output} is a folder", "give faces instead")
+    return bytes_
+
+
+def fit_size(size: int, most: int, weigh: Callable[[int], int]) -> int:
+    """Return the most triangles of which a file has a size at most.
+
+    Parameters
+    ----------
+    size : int
+        In bytes.
+    most : int
+        No more triangles than that.
+    weigh : callable
+        Writes a mesh of so many triangles, and returns the bytes of its file.
+
+    Returns
+    -------
+    int
+        With it the file is filled to 97 %, unless `most` is too few for that.
+
+    Raises
+    ------
+    UsageError
+        No mesh that was tried fits.
+    """
+    fits, exceeds = 0, most + 1
+    faces, written = min(most, max(4, size // _LEAST_BYTES)), 0
+    for _ in range(_TRIES):
+        written = weigh(faces)
+        if written <= size:
+            fits = faces
+            if faces == most or written >= _FULL * size:
+                break
+        else:
+            exceeds = faces
+        # a file grows with its triangles nearly in proportion
+        aim = int(faces * _AIM * size / written)
+        faces = max(4, min(max(aim, fits + 1), exceeds - 1))
+        if faces in (fits, exceeds):
+            break
+    if not fits:
+        raise UsageError(
+            f"the mesh does not fit in {size:,} bytes: one of {written:,} is the least",
+            "allow for a larger file",
+        )
+    return fits
+
+
+def fit_mesh(mesh: Mesh, size: int, suffix: str, crs: Crs) -> Mesh:
+    """Return a mesh of as many triangles as fit a file.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        In memory.
+    size : int
+        In bytes.
+    suffix : str
+        Names the format.
+    crs : Crs
+        What is to be written of it.
+
+    Raises
+    ------
+    UsageError
+        See `fit_size`.
+    """
+    with temporary_folder() as folder:
+        path = folder / f"mesh{suffix}"
+
+        def weigh(faces: int) -> int:
+            write_mesh(path, replace(as_stream(simplify_mesh(mesh, Target(faces))), crs=crs))
+            return path.stat().st_size
+
+        return simplify_mesh(mesh, Target(fit_size(size, len(mesh.faces), weigh)))
