@@ -10,7 +10,7 @@ from hpcapp.applications.surface.cleaning.outlier_regions import LOCAL_RANK
 from hpcapp.applications.surface.cleaning.outliers import EDGE, ISLAND_LEVEL
 from hpcapp.applications.surface.cloud.patterns import UNIT, AssignedPoints
 from hpcapp.applications.surface.cloud.regions import StoredBlocks
-from hpcapp.applications.surface.scale.scan_lines import GapBoxes
+from hpcapp.applications.surface.scale.local_scale import HALVINGS
 from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.applications.surface.types.result_patterns import are_units
 from hpccomponent.protocol.declared import Array, Declared, Either, Fixed, Nothing, Where, Whole
@@ -29,13 +29,14 @@ def without_points(points: StoredBlocks, *_: Any) -> Declared:
     )
 
 
-def counted_lines(points: StoredBlocks, boxes: GapBoxes) -> Declared:
+def counted_lines(points: StoredBlocks, *_: Any) -> Declared:
     """Return the pattern of what `tasks.count_lines` counts."""
-    own, cells = AssignedPoints.of(points), len(boxes.keys)
-    counts = Array("<i8", cells, low=0, total=(0, own.points))
+    own = AssignedPoints.of(points)
+    cells = own.cells("c", own.arrangement.origin, own.arrangement.edge * 2.0**-HALVINGS)
+    counts = (Array("<i8", "c", low=low, total=(0, own.points)) for low in (1, 0))
     return Where(
-        Fixed(counts, counts),
-        lambda counted: bool((counted[1] <= counted[0]).all()),
+        Fixed(cells, *counts),
+        lambda counted: bool((counted[2] <= counted[1]).all()),
         "those along lines are among all",
     )
 

@@ -30,7 +30,6 @@ from hpcapp.applications.surface.normals.consistency import find_turned
 from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.applications.surface.scale.scan_lines import GapBoxes, count_narrow, find_spare
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
-from hpcapp.applications.surface.types.result_patterns import SMALL_BYTES
 from hpccomponent.runtime.tasks import declare
 
 __all__ = [
@@ -53,8 +52,8 @@ def drop_repeated(points: RegionPoints) -> tuple[Replaced | None, int]:
     return region.drop(repeated), int(np.count_nonzero(repeated))
 
 
-@declare(result=counted_lines, limit=lambda _, boxes: SMALL_BYTES + 16 * len(boxes.keys))
-def count_lines(points: RegionPoints, boxes: GapBoxes) -> tuple[IntArray, IntArray]:
+@declare(result=counted_lines, limit=region_bytes(24))
+def count_lines(points: RegionPoints, boxes: GapBoxes) -> tuple[IntArray, IntArray, IntArray]:
     """Count a region's points that lie along lines (a task); see `count_narrow`."""
     return count_narrow(points.take().positions, boxes)
 

@@ -157,8 +157,8 @@ def _measure_gaps(counts: IntArray, edges: FloatArray) -> tuple[FloatArray, Floa
     return gaps, steps
 
 
-def count_narrow(positions: FloatArray, boxes: GapBoxes) -> tuple[IntArray, IntArray]:
-    """Count the points in each cell of `boxes`, and those that lie along a line in their box.
+def count_narrow(positions: FloatArray, boxes: GapBoxes) -> tuple[IntArray, IntArray, IntArray]:
+    """Count points in cells of `boxes`, and those that lie along a line in their box.
 
     Parameters
     ----------
@@ -168,29 +168,35 @@ def count_narrow(positions: FloatArray, boxes: GapBoxes) -> tuple[IntArray, IntA
 
     Returns
     -------
-    points, narrow : ndarray of int64, shape (c,)
+    keys : ndarray of int64, shape (k,)
+        Of the cells that hold some of the points, sorted.
+    points, narrow : ndarray of int64, shape (k,)
     """
     points, narrow = np.zeros((2, len(boxes.keys)), np.int64)
     for rows, cells, box, _ in _sort_boxes(positions, boxes):
         points += np.bincount(cells, minlength=len(points))
         narrow += np.bincount(cells[_are_narrow(positions[rows], box)[box]], minlength=len(points))
-    return points, narrow
+    held = np.flatnonzero(points)
+    return boxes.keys[held], points[held], narrow[held]
 
 
 def keep_lines(
-    boxes: GapBoxes, counted: Sequence[tuple[IntArray, IntArray]], share: float = SHARE
+    boxes: GapBoxes, counted: Sequence[tuple[IntArray, IntArray, IntArray]], share: float = SHARE
 ) -> GapBoxes:
     """Keep the cells where enough of the points around lie along lines.
 
     Parameters
     ----------
     boxes : GapBoxes
-    counted : sequence of (ndarray, ndarray)
+    counted : sequence of tuple
         What `count_narrow` has counted in all regions.
     share : float
         See `SHARE`.
     """
-    points, narrow = (np.sum(column, axis=0) for column in zip(*counted, strict=True))
+    counts = np.zeros((2, len(boxes.keys) + 1), np.int64)  # of cells, and of keys that are none
+    for found, *columns in counted:
+        counts[:, find_keys(boxes.keys, found)] += columns
+    points, narrow = counts[:, :-1]
     keys, row_of = boxes.keys, np.arange(len(points))
     is_line, pending = np.zeros(len(points), np.bool_), np.ones(len(points), np.bool_)
     for _ in range(BITS):

@@ -129,6 +129,15 @@ def make_fog(points: int) -> PointCloud:
     return PointCloud(rng.uniform(-1.0, 1.0, (points, 3)), normals)
 
 
+def make_lines() -> PointCloud:
+    """A wavy sheet, scanned along lines that lie twelve times as far apart as their points."""
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0, 3, 0.06), np.arange(0, 3, 0.005)))
+    slope = 0.9 * np.cos(3.0 * x)
+    normals = np.stack([-slope, np.zeros_like(x), np.ones_like(x)], axis=1)
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    return PointCloud(np.stack([x, y, 0.3 * np.sin(3.0 * x)], axis=1), normals)
+
+
 def spoil(cloud: PointCloud) -> PointCloud:
     """Add points at the place of another, markers far away, NaN and a normal without length."""
     assert cloud.normals is not None
@@ -175,6 +184,7 @@ def looked(tmp_path_factory: pytest.TempPathFactory) -> Looked:
         run_small(found.look, folder, scan, sees)
         run_small(found.look, folder, replace(scan, normals=None), sees)
         run_small(found.look, folder, view, sees, grid=128, output=str(folder / f"{sees}.tiles"))
+        run_small(found.look, folder, make_lines(), sees, grid=64)
     run_small(found.look, folder, make_fog(5_000), True, grid=64)
     run_small(found.look, folder, make_torus(3_000), None, grid=256)
     run_small(found.look, folder, make_torus(3_000), None, grid=32, method=Paper())
