@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import logging
 import os
 import signal
 import threading
@@ -13,6 +14,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 from standing import StandingCluster, StartCluster
+
+from hpccomponent.verbosity import FOREIGN, OURS
 
 # They are imported by their names: to look for doctests there would import them once more.
 collect_ignore = ["helpers"]
@@ -53,6 +56,16 @@ def pytest_collection_finish() -> None:
     """Set aside what is imported by now: after each test it would be looked through again."""
     gc.collect()
     gc.freeze()
+
+
+@pytest.fixture(autouse=True)
+def levels_stay() -> Iterator[None]:
+    """A command sets how much its process logs; the next test does not find it so."""
+    loggers = [logging.getLogger(name) for name in (None, "py.warnings", *OURS, *FOREIGN)]
+    levels = [logger.level for logger in loggers]
+    yield
+    for logger, level in zip(loggers, levels, strict=True):
+        logger.setLevel(level)
 
 
 @pytest.fixture(autouse=True)

@@ -27,10 +27,6 @@ log = logging.getLogger("hpcapp")
             "Leave what keeps the surface within 0.002 of where it is.",
         ),
         (
-            "hpcapp simplify mesh.stl -o print.3mf --faces 200000 --tolerance 0.1",
-            "Stop at whichever is met first.",
-        ),
-        (
             "hpcapp simplify mesh.ply -o light.glb --size 20MB",
             "Leave as many triangles as a file of 20 MB holds.",
         ),

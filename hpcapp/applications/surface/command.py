@@ -171,7 +171,7 @@ GROUPS = {
     "Points": ("sample", "normals", "clean", "outliers", "denoise", "resample"),
     "Surface": (
         "voxel_size", "depth", "uniform", "smoothness", "detail", "trim", "fill_holes",
-        "tolerance", "method",
+        "tolerance", "size", "method",
     ),
     "With --method paper": option_names(find_method("paper")),
     "Where it runs": ("backend", "workers", "policy", "verify", "temp_dir", "resume"),
