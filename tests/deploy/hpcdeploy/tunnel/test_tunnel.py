@@ -135,7 +135,9 @@ def test_a_relay_that_says_something_else_without_an_end_is_given_up(
     shell: SshShell, head: Server, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tunnel, "ANSWER_S", 0.2)
-    (head.home / FOLDER / "venv/bin/python").write_text("#!/bin/sh\nexec yes no port\n")
+    (head.home / FOLDER / "venv/bin/python").write_text(
+        "#!/bin/sh\nwhile echo no port; do sleep 0.01; done\n"
+    )
     with (
         pytest.raises(CloudError, match="not said its port within 0 s") as caught,
         lead_workers(shell, FOLDER, "tcp://127.0.0.1:1"),
