@@ -329,12 +329,10 @@ def prepare(settings: Settings, read: Read, clock: StageClock) -> Loaded:
             cloud_pass, found, scale = drop_strays(cloud_pass, scale)
         cleaned = cleaned.plus(thinned).plus(found)
     else:
-        is_whole = method.needs_whole_cloud  # in no blocks
-        scale = (
-            LocalScale.uniform(measure_spacing(cloud_pass))
-            if is_whole
-            else measure_scale(cloud_pass)[0]
-        )
+        if method.needs_whole_cloud:  # which lies in no blocks, and so in no cells
+            scale = LocalScale.uniform(measure_spacing(cloud_pass))
+        else:
+            scale, _ = measure_scale(cloud_pass)
         _check_surface(read, cloud_pass, scale.spacing)
     cloud_pass, oriented = orient_cloud(
         cloud_pass,
