@@ -64,15 +64,26 @@ SAMPLE = click.option(
 )
 @click.option(
     "--by-spacing",
-    is_flag=True,
+    "colouring",
+    flag_value="spacing",
     help="In the picture, colour the points by their spacing: dense ones blue, sparse ones yellow.",
 )
+@click.option(
+    "--by-noise",
+    "colouring",
+    flag_value="noise",
+    help="Likewise by their noise: good ones blue, bad ones yellow.",
+)
 def info(
-    points: tuple[str, ...], sample: int | None, as_json: bool, png: Path | None, by_spacing: bool
+    points: tuple[str, ...],
+    sample: int | None,
+    as_json: bool,
+    png: Path | None,
+    colouring: str | None,
 ) -> None:
     """Print what point clouds hold, and what was taken for what."""
     from hpcapp.applications.points.info import describe_file
-    from hpcapp.applications.points.spacing_colours import colour_by_spacing
+    from hpcapp.applications.points.place_colours import colour_by_noise, colour_by_spacing
     from hpcapp.io import open_points
     from hpcapp.io.points.inputs import gather_points
     from hpcapp.pages.thumbnail import write_thumbnail
@@ -83,14 +94,14 @@ def info(
     shown = points[0] if len(points) == 1 else f"{points[0]} and others"
     for line in findings.lines():
         log.warning("warning: %s: %s", shown, line)
-    if by_spacing and png is None:
-        raise UsageError("--by-spacing is for the picture", "add --png FILE, or leave it out")
+    if colouring is not None and png is None:
+        raise UsageError(f"--by-{colouring} is for the picture", "add --png FILE, or leave it out")
     if png is not None:
         scans = source.isotropic().scans
         scanner = scans[0].scanner if len(scans) == 1 else None
-        write_thumbnail(
-            png, colour_by_spacing(cloud) if by_spacing else cloud, scanner, source.unit
-        )
+        colours = {"spacing": colour_by_spacing, "noise": colour_by_noise}
+        drawn = cloud if colouring is None else colours[colouring](cloud)
+        write_thumbnail(png, drawn, scanner, source.unit)
     if as_json:
         echo_json(facts)
         return

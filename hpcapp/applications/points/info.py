@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from hpcapp.applications.points.noise import find_noise
 from hpcapp.applications.points.rejected import reject_points
 from hpcapp.applications.surface.cleaning.repeated import find_repeated
 from hpcapp.applications.surface.cloud.surface_check import find_no_surface_in
@@ -161,15 +162,20 @@ def measure_spacing(cloud: PointCloud) -> dict[str, object]:
     dict
         JSON values, None where a job would refuse the points. ``spacing``, and ``spacing_range``
         from place to place, of the points that a job takes; ``scan_lines``: their ``gap``, the
-        ``step`` along them, and how many points they ``spared``, or None where there are none.
+        ``step`` along them, and how many points they ``spared``, or None where there are none;
+        ``noise`` and ``noise_range``: standard deviations along the normals.
     """
     try:
         usable, _ = drop_unusable(cloud, "the cloud")
-        _, cleaned, scale = reject_points(usable)
+        is_rejected, cleaned, scale = reject_points(usable)
+        noise = find_noise(usable.take(np.flatnonzero(~is_rejected)), scale)
     except InputError:
-        return dict.fromkeys(("spacing", "spacing_range", "scan_lines"))
+        names = "spacing", "spacing_range", "scan_lines", "noise", "noise_range"
+        return dict.fromkeys(names)
     return {
         "spacing": scale.spacing,
         "spacing_range": list(scale.range),
         "scan_lines": cleaned.tell_lines(),
+        "noise": noise.usual,
+        "noise_range": list(noise.range),
     }

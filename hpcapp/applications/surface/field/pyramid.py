@@ -316,9 +316,11 @@ def fit_levels(
         # (t,): the variance of the points around each, in cells squared, which tells how far off a
         # prior is only by chance.
         local = depth < pyramid.height - _LOCAL_FROM
-        noise = _find_noise(CHANCE_SHARE * weights[depth].noise, quadrics.variances[rows], local)
+        variances = pyramid.refinement.noise_around(touched, depth)
+        lam = weights[depth].weigh_normals(variances)
+        noise = _find_noise(CHANCE_SHARE * variances, quadrics.variances[rows], local)
         is_finest = pyramid.refinement.mark_finest(touched, cells, depth)
-        arguments = touched, rows, quadrics, noise, weights[depth], is_finest, threads
+        arguments = touched, rows, quadrics, noise, lam, weights[depth], is_finest, threads
         if depth == 1 and index == 1 and np.isfinite(weights[1].tolerance):
             _fit_weighed(pyramid, *arguments)
         else:
@@ -356,11 +358,11 @@ def _offer_level(vertices: IntArray, cells: IntArray, quadrics: VertexQuadrics) 
     return Parents(vertices, quadrics.coefficients, support, quadrics.variances[:, :2])
 
 
-def _find_noise(overall: float, variances: Float32Array, local: bool) -> Float32Array:
+def _find_noise(overall: FloatArray, variances: Float32Array, local: bool) -> Float32Array:
     """Return the noise at some vertices, told locally where there are two levels further up."""
     if local:
         return localise_noise(overall, variances[:, 1], variances[:, 2])
-    return np.full(len(variances), overall, np.float32)
+    return overall.astype(np.float32)
 
 
 def _fit_level(
@@ -369,6 +371,7 @@ def _fit_level(
     rows: IntArray,
     quadrics: VertexQuadrics,
     noise: Float32Array,
+    lam: Float32Array,
     weights: Weights,
     is_finest: BoolArray,
     threads: int,
@@ -384,7 +387,7 @@ def _fit_level(
         coefficients, counts, variances, misfits = kernels.fit_corners(
             touched, level.cells[near], level.points.sum(near),
             quadrics.coefficients.take(at, axis=0),
-            noise[cut], weights.lam, weights.least_mu, weights.most_mu,
+            noise[cut], lam[cut], weights.least_mu, weights.most_mu,
         )  # fmt: skip
         quadrics.coefficients[at] = coefficients
         quadrics.misfits[at] = misfits
@@ -403,6 +406,7 @@ def _fit_weighed(
     rows: IntArray,
     quadrics: VertexQuadrics,
     noise: Float32Array,
+    lam: Float32Array,
     weights: Weights,
     is_finest: BoolArray,
     threads: int,
@@ -415,7 +419,7 @@ def _fit_weighed(
     assert isinstance(finest.points, SortedPoints)  # noqa: S101 - the finest level has points
     # A first fit, over the parents' quadrics, which stay the prior of the second one.
     first = replace(quadrics, coefficients=quadrics.coefficients.copy())
-    _fit_level(pyramid.levels[1], corners, rows, first, noise, weights, is_finest, threads)
+    _fit_level(pyramid.levels[1], corners, rows, first, noise, lam, weights, is_finest, threads)
     _drop_points(pyramid, 1)  # before they are summed anew
     counts, variances = first.counts.copy(), first.variances.copy()
     # (t,): what a point may be off, of which a part is the noise, and a part missed detail.
@@ -425,7 +429,7 @@ def _fit_weighed(
     pyramid.levels[0] = replace(finest, points=points)
     moments = merge_parents(finest.cells, points, threads)[1]
     weighed = replace(pyramid.levels[1], points=moments)
-    _fit_level(weighed, corners, rows, quadrics, noise, weights, is_finest, threads)
+    _fit_level(weighed, corners, rows, quadrics, noise, lam, weights, is_finest, threads)
     quadrics.counts[:], quadrics.variances[:] = counts, variances
 
 

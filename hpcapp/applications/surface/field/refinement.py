@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.field.local_noise import LocalNoise
 from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.applications.surface.types.lattice import ancestor_keys, unique_keys, unpack_keys
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
@@ -42,6 +43,8 @@ class Refinement:
         Where corner (0, 0, 0) of every level lies.
     cell_size : float
         Edge of the finest cells, in length units of the input.
+    noise : LocalNoise
+        Of the points.
     """
 
     levels: int
@@ -49,11 +52,12 @@ class Refinement:
     scale: LocalScale
     origin: FloatArray
     cell_size: float
+    noise: LocalNoise
 
     @classmethod
     def none(cls) -> Refinement:
         """Return that of a lattice that is nowhere finer than at its base."""
-        return cls(0, 1.0, LocalScale.uniform(1.0), np.zeros(3), 1.0)
+        return cls(0, 1.0, LocalScale.uniform(1.0), np.zeros(3), 1.0, LocalNoise.none())
 
     def divides(self, cells: IntArray, depth: int) -> BoolArray:
         """Tell which cells with points are divided.
@@ -74,6 +78,23 @@ class Refinement:
     def wanted_sizes(self, places: FloatArray) -> FloatArray:
         """Return how large cells are to be at some places, at least."""
         return self.spacings * self.scale.at(places)
+
+    def noise_around(self, corners: IntArray, depth: int) -> FloatArray:
+        """Return the noise around corners of a level.
+
+        Parameters
+        ----------
+        corners : ndarray of int64, shape (v,)
+        depth : int
+
+        Returns
+        -------
+        ndarray of float64, shape (v,)
+            Variances, in cells of the level squared.
+        """
+        size = self.cell_size * 2.0**depth
+        places = self.origin + size * unpack_keys(corners)
+        return self.noise.variances_at(places) / (size * size)
 
     def thin(self, cells: IntArray, depth: int) -> FloatArray:
         """Return what share of the points in some cells of a level would be there by the whole's.

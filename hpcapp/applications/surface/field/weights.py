@@ -16,6 +16,7 @@ __all__ = [
     "CHANCE_SHARE",
     "FIELD_LEVELS",
     "LEAST_MU",
+    "SAME_NOISE",
     "Weights",
     "find_agreement",
     "localise_noise",
@@ -44,7 +45,9 @@ _LEAST_LAM = 0.001
 _LEAST_COARSE_LAM = 0.1  # a quadric bends within a coarse cell: its normals hold it
 _MOST_LAM = 1.0
 
-_SAME_NOISE, _BIAS_GROWTH = 1.35, 1.2  # of residuals in cells of double the size
+SAME_NOISE = 1.35
+"""Of residuals in cells of double the size: up to this it is noise."""
+_BIAS_GROWTH = 1.2
 _LEAST_LOCAL, _MOST_LOCAL = 0.5, 4.0  # times the variance of the whole cloud
 
 _FULL_COUNT = 6.0
@@ -61,8 +64,8 @@ class Weights:
 
     Parameters
     ----------
-    lam : float
-        Of the normals against the positions, dimensionless.
+    least_lam : float
+        Of the normals against the positions, at least, dimensionless.
     noise : float
         Variance of the positions along the normals, in cells of the level squared.
     least_mu, most_mu : float
@@ -71,11 +74,22 @@ class Weights:
         How far off a point may lie until it counts half, in variances (see `robust`).
     """
 
-    lam: float
+    least_lam: float
     noise: float
     least_mu: float
     most_mu: float
     tolerance: float = np.inf
+
+    @property
+    def lam(self) -> float:
+        """The weight of the normals by the noise of the whole cloud."""
+        return float(self.weigh_normals(np.array(self.noise)))
+
+    def weigh_normals(self, noise: FloatArray) -> Float32Array:
+        """Return the weights of the normals, by the variances of the positions in cells squared."""
+        lam = np.minimum(np.maximum(_LAM_PER_NOISE * noise, self.least_lam), _MOST_LAM)
+        result: Float32Array = lam.astype(np.float32)
+        return result
 
 
 def weigh_levels(
@@ -106,9 +120,8 @@ def weigh_levels(
     for depth in range(levels):
         variance = (noise / (cell_size * 2.0**depth)) ** 2
         least = _LEAST_COARSE_LAM if depth > base else _LEAST_LAM
-        lam = min(max(_LAM_PER_NOISE * variance, least), _MOST_LAM)
         most_mu = _MOST_MU if depth < levels - 1 else LEAST_MU
-        weights.append(Weights(lam, variance, LEAST_MU, most_mu, tolerance))
+        weights.append(Weights(least, variance, LEAST_MU, most_mu, tolerance))
     return weights
 
 
@@ -130,12 +143,14 @@ def tell_noise(finer: Variances, coarser: Variances) -> Variances:
     Noise leaves the same residual in cells of either size; what the larger cells leave beyond
     that is detail that their quadrics miss, and the smaller ones leave a good part of it too.
     """
-    bias = np.maximum(0.0, coarser - _SAME_NOISE * finer) / _BIAS_GROWTH
+    bias = np.maximum(0.0, coarser - SAME_NOISE * finer) / _BIAS_GROWTH
     noise: Variances = np.maximum(0.0, finer - bias)
     return noise
 
 
-def localise_noise(overall: float, finer: Float32Array, coarser: Float32Array) -> Float32Array:
+def localise_noise(
+    overall: FloatArray | float, finer: Float32Array, coarser: Float32Array
+) -> Float32Array:
     """Tell the noise around each vertex from what the fits of coarser levels left over there.
 
     Parameters

@@ -10,6 +10,7 @@ import numpy as np
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.cloud.measured import Measured
 from hpcapp.applications.surface.field.cell_points import SortedPoints
+from hpcapp.applications.surface.field.local_noise import SHARE, LocalNoise, Residuals, map_noise
 from hpcapp.applications.surface.field.pyramid import (
     Level,
     VertexQuadrics,
@@ -22,7 +23,7 @@ from hpcapp.applications.surface.field.weights import LEAST_MU, Weights, tell_no
 from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.method import MARGIN, MAX_GRID, Resolution
 from hpcapp.applications.surface.types.lattice import lay_lattice
-from hpcapp.applications.surface.types.points import IntArray, PointCloud
+from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
 
 __all__ = ["Scale", "choose_scale", "suggest_grid"]
 
@@ -37,24 +38,25 @@ _NOISE_CELLS = 2.5  # standard deviations across a cell: its quadric has its pri
 _USUAL, _ENOUGH = 0.6, 0.2  # of the whole's spacing, of the points: by these noise is told
 _PROBE_SPACINGS = 2.0
 _PROBE_LAM = 0.3
-_PROBE_SHARE = 0.15
 _PROBE_ROUNDS = 5
-_PROBE_POINTS = 14, 24  # in the finer and in the coarser cells of a probe
+_PROBE_POINTS = 14, 24, 24, 24  # in the finer and in the coarser cells of a probe
 _QUANTILE, _TO_MEDIAN = 0.25, 1.0
 _FREE = 10
+_AGREEING = 0.2  # misfits are about 1 where two sheets oppose; a gear's teeth tell .1, not .5
 _NOISE_SHARE = 0.5  # of residuals: what remains is detail, and no point of it is wrong
 _ROUNDING = 1e-4  # cells: points that lie so exactly have no outliers among them
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Scale:
     """The cell size, and what led to it.
 
     Parameters
     ----------
-    spacing, noise, cell_size : float
-        In length units of the input, by the whole cloud; the noise is a standard deviation along
-        the normal.
+    spacing, cell_size : float
+        In length units of the input, by the whole cloud.
+    noise : LocalNoise
+        Along the normals.
     tolerance : float
         How far off a point may lie until it counts half, in variances of the noise.
     finer, coarser : int
@@ -64,7 +66,7 @@ class Scale:
     """
 
     spacing: float
-    noise: float
+    noise: LocalNoise
     cell_size: float
     tolerance: float
     finer: int
@@ -82,30 +84,37 @@ class Scale:
         return self.finer + self.coarser
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class _Noise:
     """What a probe finds: see `Scale`."""
 
-    deviation: float
+    local: LocalNoise
     tolerance: float
 
 
-@dataclass(frozen=True, slots=True)
-class _Residuals:
-    """What fits leave over in cells of a size and of its double.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Probe:
+    """What fits leave over in cells of a size, of its double and so on.
 
     Parameters
     ----------
-    finer, coarser : float
-        Lower quartiles of their variances, in length units of the input squared; 0 where no vertex
-        has enough points.
+    origin : ndarray of float64, shape (3,)
+        Corner of a cell of any size.
+    residuals, agreeing : list of Residuals
+        From the finest cells up: all, and those of quadrics that agree with their normals.
     kurtosis : float
-        In the finer cells.
+        In the finest cells.
     """
 
-    finer: float
-    coarser: float
+    origin: FloatArray
+    residuals: list[Residuals]
+    agreeing: list[Residuals]
     kurtosis: float
+
+    def quartile(self, level: int) -> float:
+        """Return the lower quartile of a level's variances; 0 where it has none."""
+        variances = np.sort(self.residuals[min(level, len(self.residuals) - 1)].variances)
+        return float(variances[int(_QUANTILE * (len(variances) - 1))]) if len(variances) else 0.0
 
 
 def _leave_dense(measured: Measured) -> PointCloud:
@@ -127,36 +136,40 @@ def _probe(sample: PointCloud, spacing: float, threads: int) -> _Noise:
     finer cells, they cut its tails off, and a probe with larger ones is made. Large clouds are
     sampled by whole boxes.
     """
-    cell_size = _PROBE_SPACINGS * spacing
-    left = _fit_probe(sample, cell_size, threads)
+    first_size = cell_size = _PROBE_SPACINGS * spacing
+    first = left = _fit_probe(sample, cell_size, threads)
     tolerance = find_tolerance(left.kurtosis)  # larger cells leave detail, too
     for _ in range(_PROBE_ROUNDS):
-        if left.finer <= (_PROBE_SHARE * cell_size) ** 2:
+        if left.quartile(0) <= (SHARE * cell_size) ** 2:
             break
         cell_size *= 2.0
         left = _fit_probe(sample, cell_size, threads)
-    variance = float(tell_noise(np.array(left.finer), np.array(left.coarser)))
-    is_noise = variance > max(_NOISE_SHARE * left.finer, (_ROUNDING * cell_size) ** 2)
-    return _Noise(_TO_MEDIAN * float(np.sqrt(variance)), tolerance if is_noise else np.inf)
+    finer, coarser = left.quartile(0), left.quartile(1)
+    variance = float(tell_noise(np.array(finer), np.array(coarser or finer)))
+    is_noise = variance > max(_NOISE_SHARE * finer, (_ROUNDING * cell_size) ** 2)
+    deviation = _TO_MEDIAN * float(np.sqrt(variance))
+    local = map_noise(deviation, spacing, first.origin, first_size, first.agreeing)
+    return _Noise(local, tolerance if is_noise else np.inf)
 
 
-def _fit_probe(cloud: PointCloud, cell_size: float, threads: int) -> _Residuals:
-    """Fit quadrics in cells of a size and of its double."""
+def _fit_probe(cloud: PointCloud, cell_size: float, threads: int) -> _Probe:
+    """Fit quadrics in cells of a size, of its double and so on."""
     low, high = bound_points(cloud.positions)
     height = count_levels(float((high - low).max()), cell_size)
     origin = lay_lattice(low, cell_size)
     pyramid = build_pyramid(cloud, origin, cell_size, height, threads)
-    levels = list(pyramid.levels[:2])  # a fit drops the moments of its level
+    levels = list(pyramid.levels[: len(_PROBE_POINTS)])  # a fit drops the moments of its level
     weights = [Weights(_PROBE_LAM, 0.0, LEAST_MU, LEAST_MU)] * len(pyramid.levels)
     quadrics, _ = fit_levels(pyramid, weights, None, threads)
-    variances = [
-        cell_size**2 * 4.0**depth * _lower_quartile(level, vertices, fitted, points)
+    residuals = [
+        _take_residuals(level, vertices, fitted, points, cell_size * 2.0**depth)
         for depth, (level, vertices, fitted, points) in enumerate(
             zip(levels, pyramid.vertices, quadrics, _PROBE_POINTS, strict=False)
         )
     ]
     kurtosis = _find_kurtosis(levels[0], pyramid.vertices[0], quadrics[0])
-    return _Residuals(variances[0], variances[-1] or variances[0], kurtosis)
+    every, agreeing = map(list, zip(*residuals, strict=True))
+    return _Probe(origin, every, agreeing, kurtosis)
 
 
 def _find_kurtosis(level: Level, vertices: IntArray, quadrics: VertexQuadrics) -> float:
@@ -168,20 +181,20 @@ def _find_kurtosis(level: Level, vertices: IntArray, quadrics: VertexQuadrics) -
     return tell_kurtosis(squares, level.cells, points.offsets)
 
 
-def _lower_quartile(
-    level: Level, vertices: IntArray, quadrics: VertexQuadrics, points: int
-) -> float:
-    """Return that of RSS / (n - 10), in cells squared, over the vertices with enough points."""
+def _take_residuals(
+    level: Level, vertices: IntArray, quadrics: VertexQuadrics, points: int, cell_size: float
+) -> tuple[Residuals, Residuals]:
+    """Return what fits leave over at the vertices with enough points, and where normals agree."""
     in_cells = level.points.sum(slice(0, len(level.cells)))
     touched = kernels.spread_keys(level.cells, 0, 1)
     moments = kernels.corner_moments(touched, level.cells, in_cells)
     rich = moments[:, 0] >= points
-    if not rich.any():
-        return 0.0
-    rows = kernels.find_keys(vertices, touched[rich])
-    residuals = kernels.evaluate_residuals(moments[rich], quadrics.coefficients[rows])
-    variances = np.sort(residuals / (moments[rich, 0] - _FREE))
-    return float(variances[int(_QUANTILE * (len(variances) - 1))])
+    touched, moments = touched[rich], moments[rich]
+    rows = kernels.find_keys(vertices, touched)
+    squares = kernels.evaluate_residuals(moments, quadrics.coefficients[rows])
+    variances = cell_size**2 * squares / (moments[:, 0] - _FREE)
+    agree = quadrics.misfits[rows] <= _AGREEING
+    return Residuals(touched, variances), Residuals(touched[agree], variances[agree])
 
 
 def choose_scale(
@@ -205,7 +218,7 @@ def choose_scale(
     """
     spacing = measured.spacing
     noise = _probe(_leave_dense(measured), spacing, threads)
-    averaged, spacings = _NOISE_CELLS * noise.deviation * smoothness / detail, _FEWEST / detail
+    averaged, spacings = _NOISE_CELLS * noise.local.whole * smoothness / detail, _FEWEST / detail
     cell_size = max(_SPACINGS / detail * spacing, averaged, step)
     dense, sparse = (measured.scale.quantile(share) for share in _SHARES)
     finest = max(spacings * dense, averaged, step)
@@ -213,7 +226,7 @@ def choose_scale(
     coarser = _count_halvings(np.round(np.log2(_SPACINGS / detail * sparse / cell_size)))
     # Where scans of unlike noise meet, their residuals have heavy tails together.
     tolerance = np.inf if finer or coarser else noise.tolerance
-    return Scale(spacing, noise.deviation, cell_size, tolerance, finer, coarser, spacings)
+    return Scale(spacing, noise.local, cell_size, tolerance, finer, coarser, spacings)
 
 
 def _count_halvings(levels: np.floating[Any]) -> int:
@@ -252,7 +265,7 @@ def suggest_grid(
     coarse, fine = (_count_cells(longest, some) for some in (step, _SMOOTHER * step))
     cells = max(coarse, min(fine, _CHEAP))
     is_noisy = scale.cell_size > _SPACINGS * scale.spacing
-    what = f"noise of {scale.noise:.3g}" if is_noisy else f"points {scale.spacing:.3g} apart"
+    what = f"noise of {scale.noise.whole:.3g}" if is_noisy else f"points {scale.spacing:.3g} apart"
     if scale.finer:
         what = f"points {measured.scale.range[0]:.3g} to {measured.scale.range[1]:.3g} apart"
     step = longest / (cells - 2 * MARGIN)

@@ -173,7 +173,9 @@ class HierarchicalMethod:
         scale = choose_scale(measured, grid.step, self.smoothness, self.detail, self.threads)
         below = scale.levels
         origin = lay_lattice(low, scale.finest)
-        refinement = Refinement(below, scale.spacings, measured.scale, origin, scale.finest)
+        noise = scale.noise.scaled(self.smoothness)
+        given = scale.spacings, measured.scale, origin, scale.finest, noise
+        refinement = Refinement(below, *given)
         are_read = workforce.in_process or self._find_shared(cloud) is not None
         workers = PointWorkers(workforce, are_read, _POINTS_AT_ONCE)
         if below and not self.uniform:
@@ -183,8 +185,7 @@ class HierarchicalMethod:
                 grid = replace(wide, strides=strides)
         height = scale.finer + count_levels(float((high - low).max()), scale.cell_size)
         height = max(height, below + 1)
-        noise = scale.noise * self.smoothness
-        nodes = choose_nodes(grid.box, scale.finest, noise, measured)
+        nodes = choose_nodes(grid.box, scale.finest, noise.whole, measured)
         far = far_level(grid, nodes, scale.finest, scale.finer, height)
         count = self._count_tiles(cloud, height - below, workforce)
         tolerance = scale.tolerance if height > _ROBUST_LEVELS else np.inf
@@ -194,7 +195,7 @@ class HierarchicalMethod:
         coarse = max(least, min(lowest, height - 1)) if count else height
         blocks = cloud.arrangement
         plan = Plan(
-            origin, scale.finest, height, coarse, noise,
+            origin, scale.finest, height, coarse, noise.whole,
             grid.origin, grid.step, grid.bricks, blocks.origin, blocks.edge, far, nodes, tolerance,
             refinement, grid.strides,
         )  # fmt: skip
@@ -356,7 +357,8 @@ class HierarchicalMethod:
             "patches": partition.patches,
             "spacing": partition.scale.spacing,
             "spacing_range": list(plan.refinement.scale.range),
-            "noise": partition.scale.noise,
+            "noise": partition.scale.noise.usual,
+            "noise_range": list(partition.scale.noise.range),
             "cell_size": partition.scale.cell_size,
             "refined_levels": plan.refinement.levels,
             "step": plan.step,

@@ -141,6 +141,8 @@ class LocalScale:
         ndarray of float64, shape (n,)
             That of the smallest cell around each, or beside it; else of the whole cloud.
         """
+        if not len(self.levels):
+            return np.full(len(places), self.spacing)
         # Whole numbers below 2^20: places beyond lie in no cell.
         finest = np.floor(cells_of(places, self.origin, self.edge)).clip(-(2.0**19), 2.0**19)
         spacings, cells = np.zeros(len(places)), finest.astype(np.int64)

@@ -74,22 +74,22 @@ constexpr int row_of(int entry) {
 constexpr int column_in(int entry) { return entry - row_of(entry) * (row_of(entry) + 1) / 2; }
 
 template <int ENTRY>
-HPC_INLINE void fill_entry(const Block& rows, const double (&factors)[5], const double (&mu)[LANES],
+HPC_INLINE void fill_entry(const Block& rows, const double (&factors)[5][LANES], const double (&mu)[LANES],
                            const double (&inverse)[LANES], Matrix& matrix) {
   constexpr Pair pair = PAIRS.at[row_of(ENTRY)][column_in(ENTRY)];
   double sum[LANES];
   EACH_LANE sum[lane] = rows[pair.value][lane];
   for (int term = 0; term < pair.terms; ++term) {
-    const double factor = factors[static_cast<int>(pair.factor[term])];
+    const double* factor = factors[static_cast<int>(pair.factor[term])];
     const double* from = rows[pair.column[term]];
-    EACH_LANE sum[lane] += factor * from[lane];
+    EACH_LANE sum[lane] += factor[lane] * from[lane];
   }
   if constexpr (pair.gram != 0.0) EACH_LANE sum[lane] += mu[lane] * pair.gram;
   EACH_LANE matrix[row_of(ENTRY)][column_in(ENTRY)][lane] = sum[lane] * inverse[lane];
 }
 
 template <int... ENTRY>
-HPC_INLINE void fill_entries(const Block& rows, const double (&factors)[5], const double (&mu)[LANES],
+HPC_INLINE void fill_entries(const Block& rows, const double (&factors)[5][LANES], const double (&mu)[LANES],
                              const double (&inverse)[LANES], Matrix& matrix, std::integer_sequence<int, ENTRY...>) {
   (fill_entry<ENTRY>(rows, factors, mu, inverse, matrix), ...);
 }
@@ -107,18 +107,18 @@ HPC_INLINE void add_priors(const Vector& prior, const double (&mu)[LANES], doubl
 }
 
 template <int... I>
-HPC_INLINE void fill_right(const Block& rows, const Vector& prior, double lam, const double (&mu)[LANES],
+HPC_INLINE void fill_right(const Block& rows, const Vector& prior, const double (&lam)[LANES], const double (&mu)[LANES],
                            const double (&inverse)[LANES], Vector& right, std::integer_sequence<int, I...> all) {
-  for (int i = 0; i < BASIS; ++i) EACH_LANE right[i][lane] = i ? lam * rows[MONOMIALS + i - 1][lane] : 0.0;
+  for (int i = 0; i < BASIS; ++i) EACH_LANE right[i][lane] = i ? lam[lane] * rows[MONOMIALS + i - 1][lane] : 0.0;
   (add_priors<I>(prior, mu, right[I], all), ...);
   for (int i = 0; i < BASIS; ++i) EACH_LANE right[i][lane] *= inverse[lane];
 }
 
-HPC_INLINE void fill_equations(const Block& rows, const Vector& prior, double lam,
+HPC_INLINE void fill_equations(const Block& rows, const Vector& prior, const double (&lam)[LANES],
                                const double (&mu)[LANES], Matrix& matrix, Vector& right) {
-  double inverse[LANES], factors[5];
+  double inverse[LANES], factors[5][LANES];
   EACH_LANE inverse[lane] = 1.0 / rows[0][lane];
-  for (int factor = 0; factor < 5; ++factor) factors[factor] = lam * factor;
+  for (int factor = 0; factor < 5; ++factor) EACH_LANE factors[factor][lane] = lam[lane] * factor;
   fill_entries(rows, factors, mu, inverse, matrix, Entries());
   for (int i = 0; i < BASIS; ++i) EACH_LANE matrix[i][i][lane] += RIDGE;
   fill_right(rows, prior, lam, mu, inverse, right, std::make_integer_sequence<int, BASIS>());
@@ -155,8 +155,8 @@ HPC_INLINE void solve(Matrix& matrix, Vector& right) {
 
 // What the fits of a range read and write.
 struct Fits {
-  const float *prior, *noise;
-  double lam, least_mu, most_mu;
+  const float *prior, *noise, *lam;
+  double least_mu, most_mu;
   float *coefficients, *counts, *variances, *misfits;
 };
 
@@ -190,7 +190,8 @@ HPC_INLINE void mean_squares(const Block& rows, const Vector& c, double (&square
 }
 
 // Fit quadrics with priors of some weights.
-HPC_INLINE void fit_rows(const Block& rows, const Vector& prior, double lam, const double (&mu)[LANES], Vector& fitted) {
+HPC_INLINE void fit_rows(const Block& rows, const Vector& prior, const double (&lam)[LANES],
+                         const double (&mu)[LANES], Vector& fitted) {
   Matrix matrix;
   fill_equations(rows, prior, lam, mu, matrix, fitted);
   solve(matrix, fitted);
@@ -198,7 +199,7 @@ HPC_INLINE void fit_rows(const Block& rows, const Vector& prior, double lam, con
 
 // Weigh each prior by how well it explains the points.
 HPC_INLINE void weigh_priors(const Block& rows, const Vector& prior, const double (&noise)[LANES],
-                             const Fits& fits, double (&mu)[LANES]) {
+                             const double (&lam)[LANES], const Fits& fits, double (&mu)[LANES]) {
   double missed[LANES], left[LANES] = {}, slope[LANES];
   mean_squares(rows, prior, missed, slope);
   bool rich = false;
@@ -206,7 +207,7 @@ HPC_INLINE void weigh_priors(const Block& rows, const Vector& prior, const doubl
   if (rich) {
     Vector fitted;
     EACH_LANE mu[lane] = fits.least_mu;
-    fit_rows(rows, prior, fits.lam, mu, fitted);
+    fit_rows(rows, prior, lam, mu, fitted);
     mean_squares(rows, fitted, left, slope);
   }
   EACH_LANE {
@@ -241,14 +242,15 @@ HPC_INLINE void measure_residuals(const Block& rows, const Vector& fitted, const
 
 HPC_INLINE void fit_block(const Block& rows, const Fits& fits, int64_t start, int width) {
   Vector prior, right;
-  double noise[LANES], mu[LANES];
+  double noise[LANES], lam[LANES], mu[LANES];
   EACH_LANE {
     const int64_t row = start + std::min(lane, width - 1);
     noise[lane] = fits.noise[row];
+    lam[lane] = fits.lam[row];
     for (int i = 0; i < BASIS; ++i) prior[i][lane] = fits.prior[row * BASIS + i];
   }
-  weigh_priors(rows, prior, noise, fits, mu);
-  fit_rows(rows, prior, fits.lam, mu, right);
+  weigh_priors(rows, prior, noise, lam, fits, mu);
+  fit_rows(rows, prior, lam, mu, right);
   measure_residuals(rows, right, fits, start, width);
   for (int lane = 0; lane < width; ++lane)
     for (int i = 0; i < BASIS; ++i) fits.coefficients[(start + lane) * BASIS + i] = static_cast<float>(right[i][lane]);
@@ -294,7 +296,7 @@ Output<double> corner_moments(Integers touched_of, Integers cells_of, Doubles mo
 }
 
 nb::tuple fit_corners(Integers touched_of, Integers cells_of, Doubles moments_of, Singles prior_of,
-                      Singles noise_of, double lam, double least_mu, double most_mu, int64_t threads) {
+                      Singles noise_of, Singles lam_of, double least_mu, double most_mu, int64_t threads) {
   const int64_t* touched = check_keys(touched_of, "touched");
   const int64_t* cells = check_keys(cells_of, "cells");
   const int64_t count = rows_of(touched_of), known = rows_of(cells_of);
@@ -305,7 +307,7 @@ nb::tuple fit_corners(Integers touched_of, Integers cells_of, Doubles moments_of
   auto misfits = make_buffer<float>(count);
   const Fits fits{check<float>(prior_of, "prior", {count, BASIS}),
                   check<float>(noise_of, "noise", {count}),
-                  lam,
+                  check<float>(lam_of, "lam", {count}),
                   least_mu,
                   most_mu,
                   coefficients.get(),

@@ -182,7 +182,7 @@ def fit_corners(
     moments: FloatArray,
     prior: Float32Array,
     noise: Float32Array,
-    lam: float,
+    lam: Float32Array,
     least_mu: float,
     most_mu: float,
     threads: int = 1,
@@ -198,8 +198,8 @@ def fit_corners(
     prior : ndarray of float32, shape (t, 10)
     noise : ndarray of float32, shape (t,)
         Variance of the positions around each corner, in cells squared.
-    lam : float
-        Weight of the normals, see `hermite.fit_vertices`.
+    lam : ndarray of float32, shape (t,)
+        Weights of the normals, see `hermite.fit_vertices`.
     least_mu, most_mu : float
         Between which the weights of the priors lie, see `hermite.weigh_priors`.
 
@@ -221,8 +221,10 @@ def fit_corners(
         rows = slice(start, start + _CHUNK_VERTICES)
         around = corner_moments(touched[rows], cells, moments)  # (t, 44), about the corners
         priors = prior[rows].astype(np.float64)
-        mu = weigh_priors(around, priors, noise[rows].astype(np.float64), lam, least_mu, most_mu)
-        fitted = fit_vertices(around, priors, lam, mu)
+        slopes = lam[rows].astype(np.float64)
+        given = priors, noise[rows].astype(np.float64), slopes
+        mu = weigh_priors(around, *given, least_mu, most_mu)
+        fitted = fit_vertices(around, priors, slopes, mu)
         coefficients[rows] = fitted
         counts[rows] = around[:, 0]
         variances[rows] = residual_variances(around, fitted)

@@ -285,7 +285,7 @@ def weigh_priors(
     moments: FloatArray,
     prior: FloatArray,
     noise: FloatArray,
-    lam: float,
+    lam: FloatArray | float,
     least: float,
     most: float,
 ) -> FloatArray:
@@ -297,7 +297,7 @@ def weigh_priors(
     prior : ndarray of float64, shape (v, 10)
     noise : ndarray of float64, shape (v,)
         Variance of the positions along the normals, in cells squared, told from further up.
-    lam : float
+    lam : float, or ndarray of float64, shape (v,)
         Weight of the normals, see `fit_vertices`.
     least, most : float
         Between which the weight lies, in points.
@@ -318,7 +318,7 @@ def weigh_priors(
     points. Where it misses them, the points win. The weight goes by the ratio of the variances: a
     prior counts like so many points.
     """
-    counts = moments[:, 0]
+    counts, lam = moments[:, 0], np.broadcast_to(lam, len(moments))
     # (v,): how far the points lie from the prior, of which the noise and its chance are no error.
     missed = _mean_squares(moments, prior)
     scale = noise.copy()
@@ -328,7 +328,7 @@ def weigh_priors(
         many = counts[rich]
         # (r, 10): what the points alone would have, and the noise by what that leaves over, held
         # to what is known from further up as by so many points more.
-        fitted = fit_vertices(moments[rich], prior[rich], lam, least)
+        fitted = fit_vertices(moments[rich], prior[rich], lam[rich], least)
         missed_by_fit = _mean_squares(moments[rich], fitted)
         told = (missed_by_fit * many + _TOLD_POINTS * noise[rich]) / (many - BASIS + _TOLD_POINTS)
         excess[rich] = missed[rich] - missed_by_fit - told * (_CHANCE_GAIN / many)

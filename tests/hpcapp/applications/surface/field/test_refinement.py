@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.field.local_noise import LocalNoise
 from hpcapp.applications.surface.field.refinement import Refinement
 from hpcapp.applications.surface.scale.local_scale import LocalScale, count_scale, make_scale
 from hpcapp.applications.surface.types.lattice import (
@@ -33,7 +34,7 @@ def refine(levels: int) -> tuple[Refinement, list[IntArray]]:
     """Return a refinement by that scan, with its cells from the finest level to the base."""
     positions = two_densities()
     scale = make_scale(0.3, ORIGIN, 1.0, [count_scale(positions, ORIGIN, 1.0, 4)])
-    refinement = Refinement(levels, 1.25, scale, ORIGIN, 0.2)
+    refinement = Refinement(levels, 1.25, scale, ORIGIN, 0.2, LocalNoise.none())
     finest = unique_keys(pack_places(np.floor(positions / 0.2).astype(np.int64)))
     return refinement, refinement.cells_above(finest)
 

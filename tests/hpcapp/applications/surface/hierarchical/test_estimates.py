@@ -17,7 +17,7 @@ def noisy_sphere(noise: float, count: int = 20_000) -> PointCloud:
 
 
 def find_noise(cloud: PointCloud) -> float:
-    return choose_scale(measure_points(cloud), 0.001, 1.0, 1.0).noise
+    return choose_scale(measure_points(cloud), 0.001, 1.0, 1.0).noise.whole
 
 
 @pytest.mark.parametrize("noise", [0.003, 0.01, 0.03])
@@ -42,7 +42,7 @@ def test_cells_follow_the_spacing_of_clean_clouds_and_the_noise_of_others() -> N
     clean = choose_scale(measure_points(noisy_sphere(0.0)), 0.001, 1.0, 1.0)
     assert clean.cell_size == pytest.approx(1.5 * clean.spacing)
     noisy = choose_scale(measure_points(noisy_sphere(0.03)), 0.001, 1.0, 1.0)
-    assert noisy.cell_size == pytest.approx(2.5 * noisy.noise)
+    assert noisy.cell_size == pytest.approx(2.5 * noisy.noise.whole)
 
 
 def test_hands_on_the_wheel() -> None:
@@ -78,7 +78,7 @@ def test_cells_are_halved_where_points_are_dense_and_doubled_where_they_are_spar
     assert uneven.finer + uneven.coarser >= 2
     assert uneven.finest == uneven.cell_size * 2.0**-uneven.finer
     noisy = choose_scale(measure_points(uneven_sphere(0.02)), 0.0, 1.0, 1.0)
-    assert noisy.finest >= 2.5 * noisy.noise
+    assert noisy.finest >= 2.5 * noisy.noise.whole
 
 
 def test_no_refined_cell_is_smaller_than_a_step_either() -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from hpcapp.applications.surface.cloud.measured import find_scale
 from hpcapp.applications.surface.field.far_field import far_step
+from hpcapp.applications.surface.field.local_noise import LocalNoise
 from hpcapp.applications.surface.field.refinement import Refinement
 from hpcapp.applications.surface.hierarchical.coarse import FEWEST_NODES
 from hpcapp.applications.surface.hierarchical.strides import choose_strides
@@ -32,7 +33,7 @@ def stride(
     low = positions.min(axis=0) - 32 * step
     bricks = np.ceil((np.ptp(positions, axis=0) + 64 * step) / (BRICK * step)).astype(int)
     grid = Grid(low, step, (int(bricks[0]), int(bricks[1]), int(bricks[2])))
-    refinement = Refinement(levels, 1.25, find_scale(positions), low, finest)
+    refinement = Refinement(levels, 1.25, find_scale(positions), low, finest, LocalNoise.none())
     seeds = seed_bricks(grid, positions)
     return grid, seeds, choose_strides(grid, seeds, refinement)
 

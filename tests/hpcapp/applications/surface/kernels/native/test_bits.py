@@ -15,7 +15,7 @@ from hpcapp.applications.surface.types.field import Field
 from hpcapp.applications.surface.types.grid import OPEN, OWN, BrickKinds, Grid
 
 THREADS = (2, 3, 16)
-WEIGHTS = (0.2, 0.3, 1000.0)
+BOUNDS = (0.3, 1000.0)  # of the priors' weights
 
 
 def same(first: Any, second: Any) -> None:
@@ -31,7 +31,8 @@ def test_threads(native: ModuleType, cloud: Any, threads: int) -> None:
     around = (cloud.touched, cloud.cells, cloud.moments)
     same([native.corner_moments(*around, 1)], [native.corner_moments(*around, threads)])
     noise = np.linspace(0.0, 0.02, len(cloud.touched), dtype=np.float32)
-    fits = (*around, np.zeros((len(cloud.touched), 10), np.float32), noise, *WEIGHTS)
+    lam = np.linspace(0.2, 1.0, len(noise), dtype=np.float32)
+    fits = (*around, np.zeros((len(cloud.touched), 10), np.float32), noise, lam, *BOUNDS)
     fitted = native.fit_corners(*fits, 1)
     same(fitted, native.fit_corners(*fits, threads))
     pieces = (cloud.touched, cloud.cells, cloud.offsets, cloud.local, cloud.sorted_normals, 1e-4)
@@ -78,11 +79,13 @@ def test_batches_of_fits(native: ModuleType, cloud: Any, parts: int) -> None:
     vertices = len(cloud.touched)
     prior = np.random.default_rng(1).normal(size=(vertices, 10)).astype(np.float32)
     noise = np.linspace(0.0, 0.02, vertices, dtype=np.float32)
+    lam = np.linspace(0.2, 1.0, vertices, dtype=np.float32)
     around = (cloud.cells, cloud.moments)
-    whole = native.fit_corners(cloud.touched, *around, prior, noise, *WEIGHTS, 1)
+    whole = native.fit_corners(cloud.touched, *around, prior, noise, lam, *BOUNDS, 1)
     cuts = np.linspace(0, vertices, parts + 1).astype(int)
-    fitted = [
-        native.fit_corners(cloud.touched[a:b], *around, prior[a:b], noise[a:b], *WEIGHTS, 1)
-        for a, b in itertools.pairwise(cuts)
-    ]
+    given = (cloud.touched, prior, noise, lam)
+    fitted = []
+    for a, b in itertools.pairwise(cuts):
+        touched, *values = (some[a:b] for some in given)
+        fitted.append(native.fit_corners(touched, *around, *values, *BOUNDS, 1))
     same(whole, [np.concatenate(column) for column in zip(*fitted, strict=True)])

@@ -1,0 +1,44 @@
+"""The noise of a cloud before it is reconstructed, by a sample of it, as a job finds it."""
+
+from __future__ import annotations
+
+from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.cloud.arranged import arrange_cloud
+from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
+from hpcapp.applications.surface.cloud.measured import SAMPLED_BOX, Measured, first_share
+from hpcapp.applications.surface.field.local_noise import LocalNoise
+from hpcapp.applications.surface.hierarchical.estimates import choose_scale
+from hpcapp.applications.surface.kernels import bound_points
+from hpcapp.applications.surface.normals.drive import turn_normals
+from hpcapp.applications.surface.normals.sensor import Sensor
+from hpcapp.applications.surface.scale.local_scale import LocalScale
+from hpcapp.applications.surface.types.lattice import lay_lattice
+from hpcapp.applications.surface.types.points import PointCloud
+
+__all__ = ["find_noise"]
+
+
+def find_noise(cloud: PointCloud, scale: LocalScale) -> LocalNoise:
+    """Find how far points lie off their surface, from place to place.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        The points that a job takes. Those without normals get some, in the sample.
+    scale : LocalScale
+        Of these.
+
+    Raises
+    ------
+    InputError
+        The points have no surface.
+    """
+    edge = SAMPLED_BOX * scale.spacing
+    corner = lay_lattice(bound_points(cloud.positions)[0], edge)
+    sample = cloud.take(
+        kernels.sample_boxes(cloud.positions, corner, edge, first_share(len(cloud)))
+    )
+    if sample.normals is None:
+        given = MemoryPass(arrange_cloud(sample)), scale.spacing, Sensor()
+        sample = turn_normals(*given, keeps=False)[0].cloud.points
+    return choose_scale(Measured(scale, sample), 0.0, 1.0, 1.0).noise
