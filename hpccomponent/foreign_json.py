@@ -69,8 +69,9 @@ def decode_large(content: bytes, kind: type[T]) -> T:
 
     Examples
     --------
-    >>> decode_large(b'{"job": 1, "points": [[0, 0], [1, 1]]}', dict[str, msgspec.Raw])["job"]
-    b'1'
+    >>> parts = decode_large(b'{"job": 1, "points": [[0, 0], [1, 1]]}', dict[str, msgspec.Raw])
+    >>> decode_large(parts["job"], int)
+    1
     """
     try:
         return msgspec.json.decode(content, type=kind)

@@ -68,7 +68,7 @@ def _parse_places(word: str) -> tuple[Place, ...]:
         numbers = tuple(float(number) for number in word.split(","))
     except ValueError:
         path = Path(word)
-        if path.is_file() or path.is_dir():
+        if word and (path.is_file() or path.is_dir()):
             return _read_places(path)
     else:
         if len(numbers) in (3, 6) and is_place(*numbers):

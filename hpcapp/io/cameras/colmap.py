@@ -51,6 +51,7 @@ def read_images_text(path: Path, encoding: str) -> FloatArray:
     numbers: list[list[float]] = []
     with path.open(encoding=encoding, errors="replace") as file:
         while line := file.readline(_LONGEST_LINE):
+            line = line.removeprefix("\ufeff")
             if not line.strip() or line.startswith("#"):
                 continue
             found = _IMAGE.match(line)

@@ -52,7 +52,8 @@ def split_json(content: bytes) -> list[JsonObject]:
     """Return the object that a file holds, or those in its list; ValueError where it is no JSON."""
     parts: list[bytes] = [content]
     if content.lstrip().startswith(b"["):
-        parts = [part for part in decode_large(content, list[msgspec.Raw]) if part[:1] == b"{"]
+        raw = decode_large(content, list[msgspec.Raw])
+        parts = [part for part in raw if bytes(memoryview(part)[:1]) == b"{"]
     return [decode_large(part, dict[str, msgspec.Raw]) for part in parts]
 
 
