@@ -16,7 +16,7 @@ from hpcapp.io.cameras.poses import FORWARDS, quaternion_matrices, world_to_came
 __all__ = ["find_colmap_part", "has_images", "read_images_binary", "read_images_text"]
 
 _NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
-_IMAGE = re.compile(rf"\s*\d+\s+((?:{_NUMBER}\s+){{7}})\d+\s+\S", re.ASCII)
+_IMAGE = re.compile(rf"\s*\d+\s+((?:{_NUMBER}\s+){{7}})\d+\s+(\S+)", re.ASCII)
 _TITLE = "IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ"
 _PARTS = {"# Camera list": "cameras.txt", "# 3D point list": "points3D.txt"}
 _PARTS |= {"# Rig ": "rigs.txt", "# Frame list": "frames.txt"}
@@ -32,7 +32,8 @@ _LEAST = _POSE.size + 1 + _COUNT.size  # bytes of an image without a name and po
 def has_images(head: str) -> bool:
     """Tell whether a text begins as images.txt does."""
     rows = [line for line in head.splitlines() if line.strip() and not line.startswith("#")]
-    return _TITLE in head or bool(rows and _IMAGE.match(rows[0]))
+    found = _IMAGE.match(rows[0]) if rows else None
+    return _TITLE in head or (found is not None and not re.fullmatch(_NUMBER, found[2]))
 
 
 def find_colmap_part(head: str) -> str | None:

@@ -37,7 +37,7 @@ __all__ = ["FORMATS", "CameraFormat", "find_camera_file", "read_cameras"]
 Kind = Literal["binary", "XML", "JSON", "text"]
 
 _HEAD = 4096  # characters that tell a text
-_LARGEST_JSON = 1 << 31  # bytes: it is read whole
+_LARGEST_JSON = 1 << 30  # bytes: it is read whole
 _LONGEST_PROBLEM = 300
 _IN_FOLDER = ("images.bin", "images.txt")  # of a model of COLMAP; the first is its own choice
 

@@ -7,9 +7,17 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.applications.surface.types.points import BoolArray, FloatArray
 
-__all__ = ["BACKWARDS", "FORWARDS", "camera_to_world", "quaternion_matrices", "world_to_camera"]
+__all__ = [
+    "BACKWARDS",
+    "FORWARDS",
+    "are_rotations",
+    "camera_to_world",
+    "check_rotations",
+    "quaternion_matrices",
+    "world_to_camera",
+]
 
 FORWARDS, BACKWARDS = 1.0, -1.0
 """Which end of its z axis a camera looks along: as in computer vision, or as in OpenGL."""
@@ -105,11 +113,17 @@ def quaternion_matrices(quaternions: ArrayLike) -> FloatArray:
     return matrices
 
 
-def check_rotations(matrices: FloatArray) -> None:
-    """Refuse matrices, of shape (n, 3, 3), that are no rotations; ValueError names the first."""
+def are_rotations(matrices: FloatArray) -> BoolArray:
+    """Tell which of some matrices, of shape (n, 3, 3), are rotations."""
     with np.errstate(over="ignore", invalid="ignore"):
         excess = np.abs(np.einsum("nij,nkj->nik", matrices, matrices) - np.eye(3)).max(axis=(1, 2))
-        is_rotation = (excess < _INACCURATE) & (np.linalg.det(matrices) > 0.0)
+        is_rotation: BoolArray = (excess < _INACCURATE) & (np.linalg.det(matrices) > 0.0)
+    return is_rotation
+
+
+def check_rotations(matrices: FloatArray) -> None:
+    """Refuse matrices, of shape (n, 3, 3), that are no rotations; ValueError names the first."""
+    is_rotation = are_rotations(matrices)
     if not is_rotation.all():
         row = int(np.argmin(is_rotation))
         raise ValueError(f"camera {row + 1}: no rotation: {matrices[row].tolist()}"[:200])

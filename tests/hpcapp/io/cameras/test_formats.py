@@ -129,6 +129,7 @@ def test_a_chunk_without_a_transform_is_in_the_coordinates_of_the_world(tmp_path
         "x,y,z\n1,2,3\n",
         "# timestamp tx ty tz qx qy qz qw\n0.5 1 2 3 0 0 0 1\n",
         "1 2 3 4 5 6 7 8 9\n",
+        "1 1 0 0 0 6 7 8 9 10 11\n",
         "hello\n",
     ],
 )
