@@ -27,7 +27,9 @@ def read_bundle(path: Path, encoding: str) -> FloatArray:
         The file is cut, or has words where numbers belong.
     """
     with path.open(encoding=encoding, errors="replace") as file:
-        file.readline(_LONGEST_LINE)  # the title
+        title = file.readline(_LONGEST_LINE).split()
+        if title[3:4] != ["v0.3"]:
+            raise ValueError(f"it is of version {' '.join(title[3:])[:40]!r}, and v0.3 is read")
         counts = file.readline(_LONGEST_LINE).split()
         count = int(counts[0]) if counts else 0
         if not 0 <= 2 * _NUMBERS * count <= path.stat().st_size:

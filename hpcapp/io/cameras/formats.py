@@ -105,7 +105,7 @@ FORMATS = (
     CameraFormat(
         "Bundler (bundle.out)",
         "text",
-        lambda c: c.head.startswith("# Bundle file v0.3"),
+        lambda c: c.head.startswith("# Bundle file"),
         lambda c: read_bundle(c.path, c.encoding),
     ),
     CameraFormat(
@@ -179,7 +179,8 @@ def read_cameras(path: Path) -> FloatArray | None:
             _check(cameras)
         except ValueError as error:
             raise InputError(
-                f"{path}: is read as cameras of {found.name}: {str(error)[:_LONGEST_PROBLEM]}",
+                f"{path}: is {content.kind}, read as cameras of {found.name}: "
+                + str(error)[:_LONGEST_PROBLEM],
                 "export it again",
             ) from None
     return spread_places(cameras)

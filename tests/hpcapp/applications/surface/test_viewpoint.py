@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,8 @@ from hpcapp.applications.surface.viewpoint import (
     type_viewpoint,
 )
 from hpccomponent.errors import InputError, UsageError
+
+Run = Callable[..., tuple[int, str, str]]
 
 
 @pytest.mark.parametrize(
@@ -120,6 +123,25 @@ def test_a_wall_faces_whoever_took_photographs_of_it(
     areas = np.linalg.norm(faces, axis=1)
     assert areas.sum() > 16.0
     assert areas[side * faces[:, 1] > 0.0].sum() > 0.99 * areas.sum()
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b'{"type": "FeatureCollection"}', "is JSON, but none of nerfstudio"),
+        (b"\0\1SBET\0" * 99, "is binary, read as cameras of COLMAP (images.bin): it claims"),
+    ],
+)
+def test_the_command_refuses_other_files_in_a_line(
+    run: Run, sphere_file: Path, tmp_path: Path, content: bytes, said: str
+) -> None:
+    path = tmp_path / "images.txt"
+    path.write_bytes(content)
+    code, out, err = run("reconstruct", str(sphere_file), "-o", str(tmp_path / "mesh.ply"),
+                         "--viewpoint", str(path))  # fmt: skip
+    assert (code, out) == (3, "")
+    assert len(err.splitlines()) == 1
+    assert f"{path}: {said}" in err
 
 
 def test_cameras_in_other_coordinates_end_the_job(relief: FloatArray, tmp_path: Path) -> None:

@@ -121,6 +121,17 @@ def test_a_chunk_without_a_transform_is_in_the_coordinates_of_the_world(tmp_path
     assert apart * 7.5 == pytest.approx(np.linalg.norm(PLACES[1:] - PLACES[:-1], axis=1))
 
 
+@pytest.mark.parametrize(("length", "is_read"), [(0.987, False), (0.993, True), (1.013, False)])
+def test_quaternions_of_few_digits_are_scaled(tmp_path: Path, length: float, is_read: bool) -> None:
+    path = tmp_path / "images.txt"
+    path.write_text(f"1 {0.6 * length} 0 {0.8 * length} 0 0 0 5 1 a.jpg\n\n")
+    if not is_read:
+        with pytest.raises(InputError, match="quaternion"):
+            read_cameras(path)
+    else:
+        assert read_cameras(path) == pytest.approx(np.array([[4.8, 0, 1.4, -0.96, 0, -0.28]]))
+
+
 @pytest.mark.parametrize(
     "text",
     [
@@ -189,6 +200,7 @@ OTHERS = {
     "text: far": (b"1 1 0 0 0 1e300 2 3 1 a.jpg\n\n", r"at no place: \[-1e\+300"),
     "colmap: cameras": (b"# Camera list with one line of\n1 PINHOLE 9 9 9\n", "is cameras.txt of"),
     "colmap: points": (b"# 3D point list with one line of\n1 2 3 4 5 6 7\n", "is points3D.txt of"),
+    "bundle: version": (swap("bundle.out", b"v0.3", b"v0.4"), "of version 'v0.4', and v0.3 is"),
     "bundle: huge": (swap("bundle.out", b"9 1\n", b"1000000000000 1\n"), "claims 1000000000000"),
     "bundle: negative": (swap("bundle.out", b"9 1\n", b"-9 1\n"), "claims -9 cameras"),
     "bundle: cut": (WHOLE["bundle.out"][:900], "ends after"),
