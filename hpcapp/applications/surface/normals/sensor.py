@@ -15,10 +15,11 @@ __all__ = ["Sensor", "SensorKind"]
 
 SensorKind = Literal["unknown", "above", "below", "inside", "places"]
 
-# Whether cameras and points are in the same coordinates. Of scenes from two photographs over a
-# patch of a field to a ring around a statue, the nearest camera is at most 10 sizes from the
-# points, and half of these or more lie before one; local coordinates beside those of a map are 40
-# sizes apart or more, and cameras below what they look down at have next to nothing before them.
+# Whether cameras and points are in the same coordinates. Of 37 clouds and corners of clouds, seen
+# from around, above or inside, the nearest camera is 0.7 extents away or less, and all points lie
+# before one; two photographs, 1 apart, of a spot 12 below them come to 12. Beside the coordinates
+# of a map (45 pairs) the cameras are 50 extents away or more; below what they look down at (6),
+# they have nothing before them. One photograph from amid the points has half of them.
 _FARTHEST = 20.0  # times what the points and the cameras extend, together
 _BEFORE = 0.2  # share of the points that lie before a camera
 
