@@ -36,14 +36,11 @@ class _Chunk:
 
     def cameras(self) -> list[FloatArray]:
         """Return the cameras in the coordinates of the world, those of each component together."""
+        own = self.transforms.get("", {})
         return [
-            _move(camera_to_world(poses, FORWARDS), self.transforms.get(name) or self._own)
+            _move(camera_to_world(poses, FORWARDS), self.transforms.get(name, own))
             for name, poses in self.poses.items()
         ]
-
-    @property
-    def _own(self) -> Numbers:
-        return self.transforms.get("", {})
 
 
 def read_metashape(path: Path) -> FloatArray:
