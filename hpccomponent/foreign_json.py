@@ -13,7 +13,7 @@ from typing import NoReturn, TypeVar
 
 import msgspec
 
-__all__ = ["convert", "decode"]
+__all__ = ["convert", "decode", "decode_large"]
 
 T = TypeVar("T")
 _PATTERN = re.compile(r"Expected `str` matching regex '.*'(?= - at|$)")  # says nothing to a user
@@ -50,6 +50,35 @@ def decode(text: str | bytes, kind: type[T]) -> T:
     except ValueError as error:
         raise ValueError(f"it is no JSON: {error}") from None
     return convert(parsed, kind)
+
+
+def decode_large(content: bytes, kind: type[T]) -> T:
+    """Return the same as `decode`; what the type does not name takes neither memory nor time.
+
+    Parameters
+    ----------
+    content : bytes
+        UTF-8; names that are not are only read where the type does not name them.
+    kind : type
+        A `msgspec.Raw` in it stays as it is, for another call.
+
+    Raises
+    ------
+    ValueError
+        See `decode`.
+
+    Examples
+    --------
+    >>> parts = decode_large(b'{"job": 1, "points": [[0, 0], [1, 1]]}', dict[str, msgspec.Raw])
+    >>> decode_large(parts["job"], int)
+    1
+    """
+    try:
+        return msgspec.json.decode(content, type=kind)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise ValueError(_PATTERN.sub("a text that does not fit", str(error))) from None
 
 
 def convert(told: object, kind: type[T]) -> T:

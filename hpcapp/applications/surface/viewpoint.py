@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal, cast, get_args
 
 from hpccomponent.errors import UsageError
 from hpccomponent.option_names import name_option
@@ -16,7 +16,9 @@ from hpccomponent.ranges import FARTHEST, is_place
 __all__ = ["Direction", "Place", "Viewpoint", "parse_viewpoint", "type_viewpoint"]
 
 Direction = Literal["above", "below", "inside"]
-Place = tuple[float, float, float]
+Place = tuple[float, float, float] | tuple[float, float, float, float, float, float]
+"""Coordinates; of a camera also the direction along which it looks."""
+
 Viewpoint = Direction | tuple[Place, ...]
 """From which direction points were measured, or from which places; no places: nobody has said."""
 
@@ -24,19 +26,19 @@ _DIRECTIONS: tuple[Direction, ...] = get_args(Direction)
 
 
 def parse_viewpoint(words: Sequence[str]) -> Viewpoint:
-    """Parse what was typed; read the files of trajectories.
+    """Parse what was typed; read the files of trajectories and cameras.
 
     Parameters
     ----------
     words : sequence of str
-        A direction alone, or places as ``X,Y,Z`` and names of files.
+        A direction alone, or places as ``X,Y,Z``, cameras as ``X,Y,Z,DX,DY,DZ`` and names of files.
 
     Raises
     ------
     UsageError
         A word is none of these, or stands beside a direction.
     InputError
-        A file is no trajectory.
+        A file is no trajectory and no file of cameras.
 
     Examples
     --------
@@ -63,17 +65,26 @@ def type_viewpoint(viewpoint: Viewpoint) -> list[str]:
 
 def _parse_places(word: str) -> tuple[Place, ...]:
     try:
-        x, y, z = (float(number) for number in word.split(","))
+        numbers = tuple(float(number) for number in word.split(","))
     except ValueError:
-        if Path(word).is_file():
-            from hpcapp.io.text.trajectory import read_trajectory  # numpy takes its time
-
-            return tuple((x, y, z) for x, y, z in read_trajectory(Path(word)).tolist())
+        path = Path(word)
+        if word and (path.is_file() or path.is_dir()):
+            return _read_places(path)
     else:
-        if is_place(x, y, z):
-            return ((x, y, z),)
+        if len(numbers) in (3, 6) and is_place(*numbers):
+            return (cast(Place, numbers),)
     raise UsageError(
         f"{name_option('viewpoint', word)} is neither {', '.join(_DIRECTIONS)}, nor three numbers "
-        f"up to {FARTHEST:.0e}, nor a file of a trajectory",
+        f"up to {FARTHEST:.0e}, nor a file of a trajectory or of cameras",
         "give where the sensor was, as 1.5,0,-2",
     )
+
+
+def _read_places(path: Path) -> tuple[Place, ...]:
+    from hpcapp.io.cameras.formats import find_camera_file, read_cameras  # numpy takes its time
+    from hpcapp.io.text.trajectory import read_trajectory
+
+    path = find_camera_file(path)
+    cameras = read_cameras(path)
+    rows = read_trajectory(path) if cameras is None else cameras
+    return tuple(cast(Place, tuple(row)) for row in rows.tolist())

@@ -1,4 +1,4 @@
-"""The path of a sensor, as lines of numbers: x, y, z, or the time before them."""
+"""The path of a sensor, as lines of numbers: x, y, z, the time before them, or poses of KITTI."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.io.cameras.poses import are_rotations
 from hpcapp.io.points.column_roles import AXES, find_role
 from hpcapp.io.points.point_source import Findings, translated
 from hpcapp.io.text.layout import find_layout
@@ -20,12 +21,15 @@ __all__ = ["MOST_PLACES", "read_trajectory"]
 MOST_PLACES = 64
 """Of a path: more show no more of what was measured from it."""
 
+_POSE = 12  # numbers of three rows of a rotation and a place
+
 
 def read_trajectory(path: Path) -> FloatArray:
     """Read where a sensor came along.
 
-    Columns are told by their names; without names they are x, y, z where there are three, else
-    the time comes first. Separators are those of point clouds.
+    Columns are told by their names. Without names they are x, y, z where there are three; twelve
+    that are a rotation and a place, row by row, are poses of KITTI; else the time comes first.
+    Separators are those of point clouds.
 
     Returns
     -------
@@ -38,11 +42,11 @@ def read_trajectory(path: Path) -> FloatArray:
         The file has no such rows.
     """
     with translated(path):
-        layout, _ = find_layout(path, Findings())
+        layout, sample = find_layout(path, Findings())
         lines = LineReader(read_blocks(path, layout.encoding))
         for _ in lines.take(layout.first_row - 1):
             pass
-        axes, notes = _find_axes(layout.names, layout.rows.wanted), RowNotes(path)
+        axes, notes = _find_axes(layout.names, layout.rows.wanted, sample), RowNotes(path)
         rest = path.stat().st_size
         tables = [parse_block(block, layout.rows, notes)[:, axes] for block in lines.take(rest)]
     places = np.concatenate([np.empty((0, 3)), *tables])
@@ -60,9 +64,13 @@ def read_trajectory(path: Path) -> FloatArray:
     return _thin(places)
 
 
-def _find_axes(names: tuple[str, ...] | None, wanted: tuple[int, ...]) -> list[int]:
+def _find_axes(
+    names: tuple[str, ...] | None, wanted: tuple[int, ...], sample: FloatArray
+) -> list[int]:
     """Return which of the columns that are read are x, y and z."""
     if names is None:
+        if len(wanted) == _POSE and are_rotations(sample.reshape(-1, 3, 4)[:, :, :3]).all():
+            return [3, 7, 11]
         return [0, 1, 2] if len(wanted) == 3 else [1, 2, 3]
     roles = [find_role(names[i]) for i in wanted]
     return [roles.index(axis) for axis in AXES]

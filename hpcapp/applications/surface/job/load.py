@@ -282,16 +282,17 @@ def told_sensor(viewpoint: Viewpoint) -> Sensor:
     """Return what a user says of where points were measured from."""
     if isinstance(viewpoint, str):
         return Sensor(viewpoint, is_told=True)
-    return Sensor("places", np.array(viewpoint), is_told=True) if viewpoint else Sensor()
+    if not viewpoint:
+        return Sensor()
+    rows = np.array([(*place, 0.0, 0.0, 0.0)[:6] for place in viewpoint])
+    return Sensor("places", rows[:, :3], rows[:, 3:], is_told=True)
 
 
 def _find_sensor(settings: JobSettings, source: PointSource) -> Sensor:
     """Return where the points were measured from: as the user says, else as the file does."""
     told = told_sensor(settings.viewpoint)
-    if told.places is not None:
-        return replace(told, places=told.places * (1.0, 1.0, source.frame.height_scale))
     if told.is_told:
-        return told
+        return told.scale_heights(source.frame.height_scale)
     known = [scan.scanner for scan in source.scans if scan.scanner is not None]
     if known and len(known) == len(source.scans):
         return Sensor("places", np.array(known))

@@ -78,6 +78,11 @@ def turn_normals(
     cloud_pass : CloudPass
         Through points with unit normals.
     turned : Turned
+
+    Raises
+    ------
+    InputError
+        The sensor is cameras that cannot have seen the points.
     """
     cloud = cloud_pass.cloud
     given = lay_lattice(cloud.low, spacing), spacing
@@ -86,6 +91,7 @@ def turn_normals(
     margin = patches.MARGIN * spacing
     grouped = cloud_pass.each(group_region, *given, margin=margin)
     found = patches.merge_patches(grouped)
+    sensor.check_sight(found[0].centres, -cloud.origin)
     oriented = orient_patches(*found, spacing, -cloud.origin, sensor)
     del found
     del grouped

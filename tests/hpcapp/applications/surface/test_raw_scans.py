@@ -109,6 +109,16 @@ def test_what_stood_on_a_table_is_closed_and_faces_outwards(name: str, tmp_path:
     assert not _borders(mesh)
 
 
+@pytest.mark.parametrize("cameras", ["images.txt", "transforms_one_line.json"])
+def test_a_ball_on_a_table_faces_its_photographers(cameras: str, tmp_path: Path) -> None:
+    mesh = _mesh("cases/table_ball.xyz", tmp_path, "--viewpoint", str(shared(f"cases/{cameras}")))
+    truth = np.load(shared("cases/truth_ball.npy")).astype(np.float64)
+    middles = mesh.vertices[mesh.faces].mean(axis=1) + mesh.origin
+    nearest = cKDTree(middles).query(truth[:, :3])[1]
+    agreement = np.einsum("ij,ij->i", _crosses(mesh)[nearest], truth[:, 3:])
+    assert (agreement > 0.0).mean() > 0.99
+
+
 def test_particles_are_no_surface(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert _run("cases/fluid_particles.xyz", tmp_path / "mesh.ply") == 3
     assert "fill a volume" in capsys.readouterr().err

@@ -121,7 +121,7 @@ def test_options_of_points_without_normals_travel(
     assert ctx.params["clean"] is False
 
 
-def test_the_places_of_a_trajectory_travel(
+def test_the_places_of_trajectories_and_cameras_travel(
     tmp_path: Path, sphere_file: Path, cluster: Cluster
 ) -> None:
     flight = tmp_path / "flight.csv"
@@ -131,6 +131,12 @@ def test_the_places_of_a_trajectory_travel(
     assert cluster.options == places
     here = (tmp_path / "cluster.yaml", sphere_file, tmp_path / "m.ply")
     assert check_job(*here, ["--viewpoint", str(flight)]) == places
+    frames = tmp_path / "transforms.json"
+    frames.write_text(
+        '{"frames": [{"transform_matrix": [[1, 0, 0, 7], [0, 1, 0, 8], [0, 0, 1, 9]]}]}'
+    )
+    camera = ["--viewpoint", "7.0,8.0,9.0,-0.0,-0.0,-1.0"]
+    assert check_job(*here, ["--viewpoint", str(frames)]) == camera
     assert check_job(*here, ["--viewpoint=above", "--no-clean"]) == [
         "--no-clean", "--viewpoint", "above",
     ]  # fmt: skip

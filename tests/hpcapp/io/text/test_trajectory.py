@@ -21,6 +21,8 @@ from hpccomponent.errors import InputError
         "time,x,y,z\n0.5,1,2,3\n0.6,4,5,6\n",
         "Easting;Northing;Height;Roll\n1;2;3;9\n4;5;6;9\n",
         "X,Y,Z\n1,2,3\n,,\n4,5,6",
+        "1 0 0 1 0 1 0 2 0 0 1 3\n0 -1 0 4 1 0 0 5 0 0 1 6\n",
+        "0.5 1 2 3 1 0 0 0 0 0 0 0\n0.6 4 5 6 1 0 0 0 0 0 0 0\n",
     ],
 )
 def test_columns_are_told_by_names_or_by_their_number(tmp_path: Path, text: str) -> None:
