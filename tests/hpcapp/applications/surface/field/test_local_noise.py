@@ -4,13 +4,13 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from shared_data import shared
 
 from hpcapp.applications.surface.cloud.measured import find_scale, measure_points
 from hpcapp.applications.surface.field.local_noise import LocalNoise
 from hpcapp.applications.surface.hierarchical.estimates import choose_scale
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io import open_points, read_whole
-from tests.helpers.shared_data import shared
 
 SPACING = 0.03
 
@@ -27,6 +27,11 @@ def ball(noise_of: Callable[[FloatArray], FloatArray | float]) -> PointCloud:
     normals = np.random.default_rng(1).normal(size=(round(4 * np.pi / SPACING**2), 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return scatter(normals, normals, noise_of(normals))
+
+
+def even_ball(noise: float) -> PointCloud:
+    """The same with one noise."""
+    return ball(lambda _: noise)
 
 
 def plate(thickness: float, noise: float) -> PointCloud:
@@ -92,19 +97,19 @@ def test_teeth_of_a_gear_are_no_noise() -> None:
 
 
 def test_what_cannot_be_told_from_relief_goes_by_the_whole_cloud() -> None:
-    assert find_noise(ball(lambda _: 0.0)).range[1] < 0.02 * SPACING
+    assert find_noise(even_ball(0.0)).range[1] < 0.02 * SPACING
     for share, least, most in ((0.15, 0.0, 0.05), (0.3, 0.15, 0.29)):
-        found = find_noise(ball(lambda _, share=share: share * SPACING))
+        found = find_noise(even_ball(share * SPACING))
         told = LocalNoise(0.0, found.untold, found.places).variances_at(np.eye(3))
         assert least * SPACING <= np.sqrt(told.min()) <= np.sqrt(told.max()) <= most * SPACING
 
 
 def test_hands_on_the_wheel() -> None:
-    noise = find_noise(ball(lambda _: 0.5 * SPACING))
+    noise = find_noise(even_ball(0.5 * SPACING))
     twice = noise.scaled(2.0).variances_at(np.eye(3))
     assert twice == pytest.approx(4.0 * noise.variances_at(np.eye(3)))
 
 
 def test_a_few_points_have_no_noise_that_could_be_found() -> None:
-    few = ball(lambda _: 0.1).take(np.arange(12))
+    few = even_ball(0.1).take(np.arange(12))
     assert find_noise(few).variances_at(few.positions).tolist() == [0.0] * 12
