@@ -1,4 +1,5 @@
 // Planes through as many neighbours of each point as noise and curvature allow (see around/planes.py).
+#include <algorithm>
 #include <cmath>
 
 #include "clones.h"
@@ -17,7 +18,15 @@ constexpr int REACH = 12;       // spacings
 constexpr double BIAS_SHARE = 0.2, TINY = 1e-6;
 constexpr int STEPS = 24;       // of Newton's method
 constexpr int LANES = 8;        // planes of a point
+
+constexpr int SHEET_FIT = 3;    // whose points may lie on two sheets
+constexpr double THICK = 0.3;   // spacings: the residual from which on that is asked
+constexpr double APART = 0.18;  // residual around two sheets, by that around one plane
+constexpr double ALIKE = 0.8;   // cos of the angle between the normals of both
+constexpr int SHEET_LEAST = 4, SHEET_ROUNDS = 3;
+
 enum Product { XX, YY, ZZ, XY, XZ, YZ, PRODUCTS };
+constexpr int FACTORS[PRODUCTS][2] = {{0, 0}, {1, 1}, {2, 2}, {0, 1}, {0, 2}, {1, 2}};
 
 // Planes through several neighbourhoods of a point, in units.
 struct Planes {
@@ -44,6 +53,12 @@ HPC_CLONES void add_up(const Neighbours& near, const int* ends, int count, Sums&
     sums.product[XY][fit] = xy, sums.product[XZ][fit] = xz, sums.product[YZ][fit] = yz;
   }
 }
+
+// Two parallel planes through the neighbours of a point.
+struct Sheets {
+  bool are_told = false;
+  double normal[3], square;
+};
 
 // Find the least eigenvalues of the covariances: see _least_eigenvalues.
 HPC_CLONES void solve_planes(Sums& sums, Planes& planes) {
@@ -114,13 +129,27 @@ int choose(const Planes& planes, int count, double noise) {
   return best;
 }
 
-// Write the normal of a plane, as long as its residual in length units of the input.
-void take(const Planes& planes, int at, double unit, float* vector) {
-  const auto& spread = planes.spread;
-  const double least = planes.least[at];
-  const double rows[3][3] = {{spread[XX][at] - least, spread[XY][at], spread[XZ][at]},
-                             {spread[XY][at], spread[YY][at] - least, spread[YZ][at]},
-                             {spread[XZ][at], spread[YZ][at], spread[ZZ][at] - least}};
+// Find the least eigenvalue of one matrix: see _least_eigenvalues.
+double find_least(const double (&spread)[PRODUCTS]) {
+  const double xx = spread[XX], yy = spread[YY], zz = spread[ZZ], xy = spread[XY], xz = spread[XZ], yz = spread[YZ];
+  const double trace = xx + yy + zz;
+  const double minors = xx * yy - xy * xy + xx * zz - xz * xz + yy * zz - yz * yz;
+  const double determinant = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz);
+  double root = 0.0;
+  for (int step = 0; step < STEPS; ++step) {
+    const double value = ((root - trace) * root + minors) * root - determinant;
+    const double slope = (3.0 * root - 2.0 * trace) * root + minors;
+    if (!((value < 0.0) & (slope > 0.0))) break;
+    root += -value / slope;
+  }
+  return std::min(root, trace / 3.0);
+}
+
+// Find the unit vector of the least eigenvalue: see _least_eigenvectors.
+void find_normal(const double (&spread)[PRODUCTS], double least, double (&normal)[3]) {
+  const double rows[3][3] = {{spread[XX] - least, spread[XY], spread[XZ]},
+                             {spread[XY], spread[YY] - least, spread[YZ]},
+                             {spread[XZ], spread[YZ], spread[ZZ] - least}};
   constexpr int PAIRS[3][2] = {{0, 1}, {0, 2}, {1, 2}};
   double longest[3] = {0.0, 0.0, 1.0}, most = 0.0;
   for (const auto& pair : PAIRS) {
@@ -130,8 +159,83 @@ void take(const Planes& planes, int at, double unit, float* vector) {
     if (square > most) longest[0] = x, longest[1] = y, longest[2] = z, most = square;
   }
   const double length = std::sqrt(most > 0.0 ? most : 1.0);
-  const double residual = std::max(std::sqrt(planes.squares[at]), TINY * UNITS) * unit;
-  for (int axis = 0; axis < 3; ++axis) vector[axis] = static_cast<float>(longest[axis] / length * residual);
+  for (int axis = 0; axis < 3; ++axis) normal[axis] = longest[axis] / length;
+}
+
+// Find the normal of a plane.
+void find_normal(const Planes& planes, int at, double (&normal)[3]) {
+  double spread[PRODUCTS];
+  for (int product = 0; product < PRODUCTS; ++product) spread[product] = planes.spread[product][at];
+  find_normal(spread, planes.least[at], normal);
+}
+
+// Return below which of some heights two groups of them are told apart best.
+double cut_heights(std::vector<double>& heights) {
+  std::sort(heights.begin(), heights.end());
+  const int count = static_cast<int>(heights.size());
+  double total = 0.0, below = 0.0, most = -1.0, bound = 0.0;
+  for (const double height : heights) total += height;
+  for (int lower = 1; lower <= count - SHEET_LEAST; ++lower) {
+    below += heights[lower - 1];
+    if (lower < SHEET_LEAST) continue;
+    const double above = total - below;
+    const double between = below * below / lower + above * above / (count - lower);
+    if (between > most) most = between, bound = heights[lower - 1];
+  }
+  return bound;
+}
+
+// Fit two parallel planes where one leaves much over, and these leave little.
+Sheets find_sheets(const Neighbours& near, const Planes& planes, std::vector<double>& heights) {
+  Sheets sheets;
+  const double alone = planes.squares[SHEET_FIT];
+  const int count = near.count(COUNTS[SHEET_FIT]);
+  if (count < 2 * SHEET_LEAST || !(alone > THICK * UNITS * (THICK * UNITS))) return sheets;
+  double first[3], least = 0.0;
+  find_normal(planes, SHEET_FIT, first);
+  double(&normal)[3] = sheets.normal;
+  std::copy_n(first, 3, normal);
+  const auto height = [&](int i) { return normal[0] * near.x[i] + normal[1] * near.y[i] + normal[2] * near.z[i]; };
+  for (int round = 0; round < SHEET_ROUNDS; ++round) {
+    heights.clear();
+    for (int i = 0; i < count; ++i) heights.push_back(height(i));
+    const double bound = cut_heights(heights);
+    double sums[2][3] = {}, products[PRODUCTS] = {}, spread[PRODUCTS];
+    int held[2] = {};
+    for (int i = 0; i < count; ++i) {
+      const int side = height(i) > bound;
+      const double arm[3] = {near.x[i], near.y[i], near.z[i]};
+      ++held[side];
+      for (int axis = 0; axis < 3; ++axis) sums[side][axis] += arm[axis];
+      for (int product = 0; product < PRODUCTS; ++product)
+        products[product] += arm[FACTORS[product][0]] * arm[FACTORS[product][1]];
+    }
+    if (std::min(held[0], held[1]) < SHEET_LEAST) return sheets;
+    for (int product = 0; product < PRODUCTS; ++product) {
+      const int i = FACTORS[product][0], j = FACTORS[product][1];
+      const double lower = sums[0][i] * sums[0][j] / held[0], upper = sums[1][i] * sums[1][j] / held[1];
+      spread[product] = (products[product] - lower - upper) / count;
+    }
+    least = find_least(spread);
+    find_normal(spread, least, normal);
+  }
+  sheets.square = std::max(least, 0.0) * (count / (count - 4.0));
+  const double along = normal[0] * first[0] + normal[1] * first[1] + normal[2] * first[2];
+  sheets.are_told = sheets.square < APART * APART * alone && std::abs(along) >= ALIKE;
+  return sheets;
+}
+
+// Write a normal, as long as its residual in length units of the input.
+void write(const double (&normal)[3], double square, double unit, float* vector) {
+  const double residual = std::max(std::sqrt(square), TINY * UNITS) * unit;
+  for (int axis = 0; axis < 3; ++axis) vector[axis] = static_cast<float>(normal[axis] * residual);
+}
+
+// Write the normal of a plane.
+void take(const Planes& planes, int at, double unit, float* vector) {
+  double normal[3];
+  find_normal(planes, at, normal);
+  write(normal, planes.squares[at], unit, vector);
 }
 
 // Fits planes to the points of one cell after the other; each thread has its own.
@@ -156,11 +260,13 @@ class PlaneFitter {
     if (planes_.size() < wanted_.size()) {
       planes_.resize(wanted_.size());
       more_planes_.resize(wanted_.size());
+      sheets_.resize(wanted_.size());
     }
     const bool has_more = expects_more_;
     const auto fit_more = [&](int i, const Neighbours& near) { fit(near, MORE_COUNTS, more_planes_[i]); };
     (has_more ? more_ : search_).search(cell, wanted_, [&](int i, const Neighbours& near) {
       fit(near, COUNTS, planes_[i]);
+      sheets_[i] = find_sheets(near, planes_[i], heights_);
       if (has_more) fit_more(i, near);
     });
     const double noise = find_noise(count);
@@ -170,7 +276,9 @@ class PlaneFitter {
       if (place(i) < 0) continue;
       ++asked;
       const int best = choose(planes_[i], FITS, noise);
-      if (best == FITS - 1) {
+      if (sheets_[i].are_told) {
+        write(sheets_[i].normal, sheets_[i].square, unit_, vectors_ + 3 * place(i));
+      } else if (best == FITS - 1) {
         wanted_.push_back(i);
       } else {
         take(planes_[i], best, unit_, vectors_ + 3 * place(i));
@@ -190,7 +298,8 @@ class PlaneFitter {
   // Return the median of the residuals' squares.
   double find_noise(int count) {
     squares_.clear();
-    for (int i = 0; i < count; ++i) squares_.push_back(planes_[i].squares[NOISE_FIT]);
+    for (int i = 0; i < count; ++i)
+      squares_.push_back(sheets_[i].are_told ? sheets_[i].square : planes_[i].squares[NOISE_FIT]);
     const auto middle = squares_.begin() + count / 2;
     std::nth_element(squares_.begin(), middle, squares_.end());
     return *middle;
@@ -200,7 +309,8 @@ class PlaneFitter {
   bool expects_more_ = false;  // most points of the last cell were given more: one search finds all
   std::vector<int> wanted_;
   std::vector<Planes> planes_, more_planes_;
-  std::vector<double> squares_;
+  std::vector<Sheets> sheets_;
+  std::vector<double> squares_, heights_;
 };
 
 Output<float> fit_planes(Doubles positions, Bytes asked_of, Doubles low_of, double spacing, int64_t threads) {

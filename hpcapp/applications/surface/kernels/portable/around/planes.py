@@ -27,6 +27,15 @@ _BIAS = 0.2  # how much of the residual beyond the noise bends the normal
 _TINY = 1e-6  # spacings: of the residual at least, so that every result has a direction
 _ROWS_AT_ONCE = 1 << 13  # what is made of them stays small
 _PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+
+_SHEET_COUNT = 3  # whose points may lie on two sheets
+_THICK = 0.3  # spacings: the residual from which on that is asked
+_APART = 0.18
+"""Residual around two parallel planes, by that around one. A wall of 1.3 spacings has .06 to .11;
+of single sheets, noisy ones too, one point in a thousand has .2, and half have .5."""
+_ALIKE = 0.8  # cos of the angle between the normals of both
+_SHEET_LEAST, _SHEET_ROUNDS = 4, 3
+
 _STEPS = 24  # of Newton's method: a double root takes a bit each
 
 
@@ -63,6 +72,10 @@ def fit_planes(
     first part is what noise does, the second what curvature, edges and other sheets do that a
     larger neighbourhood takes in. The plane with the least e is taken.
 
+    Where the 24 nearest leave more than .3 spacings, they may lie on both sides of a thin wall: two
+    parallel planes are fitted, three times, to the halves that differ most in height. Where these
+    leave .18 of what one plane leaves, or less, their normal and residual are taken.
+
     The k nearest are those nearer than the first that is left out, by more than rounding, so that
     nothing depends on the order of points equally far away. Distances and sums are those of rounded
     positions, and exact (see `nearest`).
@@ -79,13 +92,15 @@ def fit_planes(
     residuals = np.zeros(len(rows))
     planes = [_fit(tree, rows[some], _COUNTS) for some in _cut(len(rows))]
     for some, fitted in zip(_cut(len(rows)), planes, strict=True):
-        residuals[some] = fitted.squares[:, _NOISE_COUNT]
+        told = np.isfinite(fitted.sheets[:, 3])
+        residuals[some] = np.where(told, fitted.sheets[:, 3], fitted.squares[:, _NOISE_COUNT])
     noise = _find_noise(residuals, cell_of[rows])
     is_last = np.zeros(len(rows), np.bool_)
     for some, fitted in zip(_cut(len(rows)), planes, strict=True):
         chosen = _choose(fitted, noise[some])
+        told = np.isfinite(fitted.sheets[:, 3])
         vectors[some] = fitted.take(chosen, spacing)
-        is_last[some] = chosen == len(_COUNTS) - 1
+        is_last[some] = (chosen == len(_COUNTS) - 1) & ~told
     last = np.flatnonzero(is_last & is_asked[rows])
     for some in _cut(len(last)):
         fitted = _fit(tree, rows[last[some]], _MORE_COUNTS)
@@ -108,18 +123,24 @@ class _Planes:
         Variance along the plane, of both directions together; zero where there is no plane.
     spread : ndarray of float64, shape (6, n, k)
         Covariances, in the order of `_PAIRS`.
+    sheets : ndarray of float64, shape (n, 4)
+        Where neighbours lie on two sheets their normal, and the variance across both; else NaN.
     """
 
     held: FloatArray
     squares: FloatArray
     extent: FloatArray
     spread: FloatArray
+    sheets: FloatArray
 
     def take(self, chosen: IntArray, spacing: float) -> FloatArray:
         """Return one normal of each point, as long as its residual in length units of the input."""
         at = np.arange(len(chosen)), chosen
         normals = _least_eigenvectors(self.spread[:, at[0], at[1]])
-        lengths = np.maximum(np.sqrt(self.squares[at]), _TINY * UNITS) * (spacing / UNITS)
+        squares = self.squares[at]
+        told = np.isfinite(self.sheets[:, 3])
+        normals[told], squares[told] = self.sheets[told, :3], self.sheets[told, 3]
+        lengths = np.maximum(np.sqrt(squares), _TINY * UNITS) * (spacing / UNITS)
         return normals * lengths[:, None]
 
 
@@ -140,7 +161,68 @@ def _fit(tree: cKDTree, rows: IntArray, counts: tuple[int, ...]) -> _Planes:
     least = _least_eigenvalues(spread)
     extent = spread[0] + spread[1] + spread[2] - least
     extent[held < _LEAST] = 0.0
-    return _Planes(held, least * (held / np.maximum(held - 3.0, 1.0)), extent, spread)
+    squares = least * (held / np.maximum(held - 3.0, 1.0))
+    sheets = np.full((len(rows), 4), np.nan)
+    if counts == _COUNTS:
+        thick = np.flatnonzero(squares[:, _SHEET_COUNT] > (_THICK * UNITS) * (_THICK * UNITS))
+        number = nearest.count(_COUNTS[_SHEET_COUNT])[thick]
+        thick, number = thick[number >= 2 * _SHEET_LEAST], number[number >= 2 * _SHEET_LEAST]
+        alone = spread[:, thick, _SHEET_COUNT], squares[thick, _SHEET_COUNT]
+        arms = nearest.arms[thick, : _COUNTS[_SHEET_COUNT]]
+        sheets[thick] = _find_sheets(arms, number, *alone)
+    return _Planes(held, squares, extent, spread, sheets)
+
+
+def _find_sheets(
+    arms: FloatArray, number: IntArray, spread: FloatArray, alone: FloatArray
+) -> FloatArray:
+    """Fit two parallel planes to the first ones of some neighbours; see `_Planes.sheets`.
+
+    Parameters
+    ----------
+    arms : ndarray of float64, shape (n, k, 3)
+    number : ndarray of int64, shape (n,)
+        So many of each count.
+    spread : ndarray of float64, shape (6, n)
+    alone : ndarray of float64, shape (n,)
+        What one plane leaves over.
+    """
+    is_held = np.arange(arms.shape[1]) < number[:, None]
+    arms = arms * is_held[..., None]
+    products = np.stack([(arms[..., i] * arms[..., j]).sum(axis=1) for i, j in _PAIRS])
+    normals = first = _least_eigenvectors(spread)
+    is_split, least = np.ones(len(arms), np.bool_), np.zeros(len(arms))
+    for _ in range(_SHEET_ROUNDS):
+        x, y, z = np.moveaxis(arms * normals[:, None], 2, 0)
+        heights = np.where(is_held, x + y + z, np.inf)
+        upper = (heights > _cut_heights(heights, number)[:, None]) & is_held
+        pooled = products.copy()
+        for side in (is_held & ~upper, upper):
+            held = side.sum(axis=1)
+            is_split &= held >= _SHEET_LEAST
+            sums = (arms * side[..., None]).sum(axis=1)
+            for row, (i, j) in enumerate(_PAIRS):
+                pooled[row] -= sums[:, i] * sums[:, j] / np.maximum(held, 1)
+        pooled /= number
+        least, normals = _least_eigenvalues(pooled), _least_eigenvectors(pooled)
+    squares = np.maximum(least, 0.0) * (number / (number - 4.0))
+    along = normals[:, 0] * first[:, 0] + normals[:, 1] * first[:, 1] + normals[:, 2] * first[:, 2]
+    told = is_split & (squares < _APART * _APART * alone) & (np.abs(along) >= _ALIKE)
+    return np.where(told[:, None], np.column_stack([normals, squares]), np.nan)
+
+
+def _cut_heights(heights: FloatArray, number: IntArray) -> FloatArray:
+    """Return below which of some heights two groups of them are told apart best."""
+    ordered = np.sort(heights, axis=1)
+    lower = np.arange(1, ordered.shape[1] + 1)
+    is_held = lower <= number[:, None]
+    below = np.cumsum(np.where(is_held, ordered, 0.0), axis=1)
+    above = below[:, -1:] - below
+    between = below * below / lower + above * above / np.maximum(number[:, None] - lower, 1)
+    between[:, : _SHEET_LEAST - 1] = -1.0
+    between[lower > number[:, None] - _SHEET_LEAST] = -1.0
+    bounds: FloatArray = ordered[np.arange(len(ordered)), np.argmax(between, axis=1)]
+    return bounds
 
 
 def _least_eigenvalues(spread: FloatArray) -> FloatArray:
