@@ -15,7 +15,7 @@ from hpccomponent.ranges import FARTHEST, is_place
 
 __all__ = ["Direction", "Place", "Viewpoint", "parse_viewpoint", "type_viewpoint"]
 
-Direction = Literal["above", "below", "inside"]
+Direction = Literal["above", "below", "inside", "outside"]
 Place = tuple[float, float, float]
 Viewpoint = Direction | tuple[Place, ...]
 """From which direction points were measured, or from which places; no places: nobody has said."""

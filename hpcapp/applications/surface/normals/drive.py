@@ -14,9 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpcapp.applications.surface.cloud.cloud_pass import PassT
+from hpcapp.applications.surface.cloud.measure import draw_boxes
 from hpcapp.applications.surface.normals import estimation, patches
-from hpcapp.applications.surface.normals.orientation import SURE, orient_patches
+from hpcapp.applications.surface.normals.orientation import SURE, Doubt, orient_patches
+from hpcapp.applications.surface.normals.readings import Reading
 from hpcapp.applications.surface.normals.sensor import Sensor
+from hpcapp.applications.surface.normals.sides import Unsure
+from hpcapp.applications.surface.normals.stand import has_pixels
 from hpcapp.applications.surface.normals.tasks import (
     CONFIDENCE_BINS,
     estimate_region,
@@ -27,6 +31,8 @@ from hpcapp.applications.surface.types.lattice import lay_lattice
 from hpcapp.applications.surface.types.points import FloatArray
 
 __all__ = ["Turned", "turn_normals"]
+
+_SAMPLE = 20_000  # points that are looked at for the pixels of a camera
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,14 +47,14 @@ class Turned:
         How many normals are the opposites of what they were.
     how : str
         Where the evidence comes from, for people.
-    doubted : ndarray of float64, shape (3,), or None
-        The middle of the largest piece whose side is unsure, in the file's coordinates.
+    doubt : Unsure or None
+        What is unsure of the largest piece whose side is.
     """
 
     sure: float
     turned: int
     how: str
-    doubted: FloatArray | None
+    doubt: Unsure | None
 
 
 def turn_normals(
@@ -86,6 +92,10 @@ def turn_normals(
     margin = patches.MARGIN * spacing
     grouped = cloud_pass.each(group_region, *given, margin=margin)
     found = patches.merge_patches(grouped)
+    if sensor.kind == "unknown":
+        sample, _ = draw_boxes(cloud_pass, patches.CELL * spacing, len(cloud) // _SAMPLE + 1)
+        if has_pixels(sample + cloud.origin):
+            sensor = Sensor("places", np.zeros((1, 3)))
     oriented = orient_patches(*found, spacing, -cloud.origin, sensor)
     del found
     del grouped
@@ -95,5 +105,24 @@ def turn_normals(
     turned = sum(opposite for opposite, _ in results)
     confidences = np.sum([binned for _, binned in results], axis=0)
     sure = float(confidences[round(SURE * CONFIDENCE_BINS) :].sum()) / len(cloud)
-    place = None if oriented.doubted is None else oriented.doubted + cloud.origin
-    return cloud_pass, Turned(sure, turned, oriented.how, place)
+    doubt = None if oriented.doubt is None else _tell_doubt(oriented.doubt, cloud.origin)
+    return cloud_pass, Turned(sure, turned, oriented.how, doubt)
+
+
+def _tell_doubt(doubt: Doubt, origin: FloatArray) -> Unsure:
+    """Return a doubt in the file's coordinates."""
+    readings = () if doubt.rival is None else (doubt.reading, doubt.rival)
+    seen = tuple(reading.evidence.how for reading in readings)
+    options = tuple(_find_option(reading, origin) for reading in readings)
+    return Unsure(_type_place(doubt.middle + origin), seen, options)
+
+
+def _find_option(reading: Reading, origin: FloatArray) -> str:
+    """Return the word or the place that says where a reading has its viewpoints."""
+    if reading.place is None:
+        return reading.kind
+    return reading.word or _type_place(reading.place + origin).replace(" ", "")
+
+
+def _type_place(place: FloatArray) -> str:
+    return ", ".join(f"{value:.6g}" for value in place)

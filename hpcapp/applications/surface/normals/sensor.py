@@ -9,7 +9,7 @@ from hpcapp.applications.surface.types.points import FloatArray
 
 __all__ = ["Sensor", "SensorKind"]
 
-SensorKind = Literal["unknown", "above", "below", "inside", "places"]
+SensorKind = Literal["unknown", "above", "below", "inside", "outside", "places"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -19,7 +19,7 @@ class Sensor:
     Parameters
     ----------
     kind : str
-        ``above`` and ``below`` mean along z, ``inside`` the middle of a room.
+        ``above`` and ``below`` mean along z, ``inside`` a room or a tunnel, ``outside`` all around.
     places : ndarray of float64, shape (s, 3), or None
         Where it stood, in the file's coordinates; with the kind ``places``, and only there.
     is_told : bool

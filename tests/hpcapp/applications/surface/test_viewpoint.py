@@ -41,7 +41,7 @@ def test_places_and_trajectories_stand_together(tmp_path: Path) -> None:
     [["1,2"], ["1,2,nan"], ["1e300,0,0"], ["1,9999999999999999999,2"], ["up"], ["no.csv"], [""]],
 )
 def test_other_words_are_refused(words: list[str]) -> None:
-    with pytest.raises(UsageError, match=r"neither above, below, inside, nor"):
+    with pytest.raises(UsageError, match=r"neither above, below, inside, outside, nor"):
         parse_viewpoint(words)
 
 

@@ -18,7 +18,7 @@ from hpcapp.applications.surface.cloud.measure import measure_spacing
 from hpcapp.applications.surface.normals.drive import turn_normals
 from hpcapp.applications.surface.normals.orientation import SURE
 from hpcapp.applications.surface.normals.sensor import Sensor
-from hpcapp.applications.surface.normals.sides import Oriented, is_contradicting, orient_cloud
+from hpcapp.applications.surface.normals.sides import Oriented, judge_normals, orient_cloud
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.progress import Progress, StageClock
 
@@ -50,7 +50,7 @@ def orient(
 
 def contradicts(points: PointCloud) -> bool:
     cloud_pass = in_memory(points)
-    return is_contradicting(cloud_pass, measure_spacing(cloud_pass))
+    return judge_normals(cloud_pass, measure_spacing(cloud_pass)) == "contradict"
 
 
 def _share_right(found: PointCloud, truth: PointCloud) -> float:
