@@ -65,8 +65,8 @@ class Reading:
     rare : float
         What it costs that few scans are taken so.
     habit : float
-        What it costs that axes are seldom laid so: it decides where nothing else does, and makes
-        nothing certain.
+        What it costs that axes are seldom laid so: it decides between sides where nothing else
+        does, and makes nothing certain.
     place : ndarray of float64, shape (3,), or None
         A place on the side that it is seen from, in the frame of the patches.
     word : str
@@ -100,11 +100,6 @@ class Followed:
     sides: FloatArray
     cost: float
 
-    @property
-    def rank(self) -> float:
-        """What decides."""
-        return self.cost + self.reading.habit
-
 
 def follow(linked: LinkedPatches, evidence: Evidence) -> FloatArray:
     """Return the sides that links have where evidence counts next to nothing."""
@@ -133,7 +128,7 @@ def weigh_readings(patches: Patches, linked: LinkedPatches, spacing: float) -> l
     bounds = [_bound(patches, reading) for reading in readings]
     found: list[Followed] = []
     for row in np.argsort(bounds, kind="stable"):
-        if found and bounds[row] > min(other.rank for other in found) + CERTAIN:
+        if found and bounds[row] > min(map(_rank, found)) + CERTAIN:
             break
         if len(found) == _TRIED:
             break
@@ -141,7 +136,22 @@ def weigh_readings(patches: Patches, linked: LinkedPatches, spacing: float) -> l
         sides = follow(linked, reading.evidence)
         behind = _share_behind(patches, reading.views, sides < 0.0)
         found.append(Followed(reading, sides, behind + reading.unseen + reading.rare))
-    return sorted(found, key=lambda followed: followed.rank)
+    # Of those from one side habit decides, and one of the others only if it costs less.
+    aside = min(
+        (other for other in found if other.reading.place is not None), key=_rank, default=None
+    )
+    best = min(
+        (other for other in found if other.reading.place is None or other is aside), key=_cost
+    )
+    return [best, *(other for other in found if other is not best)]
+
+
+def _cost(followed: Followed) -> float:
+    return followed.cost
+
+
+def _rank(followed: Followed) -> float:
+    return followed.cost + followed.reading.habit
 
 
 def _bound(patches: Patches, reading: Reading) -> float:
