@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from hpcapp.applications.surface import kernels
@@ -21,7 +23,20 @@ from hpcapp.applications.surface.types.points import (
     PointCloud,
 )
 
-__all__ = ["MARGIN", "faces_inwards", "find_turned", "follows_place", "share_opposed"]
+__all__ = [
+    "FOLLOWING",
+    "MARGIN",
+    "TORN",
+    "Torn",
+    "faces_inwards",
+    "find_turned",
+    "share_opposed",
+    "weigh_torn",
+]
+
+FOLLOWING, TORN = 0.975, 0.07
+"""Share of the normals that follow a place, and share of the opposite pairs among those across the
+line of sight, from which on they follow nothing else."""
 
 
 _EDGE = 3.0  # of the cells, in spacings: some 28 neighbours lie within
@@ -36,10 +51,8 @@ _BOXES = 24  # along the longest side, whose mean normals count
 _SEEKING = 2_000  # points by which it is sought what normals follow
 _STEPS = 400  # of the search
 _HOPELESS = 60  # after which one that has found little is given up
-_FOLLOWING = 0.975  # share of the normals that follow a place
 _ACROSS = 0.08  # cosine between normals that are across the line of sight and that
 _FEWEST_TORN = 30  # pairs of these that tell
-_TORN = 0.07  # share of the pairs of these that are opposite
 _INWARD = -0.1  # mean of n.(x - c) / |x - c|; a sphere seen from outside has 1, from inside -1
 
 MARGIN = _EDGE * (2.0**_ROUNDS - 1.0)
@@ -130,10 +143,34 @@ def share_opposed(
     return float(np.count_nonzero(cosines < 0.0) / max(len(cosines), 1))
 
 
-def follows_place(
+@dataclass(frozen=True, slots=True)
+class Torn:
+    """How far normals follow a place, or a direction, and not a surface.
+
+    Parameters
+    ----------
+    following : float
+        Share of the normals that are on the side of one place.
+    pairs : int
+        Of normals that are across the line of sight from there, on one sheet.
+    torn : float
+        Share of these that are opposite.
+    """
+
+    following: float
+    pairs: int = 0
+    torn: float = 0.0
+
+    @property
+    def is_torn(self) -> bool:
+        """Whether the sides are those of a place."""
+        return self.following >= FOLLOWING and self.pairs >= _FEWEST_TORN and self.torn > TORN
+
+
+def weigh_torn(
     positions: FloatArray, normals: FloatArray, low: FloatArray, edge: float, spacing: float
-) -> bool:
-    """Tell whether the sides of normals follow a place, or a direction, and not a surface.
+) -> Torn:
+    """Weigh whether the sides of normals follow a place, and not a surface.
 
     Parameters
     ----------
@@ -148,20 +185,21 @@ def follows_place(
     that were turned to a place oppose each other.
     """
     if len(positions) < _FEWEST_JUDGED:
-        return False
+        return Torn(0.0)
     # (n, 4): a place at unit distance is (q, 1), a direction (q, 0)
     size = max(float(np.ptp(positions, axis=0).max()), 1e-300)
     local = (positions - positions.mean(axis=0)) / size
     planes = np.column_stack([normals, -np.einsum("ij,ij->i", normals, local)])
     place = _find_place(planes[:: -(-len(planes) // _SEEKING)])
-    if np.mean(planes @ place > 0.0) < _FOLLOWING:
-        return False
+    following = float(np.mean(planes @ place > 0.0))
+    if following < FOLLOWING:
+        return Torn(following)
     sights = place[:3] - place[3] * local
     sights /= np.maximum(np.sqrt(np.einsum("ij,ij->i", sights, sights)), 1e-300)[:, None]
     is_across = np.abs(np.einsum("ij,ij->i", sights, normals)) < _ACROSS
     one, other, cosines = _pair_up(positions, normals, low, edge, spacing)
     told = cosines[is_across[one] & is_across[other]]
-    return len(told) >= _FEWEST_TORN and float(np.mean(told < 0.0)) > _TORN
+    return Torn(following, len(told), float(np.count_nonzero(told < 0.0) / max(len(told), 1)))
 
 
 def _find_place(planes: FloatArray) -> FloatArray:

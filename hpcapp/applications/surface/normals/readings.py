@@ -14,6 +14,7 @@ sees.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,14 +33,30 @@ from hpcapp.applications.surface.normals.patches import Patches
 from hpcapp.applications.surface.normals.stand import has_stand
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray
 
-__all__ = ["CERTAIN", "Followed", "Reading", "follow", "weigh_readings"]
+__all__ = [
+    "CERTAIN",
+    "HABIT",
+    "RARE",
+    "STAND",
+    "Followed",
+    "Reading",
+    "choose",
+    "find_readings",
+    "follow",
+    "follow_reading",
+    "weigh_readings",
+]
 
-CERTAIN = 0.03
+CERTAIN = 0.045
 """Cost from one reading to the next from which on the first one is certain."""
 
-_RARE = {"outside": 0.0, "side": 0.01, "inside": 0.045}
-_STAND = 0.1  # what all but `inside` cost where a tripod stood inside
-_HABIT = 0.02  # what a view from below costs more than one from above: z is up, most often
+RARE = 0.045
+"""What it costs that few scans are taken from inside."""
+STAND = 0.1
+"""What all other readings cost where a tripod stood inside."""
+HABIT = 0.02
+"""What a view from below costs more than one from above: z is up, most often."""
+
 _AROUND = 0.2  # cosine of the angle around a direction that a view from one side comes from
 _ALONE = 0.5  # and of that within which one of two such views is enough
 _STEEP = 0.7  # cosine to z of a side that the words above and below stand for
@@ -64,9 +81,9 @@ class Reading:
         Share of the area that is seen from none of its viewpoints.
     rare : float
         What it costs that few scans are taken so.
-    habit : float
-        What it costs that axes are seldom laid so: it decides between sides where nothing else
-        does, and makes nothing certain.
+    habit : float or None
+        Of a view from one side, what it costs that axes are seldom laid so: it decides between
+        sides where nothing else does, and makes nothing certain.
     place : ndarray of float64, shape (3,), or None
         A place on the side that it is seen from, in the frame of the patches.
     word : str
@@ -78,9 +95,17 @@ class Reading:
     evidence: Evidence
     unseen: float
     rare: float
-    habit: float = 0.0
+    habit: float | None = None
     place: FloatArray | None = None
     word: str = ""
+
+    def cost(self, patches: Patches, is_turned: BoolArray) -> float:
+        """Return the share of what is seen that is seen from behind, and all else it costs."""
+        views = self.views
+        areas = areas_of(patches) * ~views.is_hidden
+        behind = (areas * np.where(is_turned, views.front, views.back)).sum()
+        seen = (areas * (views.front + views.back)).sum()
+        return float(behind / max(seen, 1e-300)) + self.unseen + self.rare
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,61 +148,57 @@ def weigh_readings(patches: Patches, linked: LinkedPatches, spacing: float) -> l
     list of Followed
         Of the others, those that cost `CERTAIN` more may be missing.
     """
+    readings = find_readings(patches, linked, spacing)
     # What is left if every patch could take the side of its own that is seen more.
-    readings = _find_readings(patches, linked, spacing)
-    bounds = [_bound(patches, reading) for reading in readings]
+    bounds = [
+        reading.cost(patches, reading.views.front < reading.views.back) for reading in readings
+    ]
     found: list[Followed] = []
     for row in np.argsort(bounds, kind="stable"):
-        if found and bounds[row] > min(map(_rank, found)) + CERTAIN:
+        least = min((other.cost + (other.reading.habit or 0.0) for other in found), default=np.inf)
+        if bounds[row] > least + CERTAIN or len(found) == _TRIED:
             break
-        if len(found) == _TRIED:
-            break
-        reading = readings[row]
-        sides = follow(linked, reading.evidence)
-        behind = _share_behind(patches, reading.views, sides < 0.0)
-        found.append(Followed(reading, sides, behind + reading.unseen + reading.rare))
-    # Of those from one side habit decides, and one of the others only if it costs less.
-    aside = min(
-        (other for other in found if other.reading.place is not None), key=_rank, default=None
-    )
-    best = min(
-        (other for other in found if other.reading.place is None or other is aside), key=_cost
-    )
+        found.append(follow_reading(patches, linked, readings[row]))
+    costs = [followed.cost for followed in found]
+    best = found[choose(costs, [followed.reading.habit for followed in found])]
     return [best, *(other for other in found if other is not best)]
 
 
-def _cost(followed: Followed) -> float:
-    return followed.cost
+def choose(costs: Sequence[float], habits: Sequence[float | None]) -> int:
+    """Return which of some readings is believed.
+
+    Parameters
+    ----------
+    costs : sequence of float
+    habits : sequence of float or None
+        See `Reading`.
+    """
+    aside = [row for row, habit in enumerate(habits) if habit is not None]
+    aside.sort(key=lambda row: costs[row] + (habits[row] or 0.0))
+    others = [row for row, habit in enumerate(habits) if habit is None]
+    return min(aside[:1] + others, key=lambda row: costs[row])
 
 
-def _rank(followed: Followed) -> float:
-    return followed.cost + followed.reading.habit
+def follow_reading(patches: Patches, linked: LinkedPatches, reading: Reading) -> Followed:
+    """Return what follows of a reading over the links."""
+    sides = follow(linked, reading.evidence)
+    return Followed(reading, sides, reading.cost(patches, sides < 0.0))
 
 
-def _bound(patches: Patches, reading: Reading) -> float:
-    behind = _share_behind(patches, reading.views, reading.views.front < reading.views.back)
-    return behind + reading.unseen + reading.rare
-
-
-def _share_behind(patches: Patches, views: Views, is_turned: BoolArray) -> float:
-    """Return the share of what is seen that is seen from behind."""
-    areas = areas_of(patches) * ~views.is_hidden
-    behind = np.where(is_turned, views.front, views.back)
-    return float((areas * behind).sum() / max((areas * (views.front + views.back)).sum(), 1e-300))
-
-
-def _find_readings(patches: Patches, linked: LinkedPatches, spacing: float) -> list[Reading]:
+def find_readings(patches: Patches, linked: LinkedPatches, spacing: float) -> list[Reading]:
+    """Return all readings of a cloud; as for `weigh_readings`."""
     outside = look_outside(patches, linked.components(), spacing)
     places = find_inside(patches, spacing, AMPLE)
-    aside = _STAND if len(places) and has_stand(patches, spacing) else 0.0
-    toggled, content = outside.toggled.evidence("from outside"), outside.is_content
-    unseen = share_of(patches, content)
-    found = [Reading("outside", outside.views, toggled, unseen, _RARE["outside"] + aside)]
+    aside = STAND if len(places) and has_stand(patches, spacing) else 0.0
+    toggled = outside.toggled.evidence("from outside")
+    found = [
+        Reading("outside", outside.views, toggled, share_of(patches, outside.is_content), aside)
+    ]
     if len(places):
         views = Views.inside(patches, places, spacing)
-        seen, unseen = views.evidence("from inside"), share_of(patches, views.is_hidden)
-        found.append(Reading("inside", views, seen, unseen, _RARE["inside"]))
-    return found + _look_from_sides(patches, outside, _RARE["side"] + aside)
+        unseen = share_of(patches, views.is_hidden)
+        found.append(Reading("inside", views, views.evidence("from inside"), unseen, RARE))
+    return found + _look_from_sides(patches, outside, aside)
 
 
 def _look_from_sides(patches: Patches, outside: Outside, rare: float) -> list[Reading]:
@@ -188,12 +209,15 @@ def _look_from_sides(patches: Patches, outside: Outside, rare: float) -> list[Re
         rows = outside.rows[outside.directions @ side > _AROUND]
         views = Views.sum(rows, len(patches), len(rows))
         name = _name_side(side)
-        habit = 0.5 * _HABIT * (1.0 - float(side[2]))
+        habit = 0.5 * HABIT * (1.0 - float(side[2]))
         unseen = share_of(patches, views.is_hidden)
         seen, place = views.evidence(f"from {name}"), middle + outside.radius * side
         word = "" if abs(side[2]) < _STEEP else "above" if side[2] > 0.0 else "below"
         found.append(Reading(name, views, seen, unseen, rare, habit, place, word))
-    bounds = [_bound(patches, reading) + reading.habit for reading in found]
+    bounds = [
+        reading.cost(patches, reading.views.front < reading.views.back) + (reading.habit or 0.0)
+        for reading in found
+    ]
     kept: list[int] = []
     for row in np.argsort(bounds, kind="stable"):
         if all(_SIDES[row] @ _SIDES[other] < _ALONE for other in kept):

@@ -12,7 +12,7 @@ from typing import Any, Literal
 from hpcapp.applications.surface.cloud.cloud_pass import CloudPass, PassT
 from hpcapp.applications.surface.cloud.measure import draw_boxes
 from hpcapp.applications.surface.normals import patches
-from hpcapp.applications.surface.normals.consistency import follows_place, share_opposed
+from hpcapp.applications.surface.normals.consistency import share_opposed, weigh_torn
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.types.lattice import lay_lattice
 from hpcapp.progress import StageClock
@@ -202,6 +202,6 @@ def judge_normals(cloud_pass: CloudPass, spacing: float) -> Judgement:
     corner = lay_lattice(cloud_pass.cloud.low, edge)
     if share_opposed(positions, normals, corner, edge, spacing) > _CONTRADICTING:
         return "contradict"
-    if follows_place(positions, normals, corner, edge, spacing):
+    if weigh_torn(positions, normals, corner, edge, spacing).is_torn:
         return "follow a place"
     return "agree"

@@ -31,9 +31,13 @@ def _scan(name: str, **settings: float) -> PointCloud:
 
 
 def orient(
-    points: PointCloud, sensor: Sensor = UNKNOWN, attribute: str | None = None
+    points: PointCloud,
+    sensor: Sensor = UNKNOWN,
+    attribute: str | None = None,
+    *,
+    is_oriented: bool = False,
 ) -> tuple[PointCloud, Oriented]:
-    """Orient points in memory, as if they contradicted each other where they have normals."""
+    """Orient points in memory, as if their normals had no side where there are some."""
     clock, cloud_pass = StageClock(Progress()), in_memory(points)
     turned, oriented = orient_cloud(
         cloud_pass,
@@ -42,7 +46,7 @@ def orient(
         sensor,
         clock,
         has_normals=points.normals is not None,
-        is_oriented=False,
+        is_oriented=is_oriented,
         attribute=attribute,
     )
     return turned.cloud.points, oriented
@@ -206,3 +210,46 @@ def test_a_scan_inside_out_among_others_is_turned() -> None:
     assert contradicts(mixed)
     found, _ = orient(mixed)
     assert _share_right(found, truth) >= 0.999
+
+
+def _turn_towards(scan: PointCloud, towards: FloatArray) -> PointCloud:
+    assert scan.normals is not None
+    along = np.einsum("ij,ij->i", scan.normals, towards)
+    return PointCloud(scan.positions, scan.normals * np.where(along < 0.0, -1.0, 1.0)[:, None])
+
+
+@pytest.mark.parametrize("name", ["torus", "knot"])
+@pytest.mark.parametrize("place", [None, (0.0, 0.0, 5.0), (1.5, -4.0, 2.0)])
+def test_normals_that_follow_a_place_are_turned_to_the_surface(
+    name: str, place: tuple[float, float, float] | None
+) -> None:
+    scan = _scan(name, noise=0.001)
+    up = np.broadcast_to([0.0, 0.0, 1.0], scan.positions.shape)
+    signed = _turn_towards(scan, up if place is None else np.array(place) - scan.positions)
+    found, oriented = orient(signed, is_oriented=True)
+    assert _share_right(found, scan) > 0.98
+    assert oriented.judgement == "follow a place"
+    assert "follow one direction or place" in oriented.warnings[0]
+
+
+@pytest.mark.parametrize("name", ["sphere", "torus", "knot", "box"])
+def test_right_normals_of_a_file_are_left(name: str) -> None:
+    scan = _scan(name, noise=0.001)
+    found, oriented = orient(scan, is_oriented=True)
+    assert found.normals is scan.normals or _share_right(found, scan) == 1.0
+    assert oriented.is_believed
+    assert oriented.warnings == []
+
+
+def test_a_relief_that_faces_one_way_is_left_as_it_is() -> None:
+    random = np.random.default_rng(5)
+    x, y = random.uniform(-1.0, 1.0, (2, 12_000))
+    relief = np.stack([x, y, 0.2 * np.sin(4.0 * x) * np.cos(3.0 * y)], axis=1)
+    rise = np.stack(
+        [0.8 * np.cos(4.0 * x) * np.cos(3.0 * y), -0.6 * np.sin(4.0 * x) * np.sin(3.0 * y)], axis=1
+    )
+    normals = np.column_stack([-rise, np.ones(len(x))])
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    for sign in (1.0, -1.0):  # it may face a camera below
+        _, oriented = orient(PointCloud(relief, sign * normals), is_oriented=True)
+        assert oriented.is_believed
