@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpcapp.applications.surface.cloud.cloud_pass import PassT
-from hpcapp.applications.surface.cloud.measure import draw_boxes
+from hpcapp.applications.surface.cloud.measure import draw_places
 from hpcapp.applications.surface.normals import estimation, patches
 from hpcapp.applications.surface.normals.orientation import SURE, Doubt, orient_patches
 from hpcapp.applications.surface.normals.readings import Reading
@@ -93,7 +93,7 @@ def turn_normals(
     grouped = cloud_pass.each(group_region, *given, margin=margin)
     found = patches.merge_patches(grouped)
     if sensor.kind == "unknown":
-        sample, _ = draw_boxes(cloud_pass, patches.CELL * spacing, len(cloud) // _SAMPLE + 1)
+        sample = draw_places(cloud_pass, patches.CELL * spacing, len(cloud) // _SAMPLE + 1)
         if has_pixels(sample + cloud.origin):
             sensor = Sensor("places", np.zeros((1, 3)))
     oriented = orient_patches(*found, spacing, -cloud.origin, sensor)

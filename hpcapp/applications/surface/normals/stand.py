@@ -23,6 +23,7 @@ _LOW, _HIGH = 0.15, 0.85  # quantiles that a spread lies between
 _EVEN = 0.66  # of the spread on the surface: that from a place where a tripod stood
 _AROUND = 0.94  # share of the directions in which it saw something
 _PIXELS = 4000  # points whose columns and rows are looked at
+_FEWEST_PIXELS = 100
 _SAME = 2.5e-5  # of the width of an image: nearer columns are one
 _SHARED = 0.5  # share of points that share their column with the next one
 _WIDEST = 4.0  # width of an image by its distance
@@ -83,6 +84,8 @@ def has_pixels(positions: FloatArray) -> bool:
     Along the axis that most points lie at, y / x and z / x take a few values: those of columns and
     of rows. Where y and z themselves do so as much, points lie on a lattice in space.
     """
+    if len(positions) < _FEWEST_PIXELS:
+        return False
     some = positions[:: -(-len(positions) // _PIXELS)]
     axis = int(np.argmax(np.abs(some.mean(axis=0))))
     depth = some[:, [axis]]
