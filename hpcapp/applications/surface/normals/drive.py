@@ -17,7 +17,6 @@ from hpcapp.applications.surface.cloud.cloud_pass import PassT
 from hpcapp.applications.surface.cloud.measure import draw_places
 from hpcapp.applications.surface.normals import estimation, patches
 from hpcapp.applications.surface.normals.orientation import SURE, Doubt, orient_patches
-from hpcapp.applications.surface.normals.readings import Reading
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.normals.sides import Unsure
 from hpcapp.applications.surface.normals.stand import has_pixels
@@ -111,18 +110,24 @@ def turn_normals(
 
 def _tell_doubt(doubt: Doubt, origin: FloatArray) -> Unsure:
     """Return a doubt in the file's coordinates."""
-    readings = () if doubt.rival is None else (doubt.reading, doubt.rival)
+    place = tuple((doubt.middle + origin).tolist())
+    if doubt.rival is None:
+        return Unsure(place)
+    readings = doubt.reading, doubt.rival
+    words = [reading.word or reading.kind for reading in readings]
+    if words[0] == words[1]:  # both look from above, but from other sides
+        words = [reading.kind for reading in readings]
+    options = [
+        word
+        if reading.place is None or word == reading.word
+        else _type_place(reading.place, origin)
+        for word, reading in zip(words, readings, strict=True)
+    ]
     seen = tuple(reading.evidence.how for reading in readings)
-    options = tuple(_find_option(reading, origin) for reading in readings)
-    return Unsure(_type_place(doubt.middle + origin), seen, options)
+    return Unsure(place, seen, tuple(options))
 
 
-def _find_option(reading: Reading, origin: FloatArray) -> str:
-    """Return the word or the place that says where a reading has its viewpoints."""
-    if reading.place is None:
-        return reading.kind
-    return reading.word or _type_place(reading.place + origin).replace(" ", "")
-
-
-def _type_place(place: FloatArray) -> str:
-    return ", ".join(f"{value:.6g}" for value in place)
+def _type_place(place: FloatArray, origin: FloatArray) -> str:
+    """Return a place far from the middle of a cloud for the option that says it."""
+    digits = 3 - int(np.floor(np.log10(max(float(np.abs(place).max()), 1e-300))))
+    return ",".join(f"{round(value, digits):.15g}" for value in (place + origin).tolist())

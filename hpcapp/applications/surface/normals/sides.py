@@ -6,7 +6,7 @@ Every job asks; what estimates normals (`normals`) is only imported where it is 
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from hpcapp.applications.surface.cloud.cloud_pass import CloudPass, PassT
@@ -36,14 +36,14 @@ class Unsure:
 
     Parameters
     ----------
-    place : str
+    place : tuple of float
         The middle of the largest piece whose side is, in the file's coordinates.
     seen, options : tuple of str
         Where it is taken to be seen from, and where else it may be: ``from above``; and what tells
         so (``--viewpoint``). Empty where nothing explains it.
     """
 
-    place: str
+    place: tuple[float, ...]
     seen: tuple[str, ...] = ()
     options: tuple[str, ...] = ()
 
@@ -112,9 +112,10 @@ class Oriented:
                 f"or MeshLab), or leave {given} out"
             )
         if self.sure < _DOUBTFUL and self.doubt is not None:
+            place = ", ".join(f"{value:.6g}" for value in self.doubt.place)
             found.append(
                 f"the side of {100.0 * (1.0 - self.sure):.1f} % of the normals is unsure, most of "
-                f"it around ({self.doubt.place}): {self.doubt.advice}"
+                f"it around ({place}): {self.doubt.advice}"
             )
         return found
 
@@ -138,7 +139,9 @@ class Oriented:
     def to_json(self) -> dict[str, Any]:
         """Return the same for the job's report."""
         facts = {"source": self.source, "sure": round(self.sure, 4), "turned": self.turned}
-        return facts | ({"seen": self.how} if self.how else {})
+        seen = {"seen": self.how} if self.how else {}
+        unsure = {"unsure": asdict(self.doubt)} if self.doubt else {}
+        return facts | seen | unsure
 
 
 def orient_cloud(

@@ -253,3 +253,24 @@ def test_a_relief_that_faces_one_way_is_left_as_it_is() -> None:
     for sign in (1.0, -1.0):  # it may face a camera below
         _, oriented = orient(PointCloud(relief, sign * normals), is_oriented=True)
         assert oriented.is_believed
+
+
+@pytest.mark.parametrize("moved", [(0.0, 0.0, 0.0), (512_000.0, 5_403_000.0, 0.0)])
+def test_the_options_that_a_doubt_names_decide(moved: tuple[float, float, float]) -> None:
+    random = np.random.default_rng(6)
+    sheet = random.uniform(-1.0, 1.0, (6_000, 3))
+    sheet[:, 1] = 0.1 * np.sin(3.0 * sheet[:, 0])  # is y up, or down?
+    found, oriented = orient(PointCloud(sheet, origin=np.array(moved)))
+    assert oriented.sure < 0.1
+    assert oriented.doubt is not None
+    assert all(option in oriented.warnings[0] for option in oriented.doubt.options)
+    faces = []
+    for option in oriented.doubt.options:
+        place = np.array([[float(number) for number in option.split(",")]])
+        told, sure = orient(PointCloud(sheet, origin=np.array(moved)), Sensor("places", place))
+        assert sure.sure > 0.99
+        assert told.normals is not None
+        faces.append(told.normals[:, 1].mean())
+    assert found.normals is not None
+    assert faces[0] * found.normals[:, 1].mean() > 0.9
+    assert faces[0] * faces[1] < -0.9
