@@ -113,8 +113,8 @@ def reconstruct(
         Options of the default method, where `method` is a name; see `hpcapp.Hierarchical`.
     viewpoints : str or array_like, shape (3,) or (s, 3), optional
         Where the points were measured from, where they have no normals: ``above``, ``below``,
-        ``inside``, the places of the sensor in the coordinates of `points`, or the name of a file
-        with its trajectory, or one of cameras.
+        ``outside``, ``inside``, the places of the sensor in the coordinates of `points`, or the
+        name of a file with its trajectory, or one of cameras.
     outliers, denoise, resample : bool
         Remove statistical outliers, project the points by moving least squares, resample them to
         even density, before all else.

@@ -196,8 +196,8 @@ def test_normals_that_point_inwards_are_not_a_silent_result(
     path = write_cloud(sphere.positions, -sphere.normals)
     code, stdout, stderr = run("reconstruct", str(path), "-o", "m.ply", "--grid", "32", "--json")
     assert code == 0
-    assert "turn them around" in stderr
-    assert "turn them around" in json.loads(stdout)["warnings"][0]
+    assert "face inwards" in stderr
+    assert "face inwards" in json.loads(stdout)["warnings"][0]
 
 
 def test_info_and_simulate_speak_of_one_scan(run: Run) -> None:

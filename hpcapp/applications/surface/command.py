@@ -295,9 +295,10 @@ def _add_method_options(command: click.Command) -> click.Command:
     "--viewpoint",
     multiple=True,
     metavar="WHERE",
-    help="Where the points were measured from: above, below, inside, or the scanner's place as "
-    "X,Y,Z in the coordinates of the input, or a file of a trajectory (.csv, .txt) or of cameras "
-    "(COLMAP, OpenDroneMap, Metashape and others); places and files may be given several times.",
+    help="Where the points were measured from: above, below, inside, outside, or the scanner's "
+    "place as X,Y,Z in the coordinates of the input, or a file of a trajectory (.csv, .txt) or of "
+    "cameras (COLMAP, OpenDroneMap, Metashape and others); places and files may be given several "
+    "times.",
 )
 @click.option(
     "--outliers/--no-outliers",

@@ -63,8 +63,8 @@ class Settings:
         ``auto`` estimates those that are missing and mends the others, ``file`` takes those of the
         input as they are, ``estimate`` takes none of them.
     viewpoint : str or tuple of tuple of float
-        ``above``, ``below``, ``inside``, or the places where the sensor was, in the coordinates of
-        the input; none where nobody has said.
+        ``above``, ``below``, ``inside``, ``outside``, or the places where the sensor was, in the
+        coordinates of the input; none where nobody has said.
     faces : int or None
         Triangles to simplify the mesh to.
     tolerance : float or None

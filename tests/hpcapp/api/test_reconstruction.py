@@ -186,7 +186,7 @@ def test_a_wrong_array_is_named(points: Any, normals: Any, words: str) -> None:
         ({"smoothness": 0.0}, "smoothness is 0.0"),
         ({"detail": float("nan")}, "detail is nan"),
         ({"method": "poisson"}, "unknown method 'poisson'"),
-        ({"viewpoints": "up"}, "'up' is neither above, below, inside, nor"),
+        ({"viewpoints": "up"}, "'up' is neither above, below, inside, outside, nor"),
         ({"viewpoints": "no,1,2"}, "'no,1,2' is neither"),
         ({"viewpoints": [[0, 0, 1e300]]}, r"viewpoints has \[0.0, 0.0, 1e\+300\]"),
         ({"executor": "cloud"}, "unknown backend 'cloud'"),

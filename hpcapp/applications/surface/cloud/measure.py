@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from hpcapp.applications.surface.cloud.cloud_pass import CloudPass, PassT
@@ -25,7 +27,14 @@ from hpcapp.applications.surface.types.lattice import lay_lattice, unique_keys
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpccomponent.errors import InputError
 
-__all__ = ["check_surface", "draw_boxes", "measure_cloud", "measure_scale", "measure_spacing"]
+__all__ = [
+    "check_surface",
+    "draw_boxes",
+    "draw_places",
+    "measure_cloud",
+    "measure_scale",
+    "measure_spacing",
+]
 
 
 def measure_spacing(cloud_pass: CloudPass) -> float:
@@ -51,11 +60,15 @@ def check_surface(cloud_pass: CloudPass, spacing: float) -> InputError | None:
     """Tell why a cloud's points lie on no surface; see `find_no_surface`."""
     cloud = cloud_pass.cloud
 
-    def draw(edge: float, one_in: int) -> FloatArray:
-        corner = lay_lattice(cloud.low, edge)
-        return np.concatenate(cloud_pass.each(sample_places, corner, edge, one_in))
+    return find_no_surface(
+        partial(draw_places, cloud_pass), len(cloud), cloud.low, cloud.high, spacing
+    )
 
-    return find_no_surface(draw, len(cloud), cloud.low, cloud.high, spacing)
+
+def draw_places(cloud_pass: CloudPass, edge: float, one_in: int) -> FloatArray:
+    """Return where the points in a sample of boxes lie, as `draw_boxes` does."""
+    corner = lay_lattice(cloud_pass.cloud.low, edge)
+    return np.concatenate(cloud_pass.each(sample_places, corner, edge, one_in))
 
 
 def measure_scale(cloud_pass: CloudPass) -> tuple[LocalScale, GapBoxes]:

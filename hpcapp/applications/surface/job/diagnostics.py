@@ -21,7 +21,7 @@ OUTSIDE = 0.02
 
 
 def check_sides(points: PointCloud) -> list[str]:
-    """Warn of normals that point into the object.
+    """Warn of normals of a file that face inwards.
 
     A cloud of the inside of a room is oriented like one of an object turned inside out; only its
     user can tell them apart.
@@ -29,8 +29,8 @@ def check_sides(points: PointCloud) -> list[str]:
     if not faces_inwards(points):
         return []
     return [
-        "the normals seem to point into the object, and the mesh is what surrounds it: "
-        "turn them around, unless this is a room seen from inside"
+        "the normals face inwards, as of a room seen from inside: if it is an object, "
+        f"{name_option('normals', 'estimate')} finds their side"
     ]
 
 

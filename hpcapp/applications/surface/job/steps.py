@@ -37,7 +37,6 @@ from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.backends.selection import Backend
 from hpcapp.cancellation import Cancellation
 from hpcapp.progress import StageClock
-from hpccomponent.option_names import name_option
 from hpccomponent.runtime.background import Deferred
 
 if TYPE_CHECKING:
@@ -177,22 +176,13 @@ def _warn(
 ) -> list[str]:
     """Log what should make the user doubt the mesh, and return it for the report."""
     warnings = [*checks.resolution]
-    if not result.facts.get("open", False):
-        if not loaded.oriented.contradict:
-            warnings += checks.sides  # of an open mesh, nothing is guessed behind the points
-        # Too few cells explain a mesh that is too large.
-        if not checks.resolution and settings.method.makes_closed_meshes:
-            warnings += check_closure(checks.low, checks.high, result.surface, checks.step)
-    elif result.facts.get("room", False):
-        warnings.append(
-            "the points are taken for a room seen from inside, for their normals face inwards: "
-            "if they are of an object, "
-            + (
-                "turn them around"
-                if loaded.oriented.source == "file"
-                else f"name a place outside ({name_option('viewpoint')}: X,Y,Z)"
-            )
-        )
+    is_open = result.facts.get("open", False)
+    # Where sides were looked for, that has been judged; of an open mesh, nothing is guessed.
+    if loaded.oriented.is_believed and (not is_open or result.facts.get("room", False)):
+        warnings += checks.sides
+    # Too few cells explain a mesh that is too large.
+    if not (is_open or checks.resolution) and settings.method.makes_closed_meshes:
+        warnings += check_closure(checks.low, checks.high, result.surface, checks.step)
     for warning in warnings:
         log.warning("warning: %s", warning)
     return warnings

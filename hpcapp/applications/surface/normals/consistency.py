@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from hpcapp.applications.surface import kernels
@@ -13,9 +15,28 @@ from hpcapp.applications.surface.types.lattice import (
     number_keys,
     pack_places,
 )
-from hpcapp.applications.surface.types.points import BoolArray, Float32Array, FloatArray, PointCloud
+from hpcapp.applications.surface.types.points import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    PointCloud,
+)
 
-__all__ = ["MARGIN", "faces_inwards", "find_turned", "share_opposed"]
+__all__ = [
+    "FOLLOWING",
+    "MARGIN",
+    "TORN",
+    "Torn",
+    "faces_inwards",
+    "find_turned",
+    "share_opposed",
+    "weigh_torn",
+]
+
+FOLLOWING, TORN = 0.975, 0.07
+"""Share of the normals that follow a place, and share of the opposite pairs among those across the
+line of sight, from which on they follow nothing else."""
 
 
 _EDGE = 3.0  # of the cells, in spacings: some 28 neighbours lie within
@@ -27,6 +48,11 @@ _ROUNDS = 3  # each with cells of twice the size, for what the last left open
 _SAMPLE = 10_000  # points by which it is judged where normals face
 _FEWEST_JUDGED = 100  # of which it is judged
 _BOXES = 24  # along the longest side, whose mean normals count
+_SEEKING = 2_000  # points by which it is sought what normals follow
+_STEPS = 400  # of the search
+_HOPELESS = 60  # after which one that has found little is given up
+_ACROSS = 0.08  # cosine between normals that are across the line of sight and that
+_FEWEST_TORN = 30  # pairs of these that tell
 _INWARD = -0.1  # mean of n.(x - c) / |x - c|; a sphere seen from outside has 1, from inside -1
 
 MARGIN = _EDGE * (2.0**_ROUNDS - 1.0)
@@ -113,21 +139,108 @@ def share_opposed(
     float
         Of pairs: 0.5 where signs are random, 2 f (1 - f) where a share f is turned round.
     """
+    cosines = _pair_up(positions, normals, low, edge, spacing)[2]
+    return float(np.count_nonzero(cosines < 0.0) / max(len(cosines), 1))
+
+
+@dataclass(frozen=True, slots=True)
+class Torn:
+    """How far normals follow a place, or a direction, and not a surface.
+
+    Parameters
+    ----------
+    following : float
+        Share of the normals that are on the side of one place.
+    pairs : int
+        Of normals that are across the line of sight from there, on one sheet.
+    torn : float
+        Share of these that are opposite.
+    """
+
+    following: float
+    pairs: int = 0
+    torn: float = 0.0
+
+    @property
+    def is_torn(self) -> bool:
+        """Whether the sides are those of a place."""
+        return self.following >= FOLLOWING and self.pairs >= _FEWEST_TORN and self.torn > TORN
+
+
+def weigh_torn(
+    positions: FloatArray, normals: FloatArray, low: FloatArray, edge: float, spacing: float
+) -> Torn:
+    """Weigh whether the sides of normals follow a place, and not a surface.
+
+    Parameters
+    ----------
+    positions, normals, low, edge, spacing
+        As for `share_opposed`.
+
+    Notes
+    -----
+    A place q is sought, in homogeneous coordinates, so that all normals are on its side, or on
+    the other one. Where there is one, they may be those of a view, or of a ball. But where they
+    are across the line of sight, those of a surface still agree with their neighbours, and those
+    that were turned to a place oppose each other.
+    """
+    if len(positions) < _FEWEST_JUDGED:
+        return Torn(0.0)
+    # (n, 4): a place at unit distance is (q, 1), a direction (q, 0)
+    size = max(float(np.ptp(positions, axis=0).max()), 1e-300)
+    local = (positions - positions.mean(axis=0)) / size
+    planes = np.column_stack([normals, -np.einsum("ij,ij->i", normals, local)])
+    place = _find_place(planes[:: -(-len(planes) // _SEEKING)])
+    following = float(np.mean(planes @ place > 0.0))
+    if following < FOLLOWING:
+        return Torn(following)
+    sights = place[:3] - place[3] * local
+    sights /= np.maximum(np.sqrt(np.einsum("ij,ij->i", sights, sights)), 1e-300)[:, None]
+    is_across = np.abs(np.einsum("ij,ij->i", sights, normals)) < _ACROSS
+    one, other, cosines = _pair_up(positions, normals, low, edge, spacing)
+    told = cosines[is_across[one] & is_across[other]]
+    return Torn(following, len(told), float(np.count_nonzero(told < 0.0) / max(len(told), 1)))
+
+
+def _find_place(planes: FloatArray) -> FloatArray:
+    """Return the vector with most of the planes on its side: a perceptron's, from the best axis."""
+    axes = np.concatenate([np.eye(4), -np.eye(4)])
+    shares = (planes @ axes.T > 0.0).mean(axis=0)
+    best: FloatArray = axes[int(np.argmax(shares))]
+    share, place = float(shares.max()), planes.mean(axis=0)
+    for step in range(_STEPS):
+        is_wrong = planes @ place <= 0.0
+        right = 1.0 - float(np.mean(is_wrong))
+        if right > share:
+            best, share = place, right
+        if share == 1.0 or (step == _HOPELESS and share < 0.85):
+            break
+        place = place / max(float(np.sqrt(place @ place)), 1e-300)
+        place = place + planes[is_wrong].mean(axis=0) * (0.5 / (1.0 + 0.05 * step))
+    return best
+
+
+def _pair_up(
+    positions: FloatArray, normals: FloatArray, low: FloatArray, edge: float, spacing: float
+) -> tuple[IntArray, IntArray, FloatArray]:
+    """Return the rows of pairs of points on one sheet, in boxes, and the cosines of normals."""
     places = np.floor(cells_of(positions, low, edge)).astype(np.int64)
     _, boxes = number_keys(pack_places(places))
     order = np.argsort(boxes, kind="stable")
     positions, normals, boxes = positions[order], normals[order], boxes[order]
-    pairs = opposed = 0
+    found = []
     for step in range(1, min(_PAIRS + 1, len(boxes))):
         one, other = normals[:-step], normals[step:]
         arms = positions[step:] - positions[:-step]
         offsets = [np.abs(np.einsum("ij,ij->i", arms, some)) for some in (one, other)]
         cosines = np.einsum("ij,ij->i", one, other)
         is_pair = (boxes[step:] == boxes[:-step]) & (np.abs(cosines) > 0.5)
-        is_pair &= np.maximum(*offsets) <= _TOLERANCE * spacing
-        pairs += int(np.count_nonzero(is_pair))
-        opposed += int(np.count_nonzero(is_pair & (cosines < 0.0)))
-    return opposed / max(pairs, 1)
+        rows = np.flatnonzero(is_pair & (np.maximum(*offsets) <= _TOLERANCE * spacing))
+        found.append((order[rows], order[rows + step], cosines[rows]))
+    if not found:
+        return order[:0], order[:0], np.empty(0)
+    firsts, seconds, all_cosines = zip(*found, strict=True)
+    return np.concatenate(firsts), np.concatenate(seconds), np.concatenate(all_cosines)
 
 
 def faces_inwards(cloud: PointCloud) -> bool:

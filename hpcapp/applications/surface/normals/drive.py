@@ -14,9 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpcapp.applications.surface.cloud.cloud_pass import PassT
+from hpcapp.applications.surface.cloud.measure import draw_places
 from hpcapp.applications.surface.normals import estimation, patches
-from hpcapp.applications.surface.normals.orientation import SURE, orient_patches
+from hpcapp.applications.surface.normals.orientation import SURE, Doubt, orient_patches
 from hpcapp.applications.surface.normals.sensor import Sensor
+from hpcapp.applications.surface.normals.sides import Unsure
+from hpcapp.applications.surface.normals.stand import has_pixels
 from hpcapp.applications.surface.normals.tasks import (
     CONFIDENCE_BINS,
     estimate_region,
@@ -27,6 +30,8 @@ from hpcapp.applications.surface.types.lattice import lay_lattice
 from hpcapp.applications.surface.types.points import FloatArray
 
 __all__ = ["Turned", "turn_normals"]
+
+_SAMPLE = 20_000  # points that are looked at for the pixels of a camera
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,14 +46,14 @@ class Turned:
         How many normals are the opposites of what they were.
     how : str
         Where the evidence comes from, for people.
-    doubted : ndarray of float64, shape (3,), or None
-        The middle of the largest piece whose side is unsure, in the file's coordinates.
+    doubt : Unsure or None
+        What is unsure of the largest piece whose side is.
     """
 
     sure: float
     turned: int
     how: str
-    doubted: FloatArray | None
+    doubt: Unsure | None
 
 
 def turn_normals(
@@ -92,6 +97,10 @@ def turn_normals(
     grouped = cloud_pass.each(group_region, *given, margin=margin)
     found = patches.merge_patches(grouped)
     sensor.check_sight(found[0].centres, -cloud.origin)
+    if sensor.kind == "unknown":
+        sample = draw_places(cloud_pass, patches.CELL * spacing, len(cloud) // _SAMPLE + 1)
+        if has_pixels(sample + cloud.origin):
+            sensor = Sensor("places", np.zeros((1, 3)))
     oriented = orient_patches(*found, spacing, -cloud.origin, sensor)
     del found
     del grouped
@@ -101,5 +110,30 @@ def turn_normals(
     turned = sum(opposite for opposite, _ in results)
     confidences = np.sum([binned for _, binned in results], axis=0)
     sure = float(confidences[round(SURE * CONFIDENCE_BINS) :].sum()) / len(cloud)
-    place = None if oriented.doubted is None else oriented.doubted + cloud.origin
-    return cloud_pass, Turned(sure, turned, oriented.how, place)
+    doubt = None if oriented.doubt is None else _tell_doubt(oriented.doubt, cloud.origin)
+    return cloud_pass, Turned(sure, turned, oriented.how, doubt)
+
+
+def _tell_doubt(doubt: Doubt, origin: FloatArray) -> Unsure:
+    """Return a doubt in the file's coordinates."""
+    place = tuple((doubt.middle + origin).tolist())
+    if doubt.rival is None:
+        return Unsure(place)
+    readings = doubt.reading, doubt.rival
+    words = [reading.word or reading.kind for reading in readings]
+    if words[0] == words[1]:  # both look from above, but from other sides
+        words = [reading.kind for reading in readings]
+    options = [
+        word
+        if reading.place is None or word == reading.word
+        else _type_place(reading.place, origin)
+        for word, reading in zip(words, readings, strict=True)
+    ]
+    seen = tuple(reading.evidence.how for reading in readings)
+    return Unsure(place, seen, tuple(options))
+
+
+def _type_place(place: FloatArray, origin: FloatArray) -> str:
+    """Return a place far from the middle of a cloud for the option that says it."""
+    digits = 3 - int(np.floor(np.log10(max(float(np.abs(place).max()), 1e-300))))
+    return ",".join(f"{round(value, digits):.15g}" for value in (place + origin).tolist())

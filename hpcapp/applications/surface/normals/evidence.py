@@ -1,44 +1,46 @@
-"""Which side of each patch faces free space: from a sensor, or from views of the whole object.
+"""Which side of each patch faces free space: what viewpoints see, and what a sensor has told.
 
 ::
 
-    places, a flight ───────────────────────────> evidence that is believed
-    views from outside, shell by shell ──> one hypothesis ┐  what breaks the fewest links and
-    views from inside ───────────────────> another one    ┴─ leaves the least unseen is taken
+    viewpoints ── look ──> how much of both sides of each patch they see ──> evidence
+    places of a scanner, a flight, a user ──> evidence that is believed
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
+from hpcapp.applications.surface.normals.inside import TIGHT, find_inside
 from hpcapp.applications.surface.normals.patches import CELL, Patches
 from hpcapp.applications.surface.normals.sensor import Sensor
-from hpcapp.applications.surface.normals.visibility import poll_views, stand_inside, surround
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
+from hpcapp.applications.surface.normals.visibility import WHOLE, look, surround
+from hpcapp.applications.surface.types.points import BoolArray, FloatArray, Int8Array, IntArray
+from hpccomponent.errors import InputError
+from hpccomponent.option_names import name_option
 
 __all__ = [
+    "VIEWS",
     "Evidence",
     "Outside",
     "Views",
     "areas_of",
     "face_along",
     "hear_sensor",
-    "look_inside",
     "look_outside",
     "share_of",
 ]
 
-_VIEWS = 64
-_GLIMPSE = 0.005  # mean of cosines over all views: what is seen less is hidden
-_CLEAR = 0.5  # share of the views that makes a patch's leaning a whole one
+VIEWS = 64
+"""Viewpoints around an object."""
+
+_GLIMPSE = 0.3  # sum of the cosines that a patch is seen with: what is seen less is hidden
+_CLEAR = 0.125  # of the viewpoints: the sum of cosines that makes a patch's leaning a whole one
+_FEW = 8  # viewpoints that see a patch from among things: others see other parts
 _BELIEVED = 0.5  # share of the area that may be hidden from scanners that a file names
 _LEVEL = 0.75  # of the longest side, below which the height of what was flown over is
-_GAP, _FARTHEST = 0.1, 10.0  # longest sides between an object and a camera at zero
-_FIELD = 0.5  # cosine of half the angle that a camera sees
-_INSIDE_FIELD = 0.98  # share of the patches that lie there
-_OCCLUDED = 0.3  # share of the area that may be hidden from it
 _SHELLS = 4  # inside each other
 _SHOWN = 0.25  # share of a component that must be seen from outside
 _ALIKE = 0.3  # of the better seen side, that the other one shows
@@ -59,15 +61,12 @@ class Evidence:
         Where it comes from, for people.
     is_sensed : bool
         Whether it is of the sensor that took the points; else of views that might have been.
-    certainty : float
-        0 to 1: how sure the side of the whole is.
     """
 
     leanings: FloatArray
     weights: FloatArray
     how: str
     is_sensed: bool = False
-    certainty: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,17 +76,29 @@ class Views:
     Parameters
     ----------
     front, back : ndarray of float64, shape (p,)
-        What `poll_views` has returned, by the number of viewpoints.
+        Cosines between the normal, or its opposite, and the directions it is seen from, summed.
+    whole : float
+        The sum that is clear evidence.
     """
 
     front: FloatArray
     back: FloatArray
+    whole: float
 
     @classmethod
-    def of(cls, patches: Patches, viewpoints: FloatArray, spacing: float) -> Views:
-        """Look from some viewpoints."""
-        front, back = poll_views(patches, viewpoints, spacing)
-        return cls(front / len(viewpoints), back / len(viewpoints))
+    def sum(cls, rows: Iterable[Int8Array], patches: int, viewpoints: float) -> Views:
+        """Add up what `look` has returned; so many of the viewpoints could see a patch."""
+        front, back = np.zeros((2, patches), np.int64)
+        for row in rows:
+            front += np.maximum(row, 0)
+            back -= np.minimum(row, 0)
+        return cls(front / WHOLE, back / WHOLE, _CLEAR * viewpoints)
+
+    @classmethod
+    def inside(cls, patches: Patches, places: FloatArray, spacing: float) -> Views:
+        """Look from places inside, of which a patch is seen from a few."""
+        rows = (look(patches, place, spacing) for place in places)
+        return cls.sum(rows, len(patches), min(len(places), _FEW))
 
     @property
     def is_hidden(self) -> BoolArray:
@@ -105,9 +116,8 @@ class Views:
 
     def evidence(self, how: str, *, is_sensed: bool = False) -> Evidence:
         """Return it as evidence: free space is where most of the viewpoints are."""
-        whole = _CLEAR / 4.0  # a half space of directions sums up to a quarter of all
-        leanings = np.clip((self.front - self.back) / whole, -1.0, 1.0)
-        weights = np.minimum((self.front + self.back) / whole, 1.0)
+        leanings = np.clip((self.front - self.back) / self.whole, -1.0, 1.0)
+        weights = np.minimum((self.front + self.back) / self.whole, 1.0)
         return Evidence(leanings, weights, how, is_sensed)
 
 
@@ -126,18 +136,21 @@ def share_of(patches: Patches, chosen: BoolArray) -> float:
 def face_along(patches: Patches, axis: int, sign: float, how: str, *, is_sensed: bool) -> Evidence:
     """Return the evidence that all was seen from far away along an axis."""
     along = sign * patches.normals[:, axis]
-    return Views(np.maximum(along, 0.0), np.maximum(-along, 0.0)).evidence(how, is_sensed=is_sensed)
+    views = Views(np.maximum(along, 0.0), np.maximum(-along, 0.0), _CLEAR)
+    return views.evidence(how, is_sensed=is_sensed)
 
 
 def hear_sensor(
-    patches: Patches, spacing: float, zero: FloatArray, sensor: Sensor
+    patches: Patches, components: IntArray, spacing: float, zero: FloatArray, sensor: Sensor
 ) -> Evidence | None:
-    """Return what is known from the sensor; None where nothing is, or nothing to be believed.
+    """Return the evidence of a sensor; None where nothing is known of it.
 
     Parameters
     ----------
     patches : Patches
         Of a whole cloud.
+    components : ndarray of int64, shape (p,)
+        Which patches hang together.
     spacing : float
         Of the cloud, in length units of the input.
     zero : ndarray of float64, shape (3,)
@@ -145,33 +158,38 @@ def hear_sensor(
     sensor : Sensor
         What a user has told is believed. What a file tells is where it can be: of scanners, if
         they see half of the object; of a flight, if that is not as high as it is wide, for some
-        scanners on tripods write the same. Where nothing is told, and the object lies before
-        `zero` and is seen from there, a camera was there.
+        scanners on tripods write the same.
+
+    Raises
+    ------
+    InputError
+        Somebody was inside, and no place inside is found.
     """
     if sensor.kind == "inside":
-        return look_inside(patches, spacing).evidence("from inside")
+        places = find_inside(patches, spacing, TIGHT)
+        if not len(places):
+            raise InputError(
+                f"{name_option('viewpoint', 'inside')}: no place inside was found: nothing "
+                "surrounds the points",
+                f"give where the sensor was ({name_option('viewpoint')}: X,Y,Z or path.csv)",
+            )
+        return Views.inside(patches, places, spacing).evidence("from inside")
+    if sensor.kind == "outside":
+        return look_outside(patches, components, spacing).toggled.evidence("from outside")
     if sensor.kind in ("above", "below"):
         size = np.ptp(patches.centres, axis=0)
         sign = 1.0 if sensor.kind == "above" else -1.0
         if sensor.is_told or size[2] < _LEVEL * size.max():
             return face_along(patches, 2, sign, f"from {sensor.kind}", is_sensed=True)
         return None
-    if sensor.places is not None:
-        views = Views.of(patches, sensor.places + zero, spacing)
-        if sensor.is_told or share_of(patches, views.is_hidden) < _BELIEVED:
-            return views.evidence("from where the scanner stood", is_sensed=True)
+    if sensor.places is None:
         return None
-    if not _lies_before(patches, zero):
-        return None
-    views = Views.of(patches, zero[None], spacing)
-    if share_of(patches, views.is_hidden) > _OCCLUDED:
-        return None
-    return views.evidence("from a camera at (0, 0, 0)", is_sensed=True)
-
-
-def look_inside(patches: Patches, spacing: float) -> Views:
-    """Look from the emptiest places inside: what a room shows."""
-    return Views.of(patches, stand_inside(patches), spacing)
+    rows = (look(patches, place, spacing) for place in sensor.places + zero)
+    views = Views.sum(rows, len(patches), len(sensor.places))
+    if sensor.is_told or share_of(patches, views.is_hidden) < _BELIEVED:
+        how = "from where the scanner stood"
+        return views.evidence(how, is_sensed=True)
+    return None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,6 +198,12 @@ class Outside:
 
     Parameters
     ----------
+    rows : ndarray of int8, shape (v, p)
+        What each viewpoint sees of the whole.
+    directions : ndarray of float64, shape (v, 3)
+        Where the viewpoints are, from the middle; unit length.
+    radius : float
+        And how far.
     views : Views
         Of the whole.
     toggled : Views
@@ -189,6 +213,9 @@ class Outside:
         Patches that are hidden, and not those of a cavity: of a closed shell inside another one.
     """
 
+    rows: Int8Array
+    directions: FloatArray
+    radius: float
     views: Views
     toggled: Views
     is_content: BoolArray
@@ -206,8 +233,9 @@ def look_outside(patches: Patches, components: IntArray, spacing: float) -> Outs
     spacing : float
         Of the cloud, in length units of the input.
     """
-    viewpoints = surround(patches, _VIEWS)
-    whole = shown = Views.of(patches, viewpoints, spacing)
+    directions, radius, viewpoints = surround(patches, VIEWS)
+    seen = np.stack([look(patches, viewpoint, spacing) for viewpoint in viewpoints])
+    whole = shown = Views.sum(seen, len(patches), VIEWS)
     front, back = np.zeros(len(patches)), np.zeros(len(patches))
     is_content = whole.is_hidden
     rows = np.arange(len(patches))
@@ -225,19 +253,7 @@ def look_outside(patches: Patches, components: IntArray, spacing: float) -> Outs
         rows = rows[~taken]
         if not (len(rows) and taken.any()):
             break
-        shown = Views.of(patches.take(rows), viewpoints, spacing)
-    return Outside(whole, Views(front, back), is_content)
-
-
-def _lies_before(patches: Patches, zero: FloatArray) -> bool:
-    """Tell whether an object may be what a camera at zero saw."""
-    low, high = patches.centres.min(axis=0), patches.centres.max(axis=0)
-    gap = np.maximum(np.maximum(low - zero, zero - high), 0.0)
-    gaps = float(np.sqrt((gap * gap).sum())) / max(float((high - low).max()), 1e-300)
-    if not _GAP < gaps < _FARTHEST:
-        return False
-    arms = patches.centres - zero
-    arms /= np.sqrt(np.einsum("ij,ij->i", arms, arms))[:, None]
-    axis = arms.mean(axis=0)
-    cosines = arms @ (axis / np.sqrt(axis @ axis))
-    return bool(np.quantile(cosines, 1.0 - _INSIDE_FIELD) > _FIELD)
+        left = patches.take(rows)
+        shown = Views.sum((look(left, v, spacing) for v in viewpoints), len(rows), VIEWS)
+    toggled = Views(front, back, whole.whole)
+    return Outside(seen, directions, radius, whole, toggled, is_content)

@@ -39,6 +39,7 @@ __all__ = [
     "Sides",
     "find_patches",
     "merge_patches",
+    "quarter_patches",
     "turn_points",
 ]
 
@@ -48,6 +49,7 @@ CELL = 4.0
 LINKED = 8
 """Neighbours that a point links its patch to, and one more that is itself."""
 _REACH = 4.0  # spacings: farther points are no neighbours
+_QUARTERS = ((-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0))
 _ROUNDED = 2.0**-16  # spacings: more than distances change when positions are rounded
 
 MARGIN = _REACH + CELL * 3.0**0.5 + _ROUNDED
@@ -226,6 +228,30 @@ def merge_patches(found: Sequence[tuple[Patches, Links]]) -> tuple[Patches, Link
         for field in fields(Patches)
     ]
     return Patches(*columns), Links(every // len(kept), every % len(kept), sums)
+
+
+def quarter_patches(patches: Patches, reach: float) -> FloatArray:
+    """Return the middles of four parts of each patch.
+
+    Parameters
+    ----------
+    patches : Patches
+    reach : float
+        Half of what lies between two of them, in length units of the input.
+
+    Returns
+    -------
+    ndarray of float64, shape (4 p, 3)
+    """
+    rows = np.arange(len(patches))
+    axes = np.zeros((len(patches), 3))
+    axes[rows, np.argmin(np.abs(patches.normals), axis=1)] = 1.0
+    one = np.cross(patches.normals, axes)
+    one /= np.sqrt(np.einsum("ij,ij->i", one, one))[:, None]
+    other = np.cross(patches.normals, one)
+    return np.concatenate(
+        [patches.centres + reach * (along * one + across * other) for along, across in _QUARTERS]
+    )
 
 
 def turn_points(

@@ -13,7 +13,7 @@ from hpccomponent.option_names import name_option
 
 __all__ = ["Sensor", "SensorKind"]
 
-SensorKind = Literal["unknown", "above", "below", "inside", "places"]
+SensorKind = Literal["unknown", "above", "below", "inside", "outside", "places"]
 
 # Whether cameras and points are in the same coordinates. Of 37 clouds and corners of clouds, seen
 # from around, above or inside, the nearest camera is 0.7 extents away or less, and all points lie
@@ -31,7 +31,7 @@ class Sensor:
     Parameters
     ----------
     kind : str
-        ``above`` and ``below`` mean along z, ``inside`` the middle of a room.
+        ``above`` and ``below`` mean along z, ``inside`` a room or a tunnel, ``outside`` all around.
     places : ndarray of float64, shape (s, 3), or None
         Where it stood, in the file's coordinates; with the kind ``places``, and only there.
     axes : ndarray of float64, shape (s, 3), or None

@@ -6,25 +6,56 @@ Every job asks; what estimates normals (`normals`) is only imported where it is 
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
 
 from hpcapp.applications.surface.cloud.cloud_pass import CloudPass, PassT
 from hpcapp.applications.surface.cloud.measure import draw_boxes
 from hpcapp.applications.surface.normals import patches
-from hpcapp.applications.surface.normals.consistency import share_opposed
+from hpcapp.applications.surface.normals.consistency import share_opposed, weigh_torn
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.types.lattice import lay_lattice
 from hpcapp.progress import StageClock
 from hpccomponent.option_names import name_option
 
-__all__ = ["Oriented", "is_contradicting", "orient_cloud"]
+__all__ = ["Judgement", "Oriented", "Unsure", "judge_normals", "orient_cloud"]
 
 log = logging.getLogger("hpcapp")
+
+Judgement = Literal["agree", "contradict", "follow a place"]
+"""What normals of neighbouring points say of each other's side."""
 
 _SAMPLE = 20_000  # points that show whether normals contradict each other
 _CONTRADICTING = 0.12  # share of opposite pairs: 6 in 100 turned round
 _DOUBTFUL = 0.9  # share of points whose side is sure, below which somebody should look
+
+
+@dataclass(frozen=True, slots=True)
+class Unsure:
+    """What is unsure of the sides of normals.
+
+    Parameters
+    ----------
+    place : tuple of float
+        The middle of the largest piece whose side is, in the file's coordinates.
+    seen, options : tuple of str
+        Where it is taken to be seen from, and where else it may be: ``from above``; and what tells
+        so (``--viewpoint``). Empty where nothing explains it.
+    """
+
+    place: tuple[float, ...]
+    seen: tuple[str, ...] = ()
+    options: tuple[str, ...] = ()
+
+    @property
+    def advice(self) -> str:
+        """What a user can do."""
+        if not self.options:
+            words = name_option("viewpoint")
+            return f"say where it was scanned from ({words}: above, outside, inside, or X,Y,Z)"
+        taken, other = self.seen
+        asked = " or ".join(name_option("viewpoint", option) for option in self.options)
+        return f"it is taken as seen {taken}, and may be seen {other}: decide by {asked}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,44 +70,52 @@ class Oriented:
         Share of the points whose side is sure, 0 to 1.
     turned : int
         How many normals of the file were turned round, patch by patch.
-    contradict : bool
-        Whether they contradict each other, and were taken as they are.
+    judgement : str
+        Whether those of a file agree on a side.
     how : str
         What tells their side, where it was looked for: ``from above``.
-    doubted : tuple of float, or None
-        The middle of the largest piece whose side is unsure, in the file's coordinates.
+    doubt : Unsure or None
+        What is unsure of them.
     """
 
     source: str
     sure: float
     turned: int = 0
-    contradict: bool = False
+    judgement: Judgement = "agree"
     how: str = ""
-    doubted: tuple[float, ...] | None = None
+    doubt: Unsure | None = None
+
+    @property
+    def is_believed(self) -> bool:
+        """Whether their side is that of the file, and they agree on it."""
+        return self.source == "file" and self.judgement == "agree" and not self.how
 
     @property
     def warnings(self) -> list[str]:
         """What should make the user doubt them."""
         found = []
-        if self.contradict:
-            found.append(
-                "normals of neighbouring points contradict each other, the mesh means little: "
-                "orient them consistently (e.g. in CloudCompare or MeshLab), or leave "
-                f"{name_option('normals', 'file')} out"
-            )
+        what = {
+            "contradict": "the normals contradict each other",
+            "follow a place": "the sides of the normals follow one direction or place, not a "
+            "surface",
+        }.get(self.judgement)
+        given = name_option("normals", "file")
         if self.turned:
+            what = what or "the normals have no side"
             found.append(
-                f"the normals contradict each other: {self.turned} were turned round, so that all "
-                f"are on one side; {name_option('normals', 'file')} takes them as they are"
+                f"{what}: {self.turned} were turned round, so that all are on one side; {given} "
+                "takes them as they are"
             )
-        if self.sure < _DOUBTFUL and self.doubted is not None:
-            place = ", ".join(f"{value:.6g}" for value in self.doubted)
-            # Above and below are along z: of no use where that is not up.
-            advice = "X,Y,Z" if self.how.startswith("along") else "above, inside, or X,Y,Z"
+        elif what and not self.how:
+            found.append(
+                f"{what}, the mesh means little: orient them consistently (e.g. in CloudCompare "
+                f"or MeshLab), or leave {given} out"
+            )
+        if self.sure < _DOUBTFUL and self.doubt is not None:
+            place = ", ".join(f"{value:.6g}" for value in self.doubt.place)
             found.append(
                 f"the side of {100.0 * (1.0 - self.sure):.1f} % of the normals is unsure, most of "
-                f"it around ({place}): say where it was scanned from "
-                f"({name_option('viewpoint')}: {advice})"
+                f"it around ({place}): {self.doubt.advice}"
             )
         return found
 
@@ -100,7 +139,9 @@ class Oriented:
     def to_json(self) -> dict[str, Any]:
         """Return the same for the job's report."""
         facts = {"source": self.source, "sure": round(self.sure, 4), "turned": self.turned}
-        return facts | ({"seen": self.how} if self.how else {})
+        seen = {"seen": self.how} if self.how else {}
+        unsure = {"unsure": asdict(self.doubt)} if self.doubt else {}
+        return facts | seen | unsure
 
 
 def orient_cloud(
@@ -138,11 +179,9 @@ def orient_cloud(
     oriented : Oriented
     """
     if has_normals:
-        contradict = is_contradicting(cloud_pass, spacing)
-        if wanted == "file":
-            return cloud_pass, Oriented("file", 1.0, contradict=contradict)
-        if is_oriented and not contradict:
-            return cloud_pass, Oriented("file", 1.0)
+        judgement = judge_normals(cloud_pass, spacing)
+        if wanted == "file" or (is_oriented and judgement == "agree"):
+            return cloud_pass, Oriented("file", 1.0, judgement=judgement)
     from hpcapp.applications.surface.normals.drive import turn_normals  # scipy takes its time
 
     with clock.stage("normals"):
@@ -153,15 +192,19 @@ def orient_cloud(
             keeps=has_normals,
             attribute=attribute,
         )
-    place = None if turned.doubted is None else tuple(map(float, turned.doubted))
     if has_normals:
-        return turned_pass, Oriented("file", turned.sure, turned.turned, False, turned.how, place)
-    return turned_pass, Oriented("estimated", turned.sure, 0, False, turned.how, place)
+        told = turned.sure, turned.turned, judgement, turned.how, turned.doubt
+        return turned_pass, Oriented("file", *told)
+    return turned_pass, Oriented("estimated", turned.sure, how=turned.how, doubt=turned.doubt)
 
 
-def is_contradicting(cloud_pass: CloudPass, spacing: float) -> bool:
-    """Tell whether normals contradict each other: more than one in twenty, or so, is wrong."""
+def judge_normals(cloud_pass: CloudPass, spacing: float) -> Judgement:
+    """Tell whether normals agree on their side, by the points in a sample of boxes."""
     edge, points = patches.CELL * spacing, len(cloud_pass.cloud)
-    sample = draw_boxes(cloud_pass, edge, points // _SAMPLE + 1)
+    positions, normals = draw_boxes(cloud_pass, edge, points // _SAMPLE + 1)
     corner = lay_lattice(cloud_pass.cloud.low, edge)
-    return share_opposed(*sample, corner, edge, spacing) > _CONTRADICTING
+    if share_opposed(positions, normals, corner, edge, spacing) > _CONTRADICTING:
+        return "contradict"
+    if weigh_torn(positions, normals, corner, edge, spacing).is_torn:
+        return "follow a place"
+    return "agree"

@@ -1,7 +1,8 @@
-"""Whether a tripod stood among points: from there they are even, on the surface they are not.
+"""Where a sensor stood, told by how its points lie.
 
 A scanner that turns takes as many points in every direction. So their density falls with the square
-of the distance, and nothing but a scan from a place inside looks even from a place inside.
+of the distance, and nothing but a scan from a place inside looks even from a place inside. A camera
+takes them in rows and columns: from where it was, and from nowhere else, they lie on a lattice.
 """
 
 from __future__ import annotations
@@ -9,19 +10,23 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from hpcapp.applications.surface.normals.patches import CELL, Patches
+from hpcapp.applications.surface.normals.patches import CELL, Patches, quarter_patches
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
 
-__all__ = ["has_stand"]
+__all__ = ["has_pixels", "has_stand"]
 
 _SAMPLE = 3000  # patches, about
 _PLACES = 7  # along each side of the box
 _BANDS = 12  # of directions, each of twice as many of equal solid angle
-_PARTS = ((-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0))  # quarters of a patch
 _NEAREST = 8  # patches whose points make the density of one
 _LOW, _HIGH = 0.15, 0.85  # quantiles that a spread lies between
 _EVEN = 0.66  # of the spread on the surface: that from a place where a tripod stood
 _AROUND = 0.94  # share of the directions in which it saw something
+_PIXELS = 4000  # points whose columns and rows are looked at
+_FEWEST_PIXELS = 100
+_SAME = 2.5e-5  # of the width of an image: nearer columns are one
+_SHARED = 0.5  # share of points that share their column with the next one
+_WIDEST = 4.0  # width of an image by its distance
 _UNEVEN = 1.3  # spread on the surface, as logarithm, from which on this tells
 
 
@@ -54,8 +59,8 @@ def has_stand(patches: Patches, spacing: float) -> bool:
     uneven = float(np.log(high / low))
     if uneven < _UNEVEN:
         return False
-    parts = _quarter(patches.take(np.arange(len(patches))[every]), 0.25 * CELL * spacing)
-    shares, cells = np.tile(0.25 * sampled, len(_PARTS)), 2 * _BANDS * _BANDS
+    parts = quarter_patches(patches.take(np.arange(len(patches))[every]), 0.25 * CELL * spacing)
+    shares, cells = np.tile(0.25 * sampled, 4), 2 * _BANDS * _BANDS
     for place in _fill_box(patches.centres.min(axis=0), patches.centres.max(axis=0)):
         points = np.bincount(_find_directions(parts - place), shares, cells)
         seen = points[points > 0.0]
@@ -67,24 +72,45 @@ def has_stand(patches: Patches, spacing: float) -> bool:
     return False
 
 
+def has_pixels(positions: FloatArray) -> bool:
+    """Tell whether points are the pixels of a camera at (0, 0, 0).
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+
+    Notes
+    -----
+    Along the axis that most points lie at, y / x and z / x take a few values: those of columns and
+    of rows. Where y and z themselves do so as much, points lie on a lattice in space.
+    """
+    if len(positions) < _FEWEST_PIXELS:
+        return False
+    some = positions[:: -(-len(positions) // _PIXELS)]
+    axis = int(np.argmax(np.abs(some.mean(axis=0))))
+    depth = some[:, [axis]]
+    if depth.min() <= 0.0 <= depth.max():
+        return False
+    across = np.delete(some, axis, axis=1)
+    image = across / depth
+    if np.ptp(image, axis=0).max() > _WIDEST:
+        return False
+    shared, in_space = _share_columns(image), _share_columns(across)
+    return bool((shared > np.maximum(in_space, _SHARED)).all())
+
+
+def _share_columns(places: FloatArray) -> FloatArray:
+    """Return the share of places with the same coordinate as the next one, along both axes."""
+    gaps = np.diff(np.sort(places, axis=0), axis=0)
+    shares: FloatArray = (gaps < _SAME * np.ptp(places, axis=0)).mean(axis=0)
+    return shares
+
+
 def _fill_box(low: FloatArray, high: FloatArray) -> FloatArray:
     shares = np.arange(1, _PLACES + 1) / (_PLACES + 1)
     grid = np.stack(np.meshgrid(shares, shares, shares, indexing="ij"), axis=-1).reshape(-1, 3)
     places: FloatArray = low + grid * (high - low)
     return places
-
-
-def _quarter(patches: Patches, reach: float) -> FloatArray:
-    """Return the middles of four parts of each patch."""
-    rows = np.arange(len(patches))
-    axes = np.zeros((len(patches), 3))
-    axes[rows, np.argmin(np.abs(patches.normals), axis=1)] = 1.0
-    one = np.cross(patches.normals, axes)
-    one /= np.sqrt(np.einsum("ij,ij->i", one, one))[:, None]
-    other = np.cross(patches.normals, one)
-    return np.concatenate(
-        [patches.centres + reach * (along * one + across * other) for along, across in _PARTS]
-    )
 
 
 def _find_directions(arms: FloatArray) -> IntArray:

@@ -9,13 +9,15 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from hpcapp.applications.surface.normals.patches import CELL, Patches
 from hpcapp.applications.surface.types.lattice import find_first
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
+from hpcapp.applications.surface.types.points import BoolArray, FloatArray, Int8Array, IntArray
 
-__all__ = ["poll_views", "stand_inside", "surround"]
+__all__ = ["WHOLE", "find_seen", "look", "surround"]
+
+WHOLE = 127.0
+"""What a cosine of one is as an int8."""
 
 _PIXEL = 1.5 * CELL  # spacings: two patches of a sheet are seen in a pixel
 _LEAST_COSINE = 0.25  # of the angle between a normal and the line of sight
@@ -23,71 +25,50 @@ _NEAREST = 1e-12  # spacings
 _THICK = 0.5  # spacings that a patch may lie behind the plane of what is seen
 _NOISES = 3.0  # or so many standard deviations of it, where that is more
 _DISTANCE = 2.5  # of the viewpoints around an object, in half diagonals of its box
-_PLACES = 5  # inside an object along each side of its box
-_INSIDE = 27  # of them are looked from
 _FINEST = 2.0**-29  # of an edge of 2: pixels of six faces are numbered in 64 bits
 _CLOSE = 4  # sizes of pixels, each twice the last, for patches near the viewpoint
 
 
-def surround(patches: Patches, count: int) -> FloatArray:
+def surround(patches: Patches, count: int) -> tuple[FloatArray, float, FloatArray]:
     """Return viewpoints all around an object.
 
     Returns
     -------
-    ndarray of float64, shape (count, 3)
-        On a sphere, evenly, in length units of the input.
+    directions : ndarray of float64, shape (count, 3)
+        On the unit sphere, evenly.
+    radius : float
+        In length units of the input.
+    viewpoints : ndarray of float64, shape (count, 3)
+        So far from the middle of the object's box.
     """
     low, high = patches.centres.min(axis=0), patches.centres.max(axis=0)
     radius = _DISTANCE * 0.5 * float(np.sqrt(((high - low) ** 2).sum()))
     number = np.arange(count) + 0.5
     up = 1.0 - 2.0 * number / count
     turn, level = number * np.pi * (3.0 - np.sqrt(5.0)), np.sqrt(1.0 - up**2)
-    sphere = np.stack([level * np.cos(turn), level * np.sin(turn), up], axis=1)
-    viewpoints: FloatArray = 0.5 * (low + high) + radius * sphere
-    return viewpoints
+    directions = np.stack([level * np.cos(turn), level * np.sin(turn), up], axis=1)
+    return directions, radius, 0.5 * (low + high) + radius * directions
 
 
-def stand_inside(patches: Patches) -> FloatArray:
-    """Return viewpoints inside the box of an object, in its emptiest places.
-
-    Returns
-    -------
-    ndarray of float64, shape (27, 3)
-        In length units of the input.
-    """
-    low, high = patches.centres.min(axis=0), patches.centres.max(axis=0)
-    shares = np.arange(1, _PLACES + 1) / (_PLACES + 1)
-    grid = np.stack(np.meshgrid(shares, shares, shares, indexing="ij"), axis=-1).reshape(-1, 3)
-    places = low + grid * (high - low)
-    free = cKDTree(patches.centres).query(places)[0]
-    emptiest: FloatArray = places[np.argsort(-free, kind="stable")[:_INSIDE]]
-    return emptiest
-
-
-def poll_views(
-    patches: Patches, viewpoints: FloatArray, spacing: float
-) -> tuple[FloatArray, FloatArray]:
-    """Ask viewpoints which side of each patch they see.
+def look(patches: Patches, viewpoint: FloatArray, spacing: float) -> Int8Array:
+    """Look at patches from a viewpoint.
 
     Parameters
     ----------
     patches : Patches
-    viewpoints : ndarray of float64, shape (v, 3)
+    viewpoint : ndarray of float64, shape (3,)
         In length units of the input.
     spacing : float
         Of the cloud, in length units of the input.
 
     Returns
     -------
-    front, back : ndarray of float64, shape (p,)
-        Cosines between the normal, or its opposite, and the directions it is seen from, summed.
+    ndarray of int8, shape (p,)
+        The cosine between the normal of each patch and the direction to the viewpoint, in 127ths;
+        0 where the patch is not seen from there.
     """
-    front, back = np.zeros(len(patches)), np.zeros(len(patches))
-    for viewpoint in viewpoints:
-        cosines, is_seen = find_seen(patches, viewpoint, spacing)
-        front += np.where(is_seen & (cosines > 0.0), cosines, 0.0)
-        back -= np.where(is_seen & (cosines < 0.0), cosines, 0.0)
-    return front, back
+    cosines, is_seen = find_seen(patches, viewpoint, spacing)
+    return np.where(is_seen, np.rint(WHOLE * cosines), 0.0).astype(np.int8)
 
 
 def find_seen(

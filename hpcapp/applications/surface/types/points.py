@@ -25,6 +25,7 @@ Float32Array = NDArray[np.float32]
 Int32Array = NDArray[np.int32]
 BoolArray = NDArray[np.bool_]
 ByteArray = NDArray[np.uint8]
+Int8Array = NDArray[np.int8]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -59,7 +59,7 @@ def test_places_and_trajectories_stand_together(tmp_path: Path) -> None:
     ],
 )
 def test_other_words_are_refused(words: list[str]) -> None:
-    with pytest.raises(UsageError, match=r"neither above, below, inside, nor"):
+    with pytest.raises(UsageError, match=r"neither above, below, inside, outside, nor"):
         parse_viewpoint(words)
 
 

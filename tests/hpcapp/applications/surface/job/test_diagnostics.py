@@ -33,7 +33,7 @@ def test_normals_are_judged_alike_wherever_and_however_large(sphere: PointCloud)
     for scale, shift in ((1e-30, 0.0), (1e30, 0.0), (1.0, 50.0)):
         moved = PointCloud(sphere.positions * scale + shift, sphere.normals)
         assert check_sides(moved) == []
-        assert "turn them around" in check_sides(turned(moved, -1.0))[0]
+        assert "face inwards" in check_sides(turned(moved, -1.0))[0]
 
 
 def test_the_side_scanned_more_often_does_not_decide(sphere: PointCloud) -> None:

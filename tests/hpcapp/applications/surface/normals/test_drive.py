@@ -18,7 +18,7 @@ from hpcapp.applications.surface.cloud.measure import measure_spacing
 from hpcapp.applications.surface.normals.drive import turn_normals
 from hpcapp.applications.surface.normals.orientation import SURE
 from hpcapp.applications.surface.normals.sensor import Sensor
-from hpcapp.applications.surface.normals.sides import Oriented, is_contradicting, orient_cloud
+from hpcapp.applications.surface.normals.sides import Oriented, judge_normals, orient_cloud
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.progress import Progress, StageClock
 
@@ -31,9 +31,13 @@ def _scan(name: str, **settings: float) -> PointCloud:
 
 
 def orient(
-    points: PointCloud, sensor: Sensor = UNKNOWN, attribute: str | None = None
+    points: PointCloud,
+    sensor: Sensor = UNKNOWN,
+    attribute: str | None = None,
+    *,
+    is_oriented: bool = False,
 ) -> tuple[PointCloud, Oriented]:
-    """Orient points in memory, as if they contradicted each other where they have normals."""
+    """Orient points in memory, as if their normals had no side where there are some."""
     clock, cloud_pass = StageClock(Progress()), in_memory(points)
     turned, oriented = orient_cloud(
         cloud_pass,
@@ -42,7 +46,7 @@ def orient(
         sensor,
         clock,
         has_normals=points.normals is not None,
-        is_oriented=False,
+        is_oriented=is_oriented,
         attribute=attribute,
     )
     return turned.cloud.points, oriented
@@ -50,7 +54,7 @@ def orient(
 
 def contradicts(points: PointCloud) -> bool:
     cloud_pass = in_memory(points)
-    return is_contradicting(cloud_pass, measure_spacing(cloud_pass))
+    return judge_normals(cloud_pass, measure_spacing(cloud_pass)) == "contradict"
 
 
 def _share_right(found: PointCloud, truth: PointCloud) -> float:
@@ -206,3 +210,67 @@ def test_a_scan_inside_out_among_others_is_turned() -> None:
     assert contradicts(mixed)
     found, _ = orient(mixed)
     assert _share_right(found, truth) >= 0.999
+
+
+def _turn_towards(scan: PointCloud, towards: FloatArray) -> PointCloud:
+    assert scan.normals is not None
+    along = np.einsum("ij,ij->i", scan.normals, towards)
+    return PointCloud(scan.positions, scan.normals * np.where(along < 0.0, -1.0, 1.0)[:, None])
+
+
+@pytest.mark.parametrize("name", ["torus", "knot"])
+@pytest.mark.parametrize("place", [None, (0.0, 0.0, 5.0), (1.5, -4.0, 2.0)])
+def test_normals_that_follow_a_place_are_turned_to_the_surface(
+    name: str, place: tuple[float, float, float] | None
+) -> None:
+    scan = _scan(name, noise=0.001)
+    up = np.broadcast_to([0.0, 0.0, 1.0], scan.positions.shape)
+    signed = _turn_towards(scan, up if place is None else np.array(place) - scan.positions)
+    found, oriented = orient(signed, is_oriented=True)
+    assert _share_right(found, scan) > 0.98
+    assert oriented.judgement == "follow a place"
+    assert "follow one direction or place" in oriented.warnings[0]
+
+
+@pytest.mark.parametrize("name", ["sphere", "torus", "knot", "box"])
+def test_right_normals_of_a_file_are_left(name: str) -> None:
+    scan = _scan(name, noise=0.001)
+    found, oriented = orient(scan, is_oriented=True)
+    assert found.normals is scan.normals or _share_right(found, scan) == 1.0
+    assert oriented.is_believed
+    assert oriented.warnings == []
+
+
+def test_a_relief_that_faces_one_way_is_left_as_it_is() -> None:
+    random = np.random.default_rng(5)
+    x, y = random.uniform(-1.0, 1.0, (2, 12_000))
+    relief = np.stack([x, y, 0.2 * np.sin(4.0 * x) * np.cos(3.0 * y)], axis=1)
+    rise = np.stack(
+        [0.8 * np.cos(4.0 * x) * np.cos(3.0 * y), -0.6 * np.sin(4.0 * x) * np.sin(3.0 * y)], axis=1
+    )
+    normals = np.column_stack([-rise, np.ones(len(x))])
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    for sign in (1.0, -1.0):  # it may face a camera below
+        _, oriented = orient(PointCloud(relief, sign * normals), is_oriented=True)
+        assert oriented.is_believed
+
+
+@pytest.mark.parametrize("moved", [(0.0, 0.0, 0.0), (512_000.0, 5_403_000.0, 0.0)])
+def test_the_options_that_a_doubt_names_decide(moved: tuple[float, float, float]) -> None:
+    random = np.random.default_rng(6)
+    sheet = random.uniform(-1.0, 1.0, (6_000, 3))
+    sheet[:, 1] = 0.1 * np.sin(3.0 * sheet[:, 0])  # is y up, or down?
+    found, oriented = orient(PointCloud(sheet, origin=np.array(moved)))
+    assert oriented.sure < 0.1
+    assert oriented.doubt is not None
+    assert all(option in oriented.warnings[0] for option in oriented.doubt.options)
+    faces = []
+    for option in oriented.doubt.options:
+        place = np.array([[float(number) for number in option.split(",")]])
+        told, sure = orient(PointCloud(sheet, origin=np.array(moved)), Sensor("places", place))
+        assert sure.sure > 0.99
+        assert told.normals is not None
+        faces.append(told.normals[:, 1].mean())
+    assert found.normals is not None
+    assert faces[0] * found.normals[:, 1].mean() > 0.9
+    assert faces[0] * faces[1] < -0.9

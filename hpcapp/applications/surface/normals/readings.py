@@ -1,0 +1,232 @@
+"""What a scan may be, told by one measure: what its viewers should not have seen, and should have.
+
+::
+
+    all around, inside, from 26 sides ── look ──> what each sees ── sides follow over links ──┐
+        cost = seen from behind + seen by none + how rare  <──────────────────────────────────┘
+        the least is believed, as far as it costs less than the others
+
+Nobody measured a surface from behind, nor one that he did not see. So of each reading two shares
+of the area are added up: of what its viewers see, what they see from behind, and what none of them
+sees.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hpcapp.applications.surface.normals.evidence import (
+    Evidence,
+    Outside,
+    Views,
+    areas_of,
+    look_outside,
+    share_of,
+)
+from hpcapp.applications.surface.normals.inside import AMPLE, find_inside
+from hpcapp.applications.surface.normals.linked import LinkedPatches
+from hpcapp.applications.surface.normals.patches import Patches
+from hpcapp.applications.surface.normals.stand import has_stand
+from hpcapp.applications.surface.types.points import BoolArray, FloatArray
+
+__all__ = [
+    "CERTAIN",
+    "HABIT",
+    "RARE",
+    "STAND",
+    "Followed",
+    "Reading",
+    "choose",
+    "find_readings",
+    "follow",
+    "follow_reading",
+    "weigh_readings",
+]
+
+CERTAIN = 0.045
+"""Cost from one reading to the next from which on the first one is certain."""
+
+RARE = 0.045
+"""What it costs that few scans are taken from inside."""
+STAND = 0.1
+"""What all other readings cost where a tripod stood inside."""
+HABIT = 0.02
+"""What a view from below costs more than one from above: z is up, most often."""
+
+_AROUND = 0.2  # cosine of the angle around a direction that a view from one side comes from
+_ALONE = 0.5  # and of that within which one of two such views is enough
+_STEEP = 0.7  # cosine to z of a side that the words above and below stand for
+_TRIED = 6  # readings that are followed: in a tangle, many promise much
+_HINT = 0.003  # how strongly views count beside links that all agree
+_SIDES = [np.array(step) / np.linalg.norm(step) for step in itertools.product((1, 0, -1), repeat=3)
+          if any(step)]  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reading:
+    """Where a scan may have been taken from.
+
+    Parameters
+    ----------
+    kind : str
+        ``outside``, ``inside``, ``above``, ``below``, or the axes of a side: ``+y-z``.
+    views : Views
+        What is seen from there.
+    evidence : Evidence
+    unseen : float
+        Share of the area that is seen from none of its viewpoints.
+    rare : float
+        What it costs that few scans are taken so.
+    habit : float or None
+        Of a view from one side, what it costs that axes are seldom laid so: it decides between
+        sides where nothing else does, and makes nothing certain.
+    place : ndarray of float64, shape (3,), or None
+        A place on the side that it is seen from, in the frame of the patches.
+    word : str
+        ``above`` or ``below`` for one that looks more up or down than across.
+    """
+
+    kind: str
+    views: Views
+    evidence: Evidence
+    unseen: float
+    rare: float
+    habit: float | None = None
+    place: FloatArray | None = None
+    word: str = ""
+
+    def cost(self, patches: Patches, is_turned: BoolArray) -> float:
+        """Return the share of what is seen that is seen from behind, and all else it costs."""
+        views = self.views
+        areas = areas_of(patches) * ~views.is_hidden
+        behind = (areas * np.where(is_turned, views.front, views.back)).sum()
+        seen = (areas * (views.front + views.back)).sum()
+        return float(behind / max(seen, 1e-300)) + self.unseen + self.rare
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Followed:
+    """A reading, and what follows of it.
+
+    Parameters
+    ----------
+    reading : Reading
+    sides : ndarray of float64, shape (p,)
+        Over the links.
+    cost : float
+        Shares of the area, and how rare it is.
+    """
+
+    reading: Reading
+    sides: FloatArray
+    cost: float
+
+
+def follow(linked: LinkedPatches, evidence: Evidence) -> FloatArray:
+    """Return the sides that links have where evidence counts next to nothing."""
+    weights = _HINT * evidence.weights
+    return linked.spread(weights, evidence.leanings, np.zeros(len(weights)))
+
+
+def weigh_readings(patches: Patches, linked: LinkedPatches, spacing: float) -> list[Followed]:
+    """Find the readings that are not refuted, the best one first.
+
+    Parameters
+    ----------
+    patches : Patches
+        Of a whole cloud.
+    linked : LinkedPatches
+    spacing : float
+        Of the cloud, in length units of the input.
+
+    Returns
+    -------
+    list of Followed
+        Of the others, those that cost `CERTAIN` more may be missing.
+    """
+    readings = find_readings(patches, linked, spacing)
+    # What is left if every patch could take the side of its own that is seen more.
+    bounds = [
+        reading.cost(patches, reading.views.front < reading.views.back) for reading in readings
+    ]
+    found: list[Followed] = []
+    for row in np.argsort(bounds, kind="stable"):
+        least = min((other.cost + (other.reading.habit or 0.0) for other in found), default=np.inf)
+        if bounds[row] > least + CERTAIN or len(found) == _TRIED:
+            break
+        found.append(follow_reading(patches, linked, readings[row]))
+    costs = [followed.cost for followed in found]
+    best = found[choose(costs, [followed.reading.habit for followed in found])]
+    return [best, *(other for other in found if other is not best)]
+
+
+def choose(costs: Sequence[float], habits: Sequence[float | None]) -> int:
+    """Return which of some readings is believed.
+
+    Parameters
+    ----------
+    costs : sequence of float
+    habits : sequence of float or None
+        See `Reading`.
+    """
+    aside = [row for row, habit in enumerate(habits) if habit is not None]
+    aside.sort(key=lambda row: costs[row] + (habits[row] or 0.0))
+    others = [row for row, habit in enumerate(habits) if habit is None]
+    return min(aside[:1] + others, key=lambda row: costs[row])
+
+
+def follow_reading(patches: Patches, linked: LinkedPatches, reading: Reading) -> Followed:
+    """Return what follows of a reading over the links."""
+    sides = follow(linked, reading.evidence)
+    return Followed(reading, sides, reading.cost(patches, sides < 0.0))
+
+
+def find_readings(patches: Patches, linked: LinkedPatches, spacing: float) -> list[Reading]:
+    """Return all readings of a cloud; as for `weigh_readings`."""
+    outside = look_outside(patches, linked.components(), spacing)
+    places = find_inside(patches, spacing, AMPLE)
+    aside = STAND if len(places) and has_stand(patches, spacing) else 0.0
+    toggled = outside.toggled.evidence("from outside")
+    found = [
+        Reading("outside", outside.views, toggled, share_of(patches, outside.is_content), aside)
+    ]
+    if len(places):
+        views = Views.inside(patches, places, spacing)
+        unseen = share_of(patches, views.is_hidden)
+        found.append(Reading("inside", views, views.evidence("from inside"), unseen, RARE))
+    return found + _look_from_sides(patches, outside, aside)
+
+
+def _look_from_sides(patches: Patches, outside: Outside, rare: float) -> list[Reading]:
+    """Return what is seen from one side, for the sides that explain more than those beside them."""
+    found = []
+    middle = 0.5 * (patches.centres.min(axis=0) + patches.centres.max(axis=0))
+    for side in _SIDES:
+        rows = outside.rows[outside.directions @ side > _AROUND]
+        views = Views.sum(rows, len(patches), len(rows))
+        name = _name_side(side)
+        habit = 0.5 * HABIT * (1.0 - float(side[2]))
+        unseen = share_of(patches, views.is_hidden)
+        seen, place = views.evidence(f"from {name}"), middle + outside.radius * side
+        word = "" if abs(side[2]) < _STEEP else "above" if side[2] > 0.0 else "below"
+        found.append(Reading(name, views, seen, unseen, rare, habit, place, word))
+    bounds = [
+        reading.cost(patches, reading.views.front < reading.views.back) + (reading.habit or 0.0)
+        for reading in found
+    ]
+    kept: list[int] = []
+    for row in np.argsort(bounds, kind="stable"):
+        if all(_SIDES[row] @ _SIDES[other] < _ALONE for other in kept):
+            kept.append(int(row))
+    return [found[row] for row in kept]
+
+
+def _name_side(side: FloatArray) -> str:
+    """Return its name: ``above``, ``+x``, ``-x+y``."""
+    signs = [f"{part:+.0f}"[0] * bool(part) for part in np.sign(side)]
+    axes = "".join(sign + axis for sign, axis in zip(signs, "xyz", strict=True) if sign)
+    return {"+z": "above", "-z": "below"}.get(axes, axes)
