@@ -29,7 +29,13 @@ from numpy.typing import NDArray
 
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.scale.local_scale import LocalScale
-from hpcapp.applications.surface.types.lattice import find_keys, pack_places
+from hpcapp.applications.surface.types.lattice import (
+    NEIGHBOURS,
+    find_keys,
+    number_keys,
+    pack_places,
+    step_keys,
+)
 from hpcapp.applications.surface.types.points import (
     BoolArray,
     Float32Array,
@@ -54,7 +60,7 @@ _AGREEING = 3  # points, of which the one that supports least counts
 _WAYS = 8  # along the surface, in which it is looked whether support goes on
 _LEAST, _MOST = 0.85, 1.0 + _FLATNESS  # clearances are clamped to these; 1 is asked for
 _CLASS = 1.25  # points whose radii differ by less are searched together
-_PLACES_AT_ONCE, _PLACES_HELD = 1 << 9, 1 << 18
+_PLACES_AT_ONCE, _PLACES_HELD = 1 << 10, 1 << 18
 _FINE = float(1 << 20)  # so many whole steps make 1: sums of them are exact
 
 
@@ -183,19 +189,24 @@ def _measure_unsure(
     places: FloatArray, cloud: PointCloud, radii: FloatArray, rule: SupportRule
 ) -> FloatArray:
     """Return the clearances of places, each with all points that matter to one of them."""
-    # (u, 1, 3): the least squared clearances of each place, of which the third counts
-    least = np.full((len(places), 1, _AGREEING), _MOST * _MOST)
-    normals = np.zeros((len(places), 3))  # of what supports it, added up
-    for run, pairs in _pair_places(places, cloud, radii, rule):
-        _lower(least[run], pairs.at, pairs.squares[:, None])
-        normals[run] += pairs.add_normals(run.stop - run.start)
-    # (w, k, 3): the same a step aside in k ways, where there is support
-    inner = np.flatnonzero(least.max(axis=(1, 2)) < 1.0)
-    ways = _look_around(normals[inner])
-    least = np.full((len(inner), _WAYS, _AGREEING), _MOST * _MOST)
-    for run, pairs in _pair_places(places[inner], cloud, radii, rule):
-        _lower(least[run], pairs.at, pairs.step_aside(ways[run]))
     clearance = np.full(len(places), _MOST)
+    supporting, normals = np.zeros(len(places), np.int64), np.zeros((len(places), 3))
+    for run, pairs in _pair_places(places, cloud, radii, rule, 1.0):
+        supporting[run] += pairs.count()
+        normals[run] += pairs.add_normals()
+    # (w,): where there is support; (w, k): by how many points a step aside in k ways
+    inner = np.flatnonzero(supporting >= _AGREEING)
+    ways = _look_around(normals[inner])
+    around = np.zeros(ways.shape[:2], np.int64)
+    for run, pairs in _pair_places(places[inner], cloud, radii, rule, _MOST):
+        around[run] += pairs.count_aside(ways[run])
+    clearance[inner] = _LEAST
+    # (m, k, 3): the least squared clearances there, of which the third counts, at the border
+    border = np.flatnonzero((around < _AGREEING).any(axis=1))
+    inner, ways = inner[border], ways[border]
+    least = np.full((*ways.shape[:2], _AGREEING), _MOST * _MOST)
+    for run, pairs in _pair_places(places[inner], cloud, radii, rule, _MOST):
+        _lower(least[run], pairs.at, pairs.step_aside(ways[run]))
     clearance[inner] = np.sqrt(least.max(axis=(1, 2)))
     return clearance
 
@@ -204,9 +215,8 @@ def find_bare(places: FloatArray, cloud: PointCloud, rule: SupportRule) -> BoolA
     """Tell which of a few places on a surface no points support."""
     supporting = np.zeros(len(places), np.int64)
     if len(places) and len(cloud):
-        for run, pairs in _pair_places(places, cloud, rule.radii(cloud.positions), rule):
-            at = pairs.at[pairs.squares < 1.0]
-            supporting[run] += np.bincount(at, minlength=run.stop - run.start)
+        for run, pairs in _pair_places(places, cloud, rule.radii(cloud.positions), rule, 1.0):
+            supporting[run] += pairs.count()
     bare: BoolArray = supporting < _AGREEING
     return bare
 
@@ -256,6 +266,8 @@ class _Pairs:
 
     Parameters
     ----------
+    places : int
+        So many; p below.
     at : ndarray of int64, shape (q,)
         The place.
     along : ndarray of float64, shape (q, 3)
@@ -268,17 +280,21 @@ class _Pairs:
         How far the border is drawn back, in radii.
     """
 
+    places: int
     at: IntArray
     along: FloatArray
     squares: FloatArray
     normals: FloatArray
     steps: FloatArray
 
-    def add_normals(self, places: int) -> FloatArray:
-        """Return the sum of the normals of the points that support each place."""
-        supports = self.squares < 1.0
-        at, whole = self.at[supports], np.round(self.normals[supports] * _FINE)  # in any order
-        sums = [np.bincount(at, axis, minlength=places) for axis in whole.T]
+    def count(self) -> IntArray:
+        """Return how many points are near each place."""
+        return np.bincount(self.at, minlength=self.places)
+
+    def add_normals(self) -> FloatArray:
+        """Return the sum of their normals."""
+        whole = np.round(self.normals * _FINE)  # their sum is the same in any order
+        sums = [np.bincount(self.at, axis, minlength=self.places) for axis in whole.T]
         return np.stack(sums, axis=1)
 
     def step_aside(self, ways: FloatArray) -> FloatArray:
@@ -290,23 +306,30 @@ class _Pairs:
         squares: FloatArray = self.squares[:, None] + 2.0 * steps * aside + steps * steps
         return squares
 
+    def count_aside(self, ways: FloatArray) -> IntArray:
+        """Return how many points are very near there, shape (p, k)."""
+        point, way = np.nonzero(self.step_aside(ways) <= _LEAST * _LEAST)
+        number = ways.shape[1]
+        counts = np.bincount(self.at[point] * number + way, minlength=self.places * number)
+        return counts.reshape(self.places, number)
+
 
 def _pair_places(
-    places: FloatArray, cloud: PointCloud, radii: FloatArray, rule: SupportRule
+    places: FloatArray, cloud: PointCloud, radii: FloatArray, rule: SupportRule, most: float
 ) -> Iterator[tuple[slice, _Pairs]]:
-    """Pair some places at a time with the points near them, those of like radii at a time."""
+    """Pair some places at a time with the points within a clearance, of like radii at a time."""
     for alike in _by_radius(radii):
-        yield from _pair_alike(places, cloud.take(alike), radii[alike], rule)
+        yield from _pair_alike(places, cloud.take(alike), radii[alike], rule, most)
 
 
 def _pair_alike(
-    places: FloatArray, cloud: PointCloud, radii: FloatArray, rule: SupportRule
+    places: FloatArray, cloud: PointCloud, radii: FloatArray, rule: SupportRule, most: float
 ) -> Iterator[tuple[slice, _Pairs]]:
-    """Pair some places at a time with the points near them."""
+    """Pair some places at a time with the points within a clearance."""
     assert cloud.normals is not None  # noqa: S101 - the points of a surface have normals
     if not len(places):
         return
-    size, origin = _MOST * float(radii.max()), cloud.positions[0]
+    size, origin = most * float(radii.max()), cloud.positions[0]
     thickness = rule.thickness(radii)
     sorted_points = kernels.sort_points(cloud.positions, origin, size)
     for start in range(0, len(places), _PLACES_AT_ONCE):
@@ -319,11 +342,11 @@ def _pair_alike(
             off += offsets[:, axis] * normals[:, axis]
         along = (offsets - off[:, None] * normals) / radii[point, None]
         squares = _square(along) + (off / thickness[point]) ** 2
-        near = np.flatnonzero(squares < _MOST * _MOST)
+        near = np.flatnonzero(squares < most * most)
         steps = (thickness / radii)[point[near]]
         yield (
             slice(start, start + len(batch)),
-            _Pairs(at[near], along[near], squares[near], normals[near], steps),
+            _Pairs(len(batch), at[near], along[near], squares[near], normals[near], steps),
         )
 
 
@@ -331,13 +354,12 @@ def _pair(
     cells: IntArray, keys: IntArray, offsets: IntArray, rows: NDArray[np.uint32]
 ) -> tuple[IntArray, IntArray]:
     """Return each place with the points in its cell and the 26 around it."""
-    at, points = [], []
-    for step in np.ndindex(3, 3, 3):
-        cell = find_keys(keys, pack_places(cells + np.array(step) - 1))
-        here = np.flatnonzero(cell < len(keys))
-        first = offsets[cell[here]]
-        counts = offsets[cell[here] + 1] - first
-        turn = np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
-        at.append(np.repeat(here, counts))
-        points.append(rows[np.repeat(first, counts) + turn].astype(np.int64))
-    return np.concatenate(at), np.concatenate(points)
+    names, name = number_keys(pack_places(cells))  # places are many, their cells few
+    around = np.stack([find_keys(keys, step_keys(names, step)) for step in NEIGHBOURS], axis=1)
+    ends = np.append(offsets, offsets[-1])  # no cell is the last one
+    # (27 p,): the points of each place in each of the cells
+    first = ends[around][name].ravel()
+    counts = (ends[around + 1] - ends[around])[name].ravel()
+    turn = np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
+    at = np.repeat(np.arange(len(counts)) // len(NEIGHBOURS), counts)
+    return at, rows[np.repeat(first, counts) + turn].astype(np.int64)
