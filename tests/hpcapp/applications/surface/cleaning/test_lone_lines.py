@@ -38,27 +38,27 @@ def ground(random: Random, side: float = 60.0) -> FloatArray:
 
 
 def wire(random: Random, height: float, y: float = 30.0, step: float = 0.25) -> FloatArray:
-    """A sagging line of points over it."""
-    x = np.arange(2.0, 58.0, step)
+    """A sagging line of points over it, not evenly spaced."""
+    x = np.sort(random.uniform(2.0, 58.0, int(56.0 / step)))
     line = np.stack([x, np.full(len(x), y), height + 0.003 * (x - 30.0) ** 2], axis=1)
     return line + random.normal(0.0, 0.02, line.shape)
 
 
 @pytest.mark.parametrize("count", [1, 3])
-@pytest.mark.parametrize("apart", [3.0, 8.0])
+@pytest.mark.parametrize("apart", [4.0, 8.0])
 def test_wires_over_ground_are_dropped(random: Random, count: int, apart: float) -> None:
     land = ground(random)
-    wires = [wire(random, 16.0, 20.0 + i * apart) for i in range(count)]
+    wires = [wire(random, 25.0, 20.0 + i * apart) for i in range(count)]
     dropped = find_dropped(np.concatenate([land, *wires]))
-    assert dropped[len(land) :].all()
+    assert dropped[len(land) :].mean() > 0.98
     assert not dropped[: len(land)].any()
 
 
-@pytest.mark.parametrize(("height", "are_dropped"), [(9.5, True), (6.0, False)])
+@pytest.mark.parametrize(("height", "are_dropped"), [(12.0, True), (8.0, False)])
 def test_a_line_near_a_surface_may_be_part_of_it(
     random: Random, height: float, are_dropped: bool
 ) -> None:
-    """Its neighbours are one unit away: eight times as far there must be nothing else."""
+    """Its neighbours are one unit away: ten times as far there must be nothing else."""
     flat = ground(random) * [1.0, 1.0, 0.0]
     x = np.arange(2.0, 58.0, 0.25)
     line = np.stack([x, np.full(len(x), 30.0), np.full(len(x), height)], axis=1)
@@ -67,12 +67,12 @@ def test_a_line_near_a_surface_may_be_part_of_it(
     assert not dropped[: len(flat)].any()
 
 
-@pytest.mark.parametrize(("thickness", "are_dropped"), [(0.0765, True), (0.104, False)])
+@pytest.mark.parametrize(("thickness", "are_dropped"), [(0.105, True), (0.145, False)])
 def test_a_line_is_thin(random: Random, thickness: float, are_dropped: bool) -> None:
-    """Variance 0.417 along nine of its points; a 0.014th of that across them, or a 0.026th."""
+    """Variance 0.75 along three spacings of it, and across them 0.015 or 0.028 of that."""
     x = np.arange(2.0, 58.0, 0.25)
     y = 30.0 + thickness * (-1.0) ** np.arange(len(x))
-    line = np.stack([x, y, np.full(len(x), 16.0)], axis=1)
+    line = np.stack([x, y, np.full(len(x), 25.0)], axis=1)
     dropped = find_dropped(np.concatenate([ground(random), line]))
     assert (dropped[-len(x) :].mean() > 0.9) == are_dropped
 
@@ -81,9 +81,10 @@ def test_a_line_is_thin(random: Random, thickness: float, are_dropped: bool) -> 
 def test_what_most_points_lie_on_was_scanned(random: Random, count: int, are_dropped: bool) -> None:
     """A wire over a little ground has 36 % of all points; three of them have 63 %."""
     land = ground(random, 20.0)
-    wires = [wire(random, 20.0, 2.0 + 8.0 * i) for i in range(count)]
+    wires = [wire(random, 25.0, 2.0 + 8.0 * i) for i in range(count)]
     dropped = find_dropped(np.concatenate([land, *wires]))
-    assert dropped[len(land) :].all() if are_dropped else not dropped.any()
+    assert (dropped[len(land) :].mean() > 0.98) == are_dropped
+    assert not dropped[: len(land)].any()
 
 
 @pytest.mark.parametrize("ratio", [3.0, 8.0, 15.0])
