@@ -165,7 +165,14 @@ def test_unusable_points_are_dropped_counted_and_reported(
     path = write_cloud(positions, normals)
     code, stdout, stderr = run("reconstruct", str(path), "-o", "m.ply", "--grid", "32", "--json")
     assert code == 0
-    counts = {"non_finite_points": 4, "bad_normals": 5, "duplicates": 0, "outliers": 0, "strays": 0}
+    counts = {
+        "non_finite_points": 4,
+        "bad_normals": 5,
+        "duplicates": 0,
+        "outliers": 0,
+        "strays": 0,
+        "lone_lines": 0,
+    }
     assert json.loads(stdout)["dropped"] == counts
     assert "dropped 4 points" in stderr
     assert "dropped 5 points" in stderr

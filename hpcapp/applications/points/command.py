@@ -133,7 +133,7 @@ def readable(value: object) -> str:
         ("hpcapp convert 'scans/*.laz' -o all.ply", "Join many files into one."),
         (
             "hpcapp convert scan.ply -o scan.xyz --rejected strays.ply",
-            "Write the outliers and strays of a scan into a file of their own.",
+            "Write the outliers, strays and wires of a scan into a file of their own.",
         ),
     ],
 )
@@ -149,7 +149,7 @@ def readable(value: object) -> str:
 @click.option(
     "--rejected",
     metavar="FILE",
-    help="Write the outliers and strays that a job drops into a point cloud of their own, too.",
+    help="Write the outliers, strays and wires that a job drops into a cloud of their own, too.",
 )
 def convert(points: tuple[str, ...], sample: int | None, output: str, rejected: str | None) -> None:
     """Convert point clouds into one file of another format.
@@ -186,7 +186,10 @@ def _write_rejected(target: Path, source: PointSource, shown: str) -> None:
     cloud, cleaned = take_rejected(read_whole(source.isotropic()), shown)
     cloud = scale_heights(cloud, 1.0 / source.frame.height_scale)
     write_points(target, cloud, source.crs, source.unit, source.scans, source.height_unit)
-    log.info("%s: %d outliers and %d strays", shown, cleaned.outliers, cleaned.strays)
+    log.info(
+        "%s: %d outliers, %d strays, %d points along lone lines",
+        shown, cleaned.outliers, cleaned.strays, cleaned.lone_lines,
+    )  # fmt: skip
 
 
 def _write_whole(target: Path, source: PointSource) -> int:

@@ -21,7 +21,7 @@ __all__ = ["reject_points", "take_rejected"]
 
 
 def take_rejected(cloud: PointCloud, source: str) -> tuple[PointCloud, Cleaned]:
-    """Return the outliers and the strays of a cloud, and how many they are.
+    """Return the outliers, the strays and the lone lines of a cloud, and how many they are.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def take_rejected(cloud: PointCloud, source: str) -> tuple[PointCloud, Cleaned]:
 
 
 def reject_points(usable: PointCloud) -> tuple[BoolArray, Cleaned, LocalScale]:
-    """Find the outliers and the strays of a cloud as a job does; normals are not asked.
+    """Find the outliers, strays and lone lines of a cloud as a job does; normals are not asked.
 
     Points that scan lines can spare are none of them.
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from hpcapp.applications.surface.reading.point_records import Column, PointRecords
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
-from hpcapp.io.batches import cut_points, join_points
+from hpcapp.io.batches import batch_points, cut_points, join_points
 from hpcapp.io.columns import Ragged, Rows
 from hpcapp.io.ply.binary import find_records
 from hpcapp.io.ply.body import read_body, scan_body
@@ -18,7 +18,7 @@ from hpcapp.io.ply.comments import Kept, parse_comments
 from hpcapp.io.ply.faces import find_polygons, vertex_normals
 from hpcapp.io.ply.header import Element, Header, Property, read_header
 from hpcapp.io.ply.range_grid import GRID_LIST, find_cells, find_range_grid
-from hpcapp.io.ply.splats import are_splats, build_splats, plan_splats
+from hpcapp.io.ply.splats import FLOATERS, are_splats, build_splats, find_floaters, plan_splats
 from hpcapp.io.points.named_columns import (
     ColumnPlan,
     add_grid,
@@ -44,7 +44,7 @@ def open_ply(path: Path) -> PointSource:
     """Open the vertices of a PLY file, ascii or binary in either byte order.
 
     Normals and colours are as in the file. Where a mesh has no normals, they come from its faces.
-    The shortest axes of splats are taken for their normals.
+    The shortest axes of splats are taken for their normals, and floaters are left out and counted.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def open_ply(path: Path) -> PointSource:
     if splats:
         body = replace(body, plan=plan_splats(plan), build=build_splats)
         findings.warn("splats: their shortest axes are taken for normals, whose sign is not known")
-        scan: Callable[[int], Iterator[PointCloud]] = body.scan
+        scan: Callable[[int], Iterator[PointCloud]] = _SplatScan(body)
     elif polygons is not None:
         scan = _MeshScan(body, polygons)
     else:
@@ -163,6 +163,23 @@ class _MeshScan:
     def _polygons(self) -> Iterator[Ragged]:
         for faces in self.body.parts("face", _ROWS_AT_ONCE):
             yield faces.lists[self.polygons]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _SplatScan:
+    """Splats without the floaters."""
+
+    body: _Body
+
+    def __call__(self, rows: int) -> Iterator[PointCloud]:
+        self.body.findings.dropped.pop(FLOATERS, None)  # they are counted anew
+        return batch_points(self._without_floaters(rows), rows)
+
+    def _without_floaters(self, rows: int) -> Iterator[PointCloud]:
+        for part in self.body.scan(rows):
+            is_floater = find_floaters(part)
+            self.body.findings.drop(FLOATERS, int(is_floater.sum()))
+            yield part.take(~is_floater) if is_floater.any() else part
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -283,7 +283,7 @@ def close_surface(
         )
     closure = Closure(True, reason, radius, fill.typical, holes, opened.plan.dropped, is_room)
     log.info(
-        "%s; cut %g from the points, %d hole(s) up to %g filled, %d crumb(s) dropped",
+        "%s; trim distance %g, %d hole(s) up to %g filled, %d crumb(s) dropped",
         reason, radius, holes, fill.typical, closure.crumbs,
     )  # fmt: skip
     return opened, closure

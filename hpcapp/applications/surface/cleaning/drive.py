@@ -2,10 +2,12 @@
 
 ::
 
-    drop_far ─ drop_repeated ─ lines thinned ─ outliers, strays dropped ─ (normals) ─ normals mended
+    drop_far ─ drop_repeated ─ lines thinned ─ outliers, strays, lone lines dropped
+                                                   └── (normals) ── normals mended
 
 What lies closer along scan lines than these lie apart is spared (see `scan_lines`). Outliers lie
-far from every surface (see `outliers`), strays near one (see `strays`).
+far from every surface (see `outliers`), strays near one (see `strays`); wires are lone lines (see
+`lone_lines`).
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ from dataclasses import astuple, dataclass
 
 import numpy as np
 
-from hpcapp.applications.surface.cleaning import outlier_regions
+from hpcapp.applications.surface.cleaning import lone_lines, outlier_regions
 from hpcapp.applications.surface.cleaning import tasks as tasks
 from hpcapp.applications.surface.cleaning.outlier_regions import DroppedCells
 from hpcapp.applications.surface.cleaning.strays import MARGIN, ROUNDS
@@ -53,6 +55,8 @@ class Cleaned:
         Points at the place of another that were dropped.
     spared : int
         Points along scan lines that were not needed.
+    lone_lines : int
+        Points along lone lines, as wires, that were dropped.
     line_gap, line_step : float
         From line to line, and from point to point along one, in length units of the input: the
         medians over the cells that hold lines; 0 where none does.
@@ -63,6 +67,7 @@ class Cleaned:
     flipped: int = 0
     repeated: int = 0
     spared: int = 0
+    lone_lines: int = 0
     line_gap: float = 0.0
     line_step: float = 0.0
 
@@ -142,9 +147,20 @@ def drop_strays(cloud_pass: PassT, scale: LocalScale) -> tuple[PassT, Cleaned, L
         outliers, strays = outliers + far, strays + near
         if near <= _MANY * len(cloud_pass.cloud):
             break
-    if outliers + strays:
+    cloud_pass, lone = _drop_lone_lines(cloud_pass, spacing)
+    if outliers + strays + lone:
         scale, _ = measure_scale(cloud_pass)
-    return cloud_pass, Cleaned(outliers, strays), scale
+    return cloud_pass, Cleaned(outliers, strays, lone_lines=lone), scale
+
+
+def _drop_lone_lines(cloud_pass: PassT, spacing: float) -> tuple[PassT, int]:
+    """Drop the points along lone lines, and return how many; where most lie so, all stay."""
+    given, margin = (cloud_pass.cloud.low, spacing), lone_lines.MARGIN * spacing
+    count = sum(cloud_pass.each(tasks.count_lone_lines, *given, margin=margin))
+    if not 0 < count <= lone_lines.MOST * len(cloud_pass.cloud):
+        return cloud_pass, 0
+    cloud_pass, counts = cloud_pass.rewrite(tasks.drop_lone_lines, *given, margin=margin)
+    return cloud_pass, sum(dropped for (dropped,) in counts)
 
 
 def mend_normals(cloud_pass: PassT, spacing: float) -> tuple[PassT, int]:

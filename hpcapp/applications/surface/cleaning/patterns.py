@@ -15,7 +15,14 @@ from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.applications.surface.types.result_patterns import are_units
 from hpccomponent.protocol.declared import Array, Declared, Either, Fixed, Nothing, Where, Whole
 
-__all__ = ["counted_lines", "mended_region", "ranked_region", "stray_cells", "without_points"]
+__all__ = [
+    "counted_lines",
+    "counted_points",
+    "mended_region",
+    "ranked_region",
+    "stray_cells",
+    "without_points",
+]
 
 
 def without_points(points: StoredBlocks, *_: Any) -> Declared:
@@ -27,6 +34,11 @@ def without_points(points: StoredBlocks, *_: Any) -> Declared:
         lambda result: own.lacks(*result),
         "blocks lack the points that are dropped",
     )
+
+
+def counted_points(points: StoredBlocks, *_: Any) -> Declared:
+    """Return the pattern of what `tasks.count_lone_lines` counts."""
+    return Whole(0, AssignedPoints.of(points).points)
 
 
 def counted_lines(points: StoredBlocks, *_: Any) -> Declared:

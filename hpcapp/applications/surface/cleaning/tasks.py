@@ -6,6 +6,7 @@
     region ── count_lines ──> master ── thin_lines ──> without points that scan lines can spare
     region ── rank_region ──> master ── judge_region ──> stray cells ── drop_cells ──> without them
     region ── drop_strays ──> without points that lie apart from their neighbours
+    region ── count_lone_lines ──> master ── drop_lone_lines ──> without points along wires
     region ── mend_region ──> inconsistent normals flipped
 """
 
@@ -14,9 +15,11 @@ from __future__ import annotations
 import numpy as np
 
 from hpcapp.applications.surface.cleaning import outlier_regions as outliers
+from hpcapp.applications.surface.cleaning.lone_lines import find_lone_lines
 from hpcapp.applications.surface.cleaning.outlier_regions import DroppedCells, RegionRanks
 from hpcapp.applications.surface.cleaning.patterns import (
     counted_lines,
+    counted_points,
     mended_region,
     ranked_region,
     stray_cells,
@@ -30,11 +33,14 @@ from hpcapp.applications.surface.normals.consistency import find_turned
 from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.applications.surface.scale.scan_lines import GapBoxes, count_narrow, find_spare
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.applications.surface.types.result_patterns import SMALL_BYTES
 from hpccomponent.runtime.tasks import declare
 
 __all__ = [
     "count_lines",
+    "count_lone_lines",
     "drop_cells",
+    "drop_lone_lines",
     "drop_repeated",
     "drop_strays",
     "judge_region",
@@ -119,6 +125,31 @@ def drop_strays(
     """
     region = points.take()
     dropped = find_strays(region.positions, region.own, low, scale)
+    return region.drop(dropped), int(np.count_nonzero(dropped))
+
+
+@declare(result=counted_points, limit=SMALL_BYTES)
+def count_lone_lines(points: RegionPoints, low: FloatArray, spacing: float) -> int:
+    """Count the points of a region along lone lines (a task).
+
+    Parameters
+    ----------
+    points : RegionPoints
+        With a margin of `lone_lines.MARGIN` spacings.
+    low, spacing
+        As for `find_lone_lines`.
+    """
+    region = points.take()
+    return int(find_lone_lines(region.positions, region.own, low, spacing).sum())
+
+
+@declare(result=without_points, limit=region_bytes(40))
+def drop_lone_lines(
+    points: RegionPoints, low: FloatArray, spacing: float
+) -> tuple[Replaced | None, int]:
+    """Drop the points of a region along lone lines (a task), as `count_lone_lines` counts them."""
+    region = points.take()
+    dropped = find_lone_lines(region.positions, region.own, low, spacing)
     return region.drop(dropped), int(np.count_nonzero(dropped))
 
 

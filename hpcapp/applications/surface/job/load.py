@@ -162,6 +162,7 @@ class Loaded:
             (cleaned.repeated, "dropped %d points at the place of another"),
             (cleaned.outliers, "dropped %d outliers"),
             (cleaned.strays, "dropped %d stray points near the surface"),
+            (cleaned.lone_lines, "dropped %d points along lone lines: wires have no surface"),
             (cleaned.flipped, "flipped %d inconsistent normals"),
         ):
             if count:

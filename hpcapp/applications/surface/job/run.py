@@ -238,6 +238,7 @@ def describe_outcome(
         "duplicates": loaded.cleaned.repeated,
         "outliers": loaded.cleaned.outliers,
         "strays": loaded.cleaned.strays,
+        "lone_lines": loaded.cleaned.lone_lines,
     }
     report["turned_normals"] = loaded.cleaned.flipped
     report["scan_lines"] = loaded.cleaned.tell_lines()

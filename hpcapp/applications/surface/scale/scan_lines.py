@@ -39,7 +39,15 @@ from hpcapp.applications.surface.types.lattice import (
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
 from hpccomponent.protocol.records import record
 
-__all__ = ["SHARE", "GapBoxes", "count_narrow", "find_gaps", "find_spare", "keep_lines"]
+__all__ = [
+    "SHARE",
+    "GapBoxes",
+    "count_narrow",
+    "find_gaps",
+    "find_spare",
+    "keep_lines",
+    "measure_spread",
+]
 
 _GROWTH = 1.5  # powers of two: half way between a line and a surface
 _ACROSS = 2.0**0.5  # gaps: edge of the boxes at that growth, of lines all one gap apart
@@ -49,8 +57,8 @@ _COVERED = 3  # halvings of a cell: it speaks where its points cover a surface i
 _WHOLE = 2  # doublings of a finest cell that make a block: no box is larger
 
 _FEWEST = 3  # points that tell whether a box's points lie along a line
-# Minors of their covariance by its trace squared: 0 on a line, 1/4 all over a plane. From 0.15 to
-# 0.2 the share of narrow points stays below 0.26 on even sheets, above 0.68 along noisy lines.
+# Minors of their covariance by its trace squared (see `measure_spread`). From 0.15 to 0.2 the share
+# of narrow points stays below 0.26 on even sheets, above 0.68 along noisy lines.
 _NARROW = 0.18
 SHARE = 0.35
 """Of the points around, in boxes where they lie along a line: see ``benchmarks/scan_lines.py``."""
@@ -259,12 +267,32 @@ def _center(positions: FloatArray, box: IntArray) -> list[FloatArray]:
     return [column - (np.bincount(box, column) / held)[box] for column in positions.T]
 
 
-def _are_narrow(positions: FloatArray, box: IntArray) -> BoolArray:
-    """Tell in which boxes the points lie along a line."""
+def measure_spread(positions: FloatArray, box: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Tell in what ways the points of some boxes are spread.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+        In length units of the input.
+    box : ndarray of int64, shape (n,)
+        The box of each, from 0 on.
+
+    Returns
+    -------
+    minors, squares : ndarray of float64, shape (b,)
+        Sum of the minors of a box's covariance, and its trace squared: of the former by the
+        latter 0 is left on a line, 1/4 all over a plane.
+    """
     x, y, z = _center(positions, box)
     xx, yy, zz, xy, xz, yz = (
         np.bincount(box, product) for product in (x * x, y * y, z * z, x * y, x * z, y * z)
     )
     minors = xx * yy - xy * xy + xx * zz - xz * xz + yy * zz - yz * yz
-    are_narrow: BoolArray = minors <= _NARROW * (xx + yy + zz) ** 2
+    return minors, np.square(xx + yy + zz)
+
+
+def _are_narrow(positions: FloatArray, box: IntArray) -> BoolArray:
+    """Tell in which boxes the points lie along a line."""
+    minors, squares = measure_spread(positions, box)
+    are_narrow: BoolArray = minors <= _NARROW * squares
     return are_narrow & (np.bincount(box) >= _FEWEST)

@@ -34,6 +34,7 @@ BELIEVED: dict[str, set[str]] = {
     "zero": set(),
     "plus one": {
         "bound_range",  # how many points are near
+        "count_lone_lines",  # whether there are any: those that are dropped are told
         "judge_region",  # the cells beside those that are stray
         "sum_tile",  # how many finest cells a tile has, which is only reported
     },
@@ -130,12 +131,16 @@ def make_fog(points: int) -> PointCloud:
 
 
 def make_lines() -> PointCloud:
-    """A wavy sheet, scanned along lines that lie twelve times as far apart as their points."""
+    """A wavy sheet, scanned along lines that lie twelve times as far apart as their points, and a
+    wire over it."""
     x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0, 3, 0.06), np.arange(0, 3, 0.005)))
     slope = 0.9 * np.cos(3.0 * x)
     normals = np.stack([-slope, np.zeros_like(x), np.ones_like(x)], axis=1)
     normals /= np.linalg.norm(normals, axis=1)[:, None]
-    return PointCloud(np.stack([x, y, 0.3 * np.sin(3.0 * x)], axis=1), normals)
+    sheet = np.stack([x, y, 0.3 * np.sin(3.0 * x)], axis=1)
+    wire = np.linspace([0.0, 1.0, 3.0], [3.0, 1.2, 3.0], 301)
+    up = np.tile([0.0, 0.0, 1.0], (len(wire), 1))
+    return PointCloud(np.concatenate([sheet, wire]), np.concatenate([normals, up]))
 
 
 def spoil(cloud: PointCloud) -> PointCloud:

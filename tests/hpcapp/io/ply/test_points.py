@@ -235,6 +235,28 @@ def test_splats_point_along_their_shortest_axis(make_ply: Make, scales: int) -> 
     }
 
 
+def test_floaters_among_splats_are_left_out_and_counted(make_ply: Make) -> None:
+    """Training leaves fog of about 0.04; a surface has about 0.94."""
+    opacities = np.array([0.94, 0.004, 0.4, 0.04, 0.2, 0.99, 0.5])
+    names = "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3"
+    rows = np.tile([0.0, 0, 0, 0, 0, 0, 0, -3, -3, -6, 1, 0, 0, 0], (len(opacities), 1))
+    rows[:, 0], rows[:, 6] = np.arange(len(opacities)), np.log(opacities / (1.0 - opacities))
+    body = rows.astype("<f4").tobytes()
+    path = make_ply("binary_little_endian", f"element vertex 7\n{columns(names)}", body)
+    source = open_ply(path)
+    for _ in range(2):  # a file may be read more than once
+        parts = list(source.chunks(2))
+        assert [part.positions[:, 0].tolist() for part in parts] == [[0, 2], [5, 6]]
+        assert source.findings.dropped == {"splats that are hardly opaque": 3}
+
+
+def test_splats_without_an_opacity_stay(make_ply: Make) -> None:
+    names = "x y z f_dc_0 f_dc_1 f_dc_2 scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3"
+    body = np.ones((3, 13), "<f4").tobytes()
+    path = make_ply("binary_little_endian", f"element vertex 3\n{columns(names)}", body)
+    assert len(join(open_ply(path))) == 3
+
+
 def test_the_camera_is_the_scanner_unless_it_is_at_the_origin(make_ply: Make) -> None:
     for view in ([1.0, 2.0, 3.0], [0.0, 0.0, 0.0]):
         elements = f"element vertex 1\n{XYZ}element camera 1\n" + columns(

@@ -26,9 +26,46 @@ def clearances(places: list[tuple[float, float, float]], rule: SupportRule = RUL
     return measure_clearance(np.array(places), flat_square(), rule).astype(np.float64)
 
 
-def test_support_ends_a_radius_beyond_the_points() -> None:
-    inside, beside, beyond = clearances([(1.03, 0.98, 0.0), (1.0, -0.27, 0.0), (1.0, -0.32, 0.0)])
+def test_support_ends_half_a_radius_beyond_the_points() -> None:
+    inside, beside, beyond = clearances([(1.03, 0.98, 0.0), (1.0, -0.12, 0.0), (1.0, -0.15, 0.0)])
     assert inside < beside < 1.0 < beyond
+
+
+@pytest.mark.parametrize(("missing", "is_filled"), [(4, True), (6, False)])
+def test_a_gap_that_points_support_from_both_sides_stays_filled(
+    missing: int, is_filled: bool
+) -> None:
+    whole = flat_square()
+    rows = np.round(whole.positions[:, 1] / SPACING)
+    split = whole.take(np.flatnonzero((rows < 7) | (rows >= 7 + missing)))
+    y = SPACING * (6.5 + 0.5 * missing)  # in the middle of what is missing
+    along, edge = (np.array([(x, y, 0.0)]) for x in (1.03, -0.15))
+    assert (measure_clearance(along, split, RULE)[0] < 1.0) == is_filled
+    assert measure_clearance(edge, split, RULE)[0] > 1.0  # its ends are border
+
+
+def turned(turn: FloatArray) -> PointCloud:
+    flat = flat_square()
+    assert flat.normals is not None
+    return PointCloud(flat.positions @ turn.T, flat.normals @ turn.T)
+
+
+def test_a_slope_ends_as_flat_ground_does() -> None:
+    turn = np.array([[1.0, 0.0, 0.0], [0.0, 0.8, -0.6], [0.0, 0.6, 0.8]])
+    places = np.array([(1.0, -0.12, 0.0), (1.0, -0.15, 0.0)])
+    beside, beyond = measure_clearance(places @ turn.T, turned(turn), RULE)
+    assert beside < 1.0 < beyond
+
+
+def test_a_fold_is_no_border() -> None:
+    flat, wall = flat_square(), turned(np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [-1.0, 0, 0]]))
+    assert flat.normals is not None
+    assert wall.normals is not None
+    below = wall.positions - [0.0, 0.0, SPACING]
+    normals = np.concatenate([flat.normals, wall.normals])
+    box = PointCloud(np.concatenate([flat.positions, below]), normals)
+    edge = np.stack([np.zeros(19), np.linspace(0.1, 1.9, 19), np.zeros(19)], axis=1)
+    assert measure_clearance(edge, box, RULE).max() < 1.0
 
 
 def test_a_sheet_behind_the_points_is_not_theirs() -> None:
@@ -44,7 +81,7 @@ def test_a_lone_point_supports_nothing() -> None:
 def test_far_from_all_points_there_is_no_support() -> None:
     assert clearances([(50.0, 0.0, 0.0)])[0] > 1.0
     none = PointCloud(np.empty((0, 3)), np.empty((0, 3)))
-    assert measure_clearance(np.zeros((2, 3)), none, RULE).tolist() == pytest.approx([1.4, 1.4])
+    assert measure_clearance(np.zeros((2, 3)), none, RULE).tolist() == [1.5, 1.5]
 
 
 def two_densities() -> tuple[PointCloud, SupportRule]:

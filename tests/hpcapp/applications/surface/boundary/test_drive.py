@@ -93,8 +93,20 @@ def test_a_view_is_open_with_one_clean_boundary() -> None:
     spacing = np.sqrt(4.0 * np.pi / 12_000)
     assert np.abs(np.linalg.norm(mesh.vertices, axis=1) - 1.0).max() < spacing
     rim = find_rim(mesh)
-    assert -4.0 * spacing < rim[:, 2].min()  # no skirt
+    assert -2.0 * spacing < rim[:, 2].min()  # no skirt
     assert np.ptp(rim[:, 2]) < spacing  # no teeth
+
+
+@pytest.mark.parametrize("count", [22, 45, 100])
+def test_ground_ends_where_its_points_do(count: int) -> None:
+    mesh, found = open_mesh(ground(count), OpeningSettings("auto"))
+    assert (found.boundaries, found.components) == (1, 1)
+    spacing = 10.0 / (count - 1)
+    beyond = np.concatenate(
+        [-mesh.vertices[:, :2].min(axis=0), mesh.vertices[:, :2].max(axis=0) - 10.0]
+    )
+    assert beyond.min() > 0.0
+    assert beyond.max() < 2.0 * spacing
 
 
 def test_ground_has_no_skirt() -> None:
@@ -123,12 +135,12 @@ def test_holes_are_filled_up_to_a_length(fill: float, boundaries: int) -> None:
     assert (mesh.vertices[:, 2].max() > 0.98) == (boundaries == 1)
 
 
-def test_nothing_is_farther_from_the_points_than_asked() -> None:
+def test_the_border_is_half_as_far_from_the_points_as_asked() -> None:
     cloud = cap()
     mesh, _ = open_mesh(cloud, OpeningSettings("auto", Length(0.2, False), Length(0.0, False)))
     rim = find_rim(mesh)
     away = np.linalg.norm(rim[:, None] - cloud.positions[cloud.positions[:, 2] < 0.2], axis=2)
-    assert 0.1 < away.min(axis=1).max() <= 0.2
+    assert 0.05 < away.min(axis=1).max() <= 0.1
 
 
 def test_crumbs_go_and_objects_stay() -> None:

@@ -101,6 +101,12 @@ def _lines(random: Random) -> PointCloud:
     return _oriented(positions * (1.0 + random.normal(0.0, 0.001, (len(z), 1))))
 
 
+def _wires(random: Random) -> PointCloud:
+    """A sphere, and three lines of points over it."""
+    lines = [np.linspace([-2.0, 0.06 * i, 1.8], [2.0, 0.1 * i, 1.8], 800) for i in range(3)]
+    return _oriented(np.concatenate([_sphere(random, 20_000), *lines]))
+
+
 def _oriented(positions: FloatArray) -> PointCloud:
     return PointCloud(positions, positions / np.linalg.norm(positions, axis=1)[:, None])
 
@@ -118,10 +124,11 @@ CLOUDS: dict[str, Callable[[Random], PointCloud]] = {
     "fog": _fog,
     "strays": _strays,
     "lines": _lines,
+    "wires": _wires,
 }
 
 
-SPOILT = set(CLOUDS) - {"clean", "repeated", "fog", "lines"}
+SPOILT = set(CLOUDS) - {"clean", "repeated", "fog", "lines", "wires"}
 
 
 def _clean(cloud_pass: PassT) -> tuple[PassT, Cleaned, LocalScale]:
@@ -164,6 +171,7 @@ def test_regions_of_any_size_are_the_whole(tmp_path: Path, name: str, points: in
     if name in SPOILT:
         assert cleaned.outliers or cleaned.strays or cleaned.flipped
     assert (cleaned.spared > 0.7 * len(cloud)) == (name == "lines")
+    assert (cleaned.lone_lines > 2_000) == (name == "wires")
 
 
 @pytest.mark.parametrize("seed", range(6))
