@@ -64,14 +64,12 @@ SAMPLE = click.option(
 )
 @click.option(
     "--by-spacing",
-    "colouring",
-    flag_value="spacing",
+    is_flag=True,
     help="In the picture, colour the points by their spacing: dense ones blue, sparse ones yellow.",
 )
 @click.option(
     "--by-noise",
-    "colouring",
-    flag_value="noise",
+    is_flag=True,
     help="Likewise by their noise: good ones blue, bad ones yellow.",
 )
 def info(
@@ -79,7 +77,8 @@ def info(
     sample: int | None,
     as_json: bool,
     png: Path | None,
-    colouring: str | None,
+    by_spacing: bool,
+    by_noise: bool,
 ) -> None:
     """Print what point clouds hold, and what was taken for what."""
     from hpcapp.applications.points.info import describe_file
@@ -94,14 +93,17 @@ def info(
     shown = points[0] if len(points) == 1 else f"{points[0]} and others"
     for line in findings.lines():
         log.warning("warning: %s: %s", shown, line)
-    if colouring is not None and png is None:
-        raise UsageError(f"--by-{colouring} is for the picture", "add --png FILE, or leave it out")
+    if (by_spacing or by_noise) and png is None:
+        word = "--by-spacing" if by_spacing else "--by-noise"
+        raise UsageError(f"{word} is for the picture", "add --png FILE, or leave it out")
+    if by_spacing and by_noise:
+        raise UsageError("a picture has one colouring", "leave --by-spacing or --by-noise out")
     if png is not None:
         scans = source.isotropic().scans
         scanner = scans[0].scanner if len(scans) == 1 else None
-        colours = {"spacing": colour_by_spacing, "noise": colour_by_noise}
-        drawn = cloud if colouring is None else colours[colouring](cloud)
-        write_thumbnail(png, drawn, scanner, source.unit)
+        if by_spacing or by_noise:
+            cloud = colour_by_spacing(cloud) if by_spacing else colour_by_noise(cloud)
+        write_thumbnail(png, cloud, scanner, source.unit)
     if as_json:
         echo_json(facts)
         return

@@ -21,7 +21,7 @@ from hpcapp.applications.surface.cleaning.drive import (
     mend_normals,
     thin_lines,
 )
-from hpcapp.applications.surface.cloud.arranged import arrange_cloud
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass, PassT
 from hpcapp.applications.surface.cloud.measure import measure_cloud
 from hpcapp.applications.surface.cloud.measured import measure_points
@@ -138,6 +138,12 @@ def _clean(cloud_pass: PassT) -> tuple[PassT, Cleaned, LocalScale]:
     return cloud_pass, replace(thinned.plus(found), flipped=flipped), scale
 
 
+def _measure(cloud: ArrangedCloud) -> tuple[object, ...]:
+    scale = choose_scale(cloud.measure(), 0.0, 1.0, 1.0)
+    noise = scale.noise.whole, scale.noise.places.spacings.tobytes()
+    return scale.cell_size, scale.tolerance, scale.finer, scale.coarser, *noise
+
+
 def _assert_cleaned_alike(scan: PointCloud, folder: Path, workers: PointWorkers) -> Cleaned:
     arranged = MemoryPass(arrange_cloud(scan))
     kept, cleaned, scale = _clean(arranged)
@@ -147,9 +153,7 @@ def _assert_cleaned_alike(scan: PointCloud, folder: Path, workers: PointWorkers)
     assert told == cleaned
     assert same.spacings.tobytes() == scale.spacings.tobytes()
     found = measure_cloud(there, scale).cloud
-    assert choose_scale(found.measure(), 0.0, 1.0, 1.0) == choose_scale(
-        kept.cloud.measure(), 0.0, 1.0, 1.0
-    )
+    assert _measure(found) == _measure(kept.cloud)
     # By themselves the points have other blocks, and so other cells of their scale.
     assert measure_points(expected).spacing == kept.cloud.measure().spacing
     assert found.low.tolist() == expected.positions.min(axis=0).tolist()
