@@ -44,7 +44,7 @@ class LocalNoise:
     whole : float
         Standard deviation over the whole cloud, in length units of the input.
     untold : float
-        Deviations up to this are told from relief over the whole cloud only.
+        Deviations up to this cannot be told from relief.
     places : LocalScale
         Its spacings are the deviations.
     """
@@ -85,10 +85,10 @@ class LocalNoise:
         Returns
         -------
         ndarray of float64, shape (n,)
-            In length units of the input squared.
+            In length units of the input squared; the whole cloud's at least.
         """
         local = self.places.at(places) ** 2
-        variances: FloatArray = np.maximum(local - self.untold**2, np.minimum(local, self.whole**2))
+        variances: FloatArray = np.maximum(local - self.untold**2, self.whole**2)
         return variances
 
 

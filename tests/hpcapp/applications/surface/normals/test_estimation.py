@@ -39,6 +39,27 @@ def test_a_sphere_has_its_radii_as_normals(noise: float, most: float) -> None:
         assert np.median(np.linalg.norm(vectors, axis=1)) == pytest.approx(noise, rel=0.25)
 
 
+def _wall(thickness: float, noise: float) -> FloatArray:
+    """Both sides of a wall: 2 points in a square of edge 1, of which one is on each."""
+    random = np.random.default_rng(4)
+    sides = thickness * random.choice([-0.5, 0.5], size=8_000)
+    sides += noise * random.normal(size=len(sides))
+    return np.column_stack([random.uniform(0.0, np.sqrt(4_000.0), size=(8_000, 2)), sides])
+
+
+@pytest.mark.parametrize("thickness", [0.9, 1.2, 1.5])
+def test_the_sides_of_a_thin_wall_are_no_noise(thickness: float) -> None:
+    vectors = _estimate(_wall(thickness, 0.05))
+    assert np.mean(np.linalg.norm(vectors, axis=1) < 0.1) > 0.85
+    assert np.mean(_angles(vectors, np.broadcast_to([0.0, 0.0, 1.0], vectors.shape)) < 5.0) > 0.85
+
+
+def test_a_noisy_sheet_is_no_wall() -> None:
+    """The points of one spread as those of two do, but not around two planes."""
+    lengths = np.linalg.norm(_estimate(_wall(0.0, 0.7)), axis=1)
+    assert np.mean(lengths < 0.25) < 0.005
+
+
 def test_faces_of_a_box_are_flat_up_to_their_edges() -> None:
     random = np.random.default_rng(2)
     positions = random.uniform(-1.0, 1.0, (20_000, 3))

@@ -20,6 +20,9 @@ def _make_points(kind: str, seed: int) -> FloatArray:
     if kind == "grid":  # most neighbours of a point are as far away as others
         places = np.stack(np.meshgrid(*[np.arange(24)] * 2, [0, 7], indexing="ij"), axis=-1)
         return 0.1 * places.reshape(-1, 3)[random.permutation(24 * 24 * 2)].astype(np.float64)
+    if kind == "wall":  # both sides of one, little thicker than points are apart
+        sides = 0.07 * random.choice([-1.0, 1.0], size=1500) + 0.005 * random.normal(size=1500)
+        return np.column_stack([random.uniform(0.0, 2.7, size=(1500, 2)), sides])
     directions = random.normal(size=(1500, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     if kind == "noisy":  # planes of many points
@@ -31,7 +34,7 @@ def _make_points(kind: str, seed: int) -> FloatArray:
     return directions
 
 
-KINDS = ["sphere", "noisy", "uneven", "grid"]
+KINDS = ["sphere", "noisy", "uneven", "grid", "wall"]
 
 
 @pytest.mark.parametrize("kind", KINDS)
