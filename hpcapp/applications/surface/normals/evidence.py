@@ -92,7 +92,7 @@ class Views:
         cls, seen: Iterable[tuple[Int8Array, BoolArray]], patches: int, viewpoints: float
     ) -> Views:
         """Add up what `look` has returned; so many of the viewpoints could see a patch."""
-        front, back = np.zeros((2, patches), np.int64)
+        front, back = np.zeros((2, patches), np.int32)
         is_hidden = np.ones(patches, np.bool_)
         for row, is_seen in seen:
             front += np.maximum(row, 0)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from hpcapp.applications.surface.normals.patches import CELL, Patches
-from hpcapp.applications.surface.types.lattice import find_first
+from hpcapp.applications.surface.types.lattice import number_keys
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, Int8Array, IntArray
 
 __all__ = ["WHOLE", "find_seen", "look", "surround"]
@@ -26,6 +26,7 @@ _THICK = 0.5  # spacings that a patch may lie behind the plane of what is seen
 _NOISES = 3.0  # or so many standard deviations of it, where that is more
 _DISTANCE = 2.5  # of the viewpoints around an object, in half diagonals of its box
 _FINEST = 2.0**-29  # of an edge of 2: pixels of six faces are numbered in 64 bits
+_LARGE = 64  # pixels of an image for each patch
 _CLOSE = 4  # sizes of pixels, each twice the last, for patches near the viewpoint
 
 
@@ -116,9 +117,10 @@ def find_seen(
         drawn = np.flatnonzero(level_of == level)
         if not len(drawn):
             continue
+        farthest_first = drawn[np.argsort(far[drawn], kind="stable")][::-1]
         for shift, seen in ((0.0, is_seen), (0.5, is_clear)):
             pixels = _name_pixels(places, sides, pixel * 2.0**level, shift)
-            seen &= ~_find_hidden(patches, cosines, far, thick, pixels, drawn)
+            seen &= ~_find_hidden(patches, cosines, far, thick, pixels, farthest_first)
     return cosines, is_seen, is_seen & is_clear
 
 
@@ -130,15 +132,17 @@ def _find_hidden(
     pixels: IntArray,
     drawn: IntArray,
 ) -> BoolArray:
-    """Tell which patches lie behind the nearest of those drawn in their pixel."""
-    order = drawn[np.lexsort((far[drawn], pixels[drawn]))]
-    names, first = find_first(pixels[order])
-    nearest = order[first]
-    at = np.minimum(np.searchsorted(names, pixels), len(names) - 1)
-    front = nearest[at]
-    arms = patches.centres - patches.centres[front]
+    """Tell which patches lie behind the nearest of those drawn, farthest first, in their pixel."""
+    # (pixels,): the patch that was drawn last
+    shown = np.full(int(pixels.max()) + 1, len(patches))
+    shown[pixels[drawn]] = drawn
+    front = shown[pixels]
+    rows = np.flatnonzero(front < len(patches))
+    front = front[rows]
+    arms = patches.centres[rows] - patches.centres[front]
     above = np.einsum("ij,ij->i", arms, patches.normals[front]) * np.sign(cosines[front])
-    is_hidden: BoolArray = (names[at] == pixels) & (above < -thick) & (far > far[front])
+    is_hidden = np.zeros(len(patches), np.bool_)
+    is_hidden[rows] = (above < -thick[rows]) & (far[rows] > far[front])
     return is_hidden
 
 
@@ -157,4 +161,5 @@ def _name_pixels(places: FloatArray, sides: IntArray, pixel: float, shift: float
     edge = int(np.ceil(2.0 / pixel)) + 2
     columns = np.floor((places + 1.0) / pixel + shift).astype(np.int64)
     names: IntArray = (sides * edge + columns[:, 0]) * edge + columns[:, 1]
-    return names
+    # Of an image that is larger than its patches are many, only pixels with some are numbered.
+    return names if 6 * edge * edge < _LARGE * len(names) else number_keys(names)[1]
