@@ -36,7 +36,6 @@ __all__ = [
 VIEWS = 64
 """Viewpoints around an object."""
 
-_GLIMPSE = 0.3  # sum of the cosines that a patch is seen with: what is seen less is hidden
 _CLEAR = 0.125  # of the viewpoints: the sum of cosines that makes a patch's leaning a whole one
 _FEW = 8  # viewpoints that see a patch from among things: others see other parts
 _BELIEVED = 0.5  # share of the area that may be hidden from scanners that a file names
@@ -79,32 +78,33 @@ class Views:
         Cosines between the normal, or its opposite, and the directions it is seen from, summed.
     whole : float
         The sum that is clear evidence.
+    is_hidden : ndarray of bool, shape (p,)
+        Of which patches none of the viewpoints shows anything.
     """
 
     front: FloatArray
     back: FloatArray
     whole: float
+    is_hidden: BoolArray
 
     @classmethod
-    def sum(cls, rows: Iterable[Int8Array], patches: int, viewpoints: float) -> Views:
+    def sum(
+        cls, seen: Iterable[tuple[Int8Array, BoolArray]], patches: int, viewpoints: float
+    ) -> Views:
         """Add up what `look` has returned; so many of the viewpoints could see a patch."""
-        front, back = np.zeros((2, patches), np.int64)
-        for row in rows:
+        front, back = np.zeros((2, patches), np.int32)
+        is_hidden = np.ones(patches, np.bool_)
+        for row, is_seen in seen:
             front += np.maximum(row, 0)
             back -= np.minimum(row, 0)
-        return cls(front / WHOLE, back / WHOLE, _CLEAR * viewpoints)
+            is_hidden &= ~is_seen
+        return cls(front / WHOLE, back / WHOLE, _CLEAR * viewpoints, is_hidden)
 
     @classmethod
     def inside(cls, patches: Patches, places: FloatArray, spacing: float) -> Views:
         """Look from places inside, of which a patch is seen from a few."""
         rows = (look(patches, place, spacing) for place in places)
         return cls.sum(rows, len(patches), min(len(places), _FEW))
-
-    @property
-    def is_hidden(self) -> BoolArray:
-        """Of which patches none of the viewpoints shows anything."""
-        hidden: BoolArray = self.front + self.back < _GLIMPSE
-        return hidden
 
     @property
     def is_alike(self) -> BoolArray:
@@ -136,7 +136,8 @@ def share_of(patches: Patches, chosen: BoolArray) -> float:
 def face_along(patches: Patches, axis: int, sign: float, how: str, *, is_sensed: bool) -> Evidence:
     """Return the evidence that all was seen from far away along an axis."""
     along = sign * patches.normals[:, axis]
-    views = Views(np.maximum(along, 0.0), np.maximum(-along, 0.0), _CLEAR)
+    shown = np.maximum(along, 0.0), np.maximum(-along, 0.0)
+    views = Views(*shown, _CLEAR, np.zeros(len(patches), np.bool_))
     return views.evidence(how, is_sensed=is_sensed)
 
 
@@ -198,8 +199,8 @@ class Outside:
 
     Parameters
     ----------
-    rows : ndarray of int8, shape (v, p)
-        What each viewpoint sees of the whole.
+    seen : list of tuple
+        What each viewpoint sees of the whole; see `look`.
     directions : ndarray of float64, shape (v, 3)
         Where the viewpoints are, from the middle; unit length.
     radius : float
@@ -213,7 +214,7 @@ class Outside:
         Patches that are hidden, and not those of a cavity: of a closed shell inside another one.
     """
 
-    rows: Int8Array
+    seen: list[tuple[Int8Array, BoolArray]]
     directions: FloatArray
     radius: float
     views: Views
@@ -234,7 +235,7 @@ def look_outside(patches: Patches, components: IntArray, spacing: float) -> Outs
         Of the cloud, in length units of the input.
     """
     directions, radius, viewpoints = surround(patches, VIEWS)
-    seen = np.stack([look(patches, viewpoint, spacing) for viewpoint in viewpoints])
+    seen = [look(patches, viewpoint, spacing) for viewpoint in viewpoints]
     whole = shown = Views.sum(seen, len(patches), VIEWS)
     front, back = np.zeros(len(patches)), np.zeros(len(patches))
     is_content = whole.is_hidden
@@ -255,5 +256,5 @@ def look_outside(patches: Patches, components: IntArray, spacing: float) -> Outs
             break
         left = patches.take(rows)
         shown = Views.sum((look(left, v, spacing) for v in viewpoints), len(rows), VIEWS)
-    toggled = Views(front, back, whole.whole)
+    toggled = Views(front, back, whole.whole, whole.is_hidden)
     return Outside(seen, directions, radius, whole, toggled, is_content)

@@ -47,10 +47,10 @@ __all__ = [
     "weigh_readings",
 ]
 
-CERTAIN = 0.045
+CERTAIN = 0.038
 """Cost from one reading to the next from which on the first one is certain."""
 
-RARE = 0.045
+RARE = 0.03
 """What it costs that few scans are taken from inside."""
 STAND = 0.1
 """What all other readings cost where a tripod stood inside."""
@@ -102,7 +102,7 @@ class Reading:
     def cost(self, patches: Patches, is_turned: BoolArray) -> float:
         """Return the share of what is seen that is seen from behind, and all else it costs."""
         views = self.views
-        areas = areas_of(patches) * ~views.is_hidden
+        areas = areas_of(patches)
         behind = (areas * np.where(is_turned, views.front, views.back)).sum()
         seen = (areas * (views.front + views.back)).sum()
         return float(behind / max(seen, 1e-300)) + self.unseen + self.rare
@@ -206,8 +206,8 @@ def _look_from_sides(patches: Patches, outside: Outside, rare: float) -> list[Re
     found = []
     middle = 0.5 * (patches.centres.min(axis=0) + patches.centres.max(axis=0))
     for side in _SIDES:
-        rows = outside.rows[outside.directions @ side > _AROUND]
-        views = Views.sum(rows, len(patches), len(rows))
+        rows = np.flatnonzero(outside.directions @ side > _AROUND)
+        views = Views.sum((outside.seen[row] for row in rows), len(patches), len(rows))
         name = _name_side(side)
         habit = 0.5 * HABIT * (1.0 - float(side[2]))
         unseen = share_of(patches, views.is_hidden)

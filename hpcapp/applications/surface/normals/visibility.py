@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from hpcapp.applications.surface.normals.patches import CELL, Patches
-from hpcapp.applications.surface.types.lattice import find_first
+from hpcapp.applications.surface.types.lattice import number_keys
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, Int8Array, IntArray
 
 __all__ = ["WHOLE", "find_seen", "look", "surround"]
@@ -26,6 +26,7 @@ _THICK = 0.5  # spacings that a patch may lie behind the plane of what is seen
 _NOISES = 3.0  # or so many standard deviations of it, where that is more
 _DISTANCE = 2.5  # of the viewpoints around an object, in half diagonals of its box
 _FINEST = 2.0**-29  # of an edge of 2: pixels of six faces are numbered in 64 bits
+_LARGE = 64  # pixels of an image for each patch
 _CLOSE = 4  # sizes of pixels, each twice the last, for patches near the viewpoint
 
 
@@ -50,7 +51,7 @@ def surround(patches: Patches, count: int) -> tuple[FloatArray, float, FloatArra
     return directions, radius, 0.5 * (low + high) + radius * directions
 
 
-def look(patches: Patches, viewpoint: FloatArray, spacing: float) -> Int8Array:
+def look(patches: Patches, viewpoint: FloatArray, spacing: float) -> tuple[Int8Array, BoolArray]:
     """Look at patches from a viewpoint.
 
     Parameters
@@ -63,17 +64,19 @@ def look(patches: Patches, viewpoint: FloatArray, spacing: float) -> Int8Array:
 
     Returns
     -------
-    ndarray of int8, shape (p,)
-        The cosine between the normal of each patch and the direction to the viewpoint, in 127ths;
-        0 where the patch is not seen from there.
+    cosines : ndarray of int8, shape (p,)
+        Between the normal of each patch and the direction to the viewpoint, in 127ths; 0 where
+        the patch is not clearly seen from there.
+    is_seen : ndarray of bool, shape (p,)
+        See `find_seen`.
     """
-    cosines, is_seen = find_seen(patches, viewpoint, spacing)
-    return np.where(is_seen, np.rint(WHOLE * cosines), 0.0).astype(np.int8)
+    cosines, is_seen, is_clear = find_seen(patches, viewpoint, spacing)
+    return np.where(is_clear, np.rint(WHOLE * cosines), 0.0).astype(np.int8), is_seen
 
 
 def find_seen(
     patches: Patches, viewpoint: FloatArray, spacing: float
-) -> tuple[FloatArray, BoolArray]:
+) -> tuple[FloatArray, BoolArray, BoolArray]:
     """Find the patches that are seen from a viewpoint.
 
     Parameters
@@ -90,6 +93,9 @@ def find_seen(
         Of the angle between the normal and the direction to the viewpoint.
     is_seen : ndarray of bool, shape (p,)
         Those seen at less than 75 degrees that nothing lies in front of.
+    is_clear : ndarray of bool, shape (p,)
+        Those of them that are seen in pixels that are shifted by half of one, too: at an edge,
+        what hides a patch may be in the next pixel.
 
     Notes
     -----
@@ -106,12 +112,16 @@ def find_seen(
     near = np.maximum(_PIXEL * spacing / far / pixel, 1e-300)
     level_of = np.clip(np.ceil(np.log2(near)), 0, _CLOSE - 1).astype(np.int64)
     is_seen = np.abs(cosines) > _LEAST_COSINE
+    is_clear = is_seen.copy()
     for level in range(int(level_of.max(initial=0)) + 1):
         drawn = np.flatnonzero(level_of == level)
-        if len(drawn):
-            pixels = _name_pixels(places, sides, pixel * 2.0**level)
-            is_seen &= ~_find_hidden(patches, cosines, far, thick, pixels, drawn)
-    return cosines, is_seen
+        if not len(drawn):
+            continue
+        farthest_first = drawn[np.argsort(far[drawn], kind="stable")][::-1]
+        for shift, seen in ((0.0, is_seen), (0.5, is_clear)):
+            pixels = _name_pixels(places, sides, pixel * 2.0**level, shift)
+            seen &= ~_find_hidden(patches, cosines, far, thick, pixels, farthest_first)
+    return cosines, is_seen, is_seen & is_clear
 
 
 def _find_hidden(
@@ -122,15 +132,17 @@ def _find_hidden(
     pixels: IntArray,
     drawn: IntArray,
 ) -> BoolArray:
-    """Tell which patches lie behind the nearest of those drawn in their pixel."""
-    order = drawn[np.lexsort((far[drawn], pixels[drawn]))]
-    names, first = find_first(pixels[order])
-    nearest = order[first]
-    at = np.minimum(np.searchsorted(names, pixels), len(names) - 1)
-    front = nearest[at]
-    arms = patches.centres - patches.centres[front]
+    """Tell which patches lie behind the nearest of those drawn, farthest first, in their pixel."""
+    # (pixels,): the patch that was drawn last
+    shown = np.full(int(pixels.max()) + 1, len(patches))
+    shown[pixels[drawn]] = drawn
+    front = shown[pixels]
+    rows = np.flatnonzero(front < len(patches))
+    front = front[rows]
+    arms = patches.centres[rows] - patches.centres[front]
     above = np.einsum("ij,ij->i", arms, patches.normals[front]) * np.sign(cosines[front])
-    is_hidden: BoolArray = (names[at] == pixels) & (above < -thick) & (far > far[front])
+    is_hidden = np.zeros(len(patches), np.bool_)
+    is_hidden[rows] = (above < -thick[rows]) & (far[rows] > far[front])
     return is_hidden
 
 
@@ -144,9 +156,10 @@ def _project(arms: FloatArray) -> tuple[FloatArray, IntArray]:
     return np.stack(across, axis=1), 2 * axes + (depth > 0.0)
 
 
-def _name_pixels(places: FloatArray, sides: IntArray, pixel: float) -> IntArray:
-    """Return a number for the pixel of each place."""
-    edge = int(np.ceil(2.0 / pixel)) + 1
-    columns = np.floor((places + 1.0) / pixel).astype(np.int64)
+def _name_pixels(places: FloatArray, sides: IntArray, pixel: float, shift: float) -> IntArray:
+    """Return a number for the pixel of each place, on a lattice that is shifted."""
+    edge = int(np.ceil(2.0 / pixel)) + 2
+    columns = np.floor((places + 1.0) / pixel + shift).astype(np.int64)
     names: IntArray = (sides * edge + columns[:, 0]) * edge + columns[:, 1]
-    return names
+    # Of an image that is larger than its patches are many, only pixels with some are numbered.
+    return names if 6 * edge * edge < _LARGE * len(names) else number_keys(names)[1]

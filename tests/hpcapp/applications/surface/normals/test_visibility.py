@@ -33,7 +33,7 @@ def _look_around(patches: Patches) -> Views:
 
 def test_half_of_a_ball_is_seen() -> None:
     ball = _ball()
-    cosines, is_seen = find_seen(ball, np.array([0.0, 0.0, 50.0]), SPACING)
+    cosines, is_seen, _ = find_seen(ball, np.array([0.0, 0.0, 50.0]), SPACING)
     assert np.allclose(cosines, ball.normals[:, 2], atol=0.05)
     up = ball.centres[:, 2]
     assert is_seen[up > 0.4].mean() > 0.3  # others in their pixel bend away from the nearest
@@ -43,13 +43,13 @@ def test_half_of_a_ball_is_seen() -> None:
 @pytest.mark.parametrize("spacing", [SPACING, 1e-7])
 def test_pixels_are_numbered_however_far_the_viewpoint_is(spacing: float) -> None:
     ball = _ball()
-    _, is_seen = find_seen(ball, np.array([0.0, 0.0, 1e13]), spacing)
+    _, is_seen, _ = find_seen(ball, np.array([0.0, 0.0, 1e13]), spacing)
     assert is_seen[np.argmax(ball.centres[:, 2])]
     assert not is_seen[ball.centres[:, 2] < -0.9].any()
 
 
 def test_all_of_a_ball_is_seen_from_within() -> None:
-    _, is_seen = find_seen(_ball(), np.array([0.1, 0.0, -0.2]), SPACING)
+    _, is_seen, _ = find_seen(_ball(), np.array([0.1, 0.0, -0.2]), SPACING)
     assert is_seen.all()
 
 
@@ -76,6 +76,6 @@ def test_both_sides_of_a_plate_are_told_apart() -> None:
 def test_who_stands_on_a_patch_sees_what_there_is_to_see(size: float) -> None:
     one = np.ones(1, np.int64)
     patches = Patches(one, 0 * one, one, size * np.ones((1, 3)), np.eye(3)[:1], size * np.ones(1))
-    cosines, is_seen = find_seen(patches, size * np.ones(3), size)
+    cosines, is_seen, _ = find_seen(patches, size * np.ones(3), size)
     assert cosines.tolist() == [0.0]
     assert is_seen.tolist() == [False]
