@@ -3,10 +3,10 @@
 
     HPCAPP_DATA=DIR benchmarks/decisions.py [--only REGEX] [-o FOLDER]
 
-Of each scan of the folders `tuning`, `raw` and `cases`, what its readings cost but for how rare
-they are, as `readings` weighs them (`decisions-sides.json`). Of each scan with right normals, what
-`follows_place` sees of these, and of the same normals turned to +z, to a camera, and to a place
-inside (`decisions-normals.json`). `tests/benchmarks/test_decisions.py` holds the margins.
+Of each scan of the folders `tuning`, `raw`, `lines` and `cases`, what its readings cost but for how
+rare they are, as `readings` weighs them (`decisions-sides.json`). Of each scan with right normals,
+what `follows_place` sees of these, and of the same normals turned to +z, to a camera, and to a
+place inside (`decisions-normals.json`). `tests/benchmarks/test_decisions.py` holds the margins.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from pathlib import Path
 
 import numpy as np
 
-from hpcapp.applications.surface.cleaning.drive import drop_strays
+from hpcapp.applications.surface.cleaning.drive import drop_strays, thin_lines
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
-from hpcapp.applications.surface.cloud.measure import draw_boxes, measure_scale, measure_spacing
+from hpcapp.applications.surface.cloud.measure import draw_boxes, measure_spacing
 from hpcapp.applications.surface.normals.consistency import weigh_torn
 from hpcapp.applications.surface.normals.estimation import estimate_normals
 from hpcapp.applications.surface.normals.evidence import areas_of
@@ -51,6 +51,7 @@ GROUPS = {
         "cases/room*.xyz",
         "cases/tunnel*.xyz",
     ),
+    "street, yard": ("lines/lines/s*.ply", "lines/lines/yard*.ply"),
     "whole": ("tuning/scans/*.ply", "raw/objects/*.ply"),
     "view, terrain": (
         "raw/airborne/[cht]*",
@@ -73,7 +74,8 @@ def find_sides(path: Path, group: str) -> Row:
     """Return a row of what the readings of a scan cost."""
     points, _ = drop_unusable(read_whole(open_points(path)), path.name)
     cloud_pass = MemoryPass(arrange_cloud(drop_far(PointCloud(points.positions))))
-    cloud_pass, _, scale = drop_strays(cloud_pass, measure_scale(cloud_pass)[0])
+    cloud_pass, _, scale = thin_lines(cloud_pass)
+    cloud_pass, _, scale = drop_strays(cloud_pass, scale)
     positions, low = cloud_pass.cloud.points.positions, cloud_pass.cloud.low
     every, spacing = np.ones(len(positions), np.bool_), scale.spacing
     corner = lay_lattice(low, spacing)

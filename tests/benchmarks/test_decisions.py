@@ -51,8 +51,10 @@ def test_a_scan_from_inside_is_as_rare_as_parts_objects_and_rooms() -> None:
 
 
 def test_habit_decides_where_nothing_else_does() -> None:
-    for factor in (0.5, 0.9, 1.1, 1.5):
+    """A yard and a street, of which the sky saw nothing, look as well from below."""
+    for factor in (0.9, 1.0, 1.1, 2.0):
         assert _misread(habit=factor * HABIT) == 0
+    assert _misread(habit=0.5 * HABIT) > 0
     views = [s for s in SIDES if s["group"] == "view, terrain" and s["turned"] != ""]
     gaps = [abs(view["turned"] - view["side"]) for view in views]
     assert sum(gap < 0.5 * HABIT for gap in gaps) > len(gaps) / 2
@@ -67,7 +69,7 @@ def test_sure_is_what_all_rivals_leave_by_far() -> None:
     assert _sure(0.9) == _sure(1.0) == _sure(1.1)
     assert _sure(0.5) > _sure(1.0) > _sure(1.5)
     sure = [scan for scan in SIDES if scan["scan"] in _sure(1.0)]
-    assert len(sure) > 0.85 * len(SIDES)
+    assert len(sure) > 0.8 * len(SIDES)
 
 
 @pytest.mark.parametrize("signed", ["to +z", "to a camera", "to the middle"])
