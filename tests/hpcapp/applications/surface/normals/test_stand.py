@@ -29,6 +29,10 @@ def test_a_depth_image_shows_its_pixels(axes: list[int], every: int) -> None:
     assert has_pixels(shuffled[:3_000])
 
 
+def test_whole_millimetres_hide_no_pixels() -> None:
+    assert has_pixels(np.rint(1000.0 * _depth_image([0, 1, 2])))
+
+
 def test_what_was_moved_away_from_its_camera_shows_none() -> None:
     image = _depth_image([0, 1, 2])
     assert not has_pixels(image + np.array([0.1, 0.0, 0.0]))
