@@ -46,8 +46,7 @@ def _misread(rare: float = RARE, habit: float = HABIT) -> int:
 def test_a_scan_from_inside_is_as_rare_as_parts_objects_and_rooms() -> None:
     assert _misread() == 0
     assert _misread(rare=0.9 * RARE) == _misread(rare=1.1 * RARE) == 0
-    assert _misread(rare=0.5 * RARE) > 0
-    assert _misread(rare=2.0 * RARE) > 0
+    assert _misread(rare=2.0 * RARE) > 0  # half of it: see `test_readings`
 
 
 def test_habit_decides_where_nothing_else_does() -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.surface.cloud.spacing import estimate_spacing
+from hpcapp.applications.surface.normals import readings
 from hpcapp.applications.surface.normals.estimation import estimate_normals
 from hpcapp.applications.surface.normals.inside import AMPLE, find_inside
 from hpcapp.applications.surface.normals.linked import LinkedPatches
@@ -147,6 +148,15 @@ def test_a_ball_is_no_room() -> None:
     normals, oriented = _orient(ball)
     assert (np.einsum("ij,ij->i", normals, ball) > 0.0).all()
     assert _share_sure(oriented) == 1.0
+
+
+def test_a_cube_is_no_room(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Grazing views see some of its sides from behind, by the width of an edge."""
+    places = np.stack(np.meshgrid(*[np.arange(31.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    cube = places[((places == 0.0) | (places == 30.0)).any(axis=1)]
+    assert _read(cube)[0] == "outside"
+    monkeypatch.setattr(readings, "RARE", 0.5 * readings.RARE)
+    assert _read(cube)[0] == "inside"
 
 
 def test_habit_decides_between_sides_alone() -> None:
