@@ -15,7 +15,7 @@ CONSTANTS = (
     ("noise", "field.weights:SAME_NOISE", "times the variance, that is the same noise"),
     ("noise", "field.weights:_BIAS_GROWTH", "what of the rest is missed detail"),
     ("noise", "field.local_noise:SHARE", "deviations across a cell, at most, that it tells"),
-    ("noise", "field.local_noise:_QUARTILE", "quantile of a pool's variances that counts"),
+    ("noise", "field.local_noise:QUARTILE", "quantile of a pool's variances that counts"),
     ("noise", "field.local_noise:_FEWEST", "vertices of a pool"),
     ("noise", "field.local_noise:_UNTOLD", "spacings: what relief leaves, too"),
     ("noise", "field.weights:_LEAST_LOCAL", "of the cloud's variance, at least, at a vertex"),

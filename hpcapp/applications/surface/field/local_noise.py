@@ -23,11 +23,13 @@ from hpcapp.applications.surface.types.lattice import ancestor_keys, unique_keys
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpccomponent.protocol.records import record
 
-__all__ = ["SHARE", "LocalNoise", "Residuals", "map_noise"]
+__all__ = ["QUARTILE", "SHARE", "LocalNoise", "Residuals", "map_noise"]
 
 SHARE = 0.15
-"""Standard deviations of the noise across a cell, at most, that it tells."""
-_QUARTILE = 0.25  # edges and thin parts, which no quadric fits, are in the upper ones
+"""Standard deviations of the noise across a cell, at most, that it tells: of a spot of .8 spacings
+.3 tells a tenth less, and .07 the same."""
+QUARTILE = 0.25
+"""Of the variances, that counts: edges and thin parts, which no quadric fits, are above it."""
 _FEWEST = 8  # vertices of a pool
 _SMALLEST, _LARGEST = 2, 9  # doublings of the finest cells that make pools
 _EDGE_GROWTH = 4.0  # of what edges leave in cells of double the size
@@ -175,6 +177,6 @@ def _take_quartiles(cells: IntArray, keys: IntArray, variances: FloatArray) -> F
     counts = np.bincount(rows, minlength=len(cells))[: len(cells)]
     quartiles = np.full(len(cells), np.nan)
     rich = counts >= _FEWEST
-    nth = (_QUARTILE * (counts[rich] - 1)).astype(np.int64)
+    nth = (QUARTILE * (counts[rich] - 1)).astype(np.int64)
     quartiles[rich] = variances[order[np.cumsum(counts)[rich] - counts[rich] + nth]]
     return quartiles

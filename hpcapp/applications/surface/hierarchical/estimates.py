@@ -10,7 +10,13 @@ import numpy as np
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.cloud.measured import Measured
 from hpcapp.applications.surface.field.cell_points import SortedPoints
-from hpcapp.applications.surface.field.local_noise import SHARE, LocalNoise, Residuals, map_noise
+from hpcapp.applications.surface.field.local_noise import (
+    QUARTILE,
+    SHARE,
+    LocalNoise,
+    Residuals,
+    map_noise,
+)
 from hpcapp.applications.surface.field.pyramid import (
     Level,
     VertexQuadrics,
@@ -40,7 +46,7 @@ _PROBE_SPACINGS = 2.0
 _PROBE_LAM = 0.3
 _PROBE_ROUNDS = 5
 _PROBE_POINTS = 14, 24, 24, 24  # in the finer and in the coarser cells of a probe
-_QUANTILE, _TO_MEDIAN = 0.25, 1.0
+_TO_MEDIAN = 1.0
 _FREE = 10
 _AGREEING = 0.2  # misfits are about 1 where two sheets oppose; a gear's teeth tell .1, not .5
 _NOISE_SHARE = 0.5  # of residuals: what remains is detail, and no point of it is wrong
@@ -114,7 +120,7 @@ class _Probe:
     def quartile(self, level: int) -> float:
         """Return the lower quartile of a level's variances; 0 where it has none."""
         variances = np.sort(self.residuals[min(level, len(self.residuals) - 1)].variances)
-        return float(variances[int(_QUANTILE * (len(variances) - 1))]) if len(variances) else 0.0
+        return float(variances[int(QUARTILE * (len(variances) - 1))]) if len(variances) else 0.0
 
 
 def _leave_dense(measured: Measured) -> PointCloud:
@@ -129,8 +135,9 @@ def _probe(sample: PointCloud, spacing: float, threads: int) -> _Noise:
 
     Notes
     -----
-    A probe fits quadrics in cells of two sizes, two and four spacings, and takes the lower
-    quartile of the residual variances RSS / (n - 10): edges and thin parts, which no quadric
+    A probe fits quadrics in cells of two to sixteen spacings. All sizes tell the noise of places
+    (see `local_noise`), the two finer ones that of the whole cloud: by the lower quartile of the
+    residual variances RSS / (n - 10): edges and thin parts, which no quadric
     fits, are in the upper ones. Noise is the same in cells of both sizes; what grows with the
     cell is detail that the quadrics miss, and is taken off. Where the noise exceeds 0.15 of the
     finer cells, they cut its tails off, and a probe with larger ones is made. Large clouds are

@@ -35,8 +35,9 @@ class Hierarchical:
         ``yes`` for a watertight mesh, ``no`` for one that is open where no point supports it,
         ``auto`` for one that is open where the points are plainly a view, a terrain or a room.
     trim : str
-        How far from the points an open mesh goes: in units of the input, as ``0.05``, in spacings,
-        as ``3s``, or ``auto``. A length asks for an open mesh.
+        Half the width of the gaps between points that an open mesh bridges; its border ends about
+        half as far from the points: in units of the input, as ``0.05``, in spacings, as ``3s``, or
+        ``auto``. A length asks for an open mesh.
     fill_holes : str
         Holes of an open mesh that are no larger than this are filled; likewise.
     uniform : bool
@@ -63,7 +64,7 @@ class Hierarchical:
     )
     trim: str = option(
         "auto",
-        "How far from the points an open mesh goes: a length, or spacings as 3s; asks for one.",
+        "Open, with gaps up to twice as wide bridged: a length, or spacings as 3s.",
     )
     fill_holes: str = option(
         "auto", "Holes of an open mesh up to this size are filled: a length, or spacings as 10s."

@@ -33,6 +33,14 @@ def test_whole_millimetres_hide_no_pixels() -> None:
     assert has_pixels(np.rint(1000.0 * _depth_image([0, 1, 2])))
 
 
+def test_a_wall_behind_hides_no_pixels() -> None:
+    """Most columns are as even in space as in the image; the others are in the image alone."""
+    columns, rows = (axis.ravel() for axis in np.meshgrid(np.arange(160.0), np.arange(120.0)))
+    depth = np.where(np.hypot(columns - 80.0, rows - 60.0) < 40.0, 1.1 + 0.001 * columns, 1.5)
+    across = np.stack([columns - 79.5, rows - 59.5, np.full(len(rows), 150.0)], axis=1) / 150.0
+    assert has_pixels(np.rint(1000.0 * across * depth[:, None]))
+
+
 def test_what_was_moved_away_from_its_camera_shows_none() -> None:
     image = _depth_image([0, 1, 2])
     assert not has_pixels(image + np.array([0.1, 0.0, 0.0]))

@@ -31,8 +31,8 @@ _PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 _SHEET_COUNT = 3  # whose points may lie on two sheets
 _THICK = 0.3  # spacings: the residual from which on that is asked
 _APART = 0.18
-"""Residual around two parallel planes, by that around one. A wall of 1.3 spacings has .06 to .11;
-of single sheets, noisy ones too, one point in a thousand has .2, and half have .5."""
+"""Residual around two parallel planes, by that around one. Most points of a wall of 1.3 spacings
+have .06 to .11; of single sheets half have .5, and one in a thousand has .2 to .36."""
 _ALIKE = 0.8  # cos of the angle between the normals of both
 _SHEET_LEAST, _SHEET_ROUNDS = 4, 3
 
