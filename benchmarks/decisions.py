@@ -28,13 +28,14 @@ from hpcapp.applications.surface.normals.consistency import weigh_torn
 from hpcapp.applications.surface.normals.estimation import estimate_normals
 from hpcapp.applications.surface.normals.evidence import areas_of
 from hpcapp.applications.surface.normals.linked import LinkedPatches
-from hpcapp.applications.surface.normals.patches import CELL, Patches, find_patches
+from hpcapp.applications.surface.normals.patches import CELL, Links, Patches, find_patches
 from hpcapp.applications.surface.normals.readings import (
     HABIT,
     Followed,
     choose,
     find_readings,
     follow_reading,
+    lies_level,
 )
 from hpcapp.applications.surface.reading.reach import drop_far
 from hpcapp.applications.surface.types.lattice import lay_lattice
@@ -66,12 +67,12 @@ GROUPS = {
 Row = list[str | float]
 SAME = 0.8  # share of the area on which two readings agree that say the same
 SIDES = ["scan", "group", "outside", "inside", "stand", "name of the side", "side", "habit",
-         "turned", "right"]  # fmt: skip
+         "level", "turned", "right"]  # fmt: skip
 NORMALS = ["scan", "signed", "following", "pairs", "torn"]
 
 
-def find_sides(path: Path, group: str) -> Row:
-    """Return a row of what the readings of a scan cost."""
+def group_points(path: Path) -> tuple[Patches, Links, float]:
+    """Return the patches of a scan, their links, and its spacing."""
     points, _ = drop_unusable(read_whole(open_points(path)), path.name)
     cloud_pass = MemoryPass(arrange_cloud(drop_far(PointCloud(points.positions))))
     cloud_pass, _, scale = thin_lines(cloud_pass)
@@ -80,7 +81,12 @@ def find_sides(path: Path, group: str) -> Row:
     every, spacing = np.ones(len(positions), np.bool_), scale.spacing
     corner = lay_lattice(low, spacing)
     vectors = estimate_normals(positions, every, corner, spacing)
-    patches, links = find_patches(positions, vectors, every, corner, spacing)
+    return *find_patches(positions, vectors, every, corner, spacing), spacing
+
+
+def find_sides(path: Path, group: str) -> Row:
+    """Return a row of what the readings of a scan cost."""
+    patches, links, spacing = group_points(path)
     linked = LinkedPatches(patches, links)
     found = [
         follow_reading(patches, linked, some) for some in find_readings(patches, linked, spacing)
@@ -110,6 +116,7 @@ def find_sides(path: Path, group: str) -> Row:
         sides[0].reading.kind,
         costs["side"],
         round((sides[0].reading.habit or 0.0) / HABIT, 3),
+        float(lies_level(patches)),
         costs.get("turned", ""),
         " ".join(right),
     ]

@@ -14,9 +14,10 @@ import pytest
 
 from hpcapp.applications.surface.normals.consistency import TORN, Torn
 from hpcapp.applications.surface.normals.orientation import SURE
-from hpcapp.applications.surface.normals.readings import CERTAIN, HABIT, RARE, choose
+from hpcapp.applications.surface.normals.readings import CERTAIN, GROUND, HABIT, RARE, choose
 
 RESULTS = Path(__file__).parents[2] / "benchmarks" / "results"
+GROUNDS = "street, yard", "view, terrain"
 READINGS = ("outside", "inside", "side", "turned")
 
 
@@ -28,19 +29,25 @@ def _read(name: str) -> list[dict[str, Any]]:
 SIDES, NORMALS = _read("decisions-sides"), _read("decisions-normals")
 
 
-def _weigh(scan: dict[str, Any], rare: float, habit: float) -> tuple[bool, float]:
+def _weigh(
+    scan: dict[str, Any], rare: float, habit: float, ground: float = GROUND
+) -> tuple[bool, float]:
     """Return whether a scan is read rightly, and by which margin over what turns it round."""
     names = [name for name in READINGS if scan[name] != ""]
     costs = [scan[name] + (rare if name == "inside" else scan["stand"]) for name in names]
-    habits = {"side": habit * scan["habit"], "turned": habit * (1.0 - scan["habit"])}
-    best = choose(costs, [habits.get(name) for name in names])
+    downwards = {"side": scan["habit"], "turned": 1.0 - scan["habit"]}
+    costs = [
+        cost + ground * scan["level"] * downwards.get(name, 0.0)
+        for name, cost in zip(names, costs, strict=True)
+    ]
+    best = choose(costs, [habit * downwards[name] if name in downwards else None for name in names])
     right = scan["right"].split()
     rivals = [cost for name, cost in zip(names, costs, strict=True) if name not in right]
     return names[best] in right, min(rivals, default=1.0) - costs[best]
 
 
-def _misread(rare: float = RARE, habit: float = HABIT) -> int:
-    return sum(not _weigh(scan, rare, habit)[0] for scan in SIDES)
+def _misread(rare: float = RARE, habit: float = HABIT, ground: float = GROUND) -> int:
+    return sum(not _weigh(scan, rare, habit, ground)[0] for scan in SIDES)
 
 
 def test_a_scan_from_inside_is_as_rare_as_parts_objects_and_rooms() -> None:
@@ -49,24 +56,31 @@ def test_a_scan_from_inside_is_as_rare_as_parts_objects_and_rooms() -> None:
     assert _misread(rare=2.0 * RARE) > 0  # half of it: see `test_readings`
 
 
-def test_habit_decides_where_nothing_else_does() -> None:
+def test_rare_has_room_on_both_sides() -> None:
+    assert _misread(rare=0.7 * RARE) == _misread(rare=1.3 * RARE) == 0
+    assert _misread(rare=0.5 * RARE) > 0
+
+
+def test_few_look_at_the_ground_from_below() -> None:
     """A yard and a street, of which the sky saw nothing, look as well from below."""
     for factor in (0.9, 1.0, 1.1, 2.0):
-        assert _misread(habit=factor * HABIT) == 0
-    assert _misread(habit=0.5 * HABIT) > 0
-    views = [s for s in SIDES if s["group"] == "view, terrain" and s["turned"] != ""]
-    gaps = [abs(view["turned"] - view["side"]) for view in views]
-    assert sum(gap < 0.5 * HABIT for gap in gaps) > len(gaps) / 2
+        assert _misread(habit=factor * HABIT) == _misread(ground=factor * GROUND) == 0
+    assert _misread(habit=0.25 * HABIT, ground=0.25 * GROUND) > 0
+    lying = {scan["scan"] for scan in SIDES if scan["level"] and scan["group"] in GROUNDS}
+    assert len(lying) > 20
+    assert lying <= _sure(1.0, 0.9 * GROUND)
+    assert lying <= _sure(1.0)
+    assert not lying <= _sure(1.0, 0.5 * GROUND)
 
 
-def _sure(factor: float) -> set[str]:
+def _sure(factor: float, ground: float = GROUND) -> set[str]:
     least = factor * SURE * CERTAIN
-    return {scan["scan"] for scan in SIDES if _weigh(scan, RARE, HABIT)[1] >= least}
+    return {scan["scan"] for scan in SIDES if _weigh(scan, RARE, HABIT, ground)[1] >= least}
 
 
 def test_sure_is_what_all_rivals_leave_by_far() -> None:
     assert _sure(0.9) == _sure(1.0) == _sure(1.1)
-    assert _sure(0.5) > _sure(1.0) > _sure(1.5)
+    assert _sure(1.0) > _sure(1.5)
     sure = [scan for scan in SIDES if scan["scan"] in _sure(1.0)]
     assert len(sure) > 0.8 * len(SIDES)
 

@@ -188,7 +188,8 @@ def hear_sensor(
     rows = (look(patches, place, spacing) for place in sensor.places + zero)
     views = Views.sum(rows, len(patches), len(sensor.places))
     if sensor.is_told or share_of(patches, views.is_hidden) < _BELIEVED:
-        how = "from where the scanner stood"
+        is_camera = sensor.axes is not None and bool(sensor.axes.any())
+        how = f"from where the {'cameras were' if is_camera else 'scanner stood'}"
         return views.evidence(how, is_sensed=True)
     return None
 

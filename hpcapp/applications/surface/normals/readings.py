@@ -35,6 +35,7 @@ from hpcapp.applications.surface.types.points import BoolArray, FloatArray
 
 __all__ = [
     "CERTAIN",
+    "GROUND",
     "HABIT",
     "RARE",
     "STAND",
@@ -44,22 +45,27 @@ __all__ = [
     "find_readings",
     "follow",
     "follow_reading",
+    "lies_level",
     "weigh_readings",
 ]
 
-CERTAIN = 0.05
+CERTAIN = 0.026
 """Cost from one reading to the next from which on the first one is certain."""
 
-RARE = 0.044
-"""What it costs that few scans are taken from inside. Without it cubes cost .019 to .038 less from
-inside than from outside, for views that graze their edges leak; rooms .050 less and more."""
+RARE = 0.026
+"""What it costs that few scans are taken from inside. Without it objects (boxes, one on a table)
+cost up to .015 less from inside than from outside, rooms .037 less and more."""
 STAND = 0.1
 """What all other readings cost where a tripod stood inside."""
 HABIT = 0.06
-"""What a view from below costs more than one from above: z is up, most often. A yard or a street
-that a tripod or a car stood in is a bowl, which is seen from below without a fault, and from above
-with .009 to .038 more."""
+"""What a view from below costs more than one from above: z is up, most often."""
+GROUND = 0.12
+"""And what it costs more where the thing lies level, wide in x and y and thin in z: few look at the
+ground from below. A yard or a street that somebody stood in is a bowl, which is seen from below
+without a fault, and from above with .01 to .04 more."""
 
+_THIN = 0.6  # thickness of what lies level by its width: streets .51, objects and rooms all
+_LEVEL = 0.72  # cosine of its thin axis to z: a hillside of 35 degrees .82, a corner .63
 _AROUND = 0.2  # cosine of the angle around a direction that a view from one side comes from
 _ALONE = 0.5  # and of that within which one of two such views is enough
 _STEEP = 0.7  # cosine to z of a side that the words above and below stand for
@@ -207,16 +213,18 @@ def find_readings(patches: Patches, linked: LinkedPatches, spacing: float) -> li
 def _look_from_sides(patches: Patches, outside: Outside, rare: float) -> list[Reading]:
     """Return what is seen from one side, for the sides that explain more than those beside them."""
     found = []
+    ground = GROUND * lies_level(patches)
     middle = 0.5 * (patches.centres.min(axis=0) + patches.centres.max(axis=0))
     for side in _SIDES:
         rows = np.flatnonzero(outside.directions @ side > _AROUND)
         views = Views.sum((outside.seen[row] for row in rows), len(patches), len(rows))
         name = _name_side(side)
-        habit = 0.5 * HABIT * (1.0 - float(side[2]))
+        downwards = 0.5 * (1.0 - float(side[2]))
+        habit, cost = HABIT * downwards, rare + ground * downwards
         unseen = share_of(patches, views.is_hidden)
         seen, place = views.evidence(f"from {name}"), middle + outside.radius * side
         word = "" if abs(side[2]) < _STEEP else "above" if side[2] > 0.0 else "below"
-        found.append(Reading(name, views, seen, unseen, rare, habit, place, word))
+        found.append(Reading(name, views, seen, unseen, cost, habit, place, word))
     bounds = [
         reading.cost(patches, reading.views.front < reading.views.back) + (reading.habit or 0.0)
         for reading in found
@@ -226,6 +234,15 @@ def _look_from_sides(patches: Patches, outside: Outside, rare: float) -> list[Re
         if all(_SIDES[row] @ _SIDES[other] < _ALONE for other in kept):
             kept.append(int(row))
     return [found[row] for row in kept]
+
+
+def lies_level(patches: Patches) -> bool:
+    """Tell whether a cloud is wide in x and y, and thin in z."""
+    areas = areas_of(patches)
+    arms = patches.centres - np.average(patches.centres, axis=0, weights=areas)
+    spreads, axes = np.linalg.eigh(np.einsum("n,ni,nj->ij", areas, arms, arms))
+    is_thin = spreads[0] < _THIN**2 * spreads[1]
+    return bool(is_thin and abs(axes[2, 0]) > _LEVEL)
 
 
 def _name_side(side: FloatArray) -> str:

@@ -21,6 +21,10 @@ WHOLE = 127.0
 
 _PIXEL = 1.5 * CELL  # spacings: two patches of a sheet are seen in a pixel
 _LEAST_COSINE = 0.25  # of the angle between a normal and the line of sight
+_BENT = 0.56
+"""Spacings of residual that a plane leaves across two faces at a right angle, 45 degrees off both.
+As much more than usual as a patch leaves, by this, the slope of the true surface may differ."""
+_STEEPEST = 0.71  # cosine: so far off is a plane across a right angle
 _NEAREST = 1e-12  # spacings
 _THICK = 0.5  # spacings that a patch may lie behind the plane of what is seen
 _NOISES = 3.0  # or so many standard deviations of it, where that is more
@@ -95,7 +99,8 @@ def find_seen(
         Those seen at less than 75 degrees that nothing lies in front of.
     is_clear : ndarray of bool, shape (p,)
         Those of them that are seen in pixels that are shifted by half of one, too: at an edge,
-        what hides a patch may be in the next pixel.
+        what hides a patch may be in the next pixel. And on a side that their normal is sure of:
+        a plane across a sharp edge is seen from behind by who sees one of its faces.
 
     Notes
     -----
@@ -112,7 +117,10 @@ def find_seen(
     near = np.maximum(_PIXEL * spacing / far / pixel, 1e-300)
     level_of = np.clip(np.ceil(np.log2(near)), 0, _CLOSE - 1).astype(np.int64)
     is_seen = np.abs(cosines) > _LEAST_COSINE
-    is_clear = is_seen.copy()
+    usual = float(np.median(patches.noise))
+    bend = np.sqrt(np.maximum(patches.noise**2 - usual**2, 0.0)) / (_BENT * spacing)
+    least = np.minimum(bend / np.sqrt(1.0 + bend**2), _STEEPEST)
+    is_clear = np.abs(cosines) > np.maximum(least, _LEAST_COSINE)
     for level in range(int(level_of.max(initial=0)) + 1):
         drawn = np.flatnonzero(level_of == level)
         if not len(drawn):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.surface.cloud.spacing import estimate_spacing
-from hpcapp.applications.surface.normals import readings
+from hpcapp.applications.surface.normals import readings, visibility
 from hpcapp.applications.surface.normals.estimation import estimate_normals
 from hpcapp.applications.surface.normals.inside import AMPLE, find_inside
 from hpcapp.applications.surface.normals.linked import LinkedPatches
@@ -112,8 +112,15 @@ def test_what_is_told_to_be_seen_from_outside_is() -> None:
     assert _share_sure(oriented) > 0.99
 
 
-@pytest.mark.parametrize("degrees", [0.0, 35.0, 60.0])
-def test_an_open_sheet_faces_up_and_is_unsure(degrees: float) -> None:
+@pytest.mark.parametrize("degrees", [0.0, 35.0])
+def test_a_sheet_that_lies_level_is_ground_and_surely_faces_up(degrees: float) -> None:
+    normals, oriented = _orient(_slope(degrees))
+    assert (normals[:, 2] > 0.0).mean() > 0.99
+    assert _share_sure(oriented) == 1.0
+
+
+@pytest.mark.parametrize("degrees", [50.0, 60.0])
+def test_an_open_sheet_that_stands_faces_up_and_is_unsure(degrees: float) -> None:
     normals, oriented = _orient(_slope(degrees))
     assert (normals[:, 2] > 0.0).mean() > 0.99
     assert _share_sure(oriented) < 0.1
@@ -151,11 +158,13 @@ def test_a_ball_is_no_room() -> None:
 
 
 def test_a_cube_is_no_room(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Grazing views see some of its sides from behind, by the width of an edge."""
+    """Planes across its edges are seen from behind by who sees one of the two faces."""
     places = np.stack(np.meshgrid(*[np.arange(31.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     cube = places[((places == 0.0) | (places == 30.0)).any(axis=1)]
     assert _read(cube)[0] == "outside"
     monkeypatch.setattr(readings, "RARE", 0.5 * readings.RARE)
+    assert _read(cube)[0] == "outside"
+    monkeypatch.setattr(visibility, "_BENT", 2.0 * visibility._BENT)
     assert _read(cube)[0] == "inside"
 
 
