@@ -1,12 +1,15 @@
 #!/usr/bin/env python3
-"""Show what decides over the side of normals: the distributions that each number parts.
+"""Show what decides over sides and warnings: the distributions that each number parts.
 
     HPCAPP_DATA=DIR benchmarks/decisions.py [--only REGEX] [-o FOLDER]
 
 Of each scan of the folders `tuning`, `raw`, `lines` and `cases`, what its readings cost but for how
 rare they are, as `readings` weighs them (`decisions-sides.json`). Of each scan with right normals,
 what `follows_place` sees of these, and of the same normals turned to +z, to a camera, and to a
-place inside (`decisions-normals.json`). `tests/benchmarks/test_decisions.py` holds the margins.
+place inside (`decisions-normals.json`). Of each closed mesh of `tuning` and `lines`, made without
+normals, its handles, those of the truth, and the small ones that `handles` finds in boxes of half,
+once and twice the edge (`decisions-handles.json`). `tests/benchmarks/test_decisions.py` holds the
+margins.
 """
 
 from __future__ import annotations
@@ -20,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
+import hpcapp
 from hpcapp.applications.surface.cleaning.drive import drop_strays, thin_lines
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
@@ -38,9 +42,13 @@ from hpcapp.applications.surface.normals.readings import (
     lies_level,
 )
 from hpcapp.applications.surface.reading.reach import drop_far
+from hpcapp.applications.surface.stitching.handles import BOX, find_small_handles
+from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.applications.surface.types.lattice import lay_lattice
+from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import drop_unusable, open_points, read_whole
+from hpcapp.io.meshes.mesh_stream import as_stream
 
 # A scan is of the first group that names it.
 GROUPS = {
@@ -69,6 +77,7 @@ SAME = 0.8  # share of the area on which two readings agree that say the same
 SIDES = ["scan", "group", "outside", "inside", "stand", "name of the side", "side", "habit",
          "level", "turned", "right"]  # fmt: skip
 NORMALS = ["scan", "signed", "following", "pairs", "torn"]
+HANDLES = ["scan", "genus", "true genus", "in half", "in one", "in two"]
 
 
 def group_points(path: Path) -> tuple[Patches, Links, float]:
@@ -157,6 +166,32 @@ def find_torn(path: Path) -> list[Row]:
     return rows
 
 
+def find_genera(data: Path) -> dict[Path, int]:
+    """Return how many handles the truth of the scans has that show a closed object."""
+    lines = json.loads((data / "lines/expected.json").read_text())
+    tuning = json.loads((data / "tuning/manifest.json").read_text())["meshes"]
+    genera = {
+        data / "lines" / name: told["genus"] for name, told in lines.items() if "genus" in told
+    }
+    for path in sorted(data.glob("tuning/scans/*.ply")):
+        mesh = tuning[path.stem.split("__")[0]]
+        if mesh["watertight"] and not path.stem.endswith("one_side"):
+            genera[path] = mesh["genus"]
+    return {path: genus for path, genus in genera.items() if genus is not None}
+
+
+def find_handles(path: Path, genus: int) -> list[Row]:
+    """Return a row of the handles of a closed mesh; none where it is open."""
+    made = hpcapp.reconstruct(path, normals="estimate")
+    mesh = Mesh(np.asarray(made.vertices, np.float64), np.asarray(made.faces, np.int64))
+    found = check_mesh(mesh).genus
+    if found is None:
+        return []
+    stream = as_stream(mesh)
+    counts = [find_small_handles(stream, factor * BOX).count for factor in (0.5, 1.0, 2.0)]
+    return [[path.stem, found, genus, *counts]]
+
+
 def write(folder: Path, name: str, title: str, columns: list[str], rows: list[Row]) -> None:
     """Write a table."""
     commit = subprocess.run(
@@ -175,7 +210,7 @@ def write(folder: Path, name: str, title: str, columns: list[str], rows: list[Ro
 
 
 def main() -> None:
-    """Measure all scans, and write two tables."""
+    """Measure all scans, and write three tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", default=".")
     parser.add_argument("-o", "--output", type=Path, default=Path("benchmarks/results"))
@@ -195,10 +230,17 @@ def main() -> None:
         if re.search(asked.only, path.stem):
             normals += find_torn(path)
             print(normals[-4:], flush=True)
+    handles = []
+    for path, genus in find_genera(data).items():
+        if re.search(asked.only, path.stem):
+            handles += find_handles(path, genus)
+            print(handles[-1:], flush=True)
     title = "What readings cost: shares of the area seen from behind, and by none"
     write(asked.output, "decisions-sides", title, SIDES, sides)
     title = "Normals that follow a place: share that does, and opposite pairs across the sight"
     write(asked.output, "decisions-normals", title, NORMALS, normals)
+    title = "Handles of closed meshes: all, those of the truth, and the small ones that are found"
+    write(asked.output, "decisions-handles", title, HANDLES, handles)
 
 
 if __name__ == "__main__":

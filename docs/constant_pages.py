@@ -42,6 +42,7 @@ CONSTANTS = (
     ("heavy tails", "field.robust:_GAUSSIAN", "kurtosis from which points are weighed"),
     ("sharp", "field.features:_ROUND", "misfit of normals from which edges are looked for"),
     ("sharp", "field.features:_REACH", "cells around a vertex that are looked at"),
+    ("handles", "stitching.handles:BOX", "sides of faces, into which a small one fits"),
     ("open", "boundary.drive:_FILL", "trim distances: holes that are filled"),
     ("open", "boundary.drive:_CRUMB", "likewise: pieces that are dropped"),
     ("open", "boundary.drive:_ONE_WAY", "length of the mean normal of a view"),

@@ -1,4 +1,4 @@
-"""The numbers that decide over sides lie between what they part, with a margin.
+"""The numbers that decide over sides and warnings lie between what they part, with a margin.
 
 On what `benchmarks/decisions.py` has measured: moved by a tenth, they decide the same; halved or
 doubled, something else.
@@ -27,6 +27,7 @@ def _read(name: str) -> list[dict[str, Any]]:
 
 
 SIDES, NORMALS = _read("decisions-sides"), _read("decisions-normals")
+HANDLES = _read("decisions-handles")
 
 
 def _weigh(
@@ -107,3 +108,15 @@ def test_torn_parts_right_normals_and_those_that_follow_a_place() -> None:
         assert _count_torn(factor, is_true=False) == _count_torn(1.0, is_true=False)
     assert _count_torn(0.5, is_true=True) > 0
     assert _count_torn(1.5, is_true=False) < _count_torn(1.0, is_true=False)
+
+
+def _count_warned(column: str, *, is_right: bool) -> int:
+    rows = [row for row in HANDLES if (row["genus"] == row["true genus"]) == is_right]
+    return sum(row[column] > 0 for row in rows)
+
+
+def test_small_handles_are_those_that_the_truth_has_not() -> None:
+    more = [row for row in HANDLES if row["genus"] > row["true genus"]]
+    assert sum(row["in one"] > 0 for row in more) > 0.9 * len(more)
+    assert _count_warned("in one", is_right=True) <= 0.05 * len(HANDLES)
+    assert _count_warned("in half", is_right=False) < _count_warned("in one", is_right=False)

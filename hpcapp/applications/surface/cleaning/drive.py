@@ -155,12 +155,15 @@ def drop_strays(cloud_pass: PassT, scale: LocalScale) -> tuple[PassT, Cleaned, L
 
 def _drop_lone_lines(cloud_pass: PassT, spacing: float) -> tuple[PassT, int]:
     """Drop the points along lone lines, and return how many; where most lie so, all stay."""
-    given, margin = (cloud_pass.cloud.low, spacing), lone_lines.MARGIN * spacing
-    count = sum(cloud_pass.each(tasks.count_lone_lines, *given, margin=margin))
-    if not 0 < count <= lone_lines.MOST * len(cloud_pass.cloud):
-        return cloud_pass, 0
-    cloud_pass, counts = cloud_pass.rewrite(tasks.drop_lone_lines, *given, margin=margin)
-    return cloud_pass, sum(dropped for (dropped,) in counts)
+    most = lone_lines.MOST * len(cloud_pass.cloud)
+    kept, _ = cloud_pass.rewrite(
+        tasks.drop_lone_lines,
+        cloud_pass.cloud.low,
+        spacing,
+        margin=lone_lines.MARGIN * spacing,
+        accepts=lambda counts: sum(dropped for (dropped,) in counts) <= most,
+    )
+    return kept, len(cloud_pass.cloud) - len(kept.cloud)
 
 
 def mend_normals(cloud_pass: PassT, spacing: float) -> tuple[PassT, int]:

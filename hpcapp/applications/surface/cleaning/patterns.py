@@ -17,7 +17,6 @@ from hpccomponent.protocol.declared import Array, Declared, Either, Fixed, Nothi
 
 __all__ = [
     "counted_lines",
-    "counted_points",
     "mended_region",
     "ranked_region",
     "stray_cells",
@@ -34,11 +33,6 @@ def without_points(points: StoredBlocks, *_: Any) -> Declared:
         lambda result: own.lacks(*result),
         "blocks lack the points that are dropped",
     )
-
-
-def counted_points(points: StoredBlocks, *_: Any) -> Declared:
-    """Return the pattern of what `tasks.count_lone_lines` counts."""
-    return Whole(0, AssignedPoints.of(points).points)
 
 
 def counted_lines(points: StoredBlocks, *_: Any) -> Declared:

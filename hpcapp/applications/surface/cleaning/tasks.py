@@ -6,7 +6,7 @@
     region ── count_lines ──> master ── thin_lines ──> without points that scan lines can spare
     region ── rank_region ──> master ── judge_region ──> stray cells ── drop_cells ──> without them
     region ── drop_strays ──> without points that lie apart from their neighbours
-    region ── count_lone_lines ──> master ── drop_lone_lines ──> without points along wires
+    region ── drop_lone_lines ──> without points along wires
     region ── mend_region ──> inconsistent normals flipped
 """
 
@@ -19,7 +19,6 @@ from hpcapp.applications.surface.cleaning.lone_lines import find_lone_lines
 from hpcapp.applications.surface.cleaning.outlier_regions import DroppedCells, RegionRanks
 from hpcapp.applications.surface.cleaning.patterns import (
     counted_lines,
-    counted_points,
     mended_region,
     ranked_region,
     stray_cells,
@@ -33,12 +32,10 @@ from hpcapp.applications.surface.normals.consistency import find_turned
 from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.applications.surface.scale.scan_lines import GapBoxes, count_narrow, find_spare
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
-from hpcapp.applications.surface.types.result_patterns import SMALL_BYTES
 from hpccomponent.runtime.tasks import declare
 
 __all__ = [
     "count_lines",
-    "count_lone_lines",
     "drop_cells",
     "drop_lone_lines",
     "drop_repeated",
@@ -128,9 +125,11 @@ def drop_strays(
     return region.drop(dropped), int(np.count_nonzero(dropped))
 
 
-@declare(result=counted_points, limit=SMALL_BYTES)
-def count_lone_lines(points: RegionPoints, low: FloatArray, spacing: float) -> int:
-    """Count the points of a region along lone lines (a task).
+@declare(result=without_points, limit=region_bytes(40))
+def drop_lone_lines(
+    points: RegionPoints, low: FloatArray, spacing: float
+) -> tuple[Replaced | None, int]:
+    """Drop the points of a region along lone lines (a task); return how many, too.
 
     Parameters
     ----------
@@ -139,15 +138,6 @@ def count_lone_lines(points: RegionPoints, low: FloatArray, spacing: float) -> i
     low, spacing
         As for `find_lone_lines`.
     """
-    region = points.take()
-    return int(find_lone_lines(region.positions, region.own, low, spacing).sum())
-
-
-@declare(result=without_points, limit=region_bytes(40))
-def drop_lone_lines(
-    points: RegionPoints, low: FloatArray, spacing: float
-) -> tuple[Replaced | None, int]:
-    """Drop the points of a region along lone lines (a task), as `count_lone_lines` counts them."""
     region = points.take()
     dropped = find_lone_lines(region.positions, region.own, low, spacing)
     return region.drop(dropped), int(np.count_nonzero(dropped))

@@ -61,7 +61,11 @@ class CloudPass(Protocol):
         """
 
     def rewrite(
-        self: PassT, task: Callable[..., Any], *given: Any, margin: float = 0.0
+        self: PassT,
+        task: Callable[..., Any],
+        *given: Any,
+        margin: float = 0.0,
+        accepts: Callable[[list[Any]], bool] = lambda _: True,
     ) -> tuple[PassT, list[Any]]:
         """Replace the points by what a task makes of them, region by region.
 
@@ -72,11 +76,13 @@ class CloudPass(Protocol):
             become (see `Region`), None where they stay.
         *given, margin
             As for `each`.
+        accepts : callable
+            Told the results: whether the points are replaced; else they stay.
 
         Returns
         -------
         cloud_pass : CloudPass
-            Through the other points; this one's are not there any more.
+            Through the other points; this one's are not there any more, if it is another.
         results : list of tuple
             What else the task returned.
         """
@@ -96,12 +102,17 @@ class MemoryPass:
         return [task(region, *given) for region in self._cut(margin)]
 
     def rewrite(
-        self, task: Callable[..., Any], *given: Any, margin: float = 0.0
+        self,
+        task: Callable[..., Any],
+        *given: Any,
+        margin: float = 0.0,
+        accepts: Callable[[list[Any]], bool] = lambda _: True,
     ) -> tuple[MemoryPass, list[Any]]:
         """See `CloudPass`."""
         results = self.each(task, *given, margin=margin)
         changes = [replaced for replaced, *_ in results if replaced is not None]
-        return self._replace(changes), [tuple(rest) for _, *rest in results]
+        others = [tuple(rest) for _, *rest in results]
+        return self._replace(changes) if accepts(others) else self, others
 
     def note(self, measured: Measured) -> MemoryPass:
         """See `CloudPass`."""

@@ -50,7 +50,11 @@ class FolderPass:
         return [result for _, _, result in sorted(results, key=itemgetter(0))]
 
     def rewrite(
-        self, task: Callable[..., Any], *given: Any, margin: float = 0.0
+        self,
+        task: Callable[..., Any],
+        *given: Any,
+        margin: float = 0.0,
+        accepts: Callable[[list[Any]], bool] = lambda _: True,
     ) -> tuple[FolderPass, list[Any]]:
         """See `CloudPass`."""
         folder = make_cloud_folder(self.place)
@@ -63,9 +67,12 @@ class FolderPass:
             if replaced is not None:
                 blocks = replaced if is_written else write_part(folder, index, [replaced])
                 parts[index] = Part.whole(index, *blocks)
-        cloud_pass = self if not parts else self._replace(folder, [parts[i] for i in sorted(parts)])
+        results = [others[index] for index in sorted(others)]
+        cloud_pass = self
+        if parts and accepts(results):
+            cloud_pass = self._replace(folder, [parts[i] for i in sorted(parts)])
         cloud_pass._remove_others()
-        return cloud_pass, [others[index] for index in sorted(others)]
+        return cloud_pass, results
 
     def note(self, measured: Measured) -> FolderPass:
         """See `CloudPass`."""

@@ -8,11 +8,13 @@ from __future__ import annotations
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.normals.consistency import faces_inwards
+from hpcapp.applications.surface.stitching.handles import find_small_handles
 from hpcapp.applications.surface.surface import Surface
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.wording import say_count
 from hpccomponent.option_names import name_option
 
-__all__ = ["SAMPLE", "check_closure", "check_resolution", "check_sides"]
+__all__ = ["SAMPLE", "check_closure", "check_handles", "check_resolution", "check_sides"]
 
 #: Points are judged on a sample of about so many.
 SAMPLE = 10_000
@@ -77,3 +79,31 @@ def check_closure(low: FloatArray, high: FloatArray, surface: Surface, step: flo
         f"{100.0 * share:.0f} % of the mesh lies outside the points' bounding box: the scan is "
         "open, or its normals point inwards; the mesh is closed there by guesswork"
     ]
+
+
+def check_handles(surface: Surface, line_gap: float) -> list[str]:
+    """Warn of handles of a closed mesh that are too small to have been scanned.
+
+    Parameters
+    ----------
+    surface : Surface
+        Closed.
+    line_gap : float
+        From scan line to scan line, in length units of the input; 0 where there are none.
+    """
+    if not surface.check().genus:  # that of a mesh that is not closed is None
+        return []
+    stream = surface.stream()
+    found = find_small_handles(stream)
+    if not found.count:
+        return []
+    place = ", ".join(f"{value:.6g}" for value in found.place + stream.origin)
+    cause = (
+        f"the scan lines, some {line_gap:.3g} apart, are too far apart for the relief between "
+        "them: scan more of them there"
+        if line_gap
+        else "noise, thin walls or relief finer than the points make them: scan closer there, or "
+        f"smooth more ({name_option('smoothness')})"
+    )
+    handles = say_count(found.count, "handle")
+    return [f"{handles} no wider than {found.width:.3g}, most around ({place}): {cause}"]

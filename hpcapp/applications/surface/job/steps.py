@@ -17,6 +17,7 @@ from hpcapp.applications.surface.job.backend_choice import Choice, Job, Opener
 from hpcapp.applications.surface.job.diagnostics import (
     SAMPLE,
     check_closure,
+    check_handles,
     check_resolution,
     check_sides,
 )
@@ -183,6 +184,7 @@ def _warn(
     # Too few cells explain a mesh that is too large.
     if not (is_open or checks.resolution) and settings.method.makes_closed_meshes:
         warnings += check_closure(checks.low, checks.high, result.surface, checks.step)
+        warnings += check_handles(result.surface, loaded.cleaned.line_gap)
     for warning in warnings:
         log.warning("warning: %s", warning)
     return warnings

@@ -34,7 +34,6 @@ BELIEVED: dict[str, set[str]] = {
     "zero": set(),
     "plus one": {
         "bound_range",  # how many points are near
-        "count_lone_lines",  # whether there are any: those that are dropped are told
         "judge_region",  # the cells beside those that are stray
         "sum_tile",  # how many finest cells a tile has, which is only reported
     },

@@ -1,9 +1,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from hpcapp.applications.surface.job.diagnostics import (
     check_closure,
+    check_handles,
     check_resolution,
     check_sides,
 )
@@ -59,3 +61,26 @@ def test_a_mesh_far_outside_its_points_is_noticed(sphere: PointCloud) -> None:
         "outside the points' bounding box"
         in check_closure(*bound_points(sphere.positions), swollen, 2.0 / 64)[0]
     )
+
+
+@pytest.mark.parametrize(("gap", "said"), [(0.0, "noise"), (0.5, "scan lines, some 0.5 apart")])
+def test_a_handle_as_wide_as_a_face_is_noticed(gap: float, said: str) -> None:
+    ring = np.array([[0, 0], [3, 0], [3, 3], [0, 3], [1, 1], [2, 1], [2, 2], [1, 2]], float)
+    vertices = np.concatenate([np.insert(ring, 2, z, axis=1) for z in (0.0, 1.0)])
+    quads = [[8 + i, 8 + (i + 1) % 4, 12 + (i + 1) % 4, 12 + i] for i in range(4)]
+    quads += [[4 + i, 4 + (i + 1) % 4, (i + 1) % 4, i] for i in range(4)]
+    quads += [[i, (i + 1) % 4, 8 + (i + 1) % 4, 8 + i] for i in range(4)]
+    quads += [[12 + i, 12 + (i + 1) % 4, 4 + (i + 1) % 4, 4 + i] for i in range(4)]
+    faces = np.array([[q[a], q[b], q[c]] for q in quads for a, b, c in ((0, 1, 2), (0, 2, 3))])
+    origin = np.array([100.0, 0.0, 0.0])
+    warnings = check_handles(WholeSurface(Mesh(vertices, faces, origin)), gap)
+    assert len(warnings) == 1
+    assert warnings[0].startswith("1 handle no wider than")
+    assert "around (101" in warnings[0]
+    assert said in warnings[0]
+
+
+def test_a_mesh_without_handles_is_not_doubted() -> None:
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+    assert check_handles(WholeSurface(Mesh(corners, faces)), 0.0) == []
