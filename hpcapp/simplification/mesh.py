@@ -73,8 +73,8 @@ def simplify_mesh(mesh: Mesh, target: Target, *, keeps_border: bool = False) -> 
 
     Notes
     -----
-    See `kernels.portable.collapse`: edges go in the order of their errors. Each distance of a new
-    vertex from the planes of the faces that it stands for is below `Target.tolerance`.
+    See `kernels.portable.mesh.collapse`: edges go in the order of their errors. Each distance of a
+    new vertex from the planes of the faces that it stands for is below `Target.tolerance`.
     """
     target.check()
     if not target.is_something or len(mesh.faces) <= (target.faces or 0):

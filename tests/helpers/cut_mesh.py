@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.kernels import label_components
-from hpcapp.applications.surface.kernels.portable.bricks import grow_bricks
-from hpcapp.applications.surface.kernels.portable.marching_cubes import extract_surface
+from hpcapp.applications.surface.kernels.portable.surface.bricks import grow_bricks
+from hpcapp.applications.surface.kernels.portable.surface.marching_cubes import extract_surface
 from hpcapp.applications.surface.stitching.plan import find_large
 from hpcapp.applications.surface.types.grid import BRICK, OWN, BrickKinds, Grid
 from hpcapp.applications.surface.types.lattice import pack_places, unpack_keys

@@ -25,8 +25,10 @@ from hpcapp.applications.surface.kernels.constants import (
 )
 
 if TYPE_CHECKING or load_native() is None:
+    from hpcapp.applications.surface.kernels import portable
     from hpcapp.applications.surface.kernels.portable import *  # noqa: F403
-    from hpcapp.applications.surface.kernels.portable import __all__ as _kernels
+
+    _kernels = portable.KERNELS
 else:
     from hpcapp.applications.surface.kernels._native import *  # noqa: F403
     from hpcapp.applications.surface.kernels._native import __all__ as _kernels

@@ -15,16 +15,16 @@ __all__ = [
     "BrickKinds", "BrickStrides", "Grid",
 ]  # fmt: skip
 
-NODES = 9
-"""Nodes along the edge of a brick."""
+MOST_SHIFT = 3
+"""Of a stride of one brick, as a power of two."""
 
 
-BRICK = NODES - 1
+BRICK = 1 << MOST_SHIFT
 """Cells along the edge of a brick."""
 
 
-MOST_SHIFT = BRICK.bit_length() - 1
-"""Of a stride of one brick, as a power of two."""
+NODES = BRICK + 1
+"""Nodes along the edge of a brick."""
 
 
 OUT, BESIDE, FOREIGN, OPEN, OWN = range(5)

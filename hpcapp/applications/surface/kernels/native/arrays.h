@@ -89,6 +89,34 @@ inline const int64_t* check_keys(const Input& array, const char* name) {
   return keys;
 }
 
+// Check that cell i holds the points offsets[i] to offsets[i + 1], and that these are all.
+inline const int64_t* check_offsets(const Input& offsets_of, int64_t cells, int64_t points) {
+  const int64_t* offsets = check<int64_t>(offsets_of, "offsets", {cells == ANY ? ANY : cells + 1});
+  cells = rows_of(offsets_of) - 1;
+  if (cells < 0 || offsets[0] != 0 || offsets[cells] != points)
+    refuse("offsets: expected to run from 0 to the number of points");
+  for (int64_t cell = 0; cell < cells; ++cell)
+    if (offsets[cell] > offsets[cell + 1]) refuse("offsets: expected to rise");
+  return offsets;
+}
+
+// Faces whose vertices are all there.
+inline const int64_t* check_faces(const Input& faces_of, int64_t vertices) {
+  const int64_t* faces = check<int64_t>(faces_of, "faces", {ANY, 3});
+  const int64_t count = 3 * rows_of(faces_of);
+  if (vertices < 0 || vertices >= INT32_MAX || count >= INT32_MAX) refuse("faces: too many, or too many vertices");
+  for (int64_t i = 0; i < count; ++i)
+    if (faces[i] < 0 || faces[i] >= vertices) refuse("faces: a vertex that is not there");
+  return faces;
+}
+
+inline const int64_t* check_rows(const Input& array, const char* name, int64_t end) {
+  const int64_t* rows = check<int64_t>(array, name, {ANY});
+  for (int64_t i = 0; i < rows_of(array); ++i)
+    if (rows[i] < 0 || rows[i] >= end) refuse(std::string(name) + ": a row is out of range");
+  return rows;
+}
+
 template <class T>
 Output<T> give(Buffer<T> data, std::initializer_list<size_t> shape) {
   T* raw = data.release();
@@ -117,7 +145,19 @@ T field_of(nb::handle record, const char* name) {
   return value;
 }
 
+// What defines the kernels of each file; module.cpp calls all of it.
+inline std::vector<void (*)(nb::module_&)>& definitions() {
+  static std::vector<void (*)(nb::module_&)> all;
+  return all;
+}
+
 }  // namespace hpc
+
+// Begins the body of the function that defines a file's kernels, in `module`, by their numpy names.
+#define HPC_KERNELS                                                                                \
+  static void define_kernels(nb::module_& module);                                                 \
+  [[maybe_unused]] static const bool are_listed = (definitions().push_back(define_kernels), true); \
+  static void define_kernels(nb::module_& module)
 
 namespace nanobind::detail {
 

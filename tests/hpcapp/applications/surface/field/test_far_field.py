@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.surface.field.far_field import solve_far_field, spread_samples
-from hpcapp.applications.surface.kernels.portable.coarse_grid import sample_grid
+from hpcapp.applications.surface.kernels.portable.field.coarse_grid import sample_grid
 from hpcapp.applications.surface.types.field import FarField
 from hpcapp.applications.surface.types.points import FloatArray
 

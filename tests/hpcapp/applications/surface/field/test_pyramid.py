@@ -17,7 +17,7 @@ from hpcapp.applications.surface.field.pyramid import (
 )
 from hpcapp.applications.surface.field.weights import Weights, weigh_levels
 from hpcapp.applications.surface.kernels import bound_points
-from hpcapp.applications.surface.kernels.portable.moments import accumulate_moments
+from hpcapp.applications.surface.kernels.portable.quadrics.moments import accumulate_moments
 from hpcapp.applications.surface.types.lattice import find_keys, unpack_keys
 from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
 

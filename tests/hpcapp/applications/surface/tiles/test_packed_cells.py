@@ -20,7 +20,7 @@ from hpcapp.applications.surface.cloud.arrangement import (
 from hpcapp.applications.surface.field.cell_points import CloudRows
 from hpcapp.applications.surface.kernels import portable
 from hpcapp.applications.surface.kernels.build import load_native
-from hpcapp.applications.surface.kernels.portable.cells import sort_points
+from hpcapp.applications.surface.kernels.portable.lattice.points import sort_points
 from hpcapp.applications.surface.tiles import packed_cells
 from hpcapp.applications.surface.tiles.packed_cells import sort_tile
 from hpcapp.applications.surface.types.grid import Grid

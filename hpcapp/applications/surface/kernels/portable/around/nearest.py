@@ -13,8 +13,6 @@ from scipy.spatial import cKDTree
 from hpcapp.applications.surface.types.lattice import number_keys, pack_places
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
 
-__all__ = ["UNITS", "Nearest", "cells_of_units", "round_positions"]
-
 UNITS = 1 << 19
 """In a spacing."""
 

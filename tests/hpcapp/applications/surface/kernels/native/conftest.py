@@ -8,9 +8,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface.kernels import portable
 from hpcapp.applications.surface.kernels.build import load_native
-from hpcapp.applications.surface.kernels.portable import cells as portable
-from hpcapp.applications.surface.kernels.portable.moments import accumulate_moments
 from hpcapp.applications.surface.types.field import FarField, Field, FieldLevel
 from hpcapp.applications.surface.types.grid import Grid
 from hpcapp.applications.surface.types.lattice import spread_keys
@@ -49,7 +48,7 @@ def make_cells(seed: int, points: int, cell_size: float) -> Cells:
     origin = positions.min(axis=0)
     cells, offsets, rows = portable.sort_points(positions, origin, cell_size)
     local, sorted_normals = portable.gather_points(positions, normals, rows, origin, cell_size)
-    moments = accumulate_moments(local, sorted_normals, offsets)
+    moments = portable.accumulate_moments(local, sorted_normals, offsets)
     return Cells(
         positions, normals, origin, cell_size, cells, offsets, local, sorted_normals, moments,
         spread_keys(cells, 0, 1),

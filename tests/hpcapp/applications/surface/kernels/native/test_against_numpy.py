@@ -13,16 +13,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from hpcapp.applications.surface.kernels import portable
-from hpcapp.applications.surface.kernels.portable import (
-    bricks,
-    cells,
-    coarse_grid,
-    connectivity,
-    hermite,
-    moments,
-)
-from hpcapp.applications.surface.kernels.portable import marching_cubes as extraction
-from hpcapp.applications.surface.kernels.portable.strides import fill_missing, line_shifts
+from hpcapp.applications.surface.kernels.portable.field.strides import fill_missing, line_shifts
+from hpcapp.applications.surface.kernels.portable.quadrics.hermite import fit_vertices
+from hpcapp.applications.surface.kernels.portable.surface.bricks import grow_bricks
+from hpcapp.applications.surface.kernels.portable.surface.marching_cubes import extract_surface
 from hpcapp.applications.surface.types import grid as grid_types
 from hpcapp.applications.surface.types import lattice
 from hpcapp.applications.surface.types.field import PIECES, FarField, Features, Field
@@ -41,7 +35,7 @@ def test_sets_of_places(native: ModuleType, places: IntArray, low: int, width: i
     keys = lattice.unique_keys(lattice.pack_places(places))
     spread = native.spread_keys(keys, low, low + width)
     np.testing.assert_array_equal(spread, lattice.spread_keys(keys, low, low + width))
-    np.testing.assert_array_equal(native.parent_keys(keys), cells.parent_keys(keys))
+    np.testing.assert_array_equal(native.parent_keys(keys), portable.parent_keys(keys))
     np.testing.assert_array_equal(native.unite_keys(keys, spread), lattice.unite_keys(keys, spread))
     for wanted in (spread, np.ascontiguousarray(spread[::-1])):
         expected = lattice.find_keys(keys, wanted)
@@ -108,12 +102,12 @@ def test_sorting_points(native: ModuleType, seed: int, points: int, size: float)
     random = np.random.default_rng(seed)
     positions, normals = random.normal(size=(2, points, 3))
     origin = random.normal(size=3)
-    expected = cells.sort_points(positions, origin, size)
+    expected = portable.sort_points(positions, origin, size)
     for found, wanted in zip(native.sort_points(positions, origin, size), expected, strict=True):
         np.testing.assert_array_equal(found, wanted)
     gathered = (positions, normals, expected[2], origin, size)
     for found, wanted in zip(
-        native.gather_points(*gathered), cells.gather_points(*gathered), strict=True
+        native.gather_points(*gathered), portable.gather_points(*gathered), strict=True
     ):
         np.testing.assert_array_equal(found, wanted)
     packed = native.pack_records(positions, normals, origin, size)
@@ -169,10 +163,10 @@ def test_moments_of_points(native: ModuleType, seed: int, counts: list[int]) -> 
     local = random.uniform(-0.5, 0.5, size=(offsets[-1], 3))
     normals = random.normal(size=(offsets[-1], 3))
     found = native.accumulate_moments(local, normals, offsets)
-    np.testing.assert_array_equal(found, moments.accumulate_moments(local, normals, offsets))
+    np.testing.assert_array_equal(found, portable.accumulate_moments(local, normals, offsets))
     weights = random.uniform(size=offsets[-1])
     weighted = native.accumulate_moments(local, normals, offsets, weights)
-    wanted = moments.accumulate_moments(local, normals, offsets, weights)
+    wanted = portable.accumulate_moments(local, normals, offsets, weights)
     np.testing.assert_array_equal(weighted, wanted)
 
 
@@ -191,27 +185,27 @@ def test_distances_from_a_blend(native: ModuleType, cloud: Any, depth: int) -> N
 
 def test_moments_of_cells(native: ModuleType, cloud: Any) -> None:
     parents, merged = native.merge_cells(cloud.cells, cloud.moments)
-    keys, expected = cells.merge_cells(cloud.cells, cloud.moments)
+    keys, expected = portable.merge_cells(cloud.cells, cloud.moments)
     np.testing.assert_array_equal(parents, keys)
     np.testing.assert_allclose(merged, expected, rtol=1e-12, atol=1e-12)
     around = native.corner_moments(cloud.touched, cloud.cells, cloud.moments, 1)
-    wanted = cells.corner_moments(cloud.touched, cloud.cells, cloud.moments)
+    wanted = portable.corner_moments(cloud.touched, cloud.cells, cloud.moments)
     np.testing.assert_allclose(around, wanted, rtol=1e-12, atol=1e-11)
 
 
 @pytest.mark.parametrize(("lam", "most_noise"), [(0.01, 0.0), (1.0, 0.01)])
 def test_fits(native: ModuleType, cloud: Any, lam: float, most_noise: float) -> None:
     random = np.random.default_rng(3)
-    around = cells.corner_moments(cloud.touched, cloud.cells, cloud.moments)
+    around = portable.corner_moments(cloud.touched, cloud.cells, cloud.moments)
     # Priors of every quality: near fits, moved by the noise and by much more.
-    prior = hermite.fit_vertices(around, np.zeros((len(around), 10)), 0.3, 0.3)
+    prior = fit_vertices(around, np.zeros((len(around), 10)), 0.3, 0.3)
     prior += random.uniform(0.0, 0.3, size=(len(around), 1)) * random.normal(size=prior.shape)
     noise = (most_noise * random.uniform(size=len(around))).astype(np.float32)
     points = (cloud.touched, cloud.cells, cloud.moments, prior.astype(np.float32), noise)
     slopes = np.linspace(0.5 * lam, lam, len(noise), dtype=np.float32)
     weights = (slopes, 0.3, 9.0)
     found, counts, variances, misfits = native.fit_corners(*points, *weights, 1)
-    expected, wanted_counts, wanted_variances, wanted = cells.fit_corners(*points, *weights)
+    expected, wanted_counts, wanted_variances, wanted = portable.fit_corners(*points, *weights)
     np.testing.assert_allclose(misfits, wanted, rtol=1e-5, atol=1e-6)
     np.testing.assert_array_equal(counts, wanted_counts)
     assert 0 < np.isnan(variances).sum() < len(variances)
@@ -219,18 +213,18 @@ def test_fits(native: ModuleType, cloud: Any, lam: float, most_noise: float) -> 
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6)
     expected = expected.astype(np.float64)
     residuals = native.evaluate_residuals(around, expected)
-    summed = hermite.evaluate_residuals(around, expected)
+    summed = portable.evaluate_residuals(around, expected)
     np.testing.assert_allclose(residuals, summed, rtol=1e-9, atol=1e-9)
 
 
 def test_priors(native: ModuleType, cloud: Any) -> None:
     random = np.random.default_rng(5)
     vertices = lattice.spread_keys(cloud.cells, -1, 2)
-    parents = cells.parent_keys(vertices)
+    parents = portable.parent_keys(vertices)
     coefficients = random.normal(size=(len(parents), 10)).astype(np.float32)
     values = random.uniform(size=(len(parents), 3)).astype(np.float32)
     found = native.inherit_level(vertices, parents, coefficients, values, 1)
-    expected = cells.inherit_level(vertices, parents, coefficients, values)
+    expected = portable.inherit_level(vertices, parents, coefficients, values)
     for mean, wanted in zip(found, expected, strict=True):
         np.testing.assert_allclose(mean, wanted, rtol=1e-6, atol=1e-7)
 
@@ -241,7 +235,7 @@ def test_integrated_normals(native: ModuleType, cloud: Any, smoothing: float, he
     places = cloud.positions * 8.0 + 16.0
     samples = (places, cloud.normals, smoothing, np.array(held), 32)
     found = native.integrate_normals(*samples, 1)
-    expected = coarse_grid.integrate_normals(*samples)
+    expected = portable.integrate_normals(*samples)
     np.testing.assert_allclose(found, expected, atol=3e-6 * np.abs(expected).max())
 
 
@@ -249,9 +243,9 @@ def test_sampled_grid(native: ModuleType, cloud: Any) -> None:
     values = np.random.default_rng(4).normal(size=(16, 16, 16)).astype(np.float32)
     places = (cloud.positions + 1.5) * 5.0
     samples = native.sample_grid(values, places)
-    np.testing.assert_allclose(samples, coarse_grid.sample_grid(values, places), 1e-12, 1e-12)
+    np.testing.assert_allclose(samples, portable.sample_grid(values, places), 1e-12, 1e-12)
     corners = (values, cloud.touched, np.array([1.0, 3.0, 5.0]), 0.7)
-    wanted = coarse_grid.sample_corners(*corners)
+    wanted = portable.sample_corners(*corners)
     np.testing.assert_allclose(native.sample_corners(*corners), wanted, 1e-12, 1e-12)
 
 
@@ -298,8 +292,8 @@ def test_joined_quadrics(native: ModuleType, noise: float) -> None:
     positions[rows, axis] = sign + np.sqrt(noise) * rng.normal(size=5000)
     normals = np.zeros((5000, 3))
     normals[rows, axis] = sign
-    of_cells, offsets, order = cells.sort_points(positions, np.full(3, 0.01), 0.12)
-    local, turned = cells.gather_points(positions, normals, order, np.full(3, 0.01), 0.12)
+    of_cells, offsets, order = portable.sort_points(positions, np.full(3, 0.01), 0.12)
+    local, turned = portable.gather_points(positions, normals, order, np.full(3, 0.01), 0.12)
     vertices = lattice.spread_keys(of_cells, 0, 1)[::7].copy()
     given = vertices, of_cells, offsets, local, turned, noise / 0.12**2
     pieces, joints = native.fit_features(*given, 1)
@@ -316,7 +310,7 @@ def test_surface(native: ModuleType, any_ball: tuple[Field, Grid]) -> None:
     normals = np.random.default_rng(2).normal(size=(20, 3))
     surface_points = 0.8 * normals / np.linalg.norm(normals, axis=1, keepdims=True)
     seeds = native.seed_bricks(grid, surface_points)
-    np.testing.assert_array_equal(seeds, bricks.seed_bricks(grid, surface_points))
+    np.testing.assert_array_equal(seeds, portable.seed_bricks(grid, surface_points))
 
     def evaluate(places: IntArray) -> Any:
         places = np.ascontiguousarray(places)
@@ -329,8 +323,8 @@ def test_surface(native: ModuleType, any_ball: tuple[Field, Grid]) -> None:
     half[-2:] = grid_types.OUT
     half[:, :1] = grid_types.BESIDE
     for kinds in (grid_types.BrickKinds(np.zeros(3, np.int64), k) for k in (half, whole)):
-        places, values, taken, exits = bricks.grow_bricks(evaluate, kinds, grid.bricks)
-        expected = extraction.extract_surface(grid, places, values, taken)
+        places, values, taken, exits = grow_bricks(evaluate, kinds, grid.bricks)
+        expected = extract_surface(grid, places, values, taken)
         found = native.grow_surface(function, grid, kinds)
         assert isinstance(found, BrickMesh)
         np.testing.assert_array_equal(found.exits, exits)
@@ -340,7 +334,7 @@ def test_surface(native: ModuleType, any_ball: tuple[Field, Grid]) -> None:
     radius = np.linalg.norm(expected.vertices, axis=1)
     assert np.abs(radius - 0.8).max() < 0.05 * max(function.cell_size, grid.step)
     balanced = native.balance_vertices(expected.vertices, expected.faces, grid.step)
-    wanted = extraction.balance_vertices(expected.vertices, expected.faces, grid.step)
+    wanted = portable.balance_vertices(expected.vertices, expected.faces, grid.step)
     np.testing.assert_allclose(balanced, wanted, rtol=1e-12, atol=1e-14)
 
 
@@ -374,8 +368,8 @@ def test_surface_where_strides_differ(native: ModuleType, seed: int) -> None:
         return native.evaluate_bricks(function, grid, np.ascontiguousarray(places), 1)
 
     for given_kinds in (grid_types.BrickKinds(np.zeros(3, np.int64), k) for k in (part, whole)):
-        grown = bricks.grow_bricks(evaluate, given_kinds, grid.bricks, grid.strides)
-        expected = extraction.extract_surface(grid, *grown[:3])
+        grown = grow_bricks(evaluate, given_kinds, grid.bricks, grid.strides)
+        expected = extract_surface(grid, *grown[:3])
         for threads in (1, 3):
             found = native.grow_surface(function, grid, given_kinds, threads)
             np.testing.assert_array_equal(found.exits, grown[3])
@@ -385,7 +379,7 @@ def test_surface_where_strides_differ(native: ModuleType, seed: int) -> None:
     exponents = np.repeat(grid.strides.at(expected.bricks), expected.face_counts)
     of_mesh = expected.vertices, expected.faces, grid.step, exponents
     balanced = native.balance_vertices(*of_mesh)
-    np.testing.assert_allclose(balanced, extraction.balance_vertices(*of_mesh), 1e-9, 1e-9)
+    np.testing.assert_allclose(balanced, portable.balance_vertices(*of_mesh), 1e-9, 1e-9)
 
 
 @pytest.mark.parametrize("cell_size", [0.05, 0.21])
@@ -410,8 +404,8 @@ def test_balancing_what_folds(native: ModuleType, seed: int) -> None:
     """Faces between vertices at random, many of which would turn over."""
     random = np.random.default_rng(seed)
     vertices, faces = random.normal(size=(9, 3)), random.integers(0, 9, size=(12, 3))
-    wanted = extraction.balance_vertices(vertices, faces, 1.0)
-    nudged = extraction.balance_vertices(vertices * (1.0 + 1e-13), faces, 1.0)
+    wanted = portable.balance_vertices(vertices, faces, 1.0)
+    nudged = portable.balance_vertices(vertices * (1.0 + 1e-13), faces, 1.0)
     assume(np.allclose(wanted, nudged, rtol=1e-9, atol=1e-9))  # nothing hangs on a rounding
     found = native.balance_vertices(vertices, faces, 1.0)
     np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-9)
@@ -423,15 +417,15 @@ def test_balancing_what_folds(native: ModuleType, seed: int) -> None:
 @settings(deadline=None, max_examples=60)
 def test_connectivity(native: ModuleType, faces: IntArray) -> None:
     count, label = native.label_components(faces, 13)
-    wanted_count, wanted_label = connectivity.label_components(faces, 13)
+    wanted_count, wanted_label = portable.label_components(faces, 13)
     assert count == wanted_count
     np.testing.assert_array_equal(label, wanted_label)
     found = native.survey_mesh(faces, 13)
     assert isinstance(found, Survey)
-    wanted = connectivity.survey_mesh(faces, 13)
+    wanted = portable.survey_mesh(faces, 13)
     for name in ("boundary", "overfull", "degenerate", "misoriented", "fans"):
         assert getattr(found, name) == getattr(wanted, name), name
     np.testing.assert_array_equal(found.edges_of, wanted.edges_of)
     vertices = np.random.default_rng(0).normal(size=(13, 3))
     volume = native.signed_volume(vertices, faces, vertices[0])
-    assert volume == pytest.approx(connectivity.signed_volume(vertices, faces, vertices[0]))
+    assert volume == pytest.approx(portable.signed_volume(vertices, faces, vertices[0]))

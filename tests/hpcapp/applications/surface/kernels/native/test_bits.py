@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.kernels.portable import cells
+from hpcapp.applications.surface.kernels import portable
 from hpcapp.applications.surface.types.field import Field
 from hpcapp.applications.surface.types.grid import OPEN, OWN, BrickKinds, Grid
 
@@ -37,7 +37,7 @@ def test_threads(native: ModuleType, cloud: Any, threads: int) -> None:
     same(fitted, native.fit_corners(*fits, threads))
     pieces = (cloud.touched, cloud.cells, cloud.offsets, cloud.local, cloud.sorted_normals, 1e-4)
     same(native.fit_features(*pieces, 1), native.fit_features(*pieces, threads))
-    parents = cells.parent_keys(cloud.touched)
+    parents = portable.parent_keys(cloud.touched)
     means = np.ones((len(parents), 10), np.float32)
     level = (cloud.touched, parents, means, means[:, :3].copy())
     same(native.inherit_level(*level, 1), native.inherit_level(*level, threads))

@@ -1,0 +1,160 @@
+// How crowded it is around points, and which points are nearest to them (see around/sparse.py).
+#include <limits>
+#include <utility>
+
+#include "arrays.h"
+#include "lattice/keys.h"
+#include "threads.h"
+
+namespace hpc {
+namespace {
+
+// Points by their cells, copied into that order: what is near is read in one go.
+struct SortedPoints {
+  const int64_t* keys;
+  int64_t cells;
+  const int64_t* offsets;
+  const uint32_t* rows;
+  Large<double> position;
+
+  // The points in the cells of a column, `rings` cells up and down from `middle`.
+  template <class Lookup>
+  std::pair<int64_t, int64_t> column(int64_t middle, int64_t rings, Lookup&& lower_bound) const {
+    const int64_t first = lower_bound(middle - rings);
+    int64_t last = first;
+    while (last < cells && keys[last] <= middle + rings) ++last;
+    return {offsets[first], offsets[last]};
+  }
+};
+
+SortedPoints sort_positions(const Doubles& positions, const Integers& cells, const Integers& offsets_of,
+                            const Input& rows_in) {
+  const double* position = check<double>(positions, "positions", {ANY, 3});
+  const int64_t points = rows_of(positions);
+  SortedPoints sorted{check_keys(cells, "keys"), rows_of(cells), nullptr, nullptr, {}};
+  sorted.offsets = check_offsets(offsets_of, sorted.cells, points);
+  sorted.rows = check<uint32_t>(rows_in, "rows", {points});
+  sorted.position.resize(static_cast<size_t>(3 * points));
+  for (int64_t at = 0; at < points; ++at) {
+    if (sorted.rows[at] >= points) refuse("rows: a row is out of range");
+    std::copy_n(position + 3 * static_cast<int64_t>(sorted.rows[at]), 3, &sorted.position[static_cast<size_t>(3 * at)]);
+  }
+  return sorted;
+}
+
+inline double square_between(const double* a, const double* b) {
+  const double x = a[0] - b[0], y = a[1] - b[1], z = a[2] - b[2];
+  return x * x + y * y + z * z;
+}
+
+Output<bool> find_sparse(Doubles positions, Integers cells, Integers offsets, Input rows, Doubles radii_of,
+                         int64_t enough, int64_t threads) {
+  const double* radii = check<double>(radii_of, "radii", {rows_of(cells)});
+  const int workers = check_threads(threads);
+  const SortedPoints sorted = sort_positions(positions, cells, offsets, rows);
+  const int64_t points = rows_of(positions);
+  Buffer<bool> sparse;
+  {
+    nb::gil_scoped_release unlocked;
+    sparse = make_buffer<bool>(points);
+    run_ranges(sorted.cells, workers, [&](int64_t start, int64_t stop) {
+      std::vector<Finger> fingers(9, Finger(sorted.keys, sorted.cells));
+      std::pair<int64_t, int64_t> near[9];
+      const int order[9] = {4, 1, 3, 5, 7, 0, 2, 6, 8};  // the cell's own column first
+      for (int64_t cell = start; cell < stop; ++cell) {
+        for (int i = 0; i < 9; ++i) {
+          const int64_t middle = sorted.keys[cell] + (order[i] / 3 - 1) * STRIDES[0] + (order[i] % 3 - 1) * STRIDES[1];
+          near[i] = sorted.column(middle, 1, [&](int64_t key) { return fingers[static_cast<size_t>(i)].lower_bound(key); });
+        }
+        const double square = radii[cell] * radii[cell];
+        for (int64_t at = sorted.offsets[cell]; at < sorted.offsets[cell + 1]; ++at) {
+          const double* own = &sorted.position[static_cast<size_t>(3 * at)];
+          int64_t held = -1;  // the point itself
+          for (int i = 0; i < 9 && held < enough; ++i)
+            for (int64_t other = near[i].first; other < near[i].second && held < enough; ++other)
+              held += square_between(own, &sorted.position[static_cast<size_t>(3 * other)]) <= square;
+          sparse[sorted.rows[at]] = held < enough;
+        }
+      }
+    });
+  }
+  return give(std::move(sparse), {static_cast<size_t>(points)});
+}
+
+using Near = std::pair<double, int64_t>;  // squared distance, row: sorted so, ties too
+
+// Collect the points in the cells around a cell, up to so many cells away, but for one.
+void collect(const SortedPoints& sorted, int64_t key, int64_t rings, const double* from, uint32_t itself, double square,
+             std::vector<Near>& found) {
+  found.clear();
+  for (int64_t i = -rings; i <= rings; ++i)
+    for (int64_t j = -rings; j <= rings; ++j) {
+      const auto [first, last] = sorted.column(key + i * STRIDES[0] + j * STRIDES[1], rings, [&](int64_t wanted) {
+        return std::lower_bound(sorted.keys, sorted.keys + sorted.cells, wanted) - sorted.keys;
+      });
+      for (int64_t at = first; at < last; ++at) {
+        const double apart = square_between(from, &sorted.position[static_cast<size_t>(3 * at)]);
+        if (apart <= square && sorted.rows[at] != itself) found.emplace_back(apart, sorted.rows[at]);
+      }
+    }
+}
+
+nb::tuple find_nearest(Doubles positions, Integers cells, Integers offsets, Input rows, double edge, Integers asked_of,
+                       int64_t count, double limit, int64_t threads) {
+  const SortedPoints sorted = sort_positions(positions, cells, offsets, rows);
+  const int64_t points = rows_of(positions), wanted = rows_of(asked_of);
+  const int64_t* asked = check<int64_t>(asked_of, "asked", {ANY});
+  for (int64_t i = 0; i < wanted; ++i)
+    if (asked[i] < 0 || asked[i] >= points) refuse("asked: a row is out of range");
+  check_positive(edge, "edge");
+  check_positive(limit, "limit");
+  if (count < 1 || count > 1024) refuse("count: expected 1 to 1024");
+  if (!(limit / edge <= 64.0)) refuse("limit: expected 64 edges at most");
+  const int workers = check_threads(threads);
+  const int64_t most = std::max<int64_t>(1, static_cast<int64_t>(std::ceil(limit / edge)));
+  Buffer<double> squares;
+  Buffer<int64_t> nearest;
+  {
+    nb::gil_scoped_release unlocked;
+    squares = make_buffer<double>(wanted * count);
+    nearest = make_buffer<int64_t>(wanted * count);
+    std::fill_n(squares.get(), wanted * count, std::numeric_limits<double>::infinity());
+    std::fill_n(nearest.get(), wanted * count, points);
+    Large<int64_t> place(static_cast<size_t>(points)), cell_of(static_cast<size_t>(points));
+    for (int64_t cell = 0; cell < sorted.cells; ++cell)
+      for (int64_t at = sorted.offsets[cell]; at < sorted.offsets[cell + 1]; ++at)
+        place[sorted.rows[at]] = at, cell_of[sorted.rows[at]] = cell;
+    run_ranges(wanted, workers, [&](int64_t start, int64_t stop) {
+      std::vector<Near> found;
+      for (int64_t i = start; i < stop; ++i) {
+        const double* from = &sorted.position[static_cast<size_t>(3 * place[static_cast<size_t>(asked[i])])];
+        const int64_t key = sorted.keys[cell_of[static_cast<size_t>(asked[i])]];
+        for (int64_t rings = 1;; rings = std::min(2 * rings, most)) {
+          // All that is no farther than `rings` cells was met, and more at the corners.
+          const double reach = std::min(limit, static_cast<double>(rings) * edge);
+          collect(sorted, key, rings, from, static_cast<uint32_t>(asked[i]), reach * reach, found);
+          if (static_cast<int64_t>(found.size()) >= count || rings >= most) break;
+        }
+        const auto held = std::min<int64_t>(count, static_cast<int64_t>(found.size()));
+        std::partial_sort(found.begin(), found.begin() + held, found.end());
+        for (int64_t k = 0; k < held; ++k) {
+          squares[i * count + k] = found[static_cast<size_t>(k)].first;
+          nearest[i * count + k] = found[static_cast<size_t>(k)].second;
+        }
+      }
+    });
+  }
+  const std::initializer_list<size_t> shape = {static_cast<size_t>(wanted), static_cast<size_t>(count)};
+  return nb::make_tuple(give(std::move(squares), shape), give(std::move(nearest), shape));
+}
+
+}  // namespace
+
+HPC_KERNELS {
+  module.def("find_sparse", &find_sparse, "positions"_a, "keys"_a, "offsets"_a, "rows"_a, "radii"_a, "enough"_a,
+             "threads"_a = 1);
+  module.def("find_nearest", &find_nearest, "positions"_a, "keys"_a, "offsets"_a, "rows"_a, "edge"_a, "asked"_a,
+             "count"_a, "limit"_a, "threads"_a = 1);
+}
+
+}  // namespace hpc

@@ -1,0 +1,1 @@
+"""The implicit function over bricks: quadrics blended, edges and corners, the far field."""

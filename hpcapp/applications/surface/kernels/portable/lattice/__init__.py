@@ -1,0 +1,1 @@
+"""Points and keys on a lattice: counted, sorted, packed, looked up."""

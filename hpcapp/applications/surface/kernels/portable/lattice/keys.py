@@ -1,0 +1,184 @@
+"""Sets of cells, corners and bricks by their keys: where they stand, and which lie near others."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpcapp.applications.surface.kernels.portable.mesh.topology import label_components
+from hpcapp.applications.surface.types import lattice
+from hpcapp.applications.surface.types.lattice import (
+    NEIGHBOURS,
+    OCTANTS,
+    corner_parents,
+    pack_places,
+    spread_keys,
+    step_keys,
+    unique_keys,
+    unite_keys,
+    unpack_keys,
+)
+from hpcapp.applications.surface.types.points import (
+    BoolArray,
+    ByteArray,
+    FloatArray,
+    Int32Array,
+    IntArray,
+)
+
+__all__ = [
+    "find_keys",
+    "label_cells",
+    "look_near",
+    "mark_ancestors",
+    "mark_near",
+    "parent_keys",
+    "spread_keys",
+    "unite_keys",
+]
+
+
+def find_keys(keys: IntArray, wanted: IntArray, threads: int = 1) -> IntArray:
+    """Return where each of some keys stands among sorted keys.
+
+    Parameters
+    ----------
+    keys : ndarray of int64, shape (k,)
+        Sorted, unique.
+    wanted : ndarray of int64, shape (...)
+
+    Returns
+    -------
+    ndarray of int64, shape (...)
+        The row in `keys`, and k where a key is missing.
+    """
+    del threads  # numpy runs on one
+    return lattice.find_keys(keys, wanted)
+
+
+def mark_ancestors(cells: IntArray, depth: int, ancestors: IntArray) -> NDArray[np.uint32]:
+    """Tell which cells of a level are ancestors of some of the finest, and where in them these lie.
+
+    Parameters
+    ----------
+    cells : ndarray of int64, shape (c,)
+        Sorted keys of finest cells.
+    depth : int
+        The level.
+    ancestors : ndarray of int64, shape (a,)
+        Sorted keys of cells of that level.
+
+    Returns
+    -------
+    ndarray of uint32, shape (a,)
+        Bit x + 3 y + 9 z is set where one of the cells lies, along each axis, first (0), between
+        (1) or last (2) among the finest in the ancestor; 0 for what is the ancestor of none.
+    """
+    places = unpack_keys(cells)
+    # (c, 3): where each lies in its ancestor along each axis: first 0, between 1, last 2.
+    within, last = places & ((1 << depth) - 1), (1 << depth) - 1
+    ways = np.where(within == 0, 0, np.where(within == last, 2, 1))
+    bits = np.uint32(1) << (ways @ np.array([1, 3, 9])).astype(np.uint32)
+    rows = lattice.find_keys(ancestors, pack_places(places >> depth))
+    marks = np.zeros(len(ancestors) + 1, np.uint32)
+    np.bitwise_or.at(marks, rows, bits)
+    return marks[:-1]
+
+
+def mark_near(keys: IntArray, cells: IntArray, low: IntArray, high: IntArray) -> BoolArray:
+    """Tell which of some keys lie in boxes around some cells.
+
+    Parameters
+    ----------
+    keys, cells : ndarray of int64, shapes (k,) and (c,)
+        Sorted keys of one lattice.
+    low, high : ndarray of int64, shape (3,)
+        How many cells a box reaches down and up along each axis.
+    """
+    for axis, unit in enumerate(np.eye(3, dtype=np.int64)):
+        steps = [step_keys(cells, unit * step) for step in range(-low[axis], high[axis] + 1)]
+        cells = unique_keys(np.concatenate(steps))
+    near: BoolArray = lattice.find_keys(cells, keys) < len(cells)
+    return near
+
+
+def look_near(
+    cells: IntArray,
+    origin: FloatArray,
+    cell_size: float,
+    pairs: ByteArray,
+    corner: FloatArray,
+    edge: float,
+    margin: float,
+    beyond: int,
+) -> BoolArray:
+    """Look up the middles of cells among bricks, see `halo.near_bricks`.
+
+    Parameters
+    ----------
+    pairs : ndarray of uint8, shape (x, y, z)
+        Of each brick, bit a + 2 b + 4 c: whether it, or the next a, b and c ones along x, y and z,
+        may be evaluated.
+    corner : ndarray of float64, shape (3,)
+        Where brick (`beyond`, `beyond`, `beyond`) of these begins, in length units of the input.
+    edge, margin : float
+        Of a brick, and how near a place must be to one, half an edge at most; likewise.
+
+    Returns
+    -------
+    ndarray of bool, shape (c,)
+    """
+    places = origin + cell_size * (unpack_keys(cells) + 0.5)  # (c, 3): the middles
+    # (c,): the brick that begins below the margin, and bit by axis whether the margin reaches into
+    # the next one too: so one lookup answers for eight bricks.
+    index = np.zeros(len(places), np.int64)
+    spans = np.zeros(len(places), np.uint8)
+    inside = np.ones(len(places), np.bool_)
+    for axis, length in enumerate(pairs.shape):
+        column = (places[:, axis] - corner[axis]) / edge
+        low = np.floor(column - margin / edge).astype(np.int64)
+        spans |= ((np.floor(column + margin / edge) > low).astype(np.uint8)) << np.uint8(axis)
+        low += beyond
+        inside &= (low >= 0) & (low < length - 1)
+        index = index * length + np.clip(low, 0, length - 1)
+    near: BoolArray = inside & (pairs.reshape(-1)[index] >> spans & 1).astype(np.bool_)
+    return near
+
+
+def parent_keys(vertices: IntArray) -> IntArray:
+    """Return every parent of some corners.
+
+    Parameters
+    ----------
+    vertices : ndarray of int64, shape (v,)
+
+    Returns
+    -------
+    ndarray of int64, shape (p,)
+        Sorted, unique keys of the next coarser level.
+    """
+    places = unpack_keys(vertices)
+    parents = [unique_keys(corner_parents(places, octant)[0]) for octant in OCTANTS]
+    return unique_keys(np.concatenate(parents))
+
+
+def label_cells(keys: IntArray) -> tuple[int, Int32Array]:
+    """Number the pieces of cells that touch, by faces, edges or corners.
+
+    Parameters
+    ----------
+    keys : ndarray of int64, shape (c,)
+        Sorted, unique.
+
+    Returns
+    -------
+    pieces : int
+    label : ndarray of int32, shape (c,)
+        The piece of each cell, numbered in the order of their first cells.
+    """
+    links = [np.zeros((0, 3), np.int64)]
+    for step in NEIGHBOURS[len(NEIGHBOURS) // 2 + 1 :]:
+        other = lattice.find_keys(keys, step_keys(keys, step))
+        rows = np.flatnonzero(other < len(keys))
+        links.append(np.stack([rows, other[rows], other[rows]], axis=1))  # faces, a corner twice
+    return label_components(np.concatenate(links), len(keys))

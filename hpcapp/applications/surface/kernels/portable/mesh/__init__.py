@@ -1,0 +1,1 @@
+"""Meshes as they are handed over: connectivity, seams of parts, fewer faces."""

@@ -1,0 +1,1 @@
+"""From the function to triangles: bricks grown, marching cubes, vertices balanced."""
