@@ -6,6 +6,7 @@ from hpcapp.applications.surface.job.diagnostics import (
     check_closure,
     check_resolution,
     check_sides,
+    check_support,
 )
 from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.surface import WholeSurface
@@ -59,3 +60,14 @@ def test_a_mesh_far_outside_its_points_is_noticed(sphere: PointCloud) -> None:
         "outside the points' bounding box"
         in check_closure(*bound_points(sphere.positions), swollen, 2.0 / 64)[0]
     )
+
+
+def test_a_mesh_closed_over_a_side_that_was_not_scanned_is_warned_of() -> None:
+    def warn(share: float) -> list[str]:
+        return check_support({"support": {"share": share, "farthest": 1.5, "reach": 0.1}})
+
+    assert warn(0.82) == []
+    (warning,) = warn(0.72)
+    assert "28 % of the mesh is supported by no point, up to 1.5 from the nearest" in warning
+    assert "close='no' leaves it open" in warning
+    assert check_support({"open": True}) == []
