@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hpcapp.applications.surface.field.hull import find_hull
 from hpcapp.applications.surface.kernels import integrate_normals, sample_grid
 from hpcapp.applications.surface.types.field import FarField
 from hpcapp.applications.surface.types.lattice import (
@@ -69,6 +70,8 @@ class FarFieldPart:
         The lowest node of the box.
     nodes : int
         Along each side of the whole.
+    hull : ndarray of float64, shape (k, 4)
+        See `FarField`.
     """
 
     values: Float32Array
@@ -76,6 +79,7 @@ class FarFieldPart:
     nodes: int
     origin: FloatArray
     step: float
+    hull: FloatArray
 
 
 def crop_far_field(far: FarField, low: FloatArray, high: FloatArray) -> FarFieldPart:
@@ -83,7 +87,8 @@ def crop_far_field(far: FarField, low: FloatArray, high: FloatArray) -> FarField
     nodes = len(far.values)
     first, end = crop_nodes(far.origin, far.step, nodes, low, high)
     box = tuple(slice(a, b) for a, b in zip(first, end, strict=True))
-    return FarFieldPart(np.ascontiguousarray(far.values[box]), first, nodes, far.origin, far.step)
+    values = np.ascontiguousarray(far.values[box])
+    return FarFieldPart(values, first, nodes, far.origin, far.step, far.hull)
 
 
 def crop_nodes(
@@ -100,7 +105,7 @@ def restore_far_field(part: FarFieldPart) -> FarField:
     values = np.zeros((part.nodes,) * 3, np.float32)
     box = tuple(slice(a, a + side) for a, side in zip(part.first, part.values.shape, strict=True))
     values[box] = part.values
-    return FarField(values, part.origin, part.step)
+    return FarField(values, part.origin, part.step, part.hull)
 
 
 def far_step(low: FloatArray, high: FloatArray, nodes: int) -> float:
@@ -145,6 +150,7 @@ def solve_far_field(
     low, high = box
     origin, step = lay_far_field(low, high, nodes)
     corner = lay_lattice(low, size)
+    hull = find_hull(centroids, normals, size)
     centroids, normals = spread_samples(centroids - corner, normals, size)
     centroids = np.clip(centroids + corner, low, high)
     places = (centroids - origin) / step  # (s, 3): in steps from node (0, 0, 0)
@@ -160,7 +166,7 @@ def solve_far_field(
     slope = max(float(rise.mean()) / (2.0 * step), 1e-300)
     chi /= np.float32(slope)
     np.clip(chi, -FAR_REACH * step, FAR_REACH * step, out=chi)
-    return FarField(chi, origin, step)
+    return FarField(chi, origin, step, hull)
 
 
 def spread_samples(

@@ -5,7 +5,10 @@ Each function returns sentences that say what is odd and what to do, or none.
 
 from __future__ import annotations
 
+from typing import Any
+
 from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.boundary.drive import BARE_SHARE
 from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.normals.consistency import faces_inwards
 from hpcapp.applications.surface.stitching.handles import find_small_handles
@@ -14,7 +17,14 @@ from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.wording import say_count
 from hpccomponent.option_names import name_option
 
-__all__ = ["SAMPLE", "check_closure", "check_handles", "check_resolution", "check_sides"]
+__all__ = [
+    "SAMPLE",
+    "check_closure",
+    "check_handles",
+    "check_resolution",
+    "check_sides",
+    "check_support",
+]
 
 #: Points are judged on a sample of about so many.
 SAMPLE = 10_000
@@ -107,3 +117,21 @@ def check_handles(surface: Surface, line_gap: float) -> list[str]:
     )
     handles = say_count(found.count, "handle")
     return [f"{handles} no wider than {found.width:.3g}, most around ({place}): {cause}"]
+
+
+def check_support(facts: dict[str, Any]) -> list[str]:
+    """Warn of a mesh that is closed over a wide side that was not scanned.
+
+    Parameters
+    ----------
+    facts : dict
+        Of the reconstruction; what is missing there was not measured.
+    """
+    support = facts.get("support")
+    if support is None or 1.0 - support["share"] <= BARE_SHARE:
+        return []
+    return [
+        f"{100.0 * (1.0 - support['share']):.0f} % of the mesh is supported by no point, up to "
+        f"{support['farthest']:g} from the nearest one: a side that was not scanned is closed "
+        f"there by guesswork; {name_option('close', 'no')} leaves it open"
+    ]

@@ -20,6 +20,7 @@ from hpcapp.applications.surface.job.diagnostics import (
     check_handles,
     check_resolution,
     check_sides,
+    check_support,
 )
 from hpcapp.applications.surface.job.folder import all_see_folder, choose_tile
 from hpcapp.applications.surface.job.load import Loaded
@@ -185,6 +186,7 @@ def _warn(
     if not (is_open or checks.resolution) and settings.method.makes_closed_meshes:
         warnings += check_closure(checks.low, checks.high, result.surface, checks.step)
         warnings += check_handles(result.surface, loaded.cleaned.line_gap)
+        warnings += check_support(result.facts)
     for warning in warnings:
         log.warning("warning: %s", warning)
     return warnings

@@ -97,6 +97,7 @@ def far_field(plan: Plan, *_: Any) -> Declared:
         nodes=Exactly(plan.far_nodes),
         origin=Array("<f8", 3, low=origin, high=origin),
         step=Number(step, step),
+        hull=Array("<f8", "planes", 4),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -106,8 +106,12 @@ class FarField:
         Where node (0, 0, 0) lies.
     step : float
         Distance of neighbouring nodes, in length units of the input.
+    hull : ndarray of float64, shape (k, 4)
+        Planes beyond which all is outside, whatever the levels say: unit normals, then distances
+        from the frame's origin, in length units of the input.
     """
 
     values: Float32Array
     origin: FloatArray
     step: float
+    hull: FloatArray = field(default_factory=lambda: np.empty((0, 4)))

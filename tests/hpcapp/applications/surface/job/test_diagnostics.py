@@ -8,6 +8,7 @@ from hpcapp.applications.surface.job.diagnostics import (
     check_handles,
     check_resolution,
     check_sides,
+    check_support,
 )
 from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.surface import WholeSurface
@@ -84,3 +85,14 @@ def test_a_mesh_without_handles_is_not_doubted() -> None:
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
     faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
     assert check_handles(WholeSurface(Mesh(corners, faces)), 0.0) == []
+
+
+def test_a_mesh_closed_over_a_side_that_was_not_scanned_is_warned_of() -> None:
+    def warn(share: float) -> list[str]:
+        return check_support({"support": {"share": share, "farthest": 1.5, "reach": 0.1}})
+
+    assert warn(0.82) == []
+    (warning,) = warn(0.72)
+    assert "28 % of the mesh is supported by no point, up to 1.5 from the nearest" in warning
+    assert "close='no' leaves it open" in warning
+    assert check_support({"open": True}) == []

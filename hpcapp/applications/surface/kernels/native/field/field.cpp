@@ -29,6 +29,7 @@ constexpr int plane_of(int nodes) { return (nodes * nodes + 7) / 8 * 8; }
 
 constexpr Real TINY = static_cast<Real>(constants::field::TINY);
 constexpr Real LEAST_REST = static_cast<Real>(constants::field::LEAST_REST);
+constexpr double HULL_REACH = constants::field::HULL_REACH;
 
 // Sizes of the intermediate arrays of a brick; x is padded to whole vectors.
 struct Shape {
@@ -187,6 +188,31 @@ HPC_CLONES void add_far(const Field& field, const Axis* axes, const Composite& c
     }
 }
 
+// Move what lies beyond a plane of the hull outside (see field.py).
+void cut_at_hull(const Field& field, const Grid& grid, const Place& brick, int every, Real* total) {
+  const int nodes = BRICK / every + 1, plane_nodes = plane_of(nodes);
+  const double least = -HULL_REACH * grid.step / field.cell_size;
+  for (const double* plane = field.hull; plane != field.hull + 4 * field.planes; plane += 4) {
+    // What a node adds along each axis: the sum is that of its index, whatever the brick.
+    double added[3][NODES], most = -plane[3];
+    for (int axis = 0; axis < 3; ++axis) {
+      for (int node = 0; node < nodes; ++node) {
+        const double index = static_cast<double>(brick[axis] * BRICK + int64_t{1} * node * every);
+        added[axis][node] = plane[axis] * (grid.origin[axis] + index * grid.step);
+      }
+      most += std::max(added[axis][0], added[axis][nodes - 1]);
+    }
+    if (most / field.cell_size <= 1.5 * least) continue;
+    for (int x = 0; x < nodes; ++x)
+      for (int y = 0; y < nodes; ++y)
+        for (int z = 0; z < nodes; ++z) {
+          const double beyond = (added[0][x] + added[1][y] + added[2][z] - plane[3]) / field.cell_size;
+          Real& value = total[x * plane_nodes + y * nodes + z];
+          if (beyond > least) value = std::max(value, static_cast<Real>(beyond));
+        }
+  }
+}
+
 // Put the quadrics around a brick into raw: [channel][z][y][lanes]; 0 where a vertex is missing.
 // Return whether there is any.
 bool load_vertices(const FieldLevel& level, Finger& finger, const Axis* axes, const Shape& shape, Real* raw) {
@@ -301,6 +327,10 @@ void take_far(nb::handle given, Field& field) {
   field.far_step = field_of<double>(far, "step");
   take_origin(far, field.far_origin);
   check_positive(field.far_step, "far step");
+  const Input hull = field.hold<Doubles>(far, "hull");
+  field.hull = check<double>(hull, "hull", {ANY, 4});
+  field.planes = rows_of(hull);
+  check_finite(field.hull, 4 * field.planes, "hull");
 }
 
 void round_values(const Real* total, int nodes, float* values) {
@@ -384,6 +414,7 @@ void BrickEvaluator::evaluate(const Place& brick, int every, float* values) {
           locate(brick[axis], every, grid_.step, grid_.origin[axis] - field_.far_origin[axis], field_.far_step);
     add_far(field_, axes, {scratch_.data(), scratch_.data() + NODES * PLANE});
   }
+  cut_at_hull(field_, grid_, brick, every, scratch_.data());
   round_values(scratch_.data(), BRICK / every + 1, values);
   close_border(brick, grid_, every, values);
 }

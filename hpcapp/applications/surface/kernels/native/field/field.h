@@ -35,6 +35,8 @@ struct Field {
   const float* far_values;
   int64_t far_nodes;
   double far_origin[3], far_step;
+  const double* hull;  // planes: normals and distances from the origin
+  int64_t planes;
   std::vector<Features> features;  // of the first levels
   std::vector<Input> arrays;  // what the pointers above point into
 

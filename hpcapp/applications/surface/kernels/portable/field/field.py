@@ -36,6 +36,9 @@ _CHUNK_NODES = 1 << 17
 _LEAST_REST = 1e-6  # what is left to the levels behind is 0 below this, and they are not asked
 _TINY = 1e-30
 
+HULL_REACH = 16.0
+"""Steps: deeper inside, the planes of the hull do not matter to the surface."""
+
 
 def evaluate_bricks(field: Field, grid: Grid, places: IntArray, threads: int = 1) -> Float32Array:
     """Evaluate the implicit function at all nodes of some bricks.
@@ -121,7 +124,17 @@ def _evaluate_chunk(
         rest[rest < _LEAST_REST] = 0.0
     far_lower, far_local = _locate(nodes, grid, field.far.origin, field.far.step)
     total += rest * (interpolate_far(field.far.values, far_lower, far_local) / field.cell_size)
+    _cut_at_hull(total, nodes, field, grid)
     return _settle_signs(total.astype(np.float32), nodes, grid)
+
+
+def _cut_at_hull(total: FloatArray, nodes: IntArray, field: Field, grid: Grid) -> None:
+    """Move what lies beyond a plane of the hull outside."""
+    x, y, z = cross_axes(grid.origin[:, None, None] + nodes * grid.step)
+    least = -HULL_REACH * grid.step / field.cell_size
+    for a, b, c, distance in field.far.hull.tolist():
+        beyond = (a * x + b * y + c * z - distance) / field.cell_size
+        np.maximum(total, beyond, out=total, where=beyond > least)
 
 
 def _settle_signs(values: Float32Array, nodes: IntArray, grid: Grid) -> Float32Array:

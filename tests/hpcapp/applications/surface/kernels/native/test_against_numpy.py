@@ -353,7 +353,8 @@ def test_surface_where_strides_differ(native: ModuleType, seed: int) -> None:
     step = (0.7, 1.6, 4.0)[seed % 3]
     side = int(32 / step) + 4
     noise = random.normal(0.3, 1.0, (side, side, side)).astype(np.float32)
-    function = Field(np.zeros(3), 1.0, (), FarField(noise, np.full(3, -step), step))
+    hull = np.array([[0.6, 0.0, -0.8, 9.0], [0.0, -1.0, 0.0, -6.0]])
+    function = Field(np.zeros(3), 1.0, (), FarField(noise, np.full(3, -step), step, hull))
     grid = Grid(np.zeros(3), 1.0, (4, 3, 3))
     grid = replace(grid, strides=random_strides(random, grid))
     places = np.stack(np.meshgrid(*map(np.arange, grid.bricks), indexing="ij"), axis=-1)

@@ -1,9 +1,12 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from hpcapp.applications.surface.kernels.portable.field.field import (
+    HULL_REACH,
     blend_quadrics,
     evaluate_bricks,
     interpolate_far,
@@ -115,6 +118,21 @@ def test_the_outermost_nodes_are_outside_and_no_node_is_zero(field: Field) -> No
     assert (values[1:-1, 1:-1, 1:-1, 1:-1, 1:-1, 1:-1] < 0).all()
     field.far.values[:] = 0.0
     assert (evaluate_bricks(field, GRID, np.array([[1, 1, 1]])) > 0).all()
+
+
+def test_beyond_a_plane_of_the_hull_all_is_outside(field: Field) -> None:
+    places = np.array([[1, 1, 1], [2, 1, 2]])
+    middle = GRID.origin + 0.5 * BRICK * GRID.step * np.array(GRID.bricks)
+    normal = np.array([0.6, 0.0, -0.8])
+    hull = np.array([[*normal, normal @ middle]])
+    cut = replace(field, far=replace(field.far, hull=hull))
+    ticks = np.stack(np.meshgrid(*[np.arange(NODES)] * 3, indexing="ij"), axis=-1)
+    nodes = GRID.origin + GRID.step * (BRICK * places[:, None, None, None] + ticks)
+    beyond = (nodes - middle) @ normal / field.cell_size
+    before, after = (evaluate_bricks(some, GRID, places) for some in (field, cut))
+    deep = beyond < -HULL_REACH * GRID.step / field.cell_size
+    expected = np.where(deep, before, np.maximum(before, beyond))
+    np.testing.assert_allclose(after, expected, 1e-5, 1e-5)
 
 
 def level_of_height(height: float, cells: int) -> FieldLevel:

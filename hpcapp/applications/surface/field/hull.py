@@ -1,0 +1,75 @@
+"""How far a surface may go where it was not seen: to the convex hull of the points.
+
+The far field closes a wide hole by a bulge. Under an object that stood on a table there was no
+room for one: wide facets of the hull, on the side that is missing, close it flat instead.
+
+A facet over a valley is none of these. What was seen at its corners looks the other way, as a
+terrain does above its hull's bottom, or a wall of a room behind it: the hull is no bound there.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hpcapp.applications.surface.types.points import FloatArray
+
+__all__ = ["find_hull"]
+
+_WIDE = 4.0
+"""Cells: facets that are narrower lie over points."""
+
+_MARGIN = 1.0
+"""Cells, by which the hull of their centroids is widened: rims are bare for about as much, and the
+border of an open view is cut before. With .5 it curls; with .5 to 1 bare undersides are as good."""
+
+_BARE = 0.15
+"""Least length of the mean normal: of objects scanned from all sides .14 at most, of those that
+stood on a table .2 and more."""
+
+_MISSING = 0.5
+"""Least cosine between a facet's normal and the way to what is missing."""
+
+_OPPOSED = -0.25
+"""Least mean cosine between a facet's normal and those of its corners: those that close objects on
+tables have -.15 to .9, those under terrains and behind walls -.36 to -1."""
+
+_TINY = 1e-300
+
+
+def find_hull(centroids: FloatArray, normals: FloatArray, size: float) -> FloatArray:
+    """Find planes that the surface of some cells of points does not leave.
+
+    Parameters
+    ----------
+    centroids, normals : ndarray of float64, shape (c, 3)
+        Means of the points in each cell, in length units of the input.
+    size : float
+        Edge of the cells, in the same units.
+
+    Returns
+    -------
+    ndarray of float64, shape (k, 4)
+        See `FarField`; none where nothing is missing, or the cells lie in a plane.
+    """
+    # The normals of a closed surface add up to zero: their sum points away from what is missing.
+    missing = -normals.sum(axis=0)
+    length = float(np.linalg.norm(missing))
+    if length < _BARE * len(normals):
+        return np.empty((0, 4))
+    from scipy.spatial import ConvexHull, QhullError  # takes its time
+
+    try:
+        hull = ConvexHull(centroids)
+    except (QhullError, ValueError):
+        return np.empty((0, 4))
+    outwards, corners = hull.equations[:, :3], centroids[hull.simplices]  # (f, 3), (f, 3, 3)
+    # (f,): the smallest height of each triangle.
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    arms = corners[:, 1:] - corners[:, :1]
+    areas = np.linalg.norm(np.cross(arms[:, 0], arms[:, 1]), axis=1)
+    is_wide = areas > _WIDE * size * sides.max(axis=1)
+    is_missing = outwards @ missing > _MISSING * length
+    units = normals / np.maximum(np.linalg.norm(normals, axis=1), _TINY)[:, None]
+    cosines = (units[hull.simplices] * outwards[:, None]).sum(axis=2).mean(axis=1)
+    kept = is_wide & is_missing & (cosines > _OPPOSED)
+    return np.column_stack([outwards[kept], _MARGIN * size - hull.equations[kept, 3]])
