@@ -14,11 +14,13 @@ from hpcapp.applications.surface.method import MethodSettings
 from hpcapp.applications.surface.paper.settings import Paper
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import PointCloud
-from hpcapp.io import read_mesh, write_mesh
+from hpcapp.io import read_mesh, write_mesh, write_points
 from hpcapp.progress import Progress
 from hpccomponent.errors import HpcError, OutputError
 
 SILENT = Progress()
+
+PAGE = Path(__file__).parents[5] / "docs/reference/reconstruct.md"
 
 WriteCloud = Callable[..., Path]
 
@@ -45,6 +47,18 @@ def test_every_backend_writes_the_same_bytes(
         assert (report["bytes_sent"] > 0) == (backend == "zmq")
         meshes[path.name] = path.read_bytes()
     assert len(set(meshes.values())) == 1
+
+
+@pytest.mark.parametrize("method", [Hierarchical(), Paper()], ids=["hierarchical", "paper"])
+@pytest.mark.parametrize("is_open", [False, True], ids=["closed", "open"])
+def test_each_key_of_the_report_is_in_its_page(
+    method: MethodSettings, is_open: bool, sphere: PointCloud, tmp_path: Path
+) -> None:
+    points = sphere.take(sphere.positions[:, 2] > 0.0) if is_open else sphere
+    write_points(tmp_path / "points.ply", points)
+    settings = JobSettings(tmp_path / "points.ply", str(tmp_path / "m.ply"), method=method, grid=32)
+    report = run_job(settings, SILENT)
+    assert {key for key in report if f"`{key}`" not in PAGE.read_text()} == set()
 
 
 def test_three_ways_to_say_the_resolution(sphere_file: Path, tmp_path: Path) -> None:
