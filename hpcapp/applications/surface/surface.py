@@ -50,6 +50,11 @@ log = logging.getLogger("hpcapp")
 class Surface(Protocol):
     """A surface, wherever its vertices and faces are."""
 
+    @property
+    def is_here(self) -> bool:
+        """Whether all of it is in this process, so that looking at it costs no fetching."""
+        ...
+
     def check(self) -> Topology:
         """Judge its topology."""
         ...
@@ -114,6 +119,11 @@ class WholeSurface:
     """A mesh in memory."""
 
     whole: Mesh
+
+    @property
+    def is_here(self) -> bool:
+        """Always."""
+        return True
 
     def check(self) -> Topology:
         """Judge its topology."""
@@ -200,6 +210,11 @@ class PartSurface:
     _plan: StitchingPlan | None = None
     _topology: Deferred[Topology] | None = None
     _checked: set[int] = field(default_factory=set)
+
+    @property
+    def is_here(self) -> bool:
+        """Whether its parts are kept nowhere else."""
+        return self.checkpoint is None
 
     @property
     def plan(self) -> StitchingPlan:

@@ -97,11 +97,11 @@ def check_handles(surface: Surface, line_gap: float) -> list[str]:
     Parameters
     ----------
     surface : Surface
-        Closed.
+        Closed. One that is kept in parts elsewhere is not looked at: it may not fit into memory.
     line_gap : float
         From scan line to scan line, in length units of the input; 0 where there are none.
     """
-    if not surface.check().genus:  # that of a mesh that is not closed is None
+    if not surface.is_here or not surface.check().genus:  # None of a mesh that is not closed
         return []
     stream = surface.stream()
     found = find_small_handles(stream)
