@@ -46,7 +46,7 @@ from hpcapp.applications.surface.stitching.handles import BOX, find_small_handle
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.applications.surface.types.lattice import lay_lattice
 from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io import drop_unusable, open_points, read_whole
 from hpcapp.io.meshes.mesh_stream import as_stream
 
@@ -73,40 +73,40 @@ GROUPS = {
     ),
 }
 Row = list[str | float]
+KINDS = ("outside", "inside", "camera")  # all other readings are sides
 SAME = 0.8  # share of the area on which two readings agree that say the same
 SIDES = ["scan", "group", "outside", "inside", "stand", "name of the side", "side", "habit",
-         "level", "turned", "right"]  # fmt: skip
+         "level", "turned", "camera", "right"]  # fmt: skip
 NORMALS = ["scan", "signed", "following", "pairs", "torn"]
 HANDLES = ["scan", "genus", "true genus", "in half", "in one", "in two"]
 
 
-def group_points(path: Path) -> tuple[Patches, Links, float]:
-    """Return the patches of a scan, their links, and its spacing."""
+def group_points(path: Path) -> tuple[Patches, Links, float, FloatArray]:
+    """Return the patches of a scan, their links, its spacing, and where it has (0, 0, 0)."""
     points, _ = drop_unusable(read_whole(open_points(path)), path.name)
-    cloud_pass = MemoryPass(arrange_cloud(drop_far(PointCloud(points.positions))))
+    bare = PointCloud(points.positions, origin=points.origin)
+    cloud_pass = MemoryPass(arrange_cloud(drop_far(bare)))
     cloud_pass, _, scale = thin_lines(cloud_pass)
     cloud_pass, _, scale = drop_strays(cloud_pass, scale)
     positions, low = cloud_pass.cloud.points.positions, cloud_pass.cloud.low
     every, spacing = np.ones(len(positions), np.bool_), scale.spacing
     corner = lay_lattice(low, spacing)
     vectors = estimate_normals(positions, every, corner, spacing)
-    return *find_patches(positions, vectors, every, corner, spacing), spacing
+    patches, links = find_patches(positions, vectors, every, corner, spacing)
+    return patches, links, spacing, -cloud_pass.cloud.origin
 
 
 def find_sides(path: Path, group: str) -> Row:
     """Return a row of what the readings of a scan cost."""
-    patches, links, spacing = group_points(path)
+    patches, links, spacing, zero = group_points(path)
     linked = LinkedPatches(patches, links)
-    found = [
-        follow_reading(patches, linked, some) for some in find_readings(patches, linked, spacing)
-    ]
+    readings = find_readings(patches, linked, spacing, zero)
+    found = [follow_reading(patches, linked, some) for some in readings]
     habits = [followed.reading.habit for followed in found]
     believed = found[choose([followed.cost for followed in found], habits)]
-    named = {
-        followed.reading.kind: followed for followed in found if followed.reading.place is None
-    }
+    named = {one.reading.kind: one for one in found if one.reading.kind in KINDS}
     sides = sorted(
-        (followed for followed in found if followed.reading.place is not None),
+        (one for one in found if one.reading.kind not in KINDS),
         key=lambda followed: followed.cost + (followed.reading.habit or 0.0),
     )
     named["side"] = sides[0]
@@ -127,6 +127,7 @@ def find_sides(path: Path, group: str) -> Row:
         round((sides[0].reading.habit or 0.0) / HABIT, 3),
         float(lies_level(patches)),
         costs.get("turned", ""),
+        costs.get("camera", ""),
         " ".join(right),
     ]
 

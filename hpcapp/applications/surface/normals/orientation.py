@@ -122,7 +122,7 @@ def orient_patches(
         sides = _settle(patches, linked, spacing, evidence, followed)
         values = np.clip(sides, -1.0, 1.0).astype(np.float32)
         return Orientation(Sides(patches.keys, patches.ranks, values), evidence.how, None)
-    best, *others = weigh_readings(patches, linked, spacing)
+    best, *others = weigh_readings(patches, linked, spacing, zero)
     sides = _settle(patches, linked, spacing, best.reading.evidence, best.sides)
     margins = np.full((1 + len(others), len(patches)), CERTAIN)
     for margin, other in zip(margins[1:], others, strict=True):

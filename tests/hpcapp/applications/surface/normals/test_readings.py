@@ -12,7 +12,7 @@ from hpcapp.applications.surface.normals.inside import AMPLE, find_inside
 from hpcapp.applications.surface.normals.linked import LinkedPatches
 from hpcapp.applications.surface.normals.orientation import SURE, Orientation, orient_patches
 from hpcapp.applications.surface.normals.patches import Links, Patches, find_patches, turn_points
-from hpcapp.applications.surface.normals.readings import choose, weigh_readings
+from hpcapp.applications.surface.normals.readings import HABIT, choose, lies_level, weigh_readings
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.types.points import Float32Array, FloatArray
 from hpccomponent.errors import InputError
@@ -29,13 +29,15 @@ def _group(positions: FloatArray) -> tuple[Patches, Links, float, Float32Array]:
 
 def _read(positions: FloatArray) -> list[str]:
     patches, links, spacing, _ = _group(positions)
-    found = weigh_readings(patches, LinkedPatches(patches, links), spacing)
+    found = weigh_readings(patches, LinkedPatches(patches, links), spacing, FAR)
     return [followed.reading.kind for followed in found]
 
 
-def _orient(positions: FloatArray, sensor: Sensor | None = None) -> tuple[FloatArray, Orientation]:
+def _orient(
+    positions: FloatArray, sensor: Sensor | None = None, zero: FloatArray = FAR
+) -> tuple[FloatArray, Orientation]:
     patches, links, spacing, vectors = _group(positions)
-    oriented = orient_patches(patches, links, spacing, FAR, sensor or Sensor())
+    oriented = orient_patches(patches, links, spacing, zero, sensor or Sensor())
     low = positions.min(axis=0)
     normals = turn_points(positions, vectors, low, spacing, oriented.sides)[0]
     return normals.astype(np.float64), oriented
@@ -119,6 +121,23 @@ def test_a_sheet_that_lies_level_is_ground_and_surely_faces_up(degrees: float) -
     assert _share_sure(oriented) == 1.0
 
 
+@pytest.mark.parametrize(("height", "is_level"), [(0.6, True), (0.85, False)])
+def test_what_is_half_as_thick_as_wide_lies_level(height: float, is_level: bool) -> None:
+    """Two sheets of a width of 2 spread by .58, and so far apart by .87 of that at height 1."""
+    sheets = [_slope(0.0) + np.array([0.0, 0.0, side * height / 2.0]) for side in (-1.0, 1.0)]
+    patches = _group(np.concatenate(sheets))[0]
+    assert lies_level(patches) == is_level
+
+
+@pytest.mark.parametrize(("distance", "is_sure"), [(0.75, False), (0.4, True), (-2.0, True)])
+def test_what_may_be_the_image_of_a_camera_at_zero_is_unsure(
+    distance: float, is_sure: bool
+) -> None:
+    """It looks along z; nearer it would see more than any camera does, and behind it nothing."""
+    _, oriented = _orient(_slope(0.0), zero=np.array([0.0, 0.0, -distance]))
+    assert _share_sure(oriented) == float(is_sure)
+
+
 @pytest.mark.parametrize("degrees", [50.0, 60.0])
 def test_an_open_sheet_that_stands_faces_up_and_is_unsure(degrees: float) -> None:
     normals, oriented = _orient(_slope(degrees))
@@ -172,3 +191,4 @@ def test_habit_decides_between_sides_alone() -> None:
     assert choose([0.3, 0.02, 0.01], [None, 0.0, 0.02]) == 1
     assert choose([0.015, 0.02, 0.01], [None, 0.0, 0.02]) == 0
     assert choose([0.3, 0.025, 0.03], [None, 0.02, None]) == 1
+    assert choose([0.038, 0.0], [0.0, HABIT]) == 0  # a bowl, seen from above

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -79,3 +81,15 @@ def test_who_stands_on_a_patch_sees_what_there_is_to_see(size: float) -> None:
     cosines, is_seen, _ = find_seen(patches, size * np.ones(3), size)
     assert cosines.tolist() == [0.0]
     assert is_seen.tolist() == [False]
+
+
+def test_a_plane_across_an_edge_counts_where_it_is_seen_steeply() -> None:
+    """However much it leaves, it is no more than 45 degrees off."""
+    ball = _ball()
+    bent = replace(ball, noise=np.where(np.arange(len(ball)) % 2 == 0, 0.0, 10.0 * SPACING))
+    cosines, is_seen, is_clear = find_seen(bent, np.array([0.0, 0.0, 50.0]), SPACING)
+    is_bent = bent.noise > 0.0
+    lost = find_seen(ball, np.array([0.0, 0.0, 50.0]), SPACING)[2] & ~is_clear
+    assert (lost & is_bent & (np.abs(cosines) < 0.7)).any()
+    assert not (lost & ((np.abs(cosines) > 0.72) | ~is_bent)).any()
+    assert is_seen[is_clear].all()
