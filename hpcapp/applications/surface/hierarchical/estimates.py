@@ -46,7 +46,6 @@ _PROBE_SPACINGS = 2.0
 _PROBE_LAM = 0.3
 _PROBE_ROUNDS = 5
 _PROBE_POINTS = 14, 24, 24, 24  # in the finer and in the coarser cells of a probe
-_TO_MEDIAN = 1.0
 _FREE = 10
 _AGREEING = 0.2  # misfits are about 1 where two sheets oppose; a gear's teeth tell .1, not .5
 _NOISE_SHARE = 0.5  # of residuals: what remains is detail, and no point of it is wrong
@@ -154,7 +153,7 @@ def _probe(sample: PointCloud, spacing: float, threads: int) -> _Noise:
     finer, coarser = left.quartile(0), left.quartile(1)
     variance = float(tell_noise(np.array(finer), np.array(coarser or finer)))
     is_noise = variance > max(_NOISE_SHARE * finer, (_ROUNDING * cell_size) ** 2)
-    deviation = _TO_MEDIAN * float(np.sqrt(variance))
+    deviation = float(np.sqrt(variance))
     local = map_noise(deviation, spacing, first.origin, first_size, first.agreeing)
     return _Noise(local, tolerance if is_noise else np.inf)
 

@@ -132,6 +132,6 @@ def check_support(facts: dict[str, Any]) -> list[str]:
         return []
     return [
         f"{100.0 * (1.0 - support['share']):.0f} % of the mesh is supported by no point, up to "
-        f"{support['farthest']:g} from the nearest one: a side that was not scanned is closed "
+        f"{support['farthest']:.3g} from the nearest one: a side that was not scanned is closed "
         f"there by guesswork; {name_option('close', 'no')} leaves it open"
     ]

@@ -14,6 +14,7 @@ hole through a plate is none: the way around it leads around the plate.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 
@@ -28,7 +29,7 @@ BOX = 8.0
 """Sides of faces: the edge of the boxes that a handle must fit into to be small. See
 ``benchmarks/decisions.py``."""
 _SHIFTS = tuple(np.ndindex(2, 2, 2))  # by half a box: one of these holds any that is half as wide
-_BLOCKS = 16  # of a mesh that are looked at, at most
+_MOST_FACES = 1 << 21  # of a mesh that are looked at, about, in blocks from all over it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,28 +62,32 @@ def find_small_handles(stream: MeshStream, box: float = BOX) -> SmallHandles:
     box : float
         See `BOX`.
     """
-    every = max(1, -(-stream.face_count // (_BLOCKS << 17)))
-    found = SmallHandles(0, np.zeros(3), 0.0)
-    most, width = 0, 0.0
-    blocks = zip(stream.faces(), stream.corners(), strict=True)
-    for index, (faces, corners) in enumerate(blocks):
-        if index % every or not len(faces):
-            continue
-        sides = corners - np.roll(corners, -1, axis=1)
-        edge = box * float(np.median(np.sqrt(np.square(sides).sum(axis=2))))
-        centres = corners.mean(axis=1)
-        low, links = centres.min(axis=0), _link_sides(faces)
-        best, at = 0, low
-        for shift in _SHIFTS:
-            places = np.floor((centres - low) / edge + 0.5 * np.array(shift)).astype(np.int64)
-            handles, piece = _count_handles(len(faces), links, pack_places(places))
-            if int(handles.sum()) > best:
-                best = int(handles.sum())
-                at = centres[piece == int(handles.argmax())].mean(axis=0)
-        width = max(width, edge)
-        place, most = (at, best) if best > most else (found.place, most)
-        found = SmallHandles(found.count + best, place, width)
-    return found
+    every = max(1, -(-stream.face_count // _MOST_FACES))
+    blocks = islice(zip(stream.faces(), stream.corners(), strict=True), 0, None, every)
+    found = [_search(faces, corners, box) for faces, corners in blocks if len(faces)]
+    if not found:
+        return SmallHandles(0, np.zeros(3), 0.0)
+    count, width = sum(one.count for one in found), max(one.width for one in found)
+    return SmallHandles(count, max(found, key=lambda one: one.count).place, width)
+
+
+def _search(faces: IntArray, corners: FloatArray, box: float) -> SmallHandles:
+    """Find those of a block: as many as the lattice of boxes cuts out that cuts out most.
+
+    `faces` are of shape (f, 3), `corners` where their vertices lie, (f, 3, 3).
+    """
+    sides = corners - np.roll(corners, -1, axis=1)
+    edge = box * float(np.median(np.sqrt(np.square(sides).sum(axis=2))))
+    centres = corners.mean(axis=1)
+    low, links = centres.min(axis=0), _link_sides(faces)
+    best = SmallHandles(0, low, edge)
+    for shift in _SHIFTS:
+        places = np.floor((centres - low) / edge + 0.5 * np.array(shift)).astype(np.int64)
+        handles, piece = _count_handles(len(faces), links, pack_places(places))
+        if int(handles.sum()) > best.count:
+            place = centres[piece == int(handles.argmax())].mean(axis=0)
+            best = SmallHandles(int(handles.sum()), place, edge)
+    return best
 
 
 def _link_sides(faces: IntArray) -> tuple[IntArray, IntArray]:
@@ -102,13 +107,16 @@ def _count_handles(
     first, second = links
     inside = box[first // 3] == box[second // 3]
     first, second = first[inside], second[inside]
-    # Two faces run through their edge in opposite directions: where one begins, the other ends.
+    # (f,): faces that hang together within a box are a piece.
     pieces, piece = _join(first // 3, second // 3, faces)
+    # (3 f,): the corner at each side's tail; one vertex of the mesh may be one of several pieces.
+    # Two faces run through their edge in opposite directions: where one begins, the other ends.
     left = np.concatenate([first, _next(first)])
     right = np.concatenate([_next(second), second])
     vertices, vertex = _join(left, right, 3 * faces)
     piece_of = np.zeros(vertices, np.int64)
     piece_of[vertex] = np.repeat(piece, 3)
+    # Sides with nothing beyond them in the box; those that meet at corners are a border's loop.
     bare: BoolArray = np.ones(3 * faces, np.bool_)
     bare[first] = bare[second] = False
     border = np.flatnonzero(bare)

@@ -41,6 +41,19 @@ def test_a_surface_seen_from_all_sides_is_not_cut() -> None:
     assert not len(find_hull(positions, normals, SIZE))
 
 
+def test_a_small_hole_and_one_of_few_cells_are_left_to_the_field() -> None:
+    assert not len(find_hull(*dome(-0.8), SIZE))
+    assert not len(find_hull(*dome(-0.4), 0.25))
+
+
+def test_a_hole_aside_is_not_where_the_object_stood() -> None:
+    positions, normals = dome(-0.4)
+    kept = positions[:, 0] < 0.85
+    hull = find_hull(positions[kept], normals[kept], SIZE)
+    assert len(hull)
+    assert (hull[:, 2] < -0.9).all()
+
+
 @pytest.mark.parametrize("steepness", [0.1, 0.5, 1.0])
 def test_a_terrain_is_not_cut_below(steepness: float) -> None:
     positions, normals = hills(steepness)
