@@ -14,12 +14,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hpcapp.applications.compare.truth import MeshTruth, ShapeTruth, Truth, read_mesh_at
-from hpcapp.applications.simulate.scanner import ScanSettings, simulate_scan
+from hpcapp.applications.simulate.scanner import simulate_scan
+from hpcapp.applications.simulate.settings import ScanSettings
 from hpcapp.applications.simulate.shapes import find_shape
 from hpcapp.io import write_points
 from hpccomponent.errors import UsageError
-
-__all__ = ["CLOUDS", "GROUPS", "FileCloud", "SimulatedCloud", "find_clouds", "open_truth"]
 
 
 @dataclass(frozen=True, slots=True)

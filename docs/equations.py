@@ -7,8 +7,6 @@ from docutils.utils.math import latex2mathml
 from sphinx.application import Sphinx
 from sphinx.writers.html5 import HTML5Translator
 
-__all__ = ["add_renderer"]
-
 
 def add_renderer(app: Sphinx) -> None:
     """Register the renderer ``mathml``, for `html_math_renderer`."""

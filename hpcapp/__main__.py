@@ -10,8 +10,6 @@ import signal
 from types import FrameType
 from typing import NoReturn
 
-__all__ = ["main"]
-
 # No step calls BLAS to any extent; its threads would wake with numpy and spin for nothing. Here,
 # not in `main`: MPI's workers import this module and do no more.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

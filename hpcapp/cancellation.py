@@ -9,8 +9,6 @@ from typing import Any
 
 from hpccomponent.errors import JobCancelledError
 
-__all__ = ["Cancellation"]
-
 
 class Cancellation:
     """Cancels the jobs that it was given to, from any thread.

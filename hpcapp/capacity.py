@@ -19,15 +19,6 @@ from hpccomponent.limits import (
 )
 from hpccomponent.option_names import name_option
 
-__all__ = [
-    "NEEDS",
-    "Needs",
-    "check_address_space",
-    "check_workers",
-    "count_carried",
-    "reserve_connections",
-]
-
 OWN_DESCRIPTORS = 40
 """What a master opens beside its workers' ends: sockets, the log, the points, files of tiles."""
 

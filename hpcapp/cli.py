@@ -23,8 +23,6 @@ from hpccomponent.terminal import echo, write_block
 from hpccomponent.verb import COMMON
 from hpccomponent.verbosity import Verbosity, set_verbosity
 
-__all__ = ["hpcapp", "main"]
-
 # The verbs that ship; named here so that finding them costs no search through installed packages.
 SHIPPED = {
     "reconstruct": "hpcapp.applications.surface.command:reconstruct",

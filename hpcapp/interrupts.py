@@ -30,7 +30,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from sys import UnraisableHookArgs
 
-__all__ = ["EXIT_INTERRUPTED", "obey_signals"]
 
 log = logging.getLogger("hpcapp")
 

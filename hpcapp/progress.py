@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-__all__ = ["LoadPart", "MeshPart", "Progress", "ProgressObserver", "StageClock"]
-
 
 class MeshPart(Protocol):
     """What is shown of a part of a mesh, or of a whole one; v vertices, f faces."""

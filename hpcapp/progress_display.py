@@ -24,14 +24,6 @@ if TYPE_CHECKING:
     from rich.progress import Progress as Bars
     from rich.progress import TaskID
 
-__all__ = [
-    "LINE_PERIOD_S",
-    "ProgressBars",
-    "ProgressEvents",
-    "ProgressLines",
-    "open_events",
-    "open_progress",
-]
 
 LINE_PERIOD_S = 10.0
 

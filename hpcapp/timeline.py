@@ -17,16 +17,6 @@ from concurrent.futures import Future
 from dataclasses import asdict, dataclass
 from typing import Any
 
-__all__ = [
-    "ANY_WORKER",
-    "MASTER",
-    "Span",
-    "Timeline",
-    "WorkerState",
-    "find_worker",
-    "note_worker",
-]
-
 MASTER = "master"
 """The worker of the master's own stages."""
 

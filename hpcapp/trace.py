@@ -11,8 +11,6 @@ from pathlib import Path
 from hpcapp.timeline import ANY_WORKER, MASTER, Span, Timeline
 from hpccomponent.errors import OutputError
 
-__all__ = ["open_trace", "to_trace"]
-
 _PROCESS = 1  # the job: all rows belong to it
 _MICROSECONDS = 1e6
 

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 from math import floor, isfinite, log10
 
-__all__ = ["round_ticks", "say_count", "say_name", "say_number", "say_share"]
-
 _NAMES = {
     "boundaries": "borders",
     "boundary_edges": "edges at a border",

@@ -22,8 +22,6 @@ from hpccomponent.runtime.background import Background, Deferred
 from hpccomponent.runtime.visible_files import sees_files
 from hpccomponent.terminal import visible_text
 
-__all__ = ["Workforce", "begin_batch", "cut_equal", "map_batches", "stream_batches"]
-
 Result = TypeVar("Result")
 
 _ASKED = 2  # times, of each worker on average

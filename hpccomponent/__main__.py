@@ -17,8 +17,6 @@ from hpccomponent.runtime.lifetime import die_with_parent
 from hpccomponent.runtime.tasks import TaskRegistry
 from hpccomponent.terminal import VisibleFormatter, visible_text
 
-__all__ = ["main"]
-
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a component, and return its `ExitCode`."""

@@ -19,8 +19,6 @@ from rich.progress import (
 )
 from rich.text import Text
 
-__all__ = ["make_bars", "say_rate", "say_seconds"]
-
 _MEMORY_S = 600.0  # of the speed: a tile may take minutes
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-__all__ = ["cut_equal"]
-
 
 def cut_equal(rows: int, batches: int) -> list[slice]:
     """Cut `rows` rows into at most `batches` runs, equal to within one row, none empty.

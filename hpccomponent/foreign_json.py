@@ -13,8 +13,6 @@ from typing import NoReturn, TypeVar
 
 import msgspec
 
-__all__ = ["convert", "decode", "decode_large"]
-
 T = TypeVar("T")
 _PATTERN = re.compile(r"Expected `str` matching regex '.*'(?= - at|$)")  # says nothing to a user
 

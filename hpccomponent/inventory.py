@@ -18,15 +18,6 @@ from hpccomponent.errors import ConfigError
 from hpccomponent.protocol.keys import is_key
 from hpccomponent.protocol.private_json import check_keys, read_private_json
 
-__all__ = [
-    "INVENTORY_VERSION",
-    "Inventory",
-    "InventoryWorker",
-    "dump_inventory",
-    "hold_cluster",
-    "read_inventory",
-]
-
 INVENTORY_VERSION = 1
 
 

@@ -12,20 +12,6 @@ import resource
 from collections.abc import Iterator
 from pathlib import Path
 
-__all__ = [
-    "address_space_limit",
-    "available_cores",
-    "available_descriptors",
-    "available_memory",
-    "available_tasks",
-    "control_groups",
-    "is_shortage",
-    "memory_limit",
-    "raise_descriptor_limit",
-    "read_text",
-    "total_memory",
-]
-
 _ROOT = Path("/")
 
 _SHORTAGES = {errno.ENOMEM, errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.ENFILE, errno.EIO}

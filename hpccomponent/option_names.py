@@ -12,8 +12,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-__all__ = ["name_option", "speaking_flags"]
-
 _IN_PYTHON = {"backend": "executor", "viewpoint": "viewpoints"}
 _speakers = 0  # of flags; the whole process speaks one way, its threads too
 

@@ -6,8 +6,6 @@ from math import inf
 
 from hpccomponent.errors import UsageError
 
-__all__ = ["FARTHEST", "check_range", "is_finite", "is_place"]
-
 FARTHEST = 2.0**53
 """Of a coordinate: beyond it, a double has no fractions of a unit."""
 

@@ -15,17 +15,6 @@ import re
 import sys
 from collections.abc import Sequence
 
-__all__ = [
-    "VisibleFormatter",
-    "align_rows",
-    "echo",
-    "echo_json",
-    "echo_output",
-    "visible_line",
-    "visible_text",
-    "write_block",
-]
-
 _ORDERS = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f"  # control characters but tab and newline
     "\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069"  # the reading direction

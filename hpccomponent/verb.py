@@ -13,8 +13,6 @@ import click
 from hpccomponent.ranges import is_finite
 from hpccomponent.verbosity import Verbosity, set_verbosity
 
-__all__ = ["COMMON", "Verb"]
-
 
 def _obey(ctx: click.Context, param: click.Parameter, value: bool) -> None:
     if value and not ctx.resilient_parsing:

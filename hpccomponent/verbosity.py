@@ -12,8 +12,6 @@ import sys
 
 from hpccomponent.terminal import VisibleFormatter, visible_line, visible_text
 
-__all__ = ["Verbosity", "is_quiet", "set_verbosity"]
-
 OURS = ("hpcapp", "hpccomponent", "hpcloader", "hpcdeploy")
 # What these log is raised too, and said in our words: a user sees it with --debug only.
 FOREIGN = ("boto3", "botocore", "paramiko", "s3transfer", "urllib3")

@@ -16,22 +16,6 @@ from typing import ClassVar, NamedTuple, Protocol
 from hpcdeploy.spec.job_folder import JobOrder, JobStatus
 from hpcdeploy.spec.names import HEAD, NOBODY, Desired, NodeName, Owner
 
-__all__ = [
-    "Bucket",
-    "Launch",
-    "LaunchChoice",
-    "MachineSeen",
-    "Observed",
-    "Prerequisites",
-    "Principal",
-    "Problem",
-    "Provider",
-    "Resource",
-    "State",
-    "Step",
-    "Tags",
-]
-
 
 class State(StrEnum):
     """Where the life of a machine stands."""

@@ -12,8 +12,6 @@ from hpcapp.io import drop_unusable
 from hpcapp.io.frame import to_local
 from hpccomponent.errors import InputError, UsageError
 
-__all__ = ["check_cloud", "check_colours", "check_column", "check_faces", "check_rows"]
-
 
 def check_cloud(
     points: ArrayLike | PointCloud, normals: ArrayLike | None, name: str = "points"

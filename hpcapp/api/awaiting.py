@@ -10,8 +10,6 @@ from typing import Any, ParamSpec, TypeVar
 from hpcapp.api.reconstruction import reconstruct
 from hpcapp.cancellation import Cancellation
 
-__all__ = ["reconstruct_async"]
-
 P = ParamSpec("P")
 Result = TypeVar("Result")
 

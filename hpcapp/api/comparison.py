@@ -20,8 +20,6 @@ from hpcapp.io import formats
 from hpccomponent.errors import InputError
 from hpccomponent.ranges import check_range
 
-__all__ = ["Comparison", "compare"]
-
 _LEAST_SAMPLES = 100
 
 

@@ -12,8 +12,6 @@ from hpccomponent.errors import MissingLibraryError
 if TYPE_CHECKING:
     from hpcapp.api.mesh import Mesh
 
-__all__ = ["to_open3d", "to_pyvista", "to_trimesh"]
-
 
 def _load(name: str) -> Any:
     try:

@@ -33,7 +33,6 @@ from hpccomponent.errors import UsageError
 if TYPE_CHECKING:
     from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 
-__all__ = ["JobRecord", "Mesh", "read_mesh", "unwrap_mesh", "wrap_mesh"]
 
 _IN_NOTEBOOK = 200_000  # faces: the notebook keeps the page in its file
 _HEIGHT = 480  # pixels of a frame

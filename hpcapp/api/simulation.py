@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import Literal
 
-from hpcapp.applications.simulate.scanner import ScanSettings, simulate_scan
+from hpcapp.applications.simulate.scanner import simulate_scan
+from hpcapp.applications.simulate.settings import ScanSettings
 from hpcapp.applications.simulate.shapes import find_shape
 from hpcapp.applications.surface.types.points import PointCloud
-
-__all__ = ["simulate"]
 
 
 def simulate(

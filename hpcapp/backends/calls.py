@@ -16,8 +16,6 @@ import numpy as np
 from hpccomponent.errors import JobError
 from hpccomponent.runtime.numerics import numerics_id
 
-__all__ = ["TaskOutcome", "align", "count_bytes", "run_task"]
-
 T = TypeVar("T")
 
 

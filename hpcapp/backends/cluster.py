@@ -32,11 +32,6 @@ if TYPE_CHECKING:
     from hpcapp.communicator.executor import CommunicatorExecutor
     from hpcapp.communicator.listener import Listener
 
-__all__ = [
-    "ClusterMaster",
-    "listen_inventory",
-    "load_cluster_function",
-]
 
 log = logging.getLogger("hpcapp")
 

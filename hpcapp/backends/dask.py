@@ -28,7 +28,6 @@ except ImportError as error:
         f"Dask is not installed here ({error})", how_to_install("dask")
     ) from None
 
-__all__ = ["DaskExecutor", "borrow_client", "open_dask"]
 
 T = TypeVar("T")
 

@@ -22,8 +22,6 @@ from hpcapp.backends.retrying import RetryingExecutor
 from hpccomponent.errors import UsageError
 from hpccomponent.option_names import name_option
 
-__all__ = ["check_engine", "open_engine"]
-
 DASK = re.compile(r"dask=((?:tcp|tls)://.+:\d+)")
 RAY = re.compile(r"ray(?:=(auto|(?:ray://)?[^/]+:\d+))?")
 

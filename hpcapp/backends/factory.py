@@ -13,8 +13,6 @@ from hpcapp.backends.retrying import RetryingExecutor
 from hpccomponent.errors import UsageError
 from hpccomponent.option_names import name_option
 
-__all__ = ["find_factory", "is_factory", "open_factory"]
-
 _NAME = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")
 
 

@@ -50,7 +50,6 @@ from hpccomponent.protocol.connection import write_connection
 if TYPE_CHECKING:
     from hpcapp.communicator.scheduling.verification import Verification
 
-__all__ = ["LocalCluster", "LocalMachines"]
 
 logger = logging.getLogger(__name__)
 

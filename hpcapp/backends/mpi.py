@@ -17,8 +17,6 @@ from contextlib import AbstractContextManager, contextmanager
 from hpcapp.backends.retrying import RetryingExecutor
 from hpccomponent.errors import UsageError
 
-__all__ = ["check_mpi", "open_mpi"]
-
 START = "mpiexec -n 5 python -m mpi4py.futures -m hpcapp ..."
 
 

@@ -19,8 +19,6 @@ from typing import Any
 from hpccomponent.runtime.lifetime import die_with_parent, exit_at_end_of_pipe
 from hpccomponent.runtime.process import THREAD_VARIABLES
 
-__all__ = ["kill_processes", "open_processes"]
-
 EXIT_ORPHANED = 1
 
 _NOTED_S = 1.0  # so long nobody waits to note an exit code

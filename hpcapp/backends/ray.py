@@ -53,8 +53,6 @@ from hpccomponent.limits import available_cores
 from hpccomponent.option_names import name_option
 from hpccomponent.runtime.process import THREAD_VARIABLES
 
-__all__ = ["RayExecutor", "check_ray", "open_ray"]
-
 T = TypeVar("T")
 
 CONNECT_S = 10.0

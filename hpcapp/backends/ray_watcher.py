@@ -24,8 +24,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-__all__ = ["watched"]
-
 DONE = b"0"  # on the pipe, after the raylet's process id in so many bytes, if it has started
 ID_BYTES = 8
 SAY_GONE = (

@@ -9,8 +9,6 @@ from typing import TypeVar
 
 from hpcapp.timeline import ANY_WORKER, Timeline, WorkerState
 
-__all__ = ["RecordedExecutor"]
-
 T = TypeVar("T")
 
 

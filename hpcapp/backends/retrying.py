@@ -34,8 +34,6 @@ from hpccomponent.errors import WorkerLostError
 from hpccomponent.limits import available_cores, is_shortage
 from hpccomponent.runtime.numerics import numerics_id
 
-__all__ = ["MOST_LOSSES", "RetryingExecutor", "count_broken", "count_workers"]
-
 T = TypeVar("T")
 
 MOST_LOSSES = 3

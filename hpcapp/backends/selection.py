@@ -51,15 +51,6 @@ if TYPE_CHECKING:
     from hpcapp.backends.retrying import RetryingExecutor
     from hpcapp.communicator.executor import CommunicatorExecutor
 
-__all__ = [
-    "Backend",
-    "Traffic",
-    "check_backend",
-    "open_backend",
-    "open_executor",
-    "start_early",
-    "wrap_communicator",
-]
 
 log = logging.getLogger("hpcapp")
 

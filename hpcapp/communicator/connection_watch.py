@@ -26,8 +26,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = ["MOST_ON_THE_WAY", "ConnectionWatch", "WatchedConnection", "choose_to_end", "wire_bytes"]
-
 MOST_ON_THE_WAY = 16 << 20
 """In bytes, of the connections of one key: 8 MiB that were asked for, 2 MiB that were not, and as
 much again. A frame of a byte takes 36 of them, and 64 in memory."""

@@ -39,8 +39,6 @@ from hpccomponent.protocol.connection import Connection
 from hpccomponent.runtime.numerics import package_version
 from hpccomponent.runtime.tasks import EACH, TaskRegistry, Traits, traits_of
 
-__all__ = ["CommunicatorExecutor"]
-
 ResultT = TypeVar("ResultT")
 PARTS_PER_WORKER = 16  # of a `map`: enough to level workers
 MAX_PART = 1000

@@ -32,8 +32,6 @@ from hpccomponent.protocol.messages import (
 )
 from hpccomponent.protocol.parcels import MAX_HEAD_BYTES, UNASKED_BYTES
 
-__all__ = ["Fetcher", "Request", "TakeBuffers"]
-
 PIECE_BYTES = 1 << 20
 WINDOW_BYTES = 8 << 20  # on its way from one worker: 80 MB/s where the round trip takes 0.1 s
 MOST_ASKED_BYTES = 64 << 20  # on its way from all of them, but for one piece of each

@@ -15,8 +15,6 @@ from hpccomponent.errors import UsageError
 from hpccomponent.protocol.connection import Connection
 from hpccomponent.protocol.keys import KeyPair, is_key, make_key_pair
 
-__all__ = ["Listener"]
-
 
 class Listener:
     """A listening socket with a list of keys that may connect, each under one name.

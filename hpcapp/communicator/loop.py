@@ -63,8 +63,6 @@ from hpccomponent.protocol.messages import (
 )
 from hpccomponent.protocol.parcels import LARGE_BYTES
 
-__all__ = ["EventLoop", "Timing"]
-
 _BROKEN = "its connection broke"
 _FLOODS = "it sent a message without end, or more of them than can be taken"
 

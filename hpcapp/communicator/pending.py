@@ -14,8 +14,6 @@ from hpccomponent.errors import HpcError, TaskError
 from hpccomponent.protocol.frames import Buffer
 from hpccomponent.protocol.messages import Call, Failure, Result
 
-__all__ = ["PendingTasks"]
-
 _log = logging.getLogger(__name__)
 
 _OF_MASTERS = (

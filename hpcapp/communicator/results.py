@@ -22,8 +22,6 @@ from hpccomponent.protocol.declared import check_result
 from hpccomponent.protocol.frames import Buffer
 from hpccomponent.protocol.messages import Result
 
-__all__ = ["Answer", "open_results"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Answer:

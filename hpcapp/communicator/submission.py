@@ -16,8 +16,6 @@ from hpccomponent.protocol.declared import ANYTHING, Declared
 from hpccomponent.protocol.frames import DEFAULT_RESULT_BYTES, Buffer
 from hpccomponent.runtime.tasks import PLAIN, Traits, each_result
 
-__all__ = ["Submission", "each_traits", "make_submission", "split_submission"]
-
 MAX_TASK_BLOBS = 256  # of one task: a component keeps a file open for each
 ITEM_BYTES = 64  # of what stands around each value in a list, at most
 

@@ -35,8 +35,6 @@ from hpccomponent.protocol.sockets import (
     read_event,
 )
 
-__all__ = ["Received", "RouterTransport"]
-
 _log = logging.getLogger(__name__)
 
 ZAP_ENDPOINT = "inproc://zeromq.zap.01"

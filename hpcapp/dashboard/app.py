@@ -36,8 +36,6 @@ from hpcapp.dashboard.unauthenticated import UnauthenticatedConnections
 from hpcapp.dashboard.watched_job import WatchedJob
 from hpccomponent.terminal import visible_line
 
-__all__ = ["MOST_REQUESTS", "make_app"]
-
 log = logging.getLogger(__name__)  # not the job's: the page shows that one
 
 MOST_REQUESTS = 64

@@ -13,8 +13,6 @@ from prometheus_client.registry import Collector
 from hpcapp.dashboard.watched_job import WatchedJob
 from hpcapp.timeline import MASTER, Span
 
-__all__ = ["write_metrics"]
-
 Key = TypeVar("Key", bound=Hashable)
 
 

@@ -6,8 +6,6 @@ from dataclasses import astuple
 
 from hpcapp.dashboard.watched_job import WatchedJob
 
-__all__ = ["Reader"]
-
 MOST_SPANS = 2000  # at once
 
 

@@ -11,8 +11,6 @@ from hpcapp.pages.arrays import quantise
 from hpcapp.pages.thin import thin_mesh
 from hpcapp.progress import MeshPart
 
-__all__ = ["pack_part"]
-
 LARGEST = 65535  # what a coordinate of 16 bits can be
 
 

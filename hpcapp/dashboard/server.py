@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     import uvicorn
 
-__all__ = ["open_dashboard", "parse_address"]
 
 log = logging.getLogger("hpcapp")
 

@@ -13,8 +13,6 @@ from uvicorn.config import Config
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.server import ServerState
 
-__all__ = ["MOST_UNAUTHENTICATED", "TrackedProtocol", "UnauthenticatedConnections"]
-
 MOST_UNAUTHENTICATED = 128
 """At once; of more, the oldest is closed."""
 

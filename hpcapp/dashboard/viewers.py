@@ -10,8 +10,6 @@ from dataclasses import dataclass
 
 from hpccomponent.clock import Clock, MonotonicClock
 
-__all__ = ["Viewers"]
-
 PATIENCE_S = 2.0  # with pages that ask for nothing
 MOST_S = 15.0  # with all pages together
 LOADING_S = 5.0  # from the page to its first request

@@ -12,8 +12,6 @@ from hpcapp.dashboard.viewers import Viewers
 from hpcapp.progress import LoadPart, ProgressObserver
 from hpcapp.timeline import Timeline
 
-__all__ = ["Stage", "WatchedJob"]
-
 MOST_LINES = 500  # of the log; older ones are forgotten
 MOST_PARTS = 4096  # that are shown; later ones are counted only
 

@@ -5,6 +5,7 @@ renamed. Only this package knows formats, and imports one when a file of it is r
 imports `hpccomponent` and nothing else of ours.
 """
 
+from hpcapp.applications.surface.reading.validity import Dropped
 from hpcapp.io.formats import (
     FOLDER_SUFFIXES,
     MESH_SUFFIXES,
@@ -21,7 +22,7 @@ from hpcapp.io.formats import (
 from hpcapp.io.frame import needs_double
 from hpcapp.io.meshes.mesh_stream import MeshStream
 from hpcapp.io.points.point_source import PointSource, read_whole
-from hpcapp.io.points.usable import Dropped, drop_unusable, take_finite
+from hpcapp.io.points.usable import drop_unusable, take_finite
 
 __all__ = [
     "FOLDER_SUFFIXES",

@@ -8,8 +8,6 @@ import numpy as np
 
 from hpcapp.applications.surface.types.points import PointCloud
 
-__all__ = ["batch_points", "cut_points", "join_points"]
-
 
 def batch_points(parts: Iterable[PointCloud], rows: int) -> Iterator[PointCloud]:
     """Cut and join parts so that all but the last have so many points.

@@ -12,8 +12,6 @@ from hpcapp.applications.surface.types.points import IntArray
 Numbers = NDArray[np.number | np.bool_]
 """Numbers of any type."""
 
-__all__ = ["Numbers", "Ragged", "Rows", "cut_fans", "positions_within"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ragged:

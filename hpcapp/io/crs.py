@@ -10,8 +10,6 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-__all__ = ["METRES", "UNIT_CODES", "UNKNOWN", "Crs", "parse_epsg", "parse_geokeys", "parse_wkt"]
-
 
 @dataclass(frozen=True, slots=True)
 class Crs:

@@ -27,21 +27,6 @@ from hpcapp.io.registry import (
 from hpcapp.io.staging import check_folder, check_place
 from hpccomponent.errors import InputError, UsageError
 
-__all__ = [
-    "FOLDER_SUFFIXES",
-    "MESH_SUFFIXES",
-    "STANDARD_INPUT",
-    "check_writable",
-    "describe_losses",
-    "find_mesh_crs",
-    "holds_faces",
-    "open_points",
-    "read_mesh",
-    "read_points",
-    "write_mesh",
-    "write_points",
-]
-
 log = logging.getLogger("hpcapp")
 
 STANDARD_INPUT = ("-", "/dev/stdin", "/dev/fd/0", "/proc/self/fd/0")

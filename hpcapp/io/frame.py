@@ -13,15 +13,6 @@ import numpy as np
 from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 
-__all__ = [
-    "FAR_IN_DIAGONALS",
-    "choose_origin",
-    "finite_bounds",
-    "needs_double",
-    "scale_heights",
-    "to_local",
-]
-
 FAR_IN_DIAGONALS = 10.0
 """Coordinates beyond so many diagonals of the bounding box count as georeferenced."""
 

@@ -14,8 +14,6 @@ from hpcapp.io.formats import check_writable
 from hpccomponent.errors import OutputError
 from hpccomponent.files.held_folders import temporary_folder
 
-__all__ = ["open_output"]
-
 _STANDARD_OUTPUT = ("/dev/stdout", "/dev/fd/1", "/proc/self/fd/1")
 
 

@@ -24,20 +24,6 @@ if TYPE_CHECKING:
     from hpcapp.io.meshes.mesh_stream import MeshStream
     from hpcapp.io.points.point_source import PointSource, Scan
 
-__all__ = [
-    "FORMATS",
-    "TILES_SUFFIX",
-    "Format",
-    "MeshReader",
-    "MeshWriter",
-    "PointReader",
-    "PointWriter",
-    "find_mesh_reader",
-    "find_mesh_writer",
-    "find_point_reader",
-    "find_point_writer",
-    "list_suffixes",
-]
 
 TILES_SUFFIX = ".tiles"
 """Of an output that is to be a folder of tiles."""

@@ -15,17 +15,6 @@ from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.io.columns import Numbers
 from hpccomponent.errors import InputError
 
-__all__ = [
-    "Line",
-    "is_count",
-    "line_error",
-    "numbered",
-    "parse_index",
-    "parse_table",
-    "take_lines",
-    "write_rows",
-]
-
 Line = tuple[int, str]
 """The number of a line in its file, counted from 1, and its text."""
 

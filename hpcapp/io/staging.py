@@ -17,8 +17,6 @@ from typing import BinaryIO
 from hpccomponent.errors import OutputError
 from hpccomponent.files.private_files import create_private, make_private_folder
 
-__all__ = ["check_folder", "check_place", "replacing", "replacing_folder"]
-
 
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:

@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 
 from hpcapp.applications.surface.types.points import FloatArray
 
-__all__ = ["pack_array", "pack_text", "quantise"]
-
 Packable = NDArray[np.uint8 | np.uint16 | np.uint32]
 
 _LARGEST = 65535

@@ -6,8 +6,6 @@ import logging
 import webbrowser
 from pathlib import Path
 
-__all__ = ["show_page"]
-
 log = logging.getLogger("hpcapp")
 
 

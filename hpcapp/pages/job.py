@@ -13,8 +13,6 @@ from hpcapp.wording import say_name, say_number, say_share
 from hpccomponent.foreign_json import convert
 from hpccomponent.terminal import visible_text
 
-__all__ = ["describe_job", "find_unit"]
-
 _LENGTHS = {"cell_size", "coarsest_step", "farthest", "fill_holes", "noise", "reach", "spacing",
             "spacing_range", "step", "trim"}  # fmt: skip
 _SHARES = {"share", "sure"}

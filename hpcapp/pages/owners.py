@@ -16,8 +16,6 @@ from hpcapp.pages.scene import Field, label_field
 from hpccomponent.errors import InputError
 from hpccomponent.foreign_json import convert
 
-__all__ = ["TILE", "Owners", "mark_tiles", "take_labels"]
-
 TILE = "hpcapp:tile"
 """The attribute of a mesh that says which tile each vertex is from, until `take_labels`."""
 

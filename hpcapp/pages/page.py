@@ -15,8 +15,6 @@ from hpcapp.pages.arrays import pack_text
 from hpcapp.pages.scene import Scene, pack_scene
 from hpcapp.wording import say_number
 
-__all__ = ["Section", "build_page", "make_list", "make_table", "write_page"]
-
 # In the order in which they are loaded: each may import those before it, by its name.
 _MODULES = (
     ("three", "three/three.module.min.js"),

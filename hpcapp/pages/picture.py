@@ -12,8 +12,6 @@ from hpcapp.pages.png import write_png
 from hpcapp.pages.render import draw_mesh
 from hpcapp.pages.thumbnail import draw_points
 
-__all__ = ["EYE", "write_picture"]
-
 EYE = (30.0, 20.0)
 """Azimuth and elevation from where a mesh is seen, in degrees."""
 

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from hpcapp.io.staging import replacing
 
-__all__ = ["encode_png", "write_png"]
-
 
 def write_png(path: Path, picture: NDArray[np.uint8]) -> None:
     """Write a picture as PNG, which appears whole or not at all.

@@ -18,8 +18,6 @@ from hpcapp.pages.drawing.light import GREY, light_normals
 from hpcapp.pages.drawing.paint import paint
 from hpcapp.pages.drawing.shadow import cast_shadow
 
-__all__ = ["draw_mesh", "render_mesh"]
-
 IntArray = NDArray[np.int64]
 Floats = NDArray[np.float32]
 

@@ -13,8 +13,6 @@ from hpccomponent.errors import InputError
 from hpccomponent.files.paths import read_regular
 from hpccomponent.foreign_json import convert, decode
 
-__all__ = ["Seconds", "TaskSpan", "check_report", "read_report"]
-
 Seconds = Annotated[float, Meta(ge=0.0, le=1e12)]
 _DEEPEST = 16  # of values in values
 _ADVICE = "give what --json has printed"

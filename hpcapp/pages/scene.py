@@ -14,17 +14,6 @@ from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.pages.arrays import Packable, pack_array, quantise
 
-__all__ = [
-    "MOST_POINTS",
-    "Field",
-    "Marker",
-    "Scene",
-    "Tint",
-    "fields_of",
-    "label_field",
-    "pack_scene",
-]
-
 MOST_POINTS = 200_000
 """Of a cloud, so many are shown beside a mesh, evenly picked."""
 _TOP = 0.95  # share of the vertices that a scale of colours covers: a few must not make all dark

@@ -15,8 +15,6 @@ from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 
-__all__ = ["MOST_FACES", "gather_mesh", "thin_mesh"]
-
 MOST_FACES = 2_000_000
 """Faces that a page shows; of a larger mesh it shows a copy with about as many at most."""
 _COARSER = 1.25  # cells of a next attempt, where too many faces are left

@@ -23,8 +23,6 @@ from hpcapp.pages.drawing.scale_bar import add_scale_bar
 from hpcapp.pages.drawing.shadow import cast_shadow
 from hpcapp.pages.png import write_png
 
-__all__ = ["draw_points", "write_thumbnail"]
-
 IntArray = NDArray[np.int64]
 
 _SIDE = 512  # pixels of the picture

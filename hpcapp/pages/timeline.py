@@ -8,8 +8,6 @@ from html import escape
 from hpcapp.pages.report import TaskSpan
 from hpcapp.wording import round_ticks, say_number
 
-__all__ = ["draw_timeline"]
-
 _WIDTH, _LEFT, _ROW = 380, 86, 15
 _TICKS = 4  # at most
 _SERIES = 12  # colours of the design

@@ -10,8 +10,6 @@ import click
 from hpccomponent.errors import UsageError
 from hpccomponent.verb import Verb
 
-__all__ = ["simplify"]
-
 log = logging.getLogger("hpcapp")
 
 

@@ -13,8 +13,6 @@ from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpccomponent.errors import UsageError
 
-__all__ = ["Target", "simplify_faces", "simplify_mesh", "unite_vertices"]
-
 log = logging.getLogger("hpcapp")
 
 _LIMITS = 1e-200, 1e200

@@ -16,8 +16,6 @@ from hpccomponent.errors import UsageError
 from hpccomponent.files.held_folders import temporary_folder
 from hpccomponent.units import parse_size
 
-__all__ = ["fit_mesh", "fit_size", "read_size"]
-
 _LEAST_BYTES = 16
 """Of a triangle: no format of ours takes fewer, or the first file would be too small."""
 _FULL, _AIM = 0.97, 0.985

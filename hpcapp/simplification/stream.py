@@ -20,8 +20,6 @@ from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.simplification.mesh import Target, simplify_faces, simplify_mesh, unite_vertices
 
-__all__ = ["RUN_FACES", "simplify_stream"]
-
 RUN_FACES = 1 << 20
 """Faces of a run, which takes some 500 MB."""
 _RUNS_KEEP = 3

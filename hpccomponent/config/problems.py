@@ -14,19 +14,6 @@ from pydantic_core import ErrorDetails
 
 from hpccomponent.errors import ConfigError
 
-__all__ = [
-    "COLLECTION",
-    "PLAIN",
-    "TAG",
-    "Location",
-    "Problem",
-    "is_miscounted",
-    "place_finding",
-    "place_misfit",
-    "problems_error",
-    "show",
-]
-
 TAG = "tag:yaml.org,2002:"
 PLAIN = {TAG + kind for kind in ("str", "timestamp")}  # nothing here wants a date
 COLLECTION = {TAG + "map": "a mapping", TAG + "seq": "a list"}

@@ -44,8 +44,6 @@ from hpccomponent.config.variables import expand_variables
 from hpccomponent.errors import ConfigError
 from hpccomponent.files.paths import read_regular
 
-__all__ = ["ConfigModel", "Location", "Misfit", "parse_config", "read_config"]
-
 ModelT = TypeVar("ModelT", bound=BaseModel)
 _MOST_PLACED = 300  # of pydantic's findings; each takes a walk through the text
 _ONE_MERGE = "a mapping has one merge key (<<), whose value is a mapping or a list of mappings"

@@ -17,8 +17,6 @@ import yaml
 from hpccomponent.config.problems import TAG, show
 from hpccomponent.errors import ConfigError
 
-__all__ = ["MERGE", "MOST_BYTES", "MOST_TEXT", "compose", "refuse_length", "refuse_text"]
-
 MOST_BYTES = 1 << 18
 """Of a file; 2,000 machines take less."""
 

@@ -15,8 +15,6 @@ import yaml
 from hpccomponent.config.problems import TAG, Location, Problem
 from hpccomponent.config.tree import MOST_TEXT, refuse_text
 
-__all__ = ["expand_variables"]
-
 _DOLLAR = re.compile(r"\$(?:\$|\{(?P<name>[A-Za-z_]\w*)(?::-(?P<default>[^{}]*))?\}|(?P<odd>\{))")
 _FORM = "a variable is written ${NAME} or ${NAME:-default}; $$ stands for a dollar sign"
 

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from hpccomponent.decoding.serving import Answer
 
-__all__ = ["main"]
-
 
 def main() -> None:
     """Serve the process that has started this one."""

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     _Fill = Callable[[memoryview], object]
     _Opened = tuple[_Fill, Callable[[], bool]]
 
-__all__ = ["ONE_STREAM", "main", "read_items"]
 
 ONE_STREAM = 1
 """The compressor of the oldest files: no chunks, and lazrs has no word for it."""

@@ -33,8 +33,6 @@ from numpy.typing import NDArray
 
 from hpccomponent.errors import InputError, JobError, UsageError
 
-__all__ = ["Decoder", "Refuse", "open_decoder"]
-
 Refuse = Callable[[str], InputError]
 """Makes the error that refuses a file, of why."""
 

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     Answer = Callable[[list[str]], int]
     """Does what a request asks for, given its words; returns what is to be said of it."""
 
-__all__ = ["serve"]
 
 _LONGEST = 500  # characters of a message
 

@@ -9,8 +9,6 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterable
 
-__all__ = ["PAGE", "checksum", "note_written", "take_written"]
-
 Buffer = bytes | bytearray | memoryview
 
 PAGE = 4096

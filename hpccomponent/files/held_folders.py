@@ -32,17 +32,6 @@ from pathlib import Path
 from hpccomponent.errors import OutputError
 from hpccomponent.files.private_files import create_private, make_private_folder, remove_path
 
-__all__ = [
-    "HeldFolder",
-    "Owner",
-    "create_held",
-    "hold",
-    "read_owner",
-    "remove_abandoned",
-    "remove_killed",
-    "temporary_folder",
-]
-
 _OWNER = ".owner"
 _PREFIX = "hpcapp-"
 _UNSUPPORTED = {errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.ENOLCK, errno.EINVAL}

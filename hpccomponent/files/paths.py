@@ -10,15 +10,6 @@ from pathlib import Path
 from hpccomponent.errors import OutputError, UsageError
 from hpccomponent.terminal import visible_line
 
-__all__ = [
-    "check_regular",
-    "expand_home",
-    "home_folder",
-    "new_file_here",
-    "read_regular",
-    "refuse_special",
-]
-
 _KINDS = (
     (stat.S_ISFIFO, "it is a pipe, not a regular file"),
     (stat.S_ISSOCK, "it is a socket, not a regular file"),

@@ -13,8 +13,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
 
-__all__ = ["create_private", "make_private_folder", "open_at_once", "remove_path"]
-
 _FILE, _FOLDER = 0o600, 0o700
 
 

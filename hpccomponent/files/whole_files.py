@@ -10,8 +10,6 @@ from pathlib import Path
 from hpccomponent.files.checksum import note_written
 from hpccomponent.files.private_files import create_private
 
-__all__ = ["write_whole"]
-
 _BUFFER = 1 << 18  # bytes of small pieces that are written together
 
 

@@ -7,8 +7,6 @@ from collections.abc import Collection, Iterable
 
 from hpccomponent.protocol.messages import Share
 
-__all__ = ["BlobCache"]
-
 MAX_BLOBS = 500  # each keeps a file open
 
 

@@ -14,8 +14,6 @@ from hashlib import blake2b
 from hpccomponent.errors import ProtocolError
 from hpccomponent.protocol.frames import Buffer
 
-__all__ = ["KEY_BYTES", "Blob", "check_blob", "make_blob"]
-
 KEY_BYTES = 16
 
 

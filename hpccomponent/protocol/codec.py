@@ -24,8 +24,6 @@ from hpccomponent.protocol.containers import check_containers
 from hpccomponent.protocol.frames import Buffer
 from hpccomponent.protocol.records import RecordType, find_record, make_record
 
-__all__ = ["NO_BLOBS", "decode_values", "encode_arguments", "encode_values"]
-
 TUPLE, LIST, ARRAY, SCALAR, TEXT, BYTES, BIG, BLOB, RECORD = range(9)
 EMBEDDED_BYTES = 4096  # below this an own frame costs more than a copy into the header
 MAX_HEADER_BYTES = 4 * 1024 * 1024

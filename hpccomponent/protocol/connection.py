@@ -10,8 +10,6 @@ from hpccomponent.errors import ConfigError
 from hpccomponent.protocol.keys import is_key, write_secret
 from hpccomponent.protocol.private_json import read_private_json
 
-__all__ = ["CONNECTION_VERSION", "Connection", "read_connection", "write_connection"]
-
 CONNECTION_VERSION = 1
 KEYS = ("server_key", "public_key", "secret_key")
 

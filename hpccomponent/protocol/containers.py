@@ -13,8 +13,6 @@ import numpy as np
 from hpccomponent.errors import ProtocolError
 from hpccomponent.protocol.frames import Buffer
 
-__all__ = ["MAX_CONTAINERS", "check_containers"]
-
 MAX_CONTAINERS = 1 << 18
 
 _NO_PAYLOAD = {0xC0: 0, 0xC2: 0, 0xC3: 0, 0xCA: 4, 0xCB: 8, 0xCC: 1, 0xCD: 2, 0xCE: 4, 0xCF: 8}

@@ -17,28 +17,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from hpccomponent.errors import ProtocolError
-from hpccomponent.protocol.declared_arrays import Array, Extents
-
-__all__ = [
-    "ANYTHING",
-    "Anything",
-    "Array",
-    "Declared",
-    "Each",
-    "EachOf",
-    "Either",
-    "Exactly",
-    "Fields",
-    "Fixed",
-    "Flag",
-    "Nothing",
-    "Number",
-    "Record",
-    "Text",
-    "Where",
-    "Whole",
-    "check_result",
-]
+from hpccomponent.protocol.declared_arrays import Extents
 
 
 class Declared(Protocol):

@@ -13,7 +13,6 @@ if TYPE_CHECKING:  # who only declares, or starts a worker, does not wait for nu
 
     AnyArray = np.ndarray[Any, Any]
 
-__all__ = ["Array", "Extents"]
 
 _AT_ONCE = 1 << 16  # entries: what is made of them stays in the cache
 

@@ -13,20 +13,6 @@ from collections.abc import Iterable, Sequence
 
 from hpccomponent.errors import ProtocolError
 
-__all__ = [
-    "ALIGNMENT",
-    "DEFAULT_RESULT_BYTES",
-    "LARGEST_FRAME",
-    "SMALLEST_FRAME",
-    "Buffer",
-    "aligned",
-    "check_payload",
-    "cut_payload",
-    "group_frames",
-    "join_frames",
-    "split_buffers",
-]
-
 Buffer = bytes | bytearray | memoryview
 
 DEFAULT_RESULT_BYTES = 1 << 30

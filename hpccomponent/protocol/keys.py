@@ -13,8 +13,6 @@ from msgspec import Meta
 
 from hpccomponent.errors import OutputError
 
-__all__ = ["Key", "KeyPair", "is_key", "make_key_pair", "write_secret"]
-
 Z85 = frozenset(
     "0123456789abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ.-:+=^!/*?&<>()[]{}@%$#"
 )

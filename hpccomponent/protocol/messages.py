@@ -35,38 +35,6 @@ from hpccomponent.errors import ProtocolError
 from hpccomponent.protocol.blobs import KEY_BYTES
 from hpccomponent.protocol.frames import DEFAULT_RESULT_BYTES
 
-__all__ = [
-    "MAX_TRACEBACK",
-    "PROTOCOL_VERSION",
-    "Announce",
-    "Batch",
-    "Call",
-    "ComponentMessage",
-    "Drain",
-    "Failure",
-    "Farewell",
-    "Fetch",
-    "Forget",
-    "Goodbye",
-    "Heartbeat",
-    "Lost",
-    "MasterMessage",
-    "Need",
-    "Piece",
-    "Ping",
-    "Refused",
-    "Register",
-    "RegisterAgain",
-    "Registered",
-    "Release",
-    "Result",
-    "Results",
-    "Share",
-    "decode_component_message",
-    "decode_master_message",
-    "encode_message",
-]
-
 PROTOCOL_VERSION = 5
 
 MAX_TRACEBACK = 20_000  # characters

@@ -16,8 +16,6 @@ from dataclasses import dataclass
 
 from hpccomponent.protocol.frames import Buffer
 
-__all__ = ["LARGE_BYTES", "MAX_HEAD_BYTES", "UNASKED_BYTES", "Parcels"]
-
 UNASKED_BYTES = 4 << 20
 """How much of results may be on its way that the master has not asked for, heads with them."""
 

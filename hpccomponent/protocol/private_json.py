@@ -13,8 +13,6 @@ from hpccomponent.files.paths import refuse_special
 from hpccomponent.files.private_files import open_at_once
 from hpccomponent.foreign_json import decode
 
-__all__ = ["check_keys", "read_private_json"]
-
 ADVICE = "have the file written anew"
 
 

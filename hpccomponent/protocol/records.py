@@ -12,8 +12,6 @@ from typing import Any, TypeVar
 
 from hpccomponent.errors import ProtocolError
 
-__all__ = ["RecordType", "find_record", "make_record", "record"]
-
 T = TypeVar("T")
 
 

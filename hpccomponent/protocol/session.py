@@ -47,19 +47,6 @@ from hpccomponent.protocol.messages import (
 )
 from hpccomponent.protocol.parcels import LARGE_BYTES, Parcels
 
-__all__ = [
-    "Action",
-    "Discard",
-    "ExitCode",
-    "Keep",
-    "Run",
-    "Send",
-    "StartWorker",
-    "State",
-    "Stop",
-    "WorkerSession",
-]
-
 REGISTER_S = 2.0  # between two registrations without an answer
 WINDOW = 2  # batches in the channel at once: the worker never waits for the next one
 MAX_CRASHES = 5  # of the worker in a row, without one finished batch between them

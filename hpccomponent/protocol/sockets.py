@@ -8,15 +8,6 @@ from contextlib import contextmanager
 
 import zmq
 
-__all__ = [
-    "accept_probes",
-    "bound_socket",
-    "describe_event",
-    "open_monitor",
-    "read_event",
-    "send_probes",
-]
-
 HIGH_WATER_MARK = 1000  # messages; the credit window stays far below, so that it is never reached
 LINGER_MS = 500  # long enough for a farewell on a live link, short enough not to be felt on exit
 PROBE_MS = 250  # often: a probe's time to live is forgotten with the next message

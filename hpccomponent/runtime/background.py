@@ -12,8 +12,6 @@ from concurrent.futures import Future
 from contextlib import suppress
 from typing import Any, Generic, TypeVar
 
-__all__ = ["Background", "Deferred", "worker_background"]
-
 Result = TypeVar("Result")
 
 

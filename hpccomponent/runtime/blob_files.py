@@ -9,8 +9,6 @@ from hpccomponent.protocol.frames import Buffer, group_frames
 from hpccomponent.protocol.messages import Forget, Share, encode_message
 from hpccomponent.runtime.channel import Channel, MemoryFile
 
-__all__ = ["BlobFiles", "check_share"]
-
 
 def check_share(share: Share, frames: Sequence[Buffer]) -> None:
     """Make sure that the frames are those of the blob that a message announces.

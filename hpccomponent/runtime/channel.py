@@ -27,8 +27,6 @@ from contextlib import closing
 from hpccomponent.errors import ProtocolError
 from hpccomponent.protocol.frames import ALIGNMENT, Buffer, aligned
 
-__all__ = ["Channel", "ChannelClosedError", "MemoryFile"]
-
 PREFIX = struct.Struct("=QQB")  # length of control, of all, and whether a memory file holds them
 INLINE_BYTES = 32 * 1024  # two such messages fit into any system's socket buffer: no send blocks
 MAX_BUFFERS_PER_CALL = 512  # below every system's IOV_MAX

@@ -62,8 +62,6 @@ from hpccomponent.runtime.channel import ChannelClosedError
 from hpccomponent.runtime.numerics import numerics_id, package_version
 from hpccomponent.runtime.process import WorkerProcess
 
-__all__ = ["ComponentOptions", "run_component"]
-
 _log = logging.getLogger(__name__)
 
 CONNECT_AGAIN_S = 2.0

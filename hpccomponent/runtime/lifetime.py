@@ -7,8 +7,6 @@ import signal
 import sys
 import threading
 
-__all__ = ["die_with_parent", "exit_at_end_of_pipe"]
-
 PR_SET_PDEATHSIG = 1
 
 

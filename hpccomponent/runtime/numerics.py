@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 from importlib import metadata
 
-__all__ = ["KERNEL_GROUP", "numerics_id", "package_version"]
-
 KERNEL_GROUP = "hpc.kernels"
 
 

@@ -11,8 +11,6 @@ from collections.abc import Sequence
 
 from hpccomponent.runtime.channel import Channel
 
-__all__ = ["WorkerProcess"]
-
 # One task is one thread of work; numpy reads these once, when it is imported.
 THREAD_VARIABLES = ("OMP", "OPENBLAS", "MKL", "NUMEXPR", "NUMBA", "VECLIB_MAXIMUM")
 

@@ -18,17 +18,6 @@ from hpccomponent.errors import UsageError
 from hpccomponent.protocol.declared import ANYTHING, Declared, Each, EachOf
 from hpccomponent.protocol.frames import DEFAULT_RESULT_BYTES
 
-__all__ = [
-    "EACH",
-    "PLAIN",
-    "TASK_GROUP",
-    "TaskRegistry",
-    "Traits",
-    "declare",
-    "each_result",
-    "traits_of",
-]
-
 TASK_GROUP = "hpc.tasks"
 EACH = "each:"  # before a name: the task is run for each item, its arguments come as columns
 _REFERENCE = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<function>[A-Za-z_]\w*)")

@@ -7,8 +7,6 @@ import os
 from hpccomponent.protocol.declared import Flag
 from hpccomponent.runtime.tasks import declare
 
-__all__ = ["sees_files"]
-
 
 @declare(result=Flag(), limit=4096, is_verified=False)
 def sees_files(*files: tuple[str, int]) -> bool:

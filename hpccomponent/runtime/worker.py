@@ -41,8 +41,6 @@ from hpccomponent.runtime.garbage_collection import rare_collections
 from hpccomponent.runtime.lifetime import die_with_parent, exit_at_end_of_pipe
 from hpccomponent.runtime.tasks import TaskRegistry, Traits, traits_of
 
-__all__ = ["ShortageError", "main", "run_batch", "run_call"]
-
 FLUSH_S = 0.005  # results wait this long for company, so that cheap tasks share a message
 FLUSH_BYTES = 256 * 1024
 IDLE_S = 0.1  # after a start or results: the next batch comes sooner, if there is one

@@ -19,8 +19,6 @@ from hpccomponent.files.private_files import make_private_folder, open_at_once, 
 from hpccomponent.files.whole_files import write_whole
 from hpccomponent.store.value import DamagedError, from_bytes, to_buffers
 
-__all__ = ["FolderStore", "Store", "check_name"]
-
 _NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9._-]*(/[A-Za-z0-9_-][A-Za-z0-9._-]*)*")
 
 

@@ -14,8 +14,6 @@ from pathlib import Path
 from hpccomponent.errors import CloudError, UsageError
 from hpccomponent.store.base import FolderStore, Store
 
-__all__ = ["hold_store", "open_store"]
-
 
 def open_store(place: str, *, makes_folders: bool = True) -> Store:
     """Open a store.

@@ -20,8 +20,6 @@ from hpccomponent.files.checksum import note_written
 from hpccomponent.store.base import check_name
 from hpccomponent.store.value import DamagedError, from_bytes, to_buffers
 
-__all__ = ["S3Store", "open_s3_store"]
-
 _MISSING = ("404", "NoSuchKey", "NotFound")
 _CONNECT_S, _READ_S = 10.0, 60.0
 

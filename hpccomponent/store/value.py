@@ -24,8 +24,6 @@ from hpccomponent.files.checksum import checksum
 from hpccomponent.protocol.codec import NO_BLOBS, decode_values, encode_values
 from hpccomponent.protocol.frames import Buffer
 
-__all__ = ["DamagedError", "from_bytes", "to_buffers"]
-
 _MAGIC = b"hpcvalue3"
 _CHECK_BYTES = 4
 _ALIGNMENT = 64

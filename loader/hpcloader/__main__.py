@@ -20,8 +20,6 @@ from hpcloader.machine import Machine, read_machine
 from hpcloader.settings import LoaderSettings
 from hpcloader.supervisor import RestartRule, Supervisor
 
-__all__ = ["main"]
-
 logger = logging.getLogger("hpcloader")
 
 _AT_HAND = RestartRule(first_s=0.1, cap_s=2.0)  # without a file: somebody waits for the worker

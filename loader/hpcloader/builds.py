@@ -14,8 +14,6 @@ from importlib.util import find_spec
 from hpccomponent.errors import ConfigError
 from hpcloader.machine import Machine
 
-__all__ = ["BUILDS", "BUILD_VARIABLE", "Build", "Choice", "Requirements", "choose_build"]
-
 BUILD_VARIABLE = "HPCAPP_BUILD"
 """The environment variable that names the build of a job's master, and so of its workers."""
 

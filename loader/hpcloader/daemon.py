@@ -27,8 +27,6 @@ from contextlib import ExitStack, contextmanager
 from hpccomponent.clock import Clock, MonotonicClock
 from hpcloader.supervisor import Action, End, Kill, Start, Supervisor, Terminate
 
-__all__ = ["Component", "Daemon"]
-
 logger = logging.getLogger(__name__)
 
 _STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)

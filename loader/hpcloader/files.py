@@ -24,8 +24,6 @@ from hpcloader.builds import BUILDS, Build, Requirements
 from hpcloader.settings import LoaderSettings
 from hpcloader.supervisor import RestartRule
 
-__all__ = ["read_catalogue", "read_settings"]
-
 _RULE, _ASKED = RestartRule(), Requirements()
 
 

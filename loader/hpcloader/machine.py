@@ -15,8 +15,6 @@ from pathlib import Path
 
 from hpccomponent.limits import available_cores, control_groups, memory_limit, read_text
 
-__all__ = ["Machine", "read_machine"]
-
 _NVIDIA_SMI_WAIT_S = 10.0  # a driver in trouble can hang it for minutes
 
 

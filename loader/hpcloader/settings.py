@@ -8,8 +8,6 @@ from pathlib import Path
 from hpcloader.builds import BUILDS, Build
 from hpcloader.supervisor import RestartRule
 
-__all__ = ["LoaderSettings"]
-
 _RULE = RestartRule()
 
 

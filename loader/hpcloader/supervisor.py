@@ -19,8 +19,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum, auto
 
-__all__ = ["Action", "End", "Kill", "RestartRule", "Start", "State", "Supervisor", "Terminate"]
-
 EXIT_FAILED = 1
 EXIT_CONFIG = 2
 

@@ -21,7 +21,7 @@ from peers import (
 )
 from skimage.measure import marching_cubes
 
-from hpcapp.applications.simulate.scanner import ScanSettings
+from hpcapp.applications.simulate.settings import ScanSettings
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.io import read_points, write_mesh
 from hpccomponent.errors import UsageError

@@ -7,10 +7,7 @@ from pathlib import Path
 
 import pytest
 from testbed.cloud import TestBed
-from testbed.fixtures import hollow_wheels, mesh, wheels
 from testbed.sites import MakeSite, Site
-
-__all__ = ["hollow_wheels", "mesh", "wheels"]
 
 
 @pytest.fixture

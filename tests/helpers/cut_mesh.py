@@ -156,9 +156,6 @@ def cuts(
     return owners, guests
 
 
-__all__ = ["GRID", "SHAPES", "cut_mesh", "cuts", "extract_shape", "spread_mesh"]
-
-
 def is_supported(vertices: FloatArray) -> BoolArray:
     """Tell which vertices have points: all but those of the small sphere and of the crumb."""
     small = [ball(vertices, center, 0.05) < 0.0 for center in (SMALL, CRUMB)]

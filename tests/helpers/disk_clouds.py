@@ -10,8 +10,6 @@ from hpcapp.applications.surface.cloud.arrangement import Arrangement, pack_poin
 from hpcapp.applications.surface.cloud.disk import DiskCloud, Part, write_index, write_part
 from hpcapp.applications.surface.types.points import FloatArray
 
-__all__ = ["DiskCloudWriter"]
-
 
 class DiskCloudWriter:
     """Writes an arranged cloud part by part.

@@ -11,8 +11,6 @@ from skimage import measure
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray
 
-__all__ = ["mesh_level_set"]
-
 Field = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 
 

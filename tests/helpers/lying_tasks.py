@@ -17,8 +17,6 @@ from lies import LIES
 
 from hpccomponent.errors import InputError
 
-__all__ = ["EVIL_TEXT", "TASKS", "list_tasks"]
-
 _PREFIX = "surface."
 _REAL = {
     entry.name.removeprefix(_PREFIX): entry.value

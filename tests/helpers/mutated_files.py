@@ -25,8 +25,6 @@ from hpcapp.io import open_points, read_whole
 from hpcapp.io.e57.document import sum_pages
 from hpccomponent.errors import HpcError
 
-__all__ = ["GOOD", "mutate", "page_e57", "read_pages", "watch_reading", "write_mutations"]
-
 GOOD = ("a cloud", "refused", "refused: the decoder died", "refused: the decoder hung")
 """Ends of reading that are as they should be."""
 

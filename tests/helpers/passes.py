@@ -15,8 +15,6 @@ from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.backends.serial import SerialExecutor
 from hpcapp.workforce import Workforce
 
-__all__ = ["alone", "in_folder", "in_memory"]
-
 
 def in_memory(points: PointCloud) -> MemoryPass:
     """Return the pass through points as they are."""

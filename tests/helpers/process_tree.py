@@ -8,8 +8,6 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 
-__all__ = ["are_gone", "descendants"]
-
 
 def descendants(pid: int) -> set[int]:
     """Return the ids of the children of a process, of theirs, and so on."""

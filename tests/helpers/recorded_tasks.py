@@ -14,8 +14,6 @@ from hpccomponent.protocol.declared import Declared
 from hpccomponent.runtime.tasks import traits_of
 from hpccomponent.runtime.visible_files import sees_files
 
-__all__ = ["Answer", "RecordedTasks"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Answer:

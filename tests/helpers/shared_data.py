@@ -11,8 +11,6 @@ from pathlib import Path
 
 import pytest
 
-__all__ = ["FOLDER", "shared"]
-
 FOLDER = Path(os.environ.get("HPCAPP_DATA") or Path(__file__).parents[3] / "shared/data").absolute()
 
 

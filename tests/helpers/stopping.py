@@ -8,8 +8,6 @@ import subprocess
 
 from process_tree import descendants
 
-__all__ = ["SITECUSTOMIZE", "await_stop", "go_on", "read_until"]
-
 #: What has a command stop once it has written what ``STOP_AFTER`` says to stderr.
 SITECUSTOMIZE = """
 import os, signal, sys

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpcapp.backends.serial import SerialExecutor
-from hpcapp.workforce import Workforce, begin_batch, cut_equal, map_batches
+from hpcapp.workforce import Workforce, begin_batch, map_batches
+from hpccomponent.cutting import cut_equal
 from hpccomponent.errors import InputError, TaskError, WorkerLostError
 
 P = ParamSpec("P")

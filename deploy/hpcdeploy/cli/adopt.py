@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from hpcdeploy.provider import Observed
     from hpcdeploy.reconcile.cluster import Cluster
 
-__all__ = ["adopt"]
 
 WAIT_S = 30.0  # the head has just let us in
 

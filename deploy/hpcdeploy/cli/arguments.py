@@ -6,8 +6,6 @@ from pathlib import Path
 
 import click
 
-__all__ = ["FILE", "FILES", "JOB", "PATH"]
-
 PATH = click.Path(dir_okay=False, path_type=Path)
 FILE = click.argument("file", type=PATH, help="The cluster file (.yaml).")
 FILES = click.argument(

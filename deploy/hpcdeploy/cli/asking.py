@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from hpcdeploy.provider import Observed
     from hpcdeploy.reconcile.cluster import Cluster
 
-__all__ = ["ask_name", "ask_to_go_on", "name_foreign", "say"]
 
 T = TypeVar("T")
 

@@ -15,8 +15,6 @@ from hpcdeploy.cli.arguments import FILE
 if TYPE_CHECKING:
     from hpcdeploy.provider import Problem
 
-__all__ = ["doctor"]
-
 
 @click.command(
     cls=Verb,

@@ -18,7 +18,6 @@ from hpcdeploy.cli.arguments import FILE, JOB, PATH
 if TYPE_CHECKING:
     from hpcdeploy.spec.job_folder import JobStatus
 
-__all__ = ["attach", "cancel", "fetch", "jobs", "logs", "submit"]
 
 log = logging.getLogger("hpcapp")
 

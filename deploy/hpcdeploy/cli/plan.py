@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from hpcdeploy.reconcile.plan import Plan
     from hpcdeploy.spec.cluster import ClusterSpec
 
-__all__ = ["plan", "validate"]
-
 
 @click.command(
     cls=Verb,

@@ -11,8 +11,6 @@ from hpccomponent.verb import Verb
 from hpcdeploy.cli.arguments import FILES
 from hpcdeploy.cli.asking import say
 
-__all__ = ["reap"]
-
 
 @click.command(
     cls=Verb,

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from hpcdeploy.provider import MachineSeen
     from hpcdeploy.reconcile.cluster import Cluster
 
-__all__ = ["exec_", "get", "put", "ssh"]
 
 WAIT_S = 30.0  # these machines have answered before
 AT_ONCE = 16

@@ -14,8 +14,6 @@ from hpcdeploy.cli.arguments import FILE, FILES
 if TYPE_CHECKING:
     from hpcdeploy.reconcile.status import ClusterLine
 
-__all__ = ["ls", "status"]
-
 
 @click.command(
     cls=Verb,

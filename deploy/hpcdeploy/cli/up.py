@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from hpcdeploy.reconcile.cluster import Cluster
     from hpcdeploy.reconcile.plan import Plan
 
-__all__ = ["down", "scale", "up"]
 
 YES = click.option("-y", "--yes", is_flag=True, help="Do not ask.")
 UNCHECKED = click.option(

@@ -44,8 +44,6 @@ from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.layout import machine_folder, state_folder
 from hpcdeploy.spec.names import HEAD, without_node
 
-__all__ = ["Failure", "set_up"]
-
 T = TypeVar("T")
 R = TypeVar("R")
 

@@ -11,8 +11,6 @@ from hpccomponent.errors import CloudError
 from hpcdeploy.install.wheels.requirements import Needs
 from hpcdeploy.login.shell import MOST_REASON, Shell
 
-__all__ = ["install", "install_here", "prepare", "stamp_of", "write_text"]
-
 INSTALL_S = 900.0
 SETUP_S = 1800.0
 _PIP = "install --quiet --no-input --disable-pip-version-check --no-cache-dir --no-compile"

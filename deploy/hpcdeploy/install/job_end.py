@@ -6,8 +6,6 @@ from hpccomponent.errors import CloudError
 from hpcdeploy.login.shell import Shell
 from hpcdeploy.spec.layout import machine_folder
 
-__all__ = ["end_jobs"]
-
 TIMEOUT_S = 60.0
 
 

@@ -16,8 +16,6 @@ import shlex
 from hpccomponent.errors import CloudError
 from hpcdeploy.login.shell import Shell
 
-__all__ = ["is_running_command", "start_loader", "stop_command", "unit_name"]
-
 START_S = 60.0
 
 _UNIT = """# written by hpcapp

@@ -12,8 +12,6 @@ from hpcdeploy.install.loader_service import is_running_command
 from hpcdeploy.install.wheels.wheelhouse import Kind
 from hpcdeploy.login.shell import MOST_REASON, Shell
 
-__all__ = ["DAMAGED", "RELEASE_COMMAND", "Probed", "check_this_python", "no_python", "probe"]
-
 PROBE_S = 60.0
 _PYTHONS = ("python3", *(f"python3.{minor}" for minor in range(14, 6, -1)))
 _ASK = (

@@ -14,8 +14,6 @@ from hpccomponent.errors import CloudError
 from hpcdeploy.login.shell import Shell
 from hpcdeploy.spec.cluster import ClusterSpec
 
-__all__ = ["MAX_BYTES", "extend_lease", "user_data"]
-
 MAX_BYTES = 16384
 """What every cloud takes."""
 

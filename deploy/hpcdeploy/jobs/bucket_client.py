@@ -15,8 +15,6 @@ from hpccomponent.errors import CloudError
 from hpcdeploy.login.shell import sha256_of
 from hpcdeploy.spec.job_folder import JobOrder
 
-__all__ = ["fetch_points", "send_mesh"]
-
 CHUNK = 1 << 20
 TIMEOUT_S = 60.0
 ATTEMPTS = 3

@@ -31,15 +31,6 @@ from hpcdeploy.spec.layout import machine_folder
 if TYPE_CHECKING:
     from hpcdeploy.reconcile.cluster import Cluster
 
-__all__ = [
-    "check_job",
-    "fetch",
-    "make_request",
-    "new_mesh_here",
-    "run_on_cluster",
-    "submit",
-    "watch",
-]
 
 log = logging.getLogger("hpcapp")
 

@@ -15,7 +15,6 @@ from hpccomponent.verbosity import is_quiet
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
-__all__ = ["ForwardingDisplay", "JobDisplay", "JobEvent", "open_display"]
 
 log = logging.getLogger("hpcapp")
 

@@ -30,7 +30,6 @@ from hpcdeploy.spec.layout import machine_folder
 if TYPE_CHECKING:
     from hpcdeploy.reconcile.cluster import Cluster
 
-__all__ = ["Jobs", "open_jobs", "raise_damage", "raise_failure"]
 
 _ERRORS: dict[int, type[HpcError]] = {2: UsageError, 3: InputError, 4: CloudError}
 TIMEOUT_S = 60.0

@@ -41,8 +41,6 @@ from hpcdeploy.spec.job_folder import (
     now,
 )
 
-__all__ = ["main"]
-
 LEAVE_S = 5.0  # for the verb to end in order after SIGTERM
 KILL_S = 10.0  # for the runner itself; longer than the verb gets
 LOOK_S = 0.1  # between two looks at a job that ends

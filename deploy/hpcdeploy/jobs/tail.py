@@ -16,8 +16,6 @@ from pathlib import Path
 
 from hpcdeploy.spec.job_folder import EXIT_CANCELLED, JobFolder, JobState, JobStatus, now
 
-__all__ = ["follow", "print_line"]
-
 LOOK_S = 0.1  # between two looks at files that grow
 
 

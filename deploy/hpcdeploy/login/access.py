@@ -35,8 +35,6 @@ from hpcdeploy.spec.layout import state_folder
 from hpcdeploy.spec.names import Owner, this_user
 from hpcdeploy.spec.polling import utc_now
 
-__all__ = ["Access"]
-
 log = logging.getLogger("hpcapp")
 
 HOPELESS = (

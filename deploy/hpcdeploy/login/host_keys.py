@@ -16,8 +16,6 @@ import paramiko
 
 from hpccomponent.errors import CloudError
 
-__all__ = ["HostKeys", "parse_console"]
-
 _BLOCK = re.compile(r"-----BEGIN SSH HOST KEY KEYS-----(.*?)-----END SSH HOST KEY KEYS-----", re.S)
 _KEY = re.compile(r"\b(ssh-ed25519|ssh-rsa|ecdsa-sha2-nistp\d+) +(AAAA[\w+/]+={0,2})")
 

@@ -13,8 +13,6 @@ from textwrap import shorten
 from hpccomponent.errors import CloudError
 from hpcdeploy.login.shell import Completed, Shell, part_of
 
-__all__ = ["LocalShell"]
-
 _CHUNK = 1 << 20
 _FRESH = os.O_WRONLY | os.O_CREAT | os.O_EXCL
 

@@ -10,8 +10,6 @@ from contextlib import suppress
 from queue import Empty, SimpleQueue
 from typing import TypeVar
 
-__all__ = ["connections_at_once", "run_parallel"]
-
 T = TypeVar("T")
 R = TypeVar("R")
 

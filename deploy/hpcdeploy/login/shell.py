@@ -9,8 +9,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
 
-__all__ = ["MOST_REASON", "Completed", "Shell", "part_of", "sha256_of"]
-
 MOST_REASON = 500
 """Characters of what a machine says that stand in a message: it may say anything."""
 

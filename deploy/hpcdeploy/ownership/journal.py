@@ -31,14 +31,6 @@ from hpcdeploy.spec.layout import state_folder
 from hpcdeploy.spec.names import NodeName
 from hpcdeploy.spec.polling import utc_now
 
-__all__ = [
-    "Attempt",
-    "Journal",
-    "Step",
-    "open_journal",
-    "peek_journal",
-]
-
 Launched = tuple[str, NodeName]
 """The incarnation and the node of a machine that was asked for."""
 

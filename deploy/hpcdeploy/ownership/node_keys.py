@@ -15,8 +15,6 @@ from hpccomponent.errors import CloudError
 from hpccomponent.foreign_json import decode
 from hpccomponent.protocol.keys import KeyPair, make_key_pair, write_secret
 
-__all__ = ["NodeKeys"]
-
 
 class NodeKeys:
     """The keys in a file of mode 0600.

@@ -17,15 +17,6 @@ from datetime import datetime, timedelta
 from hpcdeploy.provider import MachineSeen, Observed, State
 from hpcdeploy.spec.names import Owner, incarnation_began
 
-__all__ = [
-    "MAKING",
-    "Ownership",
-    "cloud_fingerprints",
-    "fingerprint",
-    "foreign_owner",
-    "ours",
-]
-
 MAKING = timedelta(hours=1)
 """What is younger may belong to a cluster that somebody is making right now."""
 

@@ -13,8 +13,6 @@ from hpcdeploy.providers import open_provider
 from hpcdeploy.spec.cluster import ClusterSpec, read_spec
 from hpcdeploy.spec.provider import CloudSpec
 
-__all__ = ["OpenCloud", "open_clouds", "places_of"]
-
 ANY_CLUSTER = """
 version: 1
 cluster: any

@@ -24,8 +24,6 @@ from hpcdeploy.provider import (
 )
 from hpcdeploy.spec.names import NAME_PATTERN, NodeName, read_owner
 
-__all__ = ["CLAIM", "Claim", "FixedMachines"]
-
 CLAIM = "machine.json"
 """The file on a machine that says which of a cluster it is."""
 

@@ -27,8 +27,6 @@ from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.layout import clusters_folder, machine_folder, state_folder
 from hpcdeploy.spec.names import NodeName
 
-__all__ = ["LocalProvider", "open_local"]
-
 LOOPBACK = "127.0.0.1"
 _NODES = "nodes"
 

@@ -33,8 +33,6 @@ from hpcdeploy.spec.layout import machine_folder
 from hpcdeploy.spec.names import HEAD, NodeName, without_node
 from hpcdeploy.spec.provider import Host
 
-__all__ = ["SshHosts"]
-
 LOOK_S = 8.0
 """For the login, and again for the one command: so long a look at a host may take."""
 UNASKED = (Reach.NO_KEY, Reach.PASSPHRASE_NEEDED)

@@ -25,7 +25,6 @@ from hpcdeploy.spec.names import HEAD
 if TYPE_CHECKING:
     from hpcdeploy.reconcile.cluster import Cluster
 
-__all__ = ["check_way_in", "take_over"]
 
 AT_ONCE = 16
 WAIT_S = 30.0  # these machines have answered their owner before

@@ -23,16 +23,6 @@ from hpcdeploy.spec.polling import utc_now
 if TYPE_CHECKING:
     from hpcdeploy.login.access import Access
 
-__all__ = [
-    "Cluster",
-    "as_desired",
-    "describe_elsewhere",
-    "describe_silent",
-    "node_order",
-    "open_cluster",
-    "require_ours",
-    "require_same",
-]
 
 log = logging.getLogger("hpcapp")
 

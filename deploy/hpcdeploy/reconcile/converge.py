@@ -37,8 +37,6 @@ from hpcdeploy.spec.polling import Polling
 if TYPE_CHECKING:
     from hpcdeploy.reconcile.cluster import Cluster
 
-__all__ = ["bring_up", "look_ahead", "replace_lost", "take_down"]
-
 
 def look_ahead(cluster: Cluster) -> Plan:
     """Return what `bring_up` would do now; nothing is changed.

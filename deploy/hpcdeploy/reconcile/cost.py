@@ -12,18 +12,6 @@ from hpcdeploy.spec.names import HEAD
 from hpcdeploy.spec.prices import read_prices
 from hpcdeploy.spec.provider import CloudSpec, Profile
 
-__all__ = [
-    "Cost",
-    "CostLine",
-    "check_limits",
-    "describe_cost",
-    "describe_limits",
-    "estimate_cost",
-    "hourly_cost",
-    "price_machines",
-    "write_dollars",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class CostLine:

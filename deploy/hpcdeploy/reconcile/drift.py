@@ -15,8 +15,6 @@ from hpcdeploy.reconcile.plan import launch_choices
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.names import HEAD
 
-__all__ = ["describe_drift", "find_drift", "made_as"]
-
 DIGITS = 8
 _BY_DIGEST = ("image", "iam_instance_profile", "auth.ssh_user", "tags")
 

@@ -19,8 +19,6 @@ from hpcdeploy.reconcile.cluster import Cluster
 from hpcdeploy.spec.layout import machine_folder, state_folder
 from hpcdeploy.spec.names import HEAD, without_node
 
-__all__ = ["Visit", "examine", "visit"]
-
 WAIT_S = 10.0  # until a machine lets us in
 ANSWER_S = 15.0  # until it has said all that it is asked
 MAX_SKEW_S = 30  # more, and a lease ends at another time than it says

@@ -16,8 +16,6 @@ from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.names import HEAD, NodeName, Owner
 from hpcdeploy.spec.polling import Polling
 
-__all__ = ["Shortage", "launch_nodes"]
-
 AT_ONCE = 8
 """More launches at a time only meet the cloud's own rate limit."""
 REMEMBERED = 20

@@ -16,19 +16,6 @@ from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.names import HEAD, NOBODY, Desired, NodeName, Owner
 from hpcdeploy.spec.provider import Profile
 
-__all__ = [
-    "LIVE",
-    "Action",
-    "Extend",
-    "LaunchNode",
-    "Mark",
-    "Plan",
-    "SetWorkers",
-    "Terminate",
-    "launch_choices",
-    "make_plan",
-]
-
 LIVE = (State.PENDING, State.RUNNING)
 LEASE_SLACK = 0.1
 """The lease is written anew once this part of it has passed."""

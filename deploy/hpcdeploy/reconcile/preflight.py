@@ -11,8 +11,6 @@ from hpcdeploy.reconcile.examination import Visit, visit
 from hpcdeploy.reconcile.plan import Action, LaunchNode
 from hpcdeploy.spec.names import HEAD, without_node
 
-__all__ = ["check_ready"]
-
 OVERRIDE = "--skip-checks launches all the same"
 
 

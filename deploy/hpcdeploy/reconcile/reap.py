@@ -19,8 +19,6 @@ from hpcdeploy.reconcile.termination import Proof, Reason, is_overdue
 from hpcdeploy.spec.names import incarnation_began
 from hpcdeploy.spec.polling import Polling
 
-__all__ = ["overdue", "reap", "without_lease"]
-
 
 def reap(provider: Provider, report: Callable[[str], None], polling: Polling | None = None) -> None:
     """Remove what is overdue from a cloud, whoever made it.

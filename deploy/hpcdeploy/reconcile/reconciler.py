@@ -47,7 +47,6 @@ if TYPE_CHECKING:
     from hpcdeploy.reconcile.cluster import Cluster
     from hpcdeploy.spec.cluster import ClusterSpec
 
-__all__ = ["Reconciler", "Report"]
 
 Report = Callable[[str], None]
 CONSOLE_LINES = 5

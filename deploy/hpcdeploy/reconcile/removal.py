@@ -12,8 +12,6 @@ from hpcdeploy.reconcile.termination import Proof, Reason, end
 from hpcdeploy.spec.layout import machine_folder
 from hpcdeploy.spec.polling import Polling
 
-__all__ = ["describe", "remove"]
-
 TRIES = 3
 """Refusals in a row after which a removal is given up."""
 

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from hpcdeploy.reconcile.cluster import Cluster
     from hpcdeploy.spec.provider import CloudSpec
 
-__all__ = ["ClusterLine", "describe_cluster", "list_clusters", "write_list", "write_table"]
-
 
 class MachineStatus(TypedDict):
     """A machine as JSON has it; its loader is null where it was not asked."""

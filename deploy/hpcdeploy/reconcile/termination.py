@@ -16,8 +16,6 @@ from hpccomponent.errors import CloudError
 from hpcdeploy.ownership.ownership import MAKING
 from hpcdeploy.provider import MachineSeen, Provider, State
 
-__all__ = ["CLOCK_GRACE", "Proof", "Reason", "end", "is_overdue", "may_terminate"]
-
 CLOCK_GRACE = timedelta(minutes=5)
 """Clocks differ: a lease is over so long after its end."""
 

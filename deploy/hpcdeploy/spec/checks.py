@@ -7,15 +7,14 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hpccomponent.config.reader import ConfigModel, Location, Misfit
+from hpccomponent.config.problems import Location
+from hpccomponent.config.reader import ConfigModel, Misfit
 from hpccomponent.errors import UsageError
 from hpccomponent.files.paths import expand_home
 from hpcdeploy.spec.provider import LEGAL_REGION, CloudSpec, Host
 
 if TYPE_CHECKING:
     from hpcdeploy.spec.cluster import ClusterSpec
-
-__all__ = ["find_misfits"]
 
 
 def find_misfits(spec: ClusterSpec, base: Path) -> Iterator[Misfit]:

@@ -21,18 +21,6 @@ from hpcdeploy.spec.provider import (
     ProviderSpec,
 )
 
-__all__ = [
-    "Auth",
-    "ClusterSpec",
-    "Communicator",
-    "Data",
-    "Environment",
-    "Head",
-    "Limits",
-    "Workers",
-    "read_spec",
-]
-
 
 def parse_network(text: str) -> str:
     """Return a network as clouds write it; ``auto`` stays.

@@ -39,19 +39,6 @@ from msgspec import Meta
 from hpccomponent.errors import JobError
 from hpccomponent.foreign_json import decode
 
-__all__ = [
-    "EXIT_CANCELLED",
-    "UNTOLD",
-    "JobFolder",
-    "JobOrder",
-    "JobState",
-    "JobStatus",
-    "Request",
-    "all_jobs",
-    "create_job",
-    "now",
-]
-
 EXIT_FAILED = 1
 EXIT_CANCELLED = 130
 _NUMBER = re.compile(r"[1-9][0-9]{0,8}")

@@ -23,8 +23,6 @@ from pathlib import Path
 
 from hpccomponent.files.paths import home_folder
 
-__all__ = ["clusters_folder", "forget_cluster", "machine_folder", "state_folder"]
-
 _OURS = (
     "id",
     "id.before",

@@ -10,22 +10,6 @@ import socket
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
-__all__ = [
-    "HEAD",
-    "MOST_WORKERS",
-    "NAME_PATTERN",
-    "NOBODY",
-    "Desired",
-    "NodeName",
-    "Owner",
-    "draw_incarnation",
-    "incarnation_began",
-    "read_desired",
-    "read_owner",
-    "this_user",
-    "without_node",
-]
-
 MOST_WORKERS = 1000
 NAME_PATTERN = r"^[a-z][a-z0-9-]{0,39}$"
 """Of clusters: it becomes part of every name in the cloud."""

@@ -7,8 +7,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
-__all__ = ["Polling", "utc_now"]
-
 
 def utc_now() -> datetime:
     """Return the present moment in UTC."""

@@ -9,8 +9,6 @@ from typing import Literal
 
 from hpccomponent.config.reader import ConfigModel, parse_config
 
-__all__ = ["PriceTable", "read_prices"]
-
 _HOURS_A_MONTH = 730.0
 _DISK_GB = 8  # of an image that says nothing else
 _SMALL_SIZES = {"nano": 1 / 16, "micro": 1 / 8, "small": 1 / 4, "medium": 1 / 2, "large": 1.0}

@@ -11,20 +11,6 @@ from pydantic import AfterValidator, BeforeValidator, Field, field_validator, mo
 from hpccomponent.config.reader import ConfigModel
 from hpcdeploy.spec.prices import read_prices
 
-__all__ = [
-    "AwsSpec",
-    "CloudSpec",
-    "Credentials",
-    "Ec2Spec",
-    "EucalyptusSpec",
-    "Host",
-    "Image",
-    "LocalSpec",
-    "Profile",
-    "ProviderSpec",
-    "SshSpec",
-]
-
 CAPABILITIES = Literal[
     "auto",
     "aws",

@@ -11,8 +11,6 @@ from urllib.parse import urlsplit
 from hpccomponent.errors import CloudError
 from hpcdeploy.spec.cluster import ClusterSpec
 
-__all__ = ["ssh_networks"]
-
 PUBLIC_ADDRESS_URL = "https://checkip.amazonaws.com"
 
 

@@ -27,8 +27,6 @@ from pathlib import Path
 from hpccomponent.errors import HpcError, UsageError
 from hpccomponent.inventory import hold_cluster, read_inventory
 
-__all__ = ["BEAT_S", "WANTED", "Pair", "closing", "splice"]
-
 WANTED = b"w"
 """Written by the relay on the control connection: a worker waits for a data connection."""
 BEAT_S = 5.0

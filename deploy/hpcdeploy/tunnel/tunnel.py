@@ -29,8 +29,6 @@ from hpcdeploy.reconcile.cluster import open_cluster
 from hpcdeploy.spec.layout import machine_folder
 from hpcdeploy.tunnel.relay import BEAT_S, WANTED, Pair, closing, splice
 
-__all__ = ["Lead", "lead_workers", "open_remote_inventory"]
-
 log = logging.getLogger("hpcapp")
 
 ANSWER_S = 60.0

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from hpcapp.applications.compare.metrics import Measures
     from hpcapp.progress import StageClock
 
-__all__ = ["compare"]
 
 log = logging.getLogger("hpcapp")
 

@@ -14,8 +14,6 @@ from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.progress import Progress, StageClock
 
-__all__ = ["F_THRESHOLDS", "Measures", "as_json", "measure_mesh"]
-
 F_THRESHOLDS = (0.02, 0.1, 0.5)  # per cent of the diagonal
 
 

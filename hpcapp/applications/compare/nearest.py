@@ -8,8 +8,6 @@ from scipy.spatial import KDTree
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
 
-__all__ = ["ROUNDING", "NearestFace", "distance_to_triangles", "face_normals"]
-
 _CHUNK_ROWS = 300_000  # of point-triangle pairs: about 100 MB
 ROUNDING = 1e-12
 """Of a squared distance; from afar, no two places of a mesh differ by more."""

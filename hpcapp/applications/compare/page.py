@@ -15,8 +15,6 @@ from hpcapp.pages.scene import MOST_POINTS, Field, Scene, fields_of
 from hpcapp.pages.thin import thin_mesh
 from hpcapp.wording import say_name, say_number, say_share
 
-__all__ = ["list_agreement", "list_lengths", "list_topology", "make_comparison", "say_openness"]
-
 _MOST_FACES = 500_000  # the distance of each vertex is found exactly: some 10 µs each
 _LENGTHS = (
     ("accuracy", "mesh to truth, mean"),

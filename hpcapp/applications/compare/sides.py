@@ -13,8 +13,6 @@ from hpcapp.applications.compare.nearest import face_normals
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
 
-__all__ = ["find_sides"]
-
 _ON = 1e-9  # a weight so small is none
 
 

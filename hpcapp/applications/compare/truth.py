@@ -12,25 +12,16 @@ from scipy.spatial import KDTree
 
 from hpcapp.applications.compare.nearest import ROUNDING, NearestFace, face_normals
 from hpcapp.applications.compare.sides import find_sides
+from hpcapp.applications.simulate.implicit import Shape, diagonal_of
 from hpcapp.applications.simulate.rays import closest_points
 from hpcapp.applications.simulate.scanner import sample_surface
-from hpcapp.applications.simulate.shapes import Shape, diagonal_of, find_shape
+from hpcapp.applications.simulate.shapes import find_shape
 from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.stitching.topology import Topology, check_mesh
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io import holds_faces, open_points, read_mesh, read_points, take_finite
 from hpccomponent.errors import InputError
-
-__all__ = [
-    "MeshTruth",
-    "PointTruth",
-    "ShapeTruth",
-    "Truth",
-    "open_truth",
-    "read_mesh_at",
-    "sample_mesh",
-]
 
 SHAPE = "shape:"
 """In front of the name of a shape that is the truth."""

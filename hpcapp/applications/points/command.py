@@ -18,7 +18,6 @@ from hpccomponent.verb import Verb
 if TYPE_CHECKING:
     from hpcapp.io import PointSource
 
-__all__ = ["INPUTS", "SAMPLE", "convert", "info", "readable"]
 
 log = logging.getLogger("hpcapp")
 

@@ -19,8 +19,6 @@ from hpcapp.io.points.column_roles import tell_use
 from hpcapp.io.points.point_source import Findings
 from hpccomponent.errors import InputError
 
-__all__ = ["describe", "describe_file", "measure_spacing"]
-
 
 def describe_file(source: PointSource) -> tuple[dict[str, object], Findings, PointCloud]:
     """Read a file's points, and tell what it holds.

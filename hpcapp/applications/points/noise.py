@@ -15,8 +15,6 @@ from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.applications.surface.types.lattice import lay_lattice
 from hpcapp.applications.surface.types.points import PointCloud
 
-__all__ = ["find_noise"]
-
 
 def find_noise(cloud: PointCloud, scale: LocalScale) -> LocalNoise:
     """Find how far points lie off their surface, from place to place.

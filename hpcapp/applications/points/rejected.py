@@ -17,8 +17,6 @@ from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.applications.surface.types.points import BoolArray, PointCloud
 from hpcapp.io import drop_unusable
 
-__all__ = ["reject_points", "take_rejected"]
-
 
 def take_rejected(cloud: PointCloud, source: str) -> tuple[PointCloud, Cleaned]:
     """Return the outliers, the strays and the lone lines of a cloud, and how many they are.

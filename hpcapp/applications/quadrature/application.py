@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 
 from hpcapp.workforce import Workforce, map_batches
 from hpccomponent.errors import JobError, UsageError
-from hpccomponent.protocol.declared import Array, Declared, Where
+from hpccomponent.protocol.declared import Declared, Where
+from hpccomponent.protocol.declared_arrays import Array
 from hpccomponent.runtime.tasks import declare
-
-__all__ = ["INTEGRANDS", "Integral", "estimate", "integrate"]
 
 FloatArray = NDArray[np.float64]
 

@@ -7,8 +7,6 @@ import click
 from hpccomponent.terminal import echo
 from hpccomponent.verb import Verb
 
-__all__ = ["quadrature"]
-
 
 @click.command(
     cls=Verb,

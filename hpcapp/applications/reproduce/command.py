@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from hpcapp.applications.reproduce.subject import Subject
     from hpcapp.progress import StageClock
 
-__all__ = ["reproduce"]
 
 log = logging.getLogger("hpcapp")
 

@@ -28,8 +28,6 @@ from hpcapp.backends.selection import open_executor
 from hpcapp.pages.render import render_mesh
 from hpcapp.progress import StageClock
 
-__all__ = ["build_discs", "make_figure_2", "project_points"]
-
 _GRID = 128  # of the surface
 _NEIGHBOURS = 4  # the last of them is a spacing away, where points lie evenly or at random
 _NEWTON_STEPS = 5

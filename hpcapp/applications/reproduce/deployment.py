@@ -21,8 +21,6 @@ from hpcapp.progress import StageClock
 from hpccomponent.errors import JobError
 from hpccomponent.foreign_json import convert
 
-__all__ = ["LOCAL_CLUSTER", "make_table_1", "write_local_cluster"]
-
 #: The machines of Table 1, emulated by folders of this machine.
 LOCAL_CLUSTER = """\
 # The machines of the paper's Table 1, each a folder with processes of its own on this machine.

@@ -16,7 +16,6 @@ from hpccomponent.errors import MissingLibraryError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["PANEL", "Picture", "check_plots", "colour_patches", "draw_panels"]
 
 Picture = NDArray[np.uint8]
 

@@ -19,8 +19,6 @@ from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.pages.render import render_mesh
 from hpcapp.progress import StageClock
 
-__all__ = ["PAPER_COUNTS", "make_figure_4"]
-
 _GRID = 160  # of the mesh that shows the patches
 #: The paper's patches by the most points of each.
 PAPER_COUNTS = {20_000: 4, 10_000: 115, 1_000: 237, 100: 2_727}

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["make_figure_7", "make_figure_8"]
 
 #: The paper's speed-up in its own words, by the number of its slaves.
 _PAPER_SPEEDUP = {4: "almost double"}

@@ -8,8 +8,6 @@ from hpcapp.applications.surface.paper.kdtree import Patches, partition_by_rule
 from hpcapp.applications.surface.paper.split_rule import SplitRule
 from hpcapp.applications.surface.types.points import PointCloud
 
-__all__ = ["DELTA", "OTHER_CLOUD", "STEP_1", "Reading"]
-
 #: The paper's threshold on the normal cone.
 DELTA = 0.1
 #: Said of every figure.

@@ -30,8 +30,6 @@ from hpcapp.io import drop_unusable, read_points
 from hpcapp.progress import Progress, StageClock
 from hpccomponent.errors import UsageError
 
-__all__ = ["WAYS", "Run", "Spread", "Summary", "limit_of_fits", "measure", "summarise"]
-
 #: Patches of the paper's Figures 7 and 8.
 PAPER_PATCHES = 240
 #: What is handed out, by the name that tables and plots have for it.

@@ -7,7 +7,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from hpcapp.applications.simulate.scanner import ScanSettings, simulate_scan
+from hpcapp.applications.simulate.scanner import simulate_scan
+from hpcapp.applications.simulate.settings import ScanSettings
 from hpcapp.applications.simulate.shapes import find_shape
 from hpcapp.applications.surface.cloud.arranged import MemoryCloud, arrange_cloud
 from hpcapp.applications.surface.job.load import load
@@ -20,8 +21,6 @@ from hpcapp.io import write_points
 from hpcapp.io.points.inputs import gather_points
 from hpcapp.progress import Progress, StageClock
 from hpccomponent.files.held_folders import temporary_folder
-
-__all__ = ["EXAMPLE_POINTS", "PAPER_BUNNY", "Subject", "arrange_for", "open_subject"]
 
 #: Points of the example scan.
 EXAMPLE_POINTS = 60_000

@@ -18,8 +18,6 @@ from hpcapp.backends.selection import open_executor
 from hpcapp.pages.render import render_mesh
 from hpcapp.progress import Progress, StageClock
 
-__all__ = ["GRIDS", "make_figure_6", "mesh_by_default"]
-
 #: The paper's resolutions.
 GRIDS = (24, 64, 256)
 _SAMPLES = 20_000

@@ -15,8 +15,6 @@ from click.core import ParameterSource
 from hpccomponent.errors import UsageError
 from hpccomponent.verb import Verb
 
-__all__ = ["simulate"]
-
 log = logging.getLogger("hpcapp")
 
 DEFAULT = ParameterSource.DEFAULT
@@ -235,7 +233,8 @@ def _refuse(names: set[str], problem: str, advice: str) -> None:
 
 
 def _write_model(output: Path, shape: str, settings: dict[str, Any]) -> None:
-    from hpcapp.applications.simulate.scanner import ScanSettings, simulate_scan
+    from hpcapp.applications.simulate.scanner import simulate_scan
+    from hpcapp.applications.simulate.settings import ScanSettings
     from hpcapp.applications.simulate.shapes import find_shape
     from hpcapp.io import check_writable, write_points
 

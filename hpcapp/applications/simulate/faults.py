@@ -10,8 +10,6 @@ from hpcapp.applications.simulate.implicit import Shape, diagonal_of
 from hpcapp.applications.simulate.rays import run_in_blocks
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
 
-__all__ = ["Moves", "draw_drift", "draw_moves", "strew_outliers"]
-
 _WAVES = 64
 
 

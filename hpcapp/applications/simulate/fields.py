@@ -19,8 +19,6 @@ import numpy as np
 
 from hpcapp.applications.surface.types.points import FloatArray
 
-__all__ = ["Field", "cut", "grow", "intersect", "mirror", "smooth_unite", "unite"]
-
 Function = Callable[[FloatArray], FloatArray]
 
 

@@ -10,8 +10,6 @@ import numpy as np
 from hpcapp.applications.simulate.fields import Field
 from hpcapp.applications.surface.types.points import FloatArray
 
-__all__ = ["Bounds", "ImplicitShape", "Shape", "diagonal_of", "symmetric"]
-
 Bounds = tuple[FloatArray, FloatArray]
 
 

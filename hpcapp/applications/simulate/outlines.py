@@ -13,8 +13,6 @@ from hpcapp.applications.simulate.fields import Field
 from hpcapp.applications.simulate.solids import corner_distance, corner_slopes
 from hpcapp.applications.surface.types.points import FloatArray
 
-__all__ = ["disc", "extrude", "polygon", "revolve"]
-
 _TINY = 1e-300  # keeps 0/0 out of gradients at centres, where no direction is right
 
 

@@ -13,16 +13,6 @@ from hpcapp.applications.surface.kernels.parallel import run_batches
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
 from hpccomponent.limits import available_cores
 
-__all__ = [
-    "closest_points",
-    "cross_rays",
-    "fall",
-    "frame_about",
-    "run_in_blocks",
-    "sample_lines",
-    "unit_vectors",
-]
-
 _BLOCK = 1 << 16  # rows that a thread takes at a time
 _SAME_FACE = 0.98  # cosine between normals: where it is less, two faces meet at an edge
 

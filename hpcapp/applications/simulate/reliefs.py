@@ -13,8 +13,6 @@ import numpy as np
 from hpcapp.applications.simulate.fields import Field
 from hpcapp.applications.surface.types.points import FloatArray
 
-__all__ = ["Relief", "displace", "lumps", "studs"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Relief:

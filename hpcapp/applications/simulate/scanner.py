@@ -30,8 +30,6 @@ from hpcapp.applications.simulate.tracing import Tracer
 from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
 from hpccomponent.errors import UsageError
 
-__all__ = ["ScanSettings", "sample_surface", "simulate_scan"]
-
 _NEIGHBOURS = 20
 _GOLDEN_TURN = np.pi * (3.0 - np.sqrt(5.0))
 _MOST_RAYS = 1_000_000  # at a time: bounds the memory

@@ -11,8 +11,6 @@ import numpy as np
 from hpccomponent.errors import UsageError
 from hpccomponent.ranges import check_range
 
-__all__ = ["ScanSettings", "check_ranges"]
-
 
 @dataclass(frozen=True, slots=True)
 class ScanSettings:

@@ -12,10 +12,8 @@ from types import MappingProxyType
 from hpcapp.applications.simulate.catalogue.classic import CLASSIC
 from hpcapp.applications.simulate.catalogue.parts import PARTS
 from hpcapp.applications.simulate.catalogue.sculptures import SCULPTURES
-from hpcapp.applications.simulate.implicit import ImplicitShape, Shape, diagonal_of
+from hpcapp.applications.simulate.implicit import Shape
 from hpccomponent.errors import UsageError
-
-__all__ = ["SHAPES", "ImplicitShape", "Shape", "diagonal_of", "find_shape"]
 
 SHAPES: Mapping[str, Shape] = MappingProxyType(
     {shape.name: shape for shape in (*CLASSIC, *PARTS, *SCULPTURES)}

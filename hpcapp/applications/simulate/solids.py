@@ -10,8 +10,6 @@ from scipy.spatial import KDTree
 from hpcapp.applications.simulate.fields import Field
 from hpcapp.applications.surface.types.points import FloatArray
 
-__all__ = ["box", "cone", "cylinder", "ellipsoid", "half_space", "torus", "tube"]
-
 Curve = Callable[[FloatArray], FloatArray]
 Feet = Callable[[FloatArray], tuple[FloatArray, float | FloatArray]]
 

@@ -18,8 +18,6 @@ import numpy as np
 from hpcapp.applications.simulate.implicit import Shape, diagonal_of
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
 
-__all__ = ["Tracer"]
-
 _SHORTEST_STEP = 5e-4  # of the diagonal: two crossings closer than this may be overlooked
 _TOLERANCE = 1e-13  # of the diagonal
 _MOST_STEPS = 100_000

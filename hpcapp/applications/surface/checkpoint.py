@@ -21,8 +21,6 @@ from hpccomponent.protocol.declared import Declared, check_result
 from hpccomponent.store.base import Store
 from hpccomponent.store.places import open_store
 
-__all__ = ["POINTS_NOTE", "SUMS", "Checkpoint", "digest"]
-
 log = logging.getLogger("hpcapp")
 
 SUMS = "sums"

@@ -36,8 +36,6 @@ from hpccomponent.errors import UsageError
 from hpccomponent.terminal import echo_json
 from hpccomponent.verb import Verb
 
-__all__ = ["check_flags", "reconstruct"]
-
 log = logging.getLogger("hpcapp")
 
 POINTS = click.Path(dir_okay=False, path_type=Path)

@@ -15,16 +15,6 @@ from hpccomponent.limits import available_memory
 from hpccomponent.option_names import name_option
 from hpccomponent.units import parse_size
 
-__all__ = [
-    "check_memory",
-    "count_most_points",
-    "estimate_surface",
-    "fit_memory",
-    "fits_memory",
-    "fitting_tile",
-    "parse_limit",
-]
-
 #: The default method holds the points, sorted too, and bricks along the surface; measured from
 #: above on 36 thousand to 10 million points and grids of 256 to 1024, mesh and check included.
 BYTES_OF_PROGRAM = 1e8

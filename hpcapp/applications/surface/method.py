@@ -18,21 +18,6 @@ if TYPE_CHECKING:
     from hpcapp.applications.surface.types.points import PointCloud
     from hpcapp.workforce import Workforce
 
-__all__ = [
-    "LARGE_TILE",
-    "MARGIN",
-    "MAX_GRID",
-    "MIN_GRID",
-    "TILES_EACH",
-    "TILE_POINTS",
-    "Advance",
-    "Method",
-    "MethodSettings",
-    "Resolution",
-    "Resources",
-    "ShowPart",
-    "show_nothing",
-]
 
 MARGIN = 4
 """Cells of the grid that stay free on each side of the cloud."""

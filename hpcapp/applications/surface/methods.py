@@ -7,8 +7,6 @@ from importlib import import_module
 from hpcapp.applications.surface.method import MethodSettings
 from hpccomponent.errors import UsageError
 
-__all__ = ["DEFAULT_METHOD", "METHODS", "find_method"]
-
 METHODS = {
     "hierarchical": "hpcapp.applications.surface.hierarchical.settings:Hierarchical",
     "paper": "hpcapp.applications.surface.paper.settings:Paper",

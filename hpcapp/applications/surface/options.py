@@ -18,18 +18,6 @@ from hpccomponent.errors import UsageError
 from hpccomponent.option_names import name_option
 from hpccomponent.ranges import check_range
 
-__all__ = [
-    "WATCHED",
-    "Options",
-    "check_exclusive",
-    "check_options",
-    "make_click_options",
-    "option",
-    "option_names",
-    "typed_command",
-    "typed_options",
-]
-
 _KEY = "option"
 _METAVARS = {int: "N", float: "F", str: "LENGTH"}
 

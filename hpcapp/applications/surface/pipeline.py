@@ -23,8 +23,6 @@ from hpcapp.workforce import Workforce
 from hpccomponent.errors import UsageError
 from hpccomponent.option_names import name_option
 
-__all__ = ["Preprocess", "Reconstruction", "reconstruct"]
-
 Preprocess = Callable[[PointCloud], PointCloud]
 
 

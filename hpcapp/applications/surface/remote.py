@@ -17,8 +17,6 @@ from hpcapp.io.output import open_output
 from hpcapp.io.points.inputs import find_paths, gather_points
 from hpccomponent.errors import UsageError
 
-__all__ = ["OF_THIS_MACHINE", "check_file", "check_points", "run_on_cluster", "type_for_head"]
-
 DETAILS = ("timeline", "owners")
 """What a report has with --details."""
 

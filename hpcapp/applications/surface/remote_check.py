@@ -20,8 +20,6 @@ from hpcapp.applications.surface.remote import (
 from hpcapp.io.output import open_output
 from hpccomponent.errors import OutputError, UsageError
 
-__all__ = ["check_job"]
-
 
 def check_job(cluster: Path, points: Path, output: Path, options: Sequence[str]) -> list[str]:
     """Find out whether a cluster could do a job, and how its head is told of it.

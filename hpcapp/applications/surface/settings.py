@@ -19,14 +19,6 @@ from hpccomponent.ranges import check_range
 if TYPE_CHECKING:
     from hpcapp.applications.surface.pipeline import Preprocess
 
-__all__ = [
-    "JobSettings",
-    "Settings",
-    "choose_local",
-    "choose_steps",
-    "choose_threads",
-    "name_backend",
-]
 
 # Below this many points a second thread costs more than it brings.
 THREADS_FROM_POINTS = 100_000

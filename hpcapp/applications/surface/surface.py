@@ -42,8 +42,6 @@ from hpccomponent.protocol.declared import ANYTHING, Fixed
 from hpccomponent.runtime.background import Deferred
 from hpccomponent.store.base import FolderStore
 
-__all__ = ["PartSurface", "Surface", "WholeSurface", "simplify_surface"]
-
 log = logging.getLogger("hpcapp")
 
 

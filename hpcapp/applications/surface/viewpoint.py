@@ -13,8 +13,6 @@ from hpccomponent.errors import UsageError
 from hpccomponent.option_names import name_option
 from hpccomponent.ranges import FARTHEST, is_place
 
-__all__ = ["Direction", "Place", "Viewpoint", "parse_viewpoint", "type_viewpoint"]
-
 Direction = Literal["above", "below", "inside", "outside"]
 Place = tuple[float, float, float] | tuple[float, float, float, float, float, float]
 """Coordinates; of a camera also the direction along which it looks."""

@@ -14,8 +14,6 @@ from hpccomponent.errors import UsageError
 from hpccomponent.terminal import echo_output
 from hpccomponent.verb import Verb
 
-__all__ = ["check_page", "check_picture", "view"]
-
 log = logging.getLogger("hpcapp")
 
 FILE = click.Path(dir_okay=False, path_type=Path)

@@ -27,8 +27,6 @@ from hpcapp.pages.report import read_report
 from hpcapp.pages.scene import Field, Scene, fields_of
 from hpcapp.pages.thin import thin_mesh
 
-__all__ = ["find_shown_unit", "make_page", "read_shown"]
-
 
 def read_shown(path: Path) -> Mesh | PointCloud:
     """Read a file as a mesh where it holds faces, and as finite points otherwise.

@@ -9,8 +9,6 @@ from hpcapp.communicator.scheduling.state import Worker
 from hpccomponent.protocol.frames import SMALLEST_FRAME
 from hpccomponent.protocol.messages import PROTOCOL_VERSION, Register
 
-__all__ = ["Admission"]
-
 
 @dataclass(slots=True)
 class Admission:

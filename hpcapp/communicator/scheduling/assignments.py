@@ -7,8 +7,6 @@ from collections.abc import Container, Iterable
 from hpcapp.communicator.scheduling.state import OpenBatch, Worker
 from hpccomponent.errors import ProtocolError
 
-__all__ = ["Assignments"]
-
 MOST_TAKEN_BACK = 1000  # then those are forgotten whose tasks are all done
 
 

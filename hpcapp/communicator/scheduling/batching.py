@@ -9,15 +9,6 @@ from itertools import islice
 from hpcapp.communicator.scheduling.forecast import Forecast
 from hpcapp.communicator.scheduling.state import Task, Worker
 
-__all__ = [
-    "MAX_BATCH_BYTES",
-    "MAX_BATCH_S",
-    "MAX_TASKS",
-    "BatchCutter",
-    "find_closest",
-    "find_holder",
-]
-
 MAX_TASKS = 64
 MAX_BATCH_BYTES = 1_000_000  # a larger task travels alone
 MAX_BATCH_S = 0.25  # expected work; a task of unknown duration travels alone

@@ -25,8 +25,6 @@ from hpcapp.communicator.scheduling.speculation import choose_to_speculate, choo
 from hpcapp.communicator.scheduling.state import Assign, OpenBatch, Task, Worker
 from hpccomponent.clock import Clock
 
-__all__ = ["CREDIT", "Dispatcher"]
-
 CREDIT = 2  # batches in flight per worker
 
 

@@ -14,8 +14,6 @@ from collections.abc import Iterator
 
 from hpcapp.communicator.scheduling.state import Task, Worker
 
-__all__ = ["Forecast"]
-
 SHORTEST_S = 1e-6  # of a unit of work, so that no worker looks infinitely fast
 TELLING_S = 0.05  # shorter tasks say nothing of how fast a worker is with others
 

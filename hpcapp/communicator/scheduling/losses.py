@@ -14,8 +14,6 @@ from dataclasses import dataclass, field
 from hpcapp.communicator.scheduling.state import Task, Worker
 from hpccomponent.errors import NoWorkersError, WorkerLostError
 
-__all__ = ["LOSS_BUDGET", "Losses"]
-
 LOSS_BUDGET = 3  # machines that may lose one task, or workers where there are fewer machines
 
 

@@ -12,17 +12,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
-__all__ = [
-    "DEFAULT_POLICY",
-    "POLICIES",
-    "AdaptivePolicy",
-    "EqualPolicy",
-    "Load",
-    "Placement",
-    "Policy",
-    "PullPolicy",
-]
-
 DEPTH = 2  # batches that a worker holds at most, the adaptive way
 AHEAD_S = 1.0  # so long before its end the next batch may leave
 

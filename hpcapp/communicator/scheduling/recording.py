@@ -8,8 +8,6 @@ from hpcapp.communicator.scheduling.state import OpenBatch, Task, Worker
 from hpcapp.timeline import Timeline, WorkerState
 from hpccomponent.protocol.messages import Register, Result
 
-__all__ = ["Recording"]
-
 
 class Recording:
     """Records tasks in a timeline, from the time on when there is one."""

@@ -45,8 +45,6 @@ from hpccomponent.errors import DistrustError, HpcError
 from hpccomponent.protocol.frames import LARGEST_FRAME
 from hpccomponent.protocol.messages import Failure, Register, Result
 
-__all__ = ["Scheduler"]
-
 
 class Scheduler:
     """Decides who gets which task, and what becomes of tasks whose worker is lost.

@@ -8,8 +8,6 @@ from collections.abc import Collection, Sequence
 from hpcapp.communicator.scheduling.forecast import Forecast
 from hpcapp.communicator.scheduling.state import Task, Worker
 
-__all__ = ["choose_to_speculate", "choose_to_split"]
-
 SPLIT_S = 0.5  # longer tasks may be split, where more workers than tasks are (soon) idle
 # A straggler takes so many times as long as an idle worker would, with the way to it, and so many
 # seconds more.

@@ -9,22 +9,6 @@ from hpccomponent.errors import HpcError
 from hpccomponent.protocol.blobs import Blob
 from hpccomponent.protocol.messages import Register, Result
 
-__all__ = [
-    "Action",
-    "AskRegister",
-    "Assign",
-    "Deliver",
-    "Dismiss",
-    "Fail",
-    "Forgotten",
-    "OpenBatch",
-    "Refuse",
-    "Retire",
-    "Task",
-    "Welcome",
-    "Worker",
-]
-
 
 @dataclass(slots=True, eq=False)
 class Task:

@@ -40,16 +40,6 @@ if TYPE_CHECKING:  # a job in one process does not wait for what speaks to other
     from hpccomponent.protocol.frames import Buffer
     from hpccomponent.protocol.messages import Result
 
-__all__ = [
-    "CLUSTER_SHARE",
-    "LEAST_MACHINES",
-    "Verdict",
-    "Verification",
-    "attempt",
-    "digest_answer",
-    "explain_dispute",
-    "repeat_until_trusted",
-]
 
 _log = logging.getLogger(__name__)
 

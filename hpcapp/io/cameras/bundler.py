@@ -12,8 +12,6 @@ import numpy as np
 from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.io.cameras.poses import BACKWARDS, world_to_camera
 
-__all__ = ["read_bundle"]
-
 _NUMBERS = 15  # of a camera: f, k1, k2; three rows of R; t
 _LONGEST_LINE = 1 << 16
 

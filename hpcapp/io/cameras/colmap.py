@@ -13,8 +13,6 @@ from typing import TextIO
 from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.io.cameras.poses import FORWARDS, quaternion_matrices, world_to_camera
 
-__all__ = ["find_colmap_part", "has_images", "read_images_binary", "read_images_text"]
-
 _NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 _IMAGE = re.compile(rf"\s*\d+\s+((?:{_NUMBER}\s+){{7}})\d+\s+(\S+)", re.ASCII)
 _TITLE = "IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ"

@@ -32,8 +32,6 @@ from hpcapp.io.text.trajectory import MOST_PLACES
 from hpccomponent.errors import InputError
 from hpccomponent.ranges import FARTHEST
 
-__all__ = ["FORMATS", "CameraFormat", "find_camera_file", "read_cameras"]
-
 Kind = Literal["binary", "XML", "JSON", "text"]
 
 _HEAD = 4096  # characters that tell a text

@@ -21,8 +21,6 @@ from hpcapp.io.cameras.poses import (
 )
 from hpccomponent.foreign_json import decode_large
 
-__all__ = ["JsonObject", "read_frames", "read_openmvg", "read_opensfm", "split_json"]
-
 JsonObject = Mapping[str, msgspec.Raw]
 """The keys of an object, and what is below each, as it is in the file."""
 

@@ -17,8 +17,6 @@ import numpy as np
 from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.io.cameras.poses import FORWARDS, camera_to_world, check_rotations
 
-__all__ = ["read_metashape"]
-
 _LONGEST_TEXT = 4096  # characters of 16 numbers
 _DEEPEST = 64  # elements within each other
 _AT_ONCE = 1 << 20

@@ -9,16 +9,6 @@ from numpy.typing import ArrayLike
 
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray
 
-__all__ = [
-    "BACKWARDS",
-    "FORWARDS",
-    "are_rotations",
-    "camera_to_world",
-    "check_rotations",
-    "quaternion_matrices",
-    "world_to_camera",
-]
-
 FORWARDS, BACKWARDS = 1.0, -1.0
 """Which end of its z axis a camera looks along: as in computer vision, or as in OpenGL."""
 

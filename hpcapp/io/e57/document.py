@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 from hpcapp.applications.surface.types.points import ByteArray
 from hpccomponent.errors import InputError
 
-__all__ = ["Element", "read_document", "refuse", "sum_pages"]
-
 _HEADER = struct.Struct("<8sIIQQQQ")  # magic, version, size, place and length of the XML, page
 _PAGE, _CHECKSUM = 1024, 4  # bytes; the last of a page are its checksum
 _POLYNOMIAL, _ALL_ONES = np.uint32(0x82F63B78), np.uint32(0xFFFFFFFF)  # of CRC-32C

@@ -10,8 +10,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import BinaryIO
 
-__all__ = ["hold_more"]
-
 _SECTION = struct.Struct("<B7xQQ")  # identity, length, place of the first packet
 _PACKET = struct.Struct("<BBHH")  # kind, flags, length less one, number of streams
 _VECTOR, _POINTS = 1, 1  # kinds of a section, and of a packet

@@ -28,8 +28,6 @@ from hpcapp.io.points.column_roles import COLOURS, NORMALS
 from hpcapp.io.points.point_source import Findings, PointSource, Scan, keep_small
 from hpccomponent.errors import InputError, MissingLibraryError
 
-__all__ = ["open_e57"]
-
 _AT_ONCE = 1 << 16  # points: what is made of them stays in the cache
 _WHITE: dict[type[np.generic], int] = {np.uint8: 255, np.uint16: 65535}
 _NOWHERE = -1  # row and column of a point that belongs to no grid

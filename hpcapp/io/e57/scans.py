@@ -17,18 +17,6 @@ from hpcapp.io.points.column_roles import COLOURS, find_role
 from hpccomponent.decoding.process import Decoder, open_decoder
 from hpccomponent.errors import InputError
 
-__all__ = [
-    "CARTESIAN",
-    "GRID",
-    "SPHERICAL",
-    "E57Scan",
-    "bound_grids",
-    "describe_scan",
-    "holds_more",
-    "open_fields",
-    "read_fields",
-]
-
 CARTESIAN = ("cartesianX", "cartesianY", "cartesianZ")
 SPHERICAL = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
 GRID = ("row", "column")

@@ -19,8 +19,6 @@ from hpcapp.io.points.usable import drop_non_finite
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import MissingLibraryError, OutputError
 
-__all__ = ["write_e57"]
-
 _Foreign = Any  # of libE57, which has no stubs: the library, an image, and its nodes
 
 _NORMALS_URI = "http://www.libe57.org/E57_NOR_surface_normals.txt"

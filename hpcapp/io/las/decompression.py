@@ -18,8 +18,6 @@ from hpccomponent.decoding.laz import ONE_STREAM, read_items
 from hpccomponent.decoding.process import open_decoder
 from hpccomponent.errors import InputError, MissingLibraryError
 
-__all__ = ["Take", "find_library", "open_decompressor"]
-
 Take = Callable[[int], ByteArray]
 """Takes so many bytes of points, which come next; they are there until it is called again."""
 

@@ -20,8 +20,6 @@ from hpcapp.io.crs import Crs, parse_geokeys, parse_wkt
 from hpcapp.io.points.point_source import Findings
 from hpccomponent.errors import InputError
 
-__all__ = ["LasHeader", "find_crs", "read_header"]
-
 _FIXED = struct.Struct("<4s20x2B68xHIIBHI20x12d")  # of 227 bytes, as in LAS 1.0 to 1.2
 _EXTENDED = struct.Struct("<QIQ")  # at byte 235 in LAS 1.4: start and number of EVLRs, points
 _EXTENDED_SIZE = 375

@@ -17,8 +17,6 @@ from hpcapp.io.las.header import LasHeader
 from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS, find_role
 from hpccomponent.errors import InputError
 
-__all__ = ["LasLayout", "find_layout"]
-
 SIZES = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 """Bytes of a point of each format, without extra bytes."""
 

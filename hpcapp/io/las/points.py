@@ -20,8 +20,6 @@ from hpcapp.io.points.point_source import Findings, PointSource, Scan, keep_smal
 from hpccomponent.errors import InputError
 from hpccomponent.limits import available_cores
 
-__all__ = ["open_las"]
-
 _COORDINATES = 12  # bytes of a point that hold its coordinates
 _A_CORE = 1 << 17  # compressed points that are taken at once: some chunks, which stay in the cache
 

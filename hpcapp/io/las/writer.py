@@ -22,8 +22,6 @@ from hpcapp.io.points.usable import drop_non_finite
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import MissingLibraryError, OutputError
 
-__all__ = ["choose_grid", "write_las"]
-
 _Foreign = Any  # of laspy, which has no stubs
 
 _FINEST = 1e-6  # length units; of small clouds, the same share of their extent

@@ -25,8 +25,6 @@ from hpcapp.io.staging import replacing
 from hpccomponent.errors import OutputError
 from hpccomponent.option_names import name_option
 
-__all__ = ["say_frame", "write_glb"]
-
 _MAGIC, _VERSION = b"glTF", 2
 _JSON, _BINARY = b"JSON", b"BIN\0"
 _BYTE, _UINT, _FLOAT = 5121, 5125, 5126  # component types

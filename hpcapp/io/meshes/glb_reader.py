@@ -19,8 +19,6 @@ from hpcapp.io.frame import to_local
 from hpccomponent.errors import InputError
 from hpccomponent.foreign_json import decode
 
-__all__ = ["read_glb"]
-
 _TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _HEAD, _CHUNK = 12, 8  # bytes

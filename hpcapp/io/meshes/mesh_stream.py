@@ -12,8 +12,6 @@ from hpcapp.applications.surface.types.points import FloatArray, IntArray, Point
 from hpcapp.io.crs import UNKNOWN, Crs
 from hpcapp.io.frame import finite_bounds, scale_heights
 
-__all__ = ["MeshStream", "as_stream", "find_vertices", "make_mesh", "scale_mesh_heights"]
-
 _ROWS_AT_ONCE = 1 << 16
 
 

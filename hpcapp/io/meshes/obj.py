@@ -17,8 +17,6 @@ from hpcapp.io.rows import Line, line_error, numbered, parse_index, parse_table,
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import InputError
 
-__all__ = ["comment_lines", "coordinate_format", "holds_obj_faces", "read_obj", "write_obj"]
-
 
 def read_obj(path: Path) -> Mesh:
     """Read an OBJ file as a triangle mesh; polygons become triangle fans.

@@ -26,8 +26,6 @@ from hpcapp.io.rows import (
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import InputError
 
-__all__ = ["read_off", "write_off"]
-
 
 def read_off(path: Path) -> Mesh:
     """Read an OFF file as a triangle mesh; polygons become triangle fans.

@@ -12,8 +12,6 @@ from hpcapp.io.columns import Ragged, cut_fans
 from hpcapp.io.frame import to_local
 from hpccomponent.errors import InputError
 
-__all__ = ["mesh_of_polygons"]
-
 
 def mesh_of_polygons(vertices: FloatArray, polygons: Ragged, path: Path) -> Mesh:
     """Cut polygons into triangle fans and bring the vertices into a local frame.

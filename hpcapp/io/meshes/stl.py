@@ -15,8 +15,6 @@ from hpcapp.io.rows import numbered, parse_table
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import InputError
 
-__all__ = ["read_stl", "write_stl"]
-
 _HEAD_BYTES = 80
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 

@@ -24,8 +24,6 @@ from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.rows import write_rows
 from hpcapp.io.staging import replacing
 
-__all__ = ["write_3mf"]
-
 _TYPES = b"""<?xml version="1.0" encoding="UTF-8"?>
 <Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types">
 <Default Extension="rels" ContentType="application/vnd.openxmlformats-package.relationships+xml"/>

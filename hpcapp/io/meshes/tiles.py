@@ -10,8 +10,6 @@ from hpcapp.io.meshes.mesh_stream import MeshStream
 from hpcapp.io.ply.format import write_ply_mesh
 from hpcapp.io.staging import replacing_folder
 
-__all__ = ["shared_tiles", "write_tile", "write_tiles"]
-
 
 def write_tile(path: Path, mesh: MeshStream) -> None:
     """Write a mesh as a new folder with one tile."""

@@ -29,8 +29,6 @@ from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream, find_vertices, m
 from hpcapp.io.staging import replacing_folder
 from hpcapp.simplification.mesh import Target, simplify_mesh
 
-__all__ = ["TILE_FACES", "write_tileset"]
-
 TILE_FACES = 1 << 16
 """Triangles of a tile at most, but for those that its rim needs: some 2 MB."""
 

@@ -25,8 +25,6 @@ from hpcapp.io.frame import needs_double
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.staging import replacing
 
-__all__ = ["write_vtp"]
-
 _LENGTH_BYTES = 8  # of the length in front of an array
 _KINDS = {"i": "Int", "u": "UInt", "f": "Float"}
 

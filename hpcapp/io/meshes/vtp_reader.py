@@ -21,8 +21,6 @@ from hpcapp.io.columns import Numbers, Ragged
 from hpcapp.io.meshes.polygons import mesh_of_polygons
 from hpccomponent.errors import InputError
 
-__all__ = ["read_vtp"]
-
 _ZLIB = "vtkZLibDataCompressor"
 _APPENDED = re.compile(rb"<AppendedData[^>]*>\s*_")
 _MOST_XML = 1 << 20  # bytes in front of appended data: far more than any list of arrays

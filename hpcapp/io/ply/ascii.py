@@ -15,8 +15,6 @@ from hpcapp.io.ply.header import Element, Header, Property
 from hpcapp.io.rows import Line, line_error, numbered, parse_table, take_lines
 from hpccomponent.errors import InputError
 
-__all__ = ["scan_ascii"]
-
 
 def scan_ascii(
     path: Path,

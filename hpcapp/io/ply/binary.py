@@ -19,8 +19,6 @@ from hpcapp.io.columns import Numbers, Ragged, Rows, positions_within
 from hpcapp.io.ply.header import Element, Header, Property
 from hpccomponent.errors import InputError
 
-__all__ = ["find_records", "scan_binary"]
-
 _Body = np.memmap[tuple[int, ...], np.dtype[np.uint8]]
 
 _COPY_AGAIN = "copy or export the file again"

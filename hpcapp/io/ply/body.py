@@ -11,8 +11,6 @@ from hpcapp.io.ply.ascii import scan_ascii
 from hpcapp.io.ply.binary import scan_binary
 from hpcapp.io.ply.header import Header
 
-__all__ = ["read_body", "scan_body"]
-
 
 def read_body(path: Path, header: Header, wanted: Container[str]) -> dict[str, Rows]:
     """Read elements at once, by their names; see `scan_body`."""

@@ -12,8 +12,6 @@ from hpcapp.io.columns import Numbers
 from hpcapp.io.ply.header import SCALAR_TYPES
 from hpcapp.io.points.column_roles import COLOURS, NORMALS
 
-__all__ = ["VertexProperties", "choose_type", "name_type"]
-
 _NAMES = {dtype: name for name, dtype in reversed(SCALAR_TYPES.items())}
 _TAKEN = ("x", "y", "z", *NORMALS, *COLOURS)
 

@@ -20,8 +20,6 @@ from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.io.crs import Crs
 from hpcapp.io.points.point_source import Scan
 
-__all__ = ["Kept", "keep", "parse_comments"]
-
 
 @dataclass(slots=True, eq=False)
 class Kept:

@@ -13,8 +13,6 @@ from hpcapp.io.columns import Numbers, Ragged, cut_fans
 from hpcapp.io.ply.header import Header
 from hpccomponent.errors import InputError
 
-__all__ = ["find_polygons", "vertex_normals"]
-
 _FACE_LISTS = ("vertex_indices", "vertex_index")
 
 

@@ -42,15 +42,6 @@ from hpcapp.io.points.point_source import Scan
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import InputError, OutputError
 
-__all__ = [
-    "find_ply_crs",
-    "holds_ply_faces",
-    "read_ply_mesh",
-    "shared_ply",
-    "write_ply_mesh",
-    "write_ply_points",
-]
-
 _ROWS_AT_ONCE = 1 << 16
 _MOST_VERTICES = 2**31 - 1
 

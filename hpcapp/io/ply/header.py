@@ -14,8 +14,6 @@ from pathlib import Path
 
 from hpccomponent.errors import InputError
 
-__all__ = ["Element", "Header", "Property", "read_header"]
-
 _SPELLINGS = {
     "i1": ("char", "int8"),
     "u1": ("uchar", "uint8"),

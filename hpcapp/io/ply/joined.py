@@ -19,8 +19,6 @@ from hpcapp.io.points.point_source import SCAN, PointSource
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import InputError
 
-__all__ = ["write_joined"]
-
 log = logging.getLogger("hpcapp")
 
 _ROWS_AT_ONCE = 1 << 18

@@ -30,8 +30,6 @@ from hpcapp.io.points.named_columns import (
 from hpcapp.io.points.point_source import Findings, PointSource, Scan
 from hpccomponent.errors import InputError
 
-__all__ = ["open_ply", "plan_vertex"]
-
 _ROWS_AT_ONCE = 1 << 16
 _EXACT_IN_SINGLE = ("f4", "i1", "u1", "i2", "u2")
 _ENCODINGS = {"": "ascii", "<": "binary", ">": "binary, big endian"}

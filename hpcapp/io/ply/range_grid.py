@@ -21,8 +21,6 @@ from hpcapp.io.ply.header import Header
 from hpcapp.io.rows import is_count
 from hpccomponent.errors import InputError
 
-__all__ = ["GRID_LIST", "find_cells", "find_range_grid"]
-
 GRID_LIST = "vertex_indices"
 """The list of a cell."""
 

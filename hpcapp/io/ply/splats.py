@@ -21,8 +21,6 @@ from hpcapp.applications.surface.types.points import BoolArray, FloatArray, Poin
 from hpcapp.io.columns import Numbers
 from hpcapp.io.points.named_columns import ColumnPlan, build_cloud, stack
 
-__all__ = ["FLOATERS", "are_splats", "build_splats", "find_floaters", "plan_splats"]
-
 FLOATERS = "splats that are hardly opaque"
 
 _OPACITY = 0.3

@@ -15,19 +15,6 @@ import numpy as np
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io.columns import Numbers
 
-__all__ = [
-    "AXES",
-    "COLOURS",
-    "NORMALS",
-    "ColourScale",
-    "find_role",
-    "judge_colours",
-    "judge_normals",
-    "name_columns",
-    "name_some",
-    "tell_use",
-]
-
 AXES = ("x", "y", "z")
 NORMALS = ("nx", "ny", "nz")
 COLOURS = ("red", "green", "blue")

@@ -34,7 +34,6 @@ from hpccomponent.limits import is_shortage
 if TYPE_CHECKING:
     import gzip
 
-__all__ = ["find_files", "find_paths", "gather_points"]
 
 log = logging.getLogger("hpcapp")
 

@@ -7,8 +7,6 @@ Marc Lehmann, liblzf, http://oldhome.schmorp.de/marc/liblzf.html
 
 from __future__ import annotations
 
-__all__ = ["MOST_EXPANSION", "expand_lzf"]
-
 MOST_EXPANSION = 88
 """Bytes that one compressed byte can stand for: three bytes repeat up to 264."""
 

@@ -26,8 +26,6 @@ from hpcapp.io.points.point_source import Findings, PointSource
 from hpcapp.io.rows import Line, line_error, numbered, parse_table
 from hpccomponent.errors import InputError
 
-__all__ = ["open_obj", "open_off", "open_stl", "sample_faces", "slice_cloud"]
-
 UNUSED = "vertices without a face"
 
 

@@ -16,8 +16,6 @@ from hpcapp.io.columns import Numbers
 from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS, find_role
 from hpccomponent.errors import InputError
 
-__all__ = ["ColumnPlan", "add_grid", "build_cloud", "describe_records", "plan_columns", "stack"]
-
 _ROWS_AT_ONCE = 1 << 16
 
 Number = TypeVar("Number", bound=np.generic)

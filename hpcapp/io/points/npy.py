@@ -38,8 +38,6 @@ from hpcapp.io.points.point_source import Findings, PointSource, Scan
 from hpcapp.io.text.columns import assign_by_value
 from hpccomponent.errors import InputError
 
-__all__ = ["open_npy"]
-
 Columns = dict[str, Numbers]
 Mapped = np.memmap[tuple[int, ...], np.dtype[np.number]]
 

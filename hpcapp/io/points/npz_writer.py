@@ -12,8 +12,6 @@ from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io.columns import Numbers
 from hpcapp.io.staging import replacing
 
-__all__ = ["write_npz_points"]
-
 _OWN = ("positions", "normals", "colours")
 
 

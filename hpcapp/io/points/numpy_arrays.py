@@ -24,8 +24,6 @@ from hpcapp.io.columns import Numbers
 from hpcapp.io.points.point_source import Findings
 from hpccomponent.errors import InputError
 
-__all__ = ["is_archive", "map_array", "read_archive"]
-
 _COPY_AGAIN = "copy or export the file again"
 _SAVE_NUMBERS = "save arrays of numbers: what is pickled runs as a program, and is never opened"
 _DAMAGED = (

@@ -7,8 +7,6 @@ import numpy as np
 from hpcapp.applications.surface.types.points import ByteArray, FloatArray
 from hpcapp.io.columns import Numbers
 
-__all__ = ["PACKED", "unpack_float_text", "unpack_words"]
-
 PACKED = (("red", 2), ("green", 1), ("blue", 0))
 """The colours and which bytes of the number they are, counted from its lowest."""
 

@@ -33,8 +33,6 @@ from hpcapp.io.points.point_source import Findings, PointSource, Scan
 from hpcapp.io.rows import numbered, parse_table, take_lines
 from hpccomponent.errors import InputError
 
-__all__ = ["open_pcd"]
-
 _MOST_COLUMNS = 4  # of one field: more of them are a descriptor, not attributes
 _LONGEST_ROW = 1 << 20
 _COPY_AGAIN = "copy or export the file again"

@@ -12,8 +12,6 @@ import numpy as np
 from hpcapp.applications.surface.types.points import FloatArray
 from hpccomponent.errors import InputError
 
-__all__ = ["PcdField", "PcdHeader", "read_pcd_header"]
-
 _KEYWORDS = (
     "VERSION", "FIELDS", "COLUMNS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT",
     "POINTS", "DATA",

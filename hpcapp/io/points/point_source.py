@@ -18,8 +18,6 @@ from hpcapp.io.crs import Crs
 from hpcapp.io.frame import scale_heights, to_local
 from hpccomponent.errors import InputError
 
-__all__ = ["SCAN", "Findings", "PointSource", "Scan", "keep_small", "read_whole", "translated"]
-
 _ROWS_AT_ONCE = 1 << 20
 _SMALL = 1 << 16  # points
 

@@ -43,8 +43,6 @@ from hpcapp.io.points.column_roles import ColourScale, judge_colours, judge_norm
 from hpcapp.io.points.point_source import Findings, PointSource, translated
 from hpcapp.io.points.survey import EVIDENCE, is_flown_over, is_projected
 
-__all__ = ["recognise"]
-
 _ROWS = 1 << 16  # of a part that is looked at
 _ENOUGH_PARTS, _MOST_PARTS = 2, 64  # looked at where nothing is in doubt, and where something is
 _THIN = 16  # one row in so many is kept of the parts after the first

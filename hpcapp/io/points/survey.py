@@ -13,8 +13,6 @@ import numpy as np
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.io.crs import METRES
 
-__all__ = ["EVIDENCE", "is_flown_over", "is_projected"]
-
 EVIDENCE = ("return_number", "scan_angle", "classification")
 """Attributes that tell."""
 

@@ -13,17 +13,6 @@ from hpcapp.applications.surface.reading.validity import Dropped, select_usable
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, PointCloud
 from hpccomponent.errors import InputError, OutputError
 
-__all__ = [
-    "FEWEST_POINTS",
-    "Dropped",
-    "drop_non_finite",
-    "drop_unusable",
-    "refuse_degenerate",
-    "refuse_line",
-    "refuse_too_few",
-    "take_finite",
-]
-
 log = logging.getLogger("hpcapp")
 
 Parts = Callable[[], Iterable[FloatArray]]

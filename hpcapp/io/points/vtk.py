@@ -28,8 +28,6 @@ from hpcapp.io.points.mesh_points import slice_cloud
 from hpcapp.io.points.point_source import PointSource
 from hpccomponent.errors import InputError
 
-__all__ = ["open_vtk"]
-
 _TYPES = {
     "float": ">f4", "double": ">f8", "char": ">i1", "signed_char": ">i1", "unsigned_char": ">u1",
     "short": ">i2", "unsigned_short": ">u2", "int": ">i4", "unsigned_int": ">u4", "long": ">i8",

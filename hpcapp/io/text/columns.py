@@ -30,8 +30,6 @@ from hpcapp.io.points.point_source import Findings
 from hpcapp.io.text.tables import RowNotes
 from hpccomponent.errors import InputError
 
-__all__ = ["DEGREES", "Columns", "assign_by_name", "assign_by_value"]
-
 DEGREES = ("lon", "long", "longitude", "lat", "latitude")
 """Names of coordinates that are angles, in lower case."""
 

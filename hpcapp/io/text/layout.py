@@ -21,8 +21,6 @@ from hpcapp.io.text.lines import find_encoding, read_blocks, sample_lines
 from hpcapp.io.text.tables import RowFormat, is_missing, is_number, parse_sample
 from hpccomponent.errors import InputError
 
-__all__ = ["Layout", "find_layout"]
-
 _COMMENT_MARK = re.compile(r"\s*(?:#+|//+|;+|%+|!+)\s*")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?", re.ASCII)
 _LONGEST_COUNT = 24

@@ -7,8 +7,6 @@ from pathlib import Path
 
 from hpccomponent.errors import InputError
 
-__all__ = ["Block", "LineReader", "find_encoding", "read_blocks", "sample_lines"]
-
 Block = tuple[int, str]
 """The number of its first line in the file, counted from 1, and whole lines, ended by LF."""
 

@@ -22,8 +22,6 @@ from hpcapp.io.text.layout import Layout, find_layout
 from hpcapp.io.text.lines import Block, LineReader, read_blocks
 from hpcapp.io.text.tables import RowNotes, parse_block
 
-__all__ = ["open_text"]
-
 _LEAST_BYTES = 6  # of a row
 
 

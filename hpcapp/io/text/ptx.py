@@ -30,8 +30,6 @@ from hpcapp.io.text.lines import Block, LineReader, find_encoding, read_blocks
 from hpcapp.io.text.tables import RowFormat, RowNotes, parse_block
 from hpccomponent.errors import InputError
 
-__all__ = ["open_ptx"]
-
 _LAYOUTS = {
     3: AXES,
     4: (*AXES, "intensity"),

@@ -19,8 +19,6 @@ from hpcapp.io.rows import line_error
 from hpcapp.io.text.lines import Block
 from hpccomponent.errors import InputError
 
-__all__ = ["RowFormat", "RowNotes", "is_missing", "is_number", "parse_block", "parse_sample"]
-
 _GROUP = 256  # lines that are parsed anew where one of them is odd
 _MARKS = ("#", "//", ";", "%", "!")
 _COMMENT = r"(?<![^\s,;])#.*|//.*|^[ \t]*[%!].*"  # the # of 1.#QNAN starts none

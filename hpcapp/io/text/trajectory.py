@@ -16,8 +16,6 @@ from hpcapp.io.text.tables import RowNotes, parse_block
 from hpccomponent.errors import InputError
 from hpccomponent.ranges import FARTHEST
 
-__all__ = ["MOST_PLACES", "read_trajectory"]
-
 MOST_PLACES = 64
 """Of a path: more show no more of what was measured from it."""
 

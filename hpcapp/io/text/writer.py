@@ -11,8 +11,6 @@ from hpcapp.io.columns import Numbers
 from hpcapp.io.rows import write_rows
 from hpcapp.io.staging import replacing
 
-__all__ = ["write_text_points"]
-
 
 def write_text_points(path: Path, cloud: PointCloud) -> None:
     """Write a cloud, in the input's frame, as lines of numbers that `open_text` reads back."""

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from hpcapp.applications.surface.types.points import FloatArray
 
-__all__ = ["SAMPLES", "Camera", "Screen", "aim", "look_along", "turn_upright"]
-
 SAMPLES = 3
 """Samples along each side of a pixel."""
 

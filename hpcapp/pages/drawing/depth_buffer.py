@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.pages.drawing.camera import Screen
 
-__all__ = ["SAMPLES_PER_BAND", "DepthBuffer", "find_rows", "list_bands"]
-
 SAMPLES_PER_BAND = 1_000_000  # bounds the memory: about 100 bytes a sample
 _FACES = 100_000  # that are prepared at once
 _CANDIDATES = 250_000  # samples that are tested at once

@@ -7,8 +7,6 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["GREY", "darken_hollows", "light_normals", "reach_of_hollows"]
-
 GREY = (0.80, 0.82, 0.86)
 """What has no colours, in shares of white."""
 

@@ -12,8 +12,6 @@ from hpcapp.pages.drawing.depth_buffer import DepthBuffer, list_bands
 from hpcapp.pages.drawing.light import darken_hollows, reach_of_hollows
 from hpcapp.pages.drawing.shadow import GroundShadow
 
-__all__ = ["Drawn", "paint"]
-
 _SHADED = 200_000  # samples that are shaded at once
 
 IntArray = NDArray[np.int64]

@@ -7,8 +7,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["add_scale_bar", "choose_length", "name_length"]
-
 _SHARE = 0.25  # of the picture's width, at most
 _LEAST = 120  # pixels of a side, below which a picture has no room for it
 _INK = (40, 44, 52)

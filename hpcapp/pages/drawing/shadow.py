@@ -12,8 +12,6 @@ from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.pages.drawing.camera import SAMPLES, Camera, turn_upright
 from hpcapp.pages.drawing.depth_buffer import DepthBuffer
 
-__all__ = ["GroundShadow", "cast_shadow"]
-
 _CELLS = 192  # along a side of the map of the ground
 _MARGIN = 0.2  # on each side of what casts the shadow, in shares of its size
 # Each shadow: its darkness, how far it is blurred and how high up its thing may be, in shares

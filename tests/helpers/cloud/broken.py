@@ -32,8 +32,6 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 
-__all__ = ["BrokenWays", "Fault", "answering", "self_signed_server"]
-
 START_URL = "https://lab.awsapps.example/start"
 KEYS = "aws_access_key_id = AKIA0000000000000000\naws_secret_access_key = secret\n"
 SSO = "sso_account_id = 123456789012\nsso_role_name = Lab\n"

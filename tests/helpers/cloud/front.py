@@ -32,8 +32,6 @@ from cloud.parameters import PROFILES, SILENT, unknown_parameters
 from cloud.rules import RefusedError, Rules
 from cloud.signature import SECRET_KEY, key_of, signed_region, verify
 
-__all__ = ["StrictCloud"]
-
 
 class StrictCloud:
     """An EC2 endpoint on loopback.

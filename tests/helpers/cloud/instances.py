@@ -7,8 +7,6 @@ from typing import Any
 
 from moto.ec2.models.instances import InstanceState
 
-__all__ = ["Instance"]
-
 PENDING, RUNNING, ENDING, TERMINATED, STOPPED = (
     ("pending", 0),
     ("running", 16),

@@ -14,8 +14,6 @@ from moto.s3.models import s3_backends
 
 from cloud.instances import Instance
 
-__all__ = ["Model"]
-
 REGION = "us-east-1"
 
 

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import re
 
-__all__ = ["EUCALYPTUS_VERSIONS", "PROFILES", "SILENT", "unknown_parameters"]
-
 EUCALYPTUS_VERSIONS = ("4.0", "4.1", "4.2", "4.3", "4.4", "5.0", "5.1")
 PROFILES = ("aws", *(f"euca-{version}" for version in EUCALYPTUS_VERSIONS), "generic")
 

@@ -16,8 +16,6 @@ from cryptography.hazmat.primitives.serialization import load_ssh_public_key
 from cloud.instances import Instance
 from cloud.model import Model
 
-__all__ = ["RefusedError", "Rules"]
-
 Answer = tuple[str, list[tuple[str, str]], bytes]
 Parameters = dict[str, str]
 Moto = Callable[[Parameters], Answer]

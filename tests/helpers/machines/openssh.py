@@ -15,8 +15,6 @@ import pytest
 
 from hpcdeploy.login.ssh.target import Target
 
-__all__ = ["open_sshd", "start_sshd"]
-
 SSHD, SFTP = Path("/usr/sbin/sshd"), Path("/usr/lib/openssh/sftp-server")
 CONFIG = """
 HostKey {folder}/host

@@ -7,8 +7,6 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
-__all__ = ["ACTS", "open_rude"]
-
 Act = Callable[[socket.socket, threading.Event], None]
 
 

@@ -18,8 +18,6 @@ from typing import Any, TypeVar
 
 import asyncssh
 
-__all__ = ["Machines", "Server"]
-
 T = TypeVar("T")
 USER = "admin"
 _CHUNK = 1 << 16

@@ -34,8 +34,6 @@ from hpcdeploy.providers.ec2.observe import GroupSeen, KeyPairSeen
 from hpcdeploy.spec.names import Owner
 from hpcdeploy.spec.polling import utc_now
 
-__all__ = ["Hook", "MemoryProvider"]
-
 Hook = Callable[[Literal["before", "after"], str], None]
 
 

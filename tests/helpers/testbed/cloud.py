@@ -29,7 +29,7 @@ from cloud import Call, Instance, StrictCloud
 
 from testbed.machine import DISK_MB, Machine, build_image
 from testbed.metadata import MetadataService
-from testbed.network import ENDPOINT, LAPTOP, METADATA, Network, Permission
+from testbed.network import ENDPOINT, METADATA, Network, Permission
 
 ENDPOINT_PORT = 8773
 
@@ -252,6 +252,3 @@ def _sources(rule: Any, names: dict[str, str], members: dict[str, list[str]]) ->
     name = group.get("GroupName") or names.get(group.get("GroupId", ""), "")
     network = (rule.ip_range or {}).get("CidrIp")
     return ([network] if network else []) + members.get(name, [])
-
-
-__all__ = ["LAPTOP", "Boot", "TestBed"]

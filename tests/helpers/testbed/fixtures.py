@@ -10,8 +10,6 @@ from hpcdeploy.install.wheels.requirements import WORKER_NEEDS
 from testbed.sites import OPTIONS, POINTS, make_mesh, reason_to_skip
 from testbed.wheels import pack_requirements_of
 
-__all__ = ["hollow_wheels", "mesh", "wheels"]
-
 
 @pytest.fixture(scope="session")
 def wheels(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -10,7 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 import hpcapp
-from hpcapp.applications.surface.job.run import JobSettings, run_job
+from hpcapp.applications.surface.job.run import run_job
+from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.applications.surface.viewpoint import parse_viewpoint
 from hpcapp.cli import _run

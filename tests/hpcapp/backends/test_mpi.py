@@ -12,7 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from hpcapp.applications.surface.job.run import JobSettings, run_job
+from hpcapp.applications.surface.job.run import run_job
+from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.progress import Progress
 
 RunMpi = Callable[..., "subprocess.CompletedProcess[str]"]

@@ -8,7 +8,6 @@ from hpccomponent.errors import ProtocolError, UsageError
 from hpccomponent.protocol.codec import decode_values, encode_values
 from hpccomponent.protocol.containers import MAX_CONTAINERS, check_containers
 from hpccomponent.protocol.declared import (
-    Array,
     Declared,
     Each,
     EachOf,
@@ -24,6 +23,7 @@ from hpccomponent.protocol.declared import (
     Whole,
     check_result,
 )
+from hpccomponent.protocol.declared_arrays import Array
 
 POINTS = np.zeros((4, 3))
 

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from hpccomponent.errors import ProtocolError, UsageError
 from hpccomponent.protocol.codec import RECORD, decode_values, encode_values
-from hpccomponent.protocol.declared import Array, Record, Whole, check_result
+from hpccomponent.protocol.declared import Record, Whole, check_result
+from hpccomponent.protocol.declared_arrays import Array
 from hpccomponent.protocol.records import make_record, record
 
 

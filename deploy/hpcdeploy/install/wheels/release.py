@@ -18,8 +18,6 @@ from pathlib import Path
 
 from hpccomponent.errors import CloudError
 
-__all__ = ["DISTRIBUTION", "pack_release"]
-
 DISTRIBUTION = "hpcapp"
 _PACKAGES = ("hpcapp", "hpccomponent", "hpcdeploy", "hpcloader")
 _LEFT_OUT = {".pyc", ".so", ".cpp", ".h"}

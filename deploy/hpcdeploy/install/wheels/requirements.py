@@ -24,8 +24,6 @@ from hpcdeploy.provider import Problem
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.layout import state_folder
 
-__all__ = ["WORKER_NEEDS", "Needs", "check_wheels", "choose_release", "missing_wheels", "needs_of"]
-
 WORKER_NEEDS = ("msgspec", "numpy", "pydantic", "pyyaml", "pyzmq")
 """What `hpccomponent` and `hpcloader` import; a test compares it with their source."""
 

@@ -15,8 +15,6 @@ from packaging.utils import InvalidWheelFilename, canonicalize_name, parse_wheel
 
 from hpccomponent.errors import CloudError
 
-__all__ = ["Kind", "Selection", "fits", "kinds_of", "read_requirements", "select_wheels"]
-
 _OLDEST_GLIBC = 5  # 2.5: what manylinux1 stands for
 _LEGACY = {17: "manylinux2014", 12: "manylinux2010", 5: "manylinux1"}
 _NEWEST = 99

@@ -20,8 +20,6 @@ from hpcdeploy.login.ssh.keys import Identities, find_identities
 from hpcdeploy.login.ssh.reach import Reach, ReachError
 from hpcdeploy.login.ssh.target import Target
 
-__all__ = ["connect", "explain"]
-
 LONGEST = 200
 QUOTED = 60
 """How much of what a machine says instead of an SSH greeting is shown."""

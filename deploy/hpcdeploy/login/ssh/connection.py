@@ -21,8 +21,6 @@ from dataclasses import dataclass
 
 import paramiko
 
-__all__ = ["CHANNEL_S", "BoundedSocket", "Connection", "Timeouts"]
-
 CHANNEL_S = 60.0
 """Until a machine that lets us in opens a channel, or answers a request on one."""
 GREETING_BYTES = 1 << 16

@@ -13,8 +13,6 @@ import threading
 
 import paramiko
 
-__all__ = ["Forwarder"]
-
 _CHUNK = 1 << 16
 
 

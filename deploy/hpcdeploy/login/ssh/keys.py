@@ -23,15 +23,6 @@ from hpccomponent.errors import CloudError
 from hpccomponent.files.paths import home_folder
 from hpcdeploy.login.ssh.reach import Reach, ReachError
 
-__all__ = [
-    "Identities",
-    "Identity",
-    "find_identities",
-    "own_key_files",
-    "public_key",
-    "read_key",
-]
-
 _OWN = ("id_ed25519", "id_ecdsa", "id_rsa")
 _MAGIC = b"openssh-key-v1\0"
 

@@ -10,8 +10,6 @@ from enum import StrEnum
 
 from hpccomponent.errors import CloudError
 
-__all__ = ["Reach", "ReachError"]
-
 
 class Reach(StrEnum):
     """The cause, as it is told in one phrase."""

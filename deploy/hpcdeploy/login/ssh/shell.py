@@ -24,8 +24,6 @@ from hpcdeploy.login.ssh.reach import Reach, ReachError
 from hpcdeploy.login.ssh.terminal import give_terminal
 from hpcdeploy.login.ssh.transfer import fetch_file, send_file
 
-__all__ = ["SshShell"]
-
 BEGIN = "hpcapp: here begins what the command says"
 """Printed first on both streams: what a login shell's start-up files print stands before it."""
 FILES_S = 120.0  # a request for a piece of a file that takes longer will never be answered

@@ -13,8 +13,6 @@ from hpcdeploy.login.ssh.keys import own_key_files
 from hpcdeploy.spec.cluster import Auth
 from hpcdeploy.spec.provider import JUMP, Host
 
-__all__ = ["Target", "host_address", "host_id", "host_target", "jump_targets"]
-
 _JUMP = re.compile(JUMP)
 
 

@@ -13,8 +13,6 @@ from types import FrameType
 
 import paramiko
 
-__all__ = ["give_terminal"]
-
 _CHUNK = 1 << 14
 
 

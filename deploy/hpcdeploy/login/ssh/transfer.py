@@ -16,8 +16,6 @@ import paramiko
 from hpccomponent.errors import CloudError
 from hpcdeploy.login.shell import MOST_REASON, Shell, part_of, sha256_of
 
-__all__ = ["fetch_file", "send_file"]
-
 Progress = Callable[[int, int], None] | None
 
 _CHUNK = 1 << 15  # what an SFTP server surely takes in one request

@@ -23,8 +23,6 @@ from hpcdeploy.providers.ec2.observe import (
 )
 from hpcdeploy.spec.names import Owner
 
-__all__ = ["AccessCalls", "KeyPairs", "SecurityGroups", "plan_access"]
-
 _IN_USE = {"DependencyViolation", "InvalidGroup.InUse"}
 _NO_GROUP = {"InvalidGroup.NotFound", "InvalidGroupId.NotFound"}
 

@@ -25,8 +25,6 @@ from hpcdeploy.providers.ec2.client import Client, open_client
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.job_folder import JobOrder, JobStatus
 
-__all__ = ["S3Bucket", "open_bucket"]
-
 PART = 16 << 20  # 10,000 parts at most, so 160 GB; S3 wants at least 5 MiB
 LONGEST_S = 7 * 86400  # of a presigned address
 Progress = Callable[[int, int], None]

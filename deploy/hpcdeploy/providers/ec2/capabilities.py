@@ -10,8 +10,6 @@ from dataclasses import dataclass
 
 from hpcdeploy.spec.provider import CloudSpec
 
-__all__ = ["Capabilities", "capabilities_of"]
-
 
 @dataclass(frozen=True, slots=True)
 class Capabilities:

@@ -13,8 +13,6 @@ from hpcdeploy.providers.ec2.images import Images
 from hpcdeploy.providers.ec2.launch import root_disk
 from hpcdeploy.spec.provider import CloudSpec, Profile
 
-__all__ = ["check_cloud"]
-
 
 def check_cloud(
     calls: Calls, cloud: CloudSpec, capabilities: Capabilities, images: Images

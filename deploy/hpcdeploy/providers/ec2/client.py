@@ -28,17 +28,6 @@ from hpcdeploy.providers.ec2.errors import (
 from hpcdeploy.providers.ec2.login import Login, Timeouts
 from hpcdeploy.spec.provider import CloudSpec
 
-__all__ = [
-    "Calls",
-    "Client",
-    "Described",
-    "Parameters",
-    "cloud_name",
-    "open_calls",
-    "open_client",
-    "read_parameter",
-]
-
 Client = Any
 """A client of boto3, which makes its methods at run time from Amazon's description."""
 Described = dict[str, Any]

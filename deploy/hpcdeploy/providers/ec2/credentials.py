@@ -13,8 +13,6 @@ from hpccomponent.errors import CloudError
 from hpccomponent.files.paths import expand_home
 from hpcdeploy.spec.provider import CloudSpec
 
-__all__ = ["CloudKeys", "find_keys"]
-
 
 @dataclass(frozen=True, slots=True)
 class CloudKeys:

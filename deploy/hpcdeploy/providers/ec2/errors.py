@@ -7,16 +7,6 @@ from botocore.parsers import ResponseParserError
 
 from hpccomponent.errors import CapacityError, CloudError
 
-__all__ = [
-    "BOTO_ERRORS",
-    "NETWORK_ERRORS",
-    "code_of",
-    "has_expired",
-    "is_lost_answer",
-    "is_throttled",
-    "translate",
-]
-
 BOTO_ERRORS = (boto.ClientError, boto.BotoCoreError, ResponseParserError)
 """All that a call may raise: the last, of no family, where a web page answers instead of EC2."""
 

@@ -13,8 +13,6 @@ from hpccomponent.errors import CloudError
 from hpcdeploy.providers.ec2.client import Calls, Described
 from hpcdeploy.spec.provider import CloudSpec, Image
 
-__all__ = ["Images", "describe_image"]
-
 
 class Images:
     """Finds images, each once; safe to use from several threads.

@@ -13,8 +13,6 @@ import botocore.exceptions as boto
 from hpccomponent.errors import CloudError
 from hpcdeploy.providers.ec2.errors import NETWORK_ERRORS, translate
 
-__all__ = ["MfaCodeError", "NoKeysError", "Source", "explain_keys"]
-
 _EXPIRED = {"ExpiredToken", "ExpiredTokenException", "ExpiredTokenError"}
 
 

@@ -19,8 +19,6 @@ from hpcdeploy.providers.ec2.names import (
 from hpcdeploy.providers.ec2.observe import identity_tags, lease_text
 from hpcdeploy.spec.provider import CloudSpec, Profile
 
-__all__ = ["attempt_of", "launch_parameters", "launch_tags", "profile_of", "root_disk"]
-
 _PARTS = ("volume", "network-interface")
 """What comes and goes with a machine; the rules of an organisation may ask for tags on it too."""
 USER_DATA_LIMIT = 16384

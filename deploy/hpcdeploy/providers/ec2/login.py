@@ -32,8 +32,6 @@ from hpcdeploy.providers.ec2.credentials import CloudKeys
 from hpcdeploy.providers.ec2.errors import is_lost_answer, is_throttled
 from hpcdeploy.providers.ec2.key_errors import MfaCodeError, NoKeysError, Source, explain_keys
 
-__all__ = ["Login", "Timeouts", "default_region"]
-
 _RETRIES_S = (0.5, 1.0)
 _SPENT = timedelta(minutes=15)  # botocore asks for another code so long before the end
 

@@ -11,23 +11,6 @@ import re
 
 from hpcdeploy.spec.names import HEAD, NodeName
 
-__all__ = [
-    "CLUSTER_TAG",
-    "GENERATION_TAG",
-    "INCARNATION_TAG",
-    "LEASE_TAG",
-    "MADE_TAG",
-    "NODE_TAG",
-    "OWNER_TAG",
-    "PREFIX",
-    "SET_UP_TAG",
-    "WORKERS_TAG",
-    "client_token",
-    "group_name",
-    "key_pair_name",
-    "read_client_token",
-]
-
 PREFIX = "hpcapp-"
 CLUSTER_TAG = "hpcapp:cluster"
 NODE_TAG = "hpcapp:node"

@@ -31,20 +31,6 @@ from hpcdeploy.providers.ec2.names import (
 )
 from hpcdeploy.spec.names import NodeName, read_desired, read_owner
 
-__all__ = [
-    "GroupSeen",
-    "KeyPairSeen",
-    "Rule",
-    "as_machine",
-    "group_description",
-    "identity_tags",
-    "ingress_rules",
-    "lease_text",
-    "read_group",
-    "read_key_pair",
-    "read_machine",
-]
-
 Rule = tuple[str, int, int, str, str]
 """Protocol, first and last port (-1: all), kind of source ("cidr", ...) and the source."""
 

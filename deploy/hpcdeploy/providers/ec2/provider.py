@@ -65,8 +65,6 @@ from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.names import Owner
 from hpcdeploy.spec.provider import CloudSpec
 
-__all__ = ["Ec2Provider", "open_ec2"]
-
 _NO_INSTANCE = "InvalidInstanceID.NotFound"
 _NOT_YET = {_NO_INSTANCE}
 _NOT_YET_FOR_TAGS = _NOT_YET | {"InvalidGroup.NotFound", "InvalidGroupId.NotFound"}

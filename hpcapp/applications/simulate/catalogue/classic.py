@@ -9,8 +9,6 @@ from hpcapp.applications.simulate.fields import cut, grow, mirror, smooth_unite,
 from hpcapp.applications.simulate.implicit import ImplicitShape, symmetric
 from hpcapp.applications.surface.types.points import FloatArray
 
-__all__ = ["CLASSIC"]
-
 
 def _trefoil(t: FloatArray) -> FloatArray:
     """Return a trefoil on a torus of radii 10 and 4.5, and its two derivatives: see `tube`."""

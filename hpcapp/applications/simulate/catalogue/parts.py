@@ -8,8 +8,6 @@ from hpcapp.applications.simulate import outlines, solids
 from hpcapp.applications.simulate.fields import cut, intersect
 from hpcapp.applications.simulate.implicit import ImplicitShape, symmetric
 
-__all__ = ["PARTS"]
-
 
 def _gear() -> ImplicitShape:
     """Return a gear of 14 teeth with a bore and six holes in its web: seven through holes."""

@@ -12,8 +12,6 @@ from hpcapp.applications.simulate.fields import smooth_unite
 from hpcapp.applications.simulate.implicit import ImplicitShape, symmetric
 from hpcapp.applications.simulate.reliefs import displace, lumps, studs
 
-__all__ = ["SCULPTURES"]
-
 
 def _boulder() -> ImplicitShape:
     """Return a ball with lumps of five sizes, from 25 to 1.6 % of the diagonal."""

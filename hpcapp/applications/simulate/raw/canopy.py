@@ -8,8 +8,6 @@ import numpy as np
 
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
 
-__all__ = ["Canopy", "Crown"]
-
 _CELL = 0.5  # metres of the maps of tops and bases
 _STEP = 0.4  # metres of the way through the crowns
 _FREE_PATH = 4.0  # metres within crowns to the next return, in the mean

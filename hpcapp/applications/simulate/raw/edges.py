@@ -10,8 +10,6 @@ from hpcapp.applications.simulate.implicit import ImplicitShape
 from hpcapp.applications.simulate.rays import cross_rays, frame_about, unit_vectors
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
 
-__all__ = ["Sights", "find_edges"]
-
 _NEIGHBOURHOOD = 1.0  # units about a hit in which its edge is looked for
 _WIDEST = 0.1  # radians from the pulse
 _HALVINGS = 8

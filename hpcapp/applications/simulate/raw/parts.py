@@ -16,21 +16,6 @@ from hpcapp.applications.simulate.solids import box
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
 
-__all__ = [
-    "BUILDING",
-    "GROUND",
-    "OTHER",
-    "VEGETATION",
-    "Box",
-    "HeightField",
-    "Part",
-    "join_meshes",
-    "make_boxes",
-    "make_houses",
-    "make_model",
-    "make_trunks",
-]
-
 Box = tuple[Sequence[float], Sequence[float], bool]
 """Lowest and highest corner, and whether it is filled or cut out."""
 

@@ -29,8 +29,6 @@ from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntA
 from hpccomponent.errors import UsageError
 from hpccomponent.option_names import name_option
 
-__all__ = ["RawScan", "RawSettings", "scan_scene"]
-
 _LOST = 0.02  # share of the pulses of which nothing comes back
 _FADING = 20.0  # degrees before the grazing angle over which returns become fewer
 _TRAIL = 0.3  # units that pixels fly behind an edge

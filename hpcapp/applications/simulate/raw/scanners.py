@@ -13,8 +13,6 @@ from hpcapp.applications.simulate.rays import frame_about, unit_vectors
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpccomponent.errors import UsageError
 
-__all__ = ["SCANNERS", "Pulses", "Scanner", "find_scanner"]
-
 _STRIPS, _ALTITUDE, _SPEED, _TURN_S = 2, 200.0, 20.0, 20.0  # metres, metres a second
 _LOWEST, _HIGHEST = -60.0, 90.0  # degrees above the horizon, of a tripod
 _STAND_S, _MOVE_S = 20.0, 300.0

@@ -25,8 +25,6 @@ from hpcapp.applications.simulate.shapes import find_shape
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
 
-__all__ = ["SCENES", "Scene"]
-
 Walk = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 
 _BORDER = 0.5  # metres of ground that go on beyond what is scanned

@@ -28,8 +28,6 @@ from hpccomponent.errors import JobError, OutputError
 from hpccomponent.files.whole_files import write_whole
 from hpccomponent.option_names import name_option
 
-__all__ = ["ColumnBlocks"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Part:

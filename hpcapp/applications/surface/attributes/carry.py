@@ -17,8 +17,6 @@ from scipy.spatial import cKDTree
 
 from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
 
-__all__ = ["NEIGHBOURS", "AttributeField", "Carried", "carry_attributes"]
-
 NEIGHBOURS = 8
 """So many points share in the value of a place."""
 

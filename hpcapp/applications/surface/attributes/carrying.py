@@ -23,7 +23,6 @@ from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream, scale_mesh_heigh
 if TYPE_CHECKING:
     from hpcapp.applications.surface.attributes.carry import Carried
 
-__all__ = ["NOTHING", "SUPPORT", "Carrying", "Evaluate"]
 
 SUPPORT = "support"
 """Attribute of a vertex: distance of the nearest point, in spacings of the points."""

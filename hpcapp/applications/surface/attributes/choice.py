@@ -14,7 +14,6 @@ from hpccomponent.option_names import name_option
 if TYPE_CHECKING:
     from hpcapp.applications.surface.types.points import PointCloud
 
-__all__ = ["CONFIDENCE", "AttributeChoice", "parse_attributes"]
 
 _COLOURS = ("colours", "colors", "rgb")
 _MADE = ("normals", "support")

@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MOST_LABELS", "LabelSearch", "find_labels"]
-
 MOST_LABELS = 64
 """A column of whole numbers with no more different ones holds labels."""
 

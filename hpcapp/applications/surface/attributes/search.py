@@ -17,8 +17,6 @@ from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.types.lattice import unpack_keys
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray, PointCloud
 
-__all__ = ["evaluate_blocks"]
-
 _SLACK = 1.0 + 1e-9  # for the rounding of distances
 
 

@@ -6,8 +6,6 @@ import numpy as np
 
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
 
-__all__ = ["add_face_normals", "scale_normals"]
-
 
 def add_face_normals(sums: FloatArray, faces: IntArray, corners: FloatArray) -> None:
     """Add the normals of some faces, as long as their areas are large, to their vertices.

@@ -48,7 +48,6 @@ from hpccomponent.protocol.records import record
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
-__all__ = ["SupportRule", "find_bare", "measure_clearance"]
 
 _FLATNESS = 0.5  # of the ellipsoids, where points are as dense as those of the whole cloud
 """As much of a radius is drawn back at the border: of .33, .5 and .67, invented beyond a sounder's

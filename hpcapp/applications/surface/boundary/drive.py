@@ -48,8 +48,6 @@ from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.errors import InputError
 from hpccomponent.option_names import name_option
 
-__all__ = ["Closure", "OpeningSettings", "close_surface"]
-
 log = logging.getLogger("hpcapp")
 
 BARE_SHARE, TELLING_SHARE = 0.2, 0.05

@@ -8,8 +8,6 @@ from math import isfinite
 from hpccomponent.errors import UsageError
 from hpccomponent.option_names import name_option
 
-__all__ = ["Length", "parse_length"]
-
 
 @dataclass(frozen=True, slots=True)
 class Length:

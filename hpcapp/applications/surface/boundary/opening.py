@@ -40,8 +40,6 @@ from hpcapp.applications.surface.types.points import (
 )
 from hpccomponent.protocol.records import record
 
-__all__ = ["OpeningSeams", "OpeningSurvey", "cut_opening", "drop_copies", "survey_opening"]
-
 _SHORTEST = 0.1  # of an edge: the line keeps this share from its ends, so that no face is a sliver
 
 

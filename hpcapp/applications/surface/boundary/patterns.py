@@ -25,18 +25,8 @@ from hpcapp.applications.surface.types.result_patterns import (
     lie_within,
     rise_by_pairs,
 )
-from hpccomponent.protocol.declared import (
-    Array,
-    Declared,
-    Exactly,
-    Fixed,
-    Nothing,
-    Record,
-    Where,
-    Whole,
-)
-
-__all__ = ["judged_bytes", "judged_support", "open_surface", "opened_bytes", "opening_seams"]
+from hpccomponent.protocol.declared import Declared, Exactly, Fixed, Nothing, Record, Where, Whole
+from hpccomponent.protocol.declared_arrays import Array
 
 _CUT_VERTICES, _CUT_FACES = MOST_VERTICES + 3 * MOST_FACES, 2 * MOST_FACES  # each face may be cut
 _SENT_VERTEX, _KEPT_VERTEX = 256, 64  # bytes of an open part, for each vertex of the closed one

@@ -11,8 +11,6 @@ import numpy as np
 
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray
 
-__all__ = ["draws_together"]
-
 _NEIGHBOURS = 24
 _ONE_SIDED = 0.33  # of the distance of the last of them: their mean, at a border
 _DRAWN = 0.4  # mean cosine between the way on and the way to the missing side

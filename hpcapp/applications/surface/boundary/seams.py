@@ -22,8 +22,6 @@ from hpcapp.applications.surface.types.lattice import find_keys
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, Int32Array, IntArray
 from hpccomponent.errors import JobError
 
-__all__ = ["MatchedSeams", "match_seams", "place_foreign"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatchedSeams:

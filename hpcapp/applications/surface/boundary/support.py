@@ -11,8 +11,6 @@ from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.types.lattice import unpack_keys
 from hpcapp.applications.surface.types.points import FloatArray
 
-__all__ = ["Support", "find_farthest", "measure_support"]
-
 _MEASURED = 256  # places at most: their distances change little from one to the next
 _ONE_IN = 16  # blocks that bound distances at first
 

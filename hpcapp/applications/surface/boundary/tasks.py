@@ -43,8 +43,6 @@ from hpccomponent.protocol.records import record
 from hpccomponent.runtime.tasks import declare
 from hpccomponent.store.places import hold_store
 
-__all__ = ["Near", "judge_support", "open_part", "survey_support"]
-
 Part = MeshPart | tuple[str, str]
 """A part, or a store (see `store.places`) and the name under which it is there."""
 

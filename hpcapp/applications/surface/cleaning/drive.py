@@ -27,15 +27,6 @@ from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.applications.surface.scale.scan_lines import keep_lines
 from hpcapp.applications.surface.types.lattice import lay_lattice, unique_keys
 
-__all__ = [
-    "Cleaned",
-    "drop_repeated",
-    "drop_strays",
-    "mend_normals",
-    "thin_lines",
-]
-
-
 _MANY = 0.001  # of the points are strays: only then they have vouched for others
 
 

@@ -19,8 +19,6 @@ from hpcapp.applications.surface.scale.scan_lines import measure_spread
 from hpcapp.applications.surface.types.lattice import lay_lattice, unique_keys
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
 
-__all__ = ["MARGIN", "MOST", "find_lone_lines"]
-
 _COUNTS = 8, 16  # neighbours: noise hides a line among few, what is beside it does among many
 _THIN = 0.02  # variance across a line, of that along it: see `measure_spread`
 _FEWEST = 4  # points of a box, or with its neighbours, that show it

@@ -40,17 +40,6 @@ from hpcapp.applications.surface.types.lattice import (
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
 from hpccomponent.protocol.records import record
 
-__all__ = [
-    "LOCAL_RANK",
-    "MARGIN",
-    "DroppedCells",
-    "Judgement",
-    "RegionRanks",
-    "judge_region",
-    "judge_sparse",
-    "rank_region",
-]
-
 RegionRanks = tuple[IntArray, IntArray, IntArray, IntArray, IntArray, IntArray]
 
 LOCAL_RANK = ISLAND_LEVEL

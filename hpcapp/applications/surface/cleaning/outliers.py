@@ -27,18 +27,6 @@ from hpcapp.applications.surface.types.lattice import (
 )
 from hpcapp.applications.surface.types.points import BoolArray, IntArray
 
-__all__ = [
-    "EDGE",
-    "ISLAND_LEVEL",
-    "Level",
-    "coarsen",
-    "find_base",
-    "find_islands",
-    "find_strays",
-    "rank_cells",
-]
-
-
 EDGE = 2.0  # of the finest cells, in spacings
 _LEAST = 10  # points that make a neighbourhood
 _COMPANIONS = 8  # points one level above the base that vouch for one another

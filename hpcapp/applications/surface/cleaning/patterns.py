@@ -13,15 +13,8 @@ from hpcapp.applications.surface.cloud.regions import StoredBlocks
 from hpcapp.applications.surface.scale.local_scale import HALVINGS
 from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.applications.surface.types.result_patterns import are_units
-from hpccomponent.protocol.declared import Array, Declared, Either, Fixed, Nothing, Where, Whole
-
-__all__ = [
-    "counted_lines",
-    "mended_region",
-    "ranked_region",
-    "stray_cells",
-    "without_points",
-]
+from hpccomponent.protocol.declared import Declared, Either, Fixed, Nothing, Where, Whole
+from hpccomponent.protocol.declared_arrays import Array
 
 
 def without_points(points: StoredBlocks, *_: Any) -> Declared:

@@ -21,8 +21,6 @@ from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.applications.surface.types.lattice import lay_lattice, unique_keys, unpack_keys
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
 
-__all__ = ["MARGIN", "ROUNDS", "find_strays"]
-
 _COUNTS = (8, 24)  # neighbours; on a surface the last of them lie 1.6 and 2.8 spacings away
 _CROWDED = 3.6  # local spacings: with so many so near, a point is none
 _SPARSER = (2.2, 1.7)  # times as sparse as around the median neighbour

@@ -34,18 +34,6 @@ from hpcapp.applications.surface.scale.scan_lines import GapBoxes, count_narrow,
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpccomponent.runtime.tasks import declare
 
-__all__ = [
-    "count_lines",
-    "drop_cells",
-    "drop_lone_lines",
-    "drop_repeated",
-    "drop_strays",
-    "judge_region",
-    "mend_region",
-    "rank_region",
-    "thin_lines",
-]
-
 
 @declare(result=without_points, limit=region_bytes(16))
 def drop_repeated(points: RegionPoints) -> tuple[Replaced | None, int]:

@@ -27,8 +27,6 @@ from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.types.lattice import find_keys
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray, PointCloud
 
-__all__ = ["ArrangedCloud", "MemoryCloud", "Place", "arrange_cloud", "find_runs", "replace_points"]
-
 _ROWS_AT_ONCE = 1 << 14  # what is made of them stays in the cache
 _ENDLESS = Arrangement(np.zeros(3), np.inf)
 

@@ -26,19 +26,6 @@ from hpcapp.applications.surface.types.points import Float32Array, FloatArray, I
 from hpccomponent.errors import InputError
 from hpccomponent.protocol.records import record
 
-__all__ = [
-    "Arrangement",
-    "PackedPoints",
-    "choose_arrangement",
-    "interleave",
-    "pack_points",
-    "snap_points",
-    "unpack_near",
-    "unpack_points",
-    "unpacking_arguments",
-]
-
-
 _ROWS_AT_ONCE = 1 << 14  # what is made of them stays in the cache
 _RECORDS_AT_ONCE = 1 << 16  # so do these, as whole pages of a file
 _BLOCKS = 63.0  # along the longest side

@@ -25,8 +25,6 @@ from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.types.lattice import find_keys
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
 
-__all__ = ["CloudPass", "MemoryPass", "PassT"]
-
 Rows = IntArray | slice
 Result = TypeVar("Result")
 PassT = TypeVar("PassT", bound="CloudPass")

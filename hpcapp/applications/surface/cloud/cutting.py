@@ -9,8 +9,6 @@ import numpy as np
 from hpcapp.applications.surface.types.lattice import unique_keys, unpack_keys
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
 
-__all__ = ["cut_even", "cut_regions", "cut_tiles"]
-
 
 def cut_even(counts: IntArray, pieces: int) -> list[slice]:
     """Cut a cloud into runs of whole blocks with about as many points each.

@@ -48,15 +48,6 @@ from hpccomponent.files.private_files import open_at_once
 from hpccomponent.files.whole_files import write_whole
 from hpccomponent.store.value import DamagedError, from_bytes, to_buffers
 
-__all__ = [
-    "DiskCloud",
-    "Part",
-    "open_disk_cloud",
-    "open_place",
-    "write_index",
-    "write_part",
-]
-
 _INDEX = "index"
 _COLUMNS = 6  # float32 a point: offset and normal
 _POINT_BYTES = 4 * _COLUMNS

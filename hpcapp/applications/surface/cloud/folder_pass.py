@@ -20,8 +20,6 @@ from hpcapp.applications.surface.cloud.tasks import bound_region
 from hpcapp.applications.surface.types.points import FloatArray
 from hpccomponent.files.private_files import make_private_folder
 
-__all__ = ["FolderPass", "make_cloud_folder"]
-
 Result = TypeVar("Result")
 
 _PREFIX = "points-"  # of the folders of clouds

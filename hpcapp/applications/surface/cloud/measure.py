@@ -27,15 +27,6 @@ from hpcapp.applications.surface.types.lattice import lay_lattice, unique_keys
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpccomponent.errors import InputError
 
-__all__ = [
-    "check_surface",
-    "draw_boxes",
-    "draw_places",
-    "measure_cloud",
-    "measure_scale",
-    "measure_spacing",
-]
-
 
 def measure_spacing(cloud_pass: CloudPass) -> float:
     """Estimate the spacing of a cloud, in length units of the input.

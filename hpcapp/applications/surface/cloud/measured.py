@@ -20,16 +20,6 @@ from hpcapp.applications.surface.types.lattice import lay_lattice
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpccomponent.errors import InputError
 
-__all__ = [
-    "SAMPLED_BOX",
-    "Measured",
-    "Points",
-    "draw_sample",
-    "find_scale",
-    "first_share",
-    "measure_points",
-]
-
 Points = tuple[FloatArray, FloatArray]
 """Positions in length units of the input and unit normals, each of shape (n, 3)."""
 

@@ -16,8 +16,6 @@ from hpccomponent.files.checksum import checksum
 from hpccomponent.files.private_files import open_at_once
 from hpccomponent.store.value import DamagedError
 
-__all__ = ["check_part", "with_check"]
-
 _LAST = struct.Struct("<8sQII")  # magic, bytes of the points, their checksum, that of the name
 _MAGIC = b"hpcpart1"
 _BYTES_AT_ONCE = 1 << 22  # whole pages

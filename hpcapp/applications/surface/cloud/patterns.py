@@ -33,26 +33,8 @@ from hpcapp.applications.surface.types.result_patterns import (
     lie_within,
     sampled_boxes,
 )
-from hpccomponent.protocol.declared import (
-    Array,
-    Declared,
-    Fixed,
-    Record,
-    Where,
-)
-
-__all__ = [
-    "UNIT",
-    "AssignedPoints",
-    "bounded_region",
-    "counted_boxes",
-    "counted_cells",
-    "counted_scale",
-    "region_bytes",
-    "run_bytes",
-    "sampled_places",
-    "sampled_region",
-]
+from hpccomponent.protocol.declared import Declared, Fixed, Record, Where
+from hpccomponent.protocol.declared_arrays import Array
 
 UNIT = 1.001
 """Of a vector of unit length, at most."""

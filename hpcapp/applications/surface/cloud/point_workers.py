@@ -18,9 +18,8 @@ from hpcapp.applications.surface.cloud.regions import SentBlocks, StoredBlocks, 
 from hpcapp.applications.surface.cloud.tasks import count_block_cells, merge_cells
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpcapp.backends.serial import SerialExecutor
-from hpcapp.workforce import Workforce, cut_equal, map_batches, stream_batches
-
-__all__ = ["PointWorkers"]
+from hpcapp.workforce import Workforce, map_batches, stream_batches
+from hpccomponent.cutting import cut_equal
 
 
 @dataclass(frozen=True, slots=True, eq=False)

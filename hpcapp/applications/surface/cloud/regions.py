@@ -20,17 +20,6 @@ from hpcapp.applications.surface.types.lattice import find_keys, unpack_keys
 from hpcapp.applications.surface.types.points import BoolArray, Float32Array, FloatArray, IntArray
 from hpccomponent.protocol.records import record
 
-__all__ = [
-    "MemoryRegion",
-    "Region",
-    "RegionPoints",
-    "Replaced",
-    "ReplacedRows",
-    "SentBlocks",
-    "StoredBlocks",
-    "pack_region",
-]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReplacedRows:

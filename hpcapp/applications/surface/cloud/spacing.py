@@ -18,8 +18,6 @@ from hpcapp.applications.surface.types.lattice import (
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpccomponent.errors import InputError
 
-__all__ = ["Count", "estimate_spacing", "sample_box_keys", "search_spacing"]
-
 Count = Callable[[float, int, bool], tuple[int, int]]
 """Given the edge of boxes, how many of them make one sampled, and whether points at one place count
 as one, returns the points in the sample and the boxes that hold some."""

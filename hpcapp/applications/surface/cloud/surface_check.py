@@ -25,8 +25,6 @@ from hpcapp.applications.surface.types.lattice import (
 from hpcapp.applications.surface.types.points import FloatArray
 from hpccomponent.errors import InputError
 
-__all__ = ["Draw", "find_no_surface", "find_no_surface_in", "sample_positions"]
-
 Draw = Callable[[float, int], FloatArray]
 """Given the edge of boxes and how many of them make one sampled, returns the points in the sample,
 in the cloud's order."""

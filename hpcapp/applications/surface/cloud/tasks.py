@@ -27,16 +27,6 @@ from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpcapp.applications.surface.types.result_patterns import SMALL_BYTES
 from hpccomponent.runtime.tasks import declare
 
-__all__ = [
-    "bound_region",
-    "count_block_cells",
-    "count_boxes",
-    "count_region_scale",
-    "merge_cells",
-    "sample_places",
-    "sample_region",
-]
-
 
 @declare(result=bounded_region, limit=SMALL_BYTES)
 def bound_region(points: RegionPoints) -> FloatArray:

@@ -9,11 +9,9 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.extraction.parts import Int32Array, MeshPart
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
+from hpcapp.applications.surface.extraction.parts import MeshPart
+from hpcapp.applications.surface.types.points import BoolArray, FloatArray, Int32Array, IntArray
 from hpccomponent.protocol.records import record
-
-__all__ = ["PartPlaces", "Runs", "place_faces", "place_vertices", "starts_of"]
 
 Row = TypeVar("Row", bound=np.generic)
 Counts = Int32Array | IntArray | BoolArray

@@ -12,8 +12,6 @@ from hpcapp.applications.surface.types.mesh import BrickMesh
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, Int32Array, IntArray
 from hpccomponent.protocol.records import record
 
-__all__ = ["Int32Array", "MeshPart", "cut_part", "join_parts"]
-
 
 @record("surface.part")
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,8 +21,6 @@ from hpcapp.applications.surface.types.lattice import find_keys, pack_places
 from hpcapp.applications.surface.types.points import BoolArray, ByteArray, FloatArray, IntArray
 from hpccomponent.cutting import cut_equal
 
-__all__ = ["sharpen_vertices"]
-
 _NEAR = 0.3  # cells: pieces that are farther from a vertex are not the surface there
 _FARTHEST = 1.5  # grid steps that a vertex may be moved
 _LEAST_SINE = 0.4  # of the angle of two pieces where they meet

@@ -11,12 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpcapp.applications.surface import kernels
-from hpcapp.applications.surface.extraction.parts import Int32Array, MeshPart
+from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.types.lattice import find_keys, number_keys, unique_keys
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
+from hpcapp.applications.surface.types.points import BoolArray, FloatArray, Int32Array, IntArray
 from hpccomponent.protocol.records import record
-
-__all__ = ["PartSummary", "summarize_part"]
 
 
 @record("surface.part_summary")

@@ -17,8 +17,6 @@ from hpcapp.applications.surface.types.points import (
 )
 from hpccomponent.protocol.records import record
 
-__all__ = ["TakenBricks"]
-
 
 @record("surface.taken_bricks")
 @dataclass(frozen=True, slots=True, eq=False)

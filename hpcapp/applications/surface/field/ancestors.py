@@ -11,8 +11,6 @@ from hpcapp.applications.surface.types.lattice import (
 )
 from hpcapp.applications.surface.types.points import IntArray
 
-__all__ = ["corners_at"]
-
 Marks = NDArray[np.uint32]
 
 

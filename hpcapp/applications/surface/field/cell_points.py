@@ -32,17 +32,6 @@ from hpcapp.applications.surface.types.points import (
     PointCloud,
 )
 
-__all__ = [
-    "CellMoments",
-    "CellRows",
-    "CloudRows",
-    "PartMoments",
-    "SortedPoints",
-    "merge_parents",
-    "sort_cloud",
-]
-
-
 _SLAB = 1 << 11  # cells whose moments are summed at once: 0.7 MB, which stays in the cache
 _AT_ONCE = 64  # slabs whose sums wait to be put together
 

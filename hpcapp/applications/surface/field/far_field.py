@@ -29,18 +29,6 @@ from hpcapp.applications.surface.types.lattice import (
 from hpcapp.applications.surface.types.points import Float32Array, FloatArray, IntArray
 from hpccomponent.protocol.records import record
 
-__all__ = [
-    "FAR_REACH",
-    "FarFieldPart",
-    "crop_far_field",
-    "crop_nodes",
-    "far_step",
-    "lay_far_field",
-    "restore_far_field",
-    "solve_far_field",
-    "spread_samples",
-]
-
 _PADDING = 1.5
 
 FAR_REACH = 1.5

@@ -15,8 +15,6 @@ from hpcapp.applications.surface.types.field import PIECES, Features
 from hpcapp.applications.surface.types.lattice import ancestor_keys, find_layers, unpack_keys
 from hpcapp.applications.surface.types.points import Float32Array, IntArray
 
-__all__ = ["find_features", "find_features_above", "join_features"]
-
 _REACH = 3  # cells on each side of a vertex that the fits look at (see `fit_features`)
 _ROUND = 0.04  # misfit of a quadric (see `hermite.evaluate_misfits`), some 11 degrees
 _NONE = 255  # joints of a vertex where one quadric does

@@ -13,8 +13,6 @@ import numpy as np
 
 from hpcapp.applications.surface.types.points import FloatArray
 
-__all__ = ["find_hull"]
-
 _WIDE = 4.0
 """Cells: facets that are narrower lie over points."""
 

@@ -50,8 +50,6 @@ from hpcapp.applications.surface.types.lattice import (
 from hpcapp.applications.surface.types.points import BoolArray, Float32Array, FloatArray, IntArray
 from hpccomponent.cutting import cut_equal
 
-__all__ = ["SlabFields", "find_trust", "fit_above"]
-
 _AT_ONCE = 1 << 17  # vertices of the finest level
 # Of bricks in a slab, for each layer that may be evaluated beside it on either side.
 _LEAST_LAYERS = 8

@@ -23,8 +23,6 @@ from hpcapp.applications.surface.types.lattice import ancestor_keys, unique_keys
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpccomponent.protocol.records import record
 
-__all__ = ["QUARTILE", "SHARE", "LocalNoise", "Residuals", "map_noise"]
-
 SHARE = 0.15
 """Standard deviations of the noise across a cell, at most, that it tells: of a spot of .8 spacings
 .3 tells a tenth less, and .07 the same."""

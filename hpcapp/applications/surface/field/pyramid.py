@@ -49,19 +49,6 @@ from hpcapp.applications.surface.types.points import (
 from hpccomponent.cutting import cut_equal
 from hpccomponent.protocol.records import record
 
-__all__ = [
-    "Level",
-    "Parents",
-    "Pyramid",
-    "VertexQuadrics",
-    "build_pyramid",
-    "count_levels",
-    "fit_levels",
-    "lay_vertices",
-    "raise_levels",
-]
-
-
 _COARSEST_CELLS = 6
 _EXACT = 1e-6  # of a level: powers of two have theirs
 # Corners in a batch: what it takes stays in the cache, and memory that was freed is used again.

@@ -23,8 +23,6 @@ from hpcapp.applications.surface.types.lattice import ancestor_keys, unique_keys
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
 from hpccomponent.protocol.records import record
 
-__all__ = ["Refinement"]
-
 
 @record("surface.refinement")
 @dataclass(frozen=True, slots=True, eq=False)

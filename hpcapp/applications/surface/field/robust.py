@@ -26,8 +26,6 @@ from hpcapp.applications.surface.types.lattice import (
 from hpcapp.applications.surface.types.points import Float32Array, FloatArray, IntArray
 from hpccomponent.cutting import cut_equal
 
-__all__ = ["find_tolerance", "measure_points", "tell_kurtosis", "weigh_points"]
-
 Blend = tuple[IntArray, Float32Array, Float32Array]
 """Vertices, quadrics and variances of a level, as `rate_points` takes them."""
 

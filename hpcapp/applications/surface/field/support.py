@@ -12,8 +12,6 @@ from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.types.lattice import OCTANTS, ancestor_keys, step_keys
 from hpcapp.applications.surface.types.points import BoolArray, Float32Array, FloatArray, IntArray
 
-__all__ = ["crowd_vertices", "sum_squares", "surrounded_vertices"]
-
 _LEAST_CELLS = 4
 
 

@@ -12,19 +12,6 @@ import numpy as np
 
 from hpcapp.applications.surface.types.points import BoolArray, Float32Array, FloatArray
 
-__all__ = [
-    "CHANCE_SHARE",
-    "FIELD_LEVELS",
-    "LEAST_MU",
-    "SAME_NOISE",
-    "Weights",
-    "find_agreement",
-    "localise_noise",
-    "tell_noise",
-    "trust_vertices",
-    "weigh_levels",
-]
-
 Variances = TypeVar("Variances", FloatArray, Float32Array)
 
 FIELD_LEVELS = 4

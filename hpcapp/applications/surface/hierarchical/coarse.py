@@ -40,8 +40,6 @@ from hpcapp.applications.surface.types.lattice import (
 from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
 from hpcapp.workforce import Workforce, begin_batch
 
-__all__ = ["FEWEST_NODES", "Coarse", "choose_nodes", "far_level", "fit_coarse"]
-
 FEWEST_NODES = 128
 """Of a far field, along a side."""
 

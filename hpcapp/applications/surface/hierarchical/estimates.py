@@ -31,8 +31,6 @@ from hpcapp.applications.surface.method import MARGIN, MAX_GRID, Resolution
 from hpcapp.applications.surface.types.lattice import lay_lattice
 from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
 
-__all__ = ["Scale", "choose_scale", "suggest_grid"]
-
 _CHEAP, _SIXTEEN = 256, 16  # cells along the longest side
 _EXACT = 1e-6  # of sixteen cells: whole numbers stay what they are
 _SMOOTHER = 0.75  # of the step, while a grid is cheap

@@ -34,8 +34,6 @@ from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.errors import JobError
 
-__all__ = ["mesh_regions"]
-
 _MOST_ROUNDS = 1000  # each goes on by a coarse cell at least; a grid has no more
 
 

@@ -57,12 +57,6 @@ from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.option_names import name_option
 
-__all__ = [
-    "HierarchicalMethod",
-    "HierarchicalPartition",
-    "plan_grid",
-]
-
 _LEAST_GRID = 16
 _POINTS_AT_ONCE = 2_000_000
 _EXACT = 1e-3  # steps: equal sides have equally many

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from hpcapp.applications.surface.method import Method, Resolution, Resources
     from hpcapp.applications.surface.types.points import PointCloud
 
-__all__ = ["Hierarchical"]
-
 
 @dataclass(frozen=True, slots=True)
 class Hierarchical:

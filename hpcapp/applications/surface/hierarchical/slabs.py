@@ -20,8 +20,6 @@ from hpcapp.applications.surface.tiles.slabs import cut_slabs, grow_slabs
 from hpcapp.applications.surface.tiles.tasks import find_far, sample_cells
 from hpcapp.applications.surface.types.points import PointCloud
 
-__all__ = ["mesh_slabs"]
-
 
 def mesh_slabs(
     cloud: PointCloud,

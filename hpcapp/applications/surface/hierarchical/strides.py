@@ -21,8 +21,6 @@ from hpcapp.applications.surface.types.lattice import (
 )
 from hpcapp.applications.surface.types.points import IntArray
 
-__all__ = ["choose_strides"]
-
 _STEPS = 1.25  # of the grid, across the smallest cells that points are dense enough for
 _EARLY = 0.25  # doublings: steps are up to a fifth larger than the spacing
 

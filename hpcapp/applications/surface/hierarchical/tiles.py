@@ -22,8 +22,6 @@ from hpcapp.applications.surface.types.grid import BRICK
 from hpcapp.applications.surface.types.lattice import unpack_keys
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
 
-__all__ = ["Tiling", "halo_cells", "weigh_cells"]
-
 # What a finest cell on the surface, and a cell of the grid there, take beside the points, in what a
 # point takes: from scans of bunny, table and rocker arm, whose finest cells were 1 to 6.5 cells of
 # the grid wide.

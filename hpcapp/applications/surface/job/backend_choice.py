@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from hpcapp.backends.cluster import ClusterMaster
     from hpcapp.backends.local_cluster import LocalMachines
 
-__all__ = ["Choice", "Job", "Opener", "approach_workers", "least_work"]
 
 log = logging.getLogger("hpcapp")
 

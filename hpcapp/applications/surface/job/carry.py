@@ -16,7 +16,6 @@ from hpccomponent.option_names import name_option
 if TYPE_CHECKING:
     from hpcapp.applications.surface.job.steps import Outcome
 
-__all__ = ["carry_columns"]
 
 log = logging.getLogger("hpcapp")
 

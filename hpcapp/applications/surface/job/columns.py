@@ -19,8 +19,6 @@ from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import PointSource, open_points
 from hpccomponent.files.private_files import make_private_folder
 
-__all__ = ["Columns", "FileColumns", "MemoryColumns"]
-
 
 class Columns(Protocol):
     """The colours and attributes of points that a mesh is to carry."""

@@ -17,15 +17,6 @@ from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.wording import say_count
 from hpccomponent.option_names import name_option
 
-__all__ = [
-    "SAMPLE",
-    "check_closure",
-    "check_handles",
-    "check_resolution",
-    "check_sides",
-    "check_support",
-]
-
 #: Points are judged on a sample of about so many.
 SAMPLE = 10_000
 #: Share of the vertices outside the points' box; a closed scan leaves it by less than a cell.

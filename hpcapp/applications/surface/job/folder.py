@@ -15,8 +15,6 @@ from hpcapp.io import open_points
 from hpccomponent.files.private_files import make_private_folder
 from hpccomponent.limits import available_cores
 
-__all__ = ["all_see_folder", "choose_tile", "find_point_workers", "may_pay_in_folder"]
-
 FOLDER_FROM_POINTS = 200_000
 """With fewer, what is saved by workers that read for themselves is less than what files cost."""
 _BYTES_PER_POINT = 200  # of room in the folder: two copies of the points, and finished tiles

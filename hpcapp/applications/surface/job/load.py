@@ -40,6 +40,7 @@ from hpcapp.applications.surface.normals.sides import Oriented, orient_cloud
 from hpcapp.applications.surface.reading.drive import ingest_file
 from hpcapp.applications.surface.reading.reach import drop_far
 from hpcapp.applications.surface.reading.registration import check_registration
+from hpcapp.applications.surface.reading.validity import Dropped
 from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.applications.surface.settings import JobSettings, Settings
 from hpcapp.applications.surface.types.points import PointCloud
@@ -47,14 +48,12 @@ from hpcapp.applications.surface.viewpoint import Viewpoint
 from hpcapp.io import PointSource, drop_unusable, open_points, read_whole
 from hpcapp.io.crs import UNKNOWN, Crs
 from hpcapp.io.points.point_source import SCAN, Findings
-from hpcapp.io.points.usable import Dropped, refuse_too_few
+from hpcapp.io.points.usable import refuse_too_few
 from hpcapp.progress import StageClock
 from hpccomponent.errors import JobError
 from hpccomponent.files.private_files import remove_path
 from hpccomponent.store.base import FolderStore
 from hpccomponent.store.value import DamagedError
-
-__all__ = ["Loaded", "PointFolder", "Read", "arrange_points", "load", "prepare", "told_sensor"]
 
 log = logging.getLogger("hpcapp")
 

@@ -8,8 +8,6 @@ from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.io import open_points
 from hpcapp.io.points.column_roles import tell_use
 
-__all__ = ["describe_input"]
-
 
 def describe_input(settings: JobSettings) -> dict[str, Any]:
     """Return what the input is, and what its columns were taken for.

@@ -32,16 +32,6 @@ if TYPE_CHECKING:
     from hpcapp.applications.surface.job.steps import Outcome
     from hpcapp.applications.surface.pipeline import Reconstruction
 
-__all__ = [
-    "Shown",
-    "build_job_page",
-    "find_guesses",
-    "find_owners",
-    "show_cloud",
-    "show_files",
-    "show_job",
-    "write_job_page",
-]
 
 GUESSED = 6.0
 """Spacings from the nearest point, beyond which a vertex is guesswork, if the job does not tell."""

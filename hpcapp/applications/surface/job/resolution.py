@@ -15,8 +15,6 @@ from hpcapp.applications.surface.types.points import FloatArray
 from hpccomponent.errors import UsageError
 from hpccomponent.option_names import name_option
 
-__all__ = ["choose_grid", "find_grid", "guess_grid"]
-
 log = logging.getLogger("hpcapp")
 
 _LEAST_GUESS = 256

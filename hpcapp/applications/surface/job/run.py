@@ -44,7 +44,6 @@ if TYPE_CHECKING:
     from hpcapp.applications.surface.surface import Surface
     from hpcapp.backends.local_cluster import LocalMachines
 
-__all__ = ["JobSettings", "describe_outcome", "run_job"]
 
 log = logging.getLogger("hpcapp")
 

@@ -44,7 +44,6 @@ from hpccomponent.runtime.background import Deferred
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["Outcome", "run_steps"]
 
 log = logging.getLogger("hpcapp")
 

@@ -42,8 +42,6 @@ from hpccomponent.files.private_files import remove_path
 from hpccomponent.store.places import open_store
 from hpccomponent.terminal import visible_text
 
-__all__ = ["JobStorage", "open_storage"]
-
 log = logging.getLogger("hpcapp")
 
 

@@ -8,8 +8,6 @@ from typing import Any
 from hpcapp.applications.surface.stitching.topology import Topology
 from hpcapp.wording import say_count, say_share
 
-__all__ = ["say_support", "summarize"]
-
 
 def summarize(topology: Topology, facts: Mapping[str, Any]) -> str:
     """Say in one line what a mesh is, and how much of it the points support.

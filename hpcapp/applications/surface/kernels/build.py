@@ -14,8 +14,6 @@ from types import ModuleType
 
 from hpccomponent.errors import UsageError
 
-__all__ = ["BUILD_VARIABLE", "kernel_id", "load_native"]
-
 BUILD_VARIABLE = "HPCAPP_BUILD"
 
 _EXTENSION = "hpcapp.applications.surface.kernels._native"

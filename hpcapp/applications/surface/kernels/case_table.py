@@ -15,8 +15,6 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["EDGES", "MAX_TRIANGLES", "case_triangles", "triangle_counts"]
-
 Loop = tuple[int, ...]
 Triangle = tuple[int, int, int]
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["BASIS", "COLUMNS", "FINE", "MONOMIALS", "QUANTA", "SHEETS", "UNSURE", "WRONG"]
-
 BASIS = 10
 """Coefficients of a quadric."""
 

@@ -14,8 +14,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-__all__ = ["make_header", "read_constants"]
-
 _SHARED = ("types/field.py", "types/grid.py", "types/lattice.py", "kernels/case_table.py")
 _NAME = re.compile(r"_?([A-Z][A-Z\d_]*)")
 _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {

@@ -12,8 +12,6 @@ import re
 import sys
 from pathlib import Path
 
-__all__ = ["SUBJECTS", "digest_code", "strip_prose"]
-
 SUBJECTS = (
     "attributes", "boundary", "cleaning", "cloud", "extraction", "field", "kernels", "normals",
     "paper", "reading", "scale", "stitching", "tiles", "types",

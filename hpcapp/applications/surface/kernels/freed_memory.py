@@ -10,8 +10,6 @@ from contextlib import contextmanager
 
 from hpcapp.applications.surface import kernels
 
-__all__ = ["bound_free_memory", "keep_memory", "leave_for_files"]
-
 _MOST = 1 << 28  # that waits for the next task
 _PAGES = 1 << 25  # that a file is made of, at least
 

@@ -6,8 +6,6 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
-__all__ = ["run_batches"]
-
 Batch = TypeVar("Batch")
 Result = TypeVar("Result")
 

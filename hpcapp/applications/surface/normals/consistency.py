@@ -23,17 +23,6 @@ from hpcapp.applications.surface.types.points import (
     PointCloud,
 )
 
-__all__ = [
-    "FOLLOWING",
-    "MARGIN",
-    "TORN",
-    "Torn",
-    "faces_inwards",
-    "find_turned",
-    "share_opposed",
-    "weigh_torn",
-]
-
 FOLLOWING, TORN = 0.975, 0.07
 """Share of the normals that follow a place, and share of the opposite pairs among those across the
 line of sight, from which on they follow nothing else."""

@@ -17,19 +17,13 @@ from hpcapp.applications.surface.cloud.cloud_pass import PassT
 from hpcapp.applications.surface.cloud.measure import draw_places
 from hpcapp.applications.surface.normals import estimation, patches
 from hpcapp.applications.surface.normals.orientation import SURE, Doubt, orient_patches
+from hpcapp.applications.surface.normals.patterns import CONFIDENCE_BINS
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.normals.sides import Unsure
 from hpcapp.applications.surface.normals.stand import has_pixels
-from hpcapp.applications.surface.normals.tasks import (
-    CONFIDENCE_BINS,
-    estimate_region,
-    group_region,
-    turn_region,
-)
+from hpcapp.applications.surface.normals.tasks import estimate_region, group_region, turn_region
 from hpcapp.applications.surface.types.lattice import lay_lattice
 from hpcapp.applications.surface.types.points import FloatArray
-
-__all__ = ["Turned", "turn_normals"]
 
 _SAMPLE = 20_000  # points that are looked at for the pixels of a camera
 

@@ -15,8 +15,6 @@ from hpcapp.applications.surface.kernels import bound_points, fit_planes
 from hpcapp.applications.surface.types.lattice import cells_of, pack_places
 from hpcapp.applications.surface.types.points import BoolArray, Float32Array, FloatArray
 
-__all__ = ["MARGIN", "estimate_normals", "keep_directions", "refuse_wide"]
-
 _REACH = 12.0  # spacings: farther points are no neighbours
 _CELL = 5.0  # spacings: the noise is that of the median point of a cell
 _ROUNDED = 2.0**-16  # spacings: more than distances change when positions are rounded

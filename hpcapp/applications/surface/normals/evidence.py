@@ -21,18 +21,6 @@ from hpcapp.applications.surface.types.points import BoolArray, FloatArray, Int8
 from hpccomponent.errors import InputError
 from hpccomponent.option_names import name_option
 
-__all__ = [
-    "VIEWS",
-    "Evidence",
-    "Outside",
-    "Views",
-    "areas_of",
-    "face_along",
-    "hear_sensor",
-    "look_outside",
-    "share_of",
-]
-
 VIEWS = 64
 """Viewpoints around an object."""
 

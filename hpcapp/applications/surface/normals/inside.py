@@ -16,8 +16,6 @@ from scipy import ndimage
 from hpcapp.applications.surface.normals.patches import CELL, Patches, quarter_patches
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
 
-__all__ = ["AMPLE", "TIGHT", "find_inside"]
-
 AMPLE, TIGHT = 6.0, 4.0
 """Spacings between a place and the nearest patch: where nobody has said that somebody was inside,
 and where somebody has. No sensor comes as close to a wall as a few times what lies between two of

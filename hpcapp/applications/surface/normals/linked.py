@@ -10,8 +10,6 @@ from scipy.sparse.linalg import cg
 from hpcapp.applications.surface.normals.patches import Links, Patches
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
 
-__all__ = ["LinkedPatches"]
-
 _POWER = 4  # of the agreement of two patches, in the strength of their link
 _MOST_CONTACTS = 4.0  # by the square root of the points: more make a link no stronger
 _STACKED = 4.0  # standard deviations between two sheets that are told apart

@@ -27,8 +27,6 @@ from hpcapp.applications.surface.normals.readings import (
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
 
-__all__ = ["SURE", "Doubt", "Orientation", "orient_patches"]
-
 SURE = 0.3
 """From this confidence on the side of a patch counts as sure."""
 

@@ -29,20 +29,6 @@ from hpcapp.applications.surface.types.lattice import (
 from hpcapp.applications.surface.types.points import BoolArray, Float32Array, FloatArray, IntArray
 from hpccomponent.protocol.records import record
 
-__all__ = [
-    "CELL",
-    "LINKED",
-    "MARGIN",
-    "SHEETS",
-    "Links",
-    "Patches",
-    "Sides",
-    "find_patches",
-    "merge_patches",
-    "quarter_patches",
-    "turn_points",
-]
-
 CELL = 4.0
 """Spacings: the edge of the cells that patches are made in."""
 

@@ -6,11 +6,11 @@ from typing import Any
 
 from hpcapp.applications.surface.cloud.patterns import UNIT, AssignedPoints
 from hpcapp.applications.surface.cloud.regions import StoredBlocks
+from hpcapp.applications.surface.kernels import SHEETS
 from hpcapp.applications.surface.normals.patches import (
     CELL,
     LINKED,
     MARGIN,
-    SHEETS,
     Links,
     Patches,
 )
@@ -21,9 +21,8 @@ from hpcapp.applications.surface.types.result_patterns import (
     lie_within,
     rise_by_pairs,
 )
-from hpccomponent.protocol.declared import Array, Declared, Fixed, Record, Where, Whole
-
-__all__ = ["CONFIDENCE_BINS", "estimated_region", "grouped_region", "turned_region"]
+from hpccomponent.protocol.declared import Declared, Fixed, Record, Where, Whole
+from hpccomponent.protocol.declared_arrays import Array
 
 CONFIDENCE_BINS = 100
 """Of the histogram of confidences."""

@@ -34,22 +34,6 @@ from hpcapp.applications.surface.normals.stand import has_stand
 from hpcapp.applications.surface.normals.visibility import look
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray
 
-__all__ = [
-    "CERTAIN",
-    "GROUND",
-    "HABIT",
-    "RARE",
-    "STAND",
-    "Followed",
-    "Reading",
-    "choose",
-    "find_readings",
-    "follow",
-    "follow_reading",
-    "lies_level",
-    "weigh_readings",
-]
-
 CERTAIN = 0.047
 """Cost from one reading to the next from which on the first one is certain, and from .3 of it on
 sure: right ones have .018 and more but two (a terrain that a camera at zero would see as well, a

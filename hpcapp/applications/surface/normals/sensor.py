@@ -11,8 +11,6 @@ from hpcapp.applications.surface.types.points import FloatArray
 from hpccomponent.errors import InputError
 from hpccomponent.option_names import name_option
 
-__all__ = ["Sensor", "SensorKind"]
-
 SensorKind = Literal["unknown", "above", "below", "inside", "outside", "places"]
 
 # Whether cameras and points are in the same coordinates. Of 37 clouds and corners of clouds, seen

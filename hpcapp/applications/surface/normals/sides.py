@@ -18,8 +18,6 @@ from hpcapp.applications.surface.types.lattice import lay_lattice
 from hpcapp.progress import StageClock
 from hpccomponent.option_names import name_option
 
-__all__ = ["Judgement", "Oriented", "Unsure", "judge_normals", "orient_cloud"]
-
 log = logging.getLogger("hpcapp")
 
 Judgement = Literal["agree", "contradict", "follow a place"]

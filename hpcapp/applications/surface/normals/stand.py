@@ -13,8 +13,6 @@ from scipy.spatial import cKDTree
 from hpcapp.applications.surface.normals.patches import CELL, Patches, quarter_patches
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
 
-__all__ = ["has_pixels", "has_stand"]
-
 _SAMPLE = 3000  # patches, about
 _PLACES = 7  # along each side of the box
 _BANDS = 12  # of directions, each of twice as many of equal solid angle

@@ -30,8 +30,6 @@ from hpcapp.applications.surface.normals.patterns import (
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpccomponent.runtime.tasks import declare
 
-__all__ = ["CONFIDENCE_BINS", "estimate_region", "group_region", "turn_region"]
-
 
 @declare(result=estimated_region, limit=region_bytes(40))
 def estimate_region(

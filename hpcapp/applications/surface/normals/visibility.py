@@ -14,8 +14,6 @@ from hpcapp.applications.surface.normals.patches import CELL, Patches
 from hpcapp.applications.surface.types.lattice import number_keys
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, Int8Array, IntArray
 
-__all__ = ["WHOLE", "find_seen", "look", "surround"]
-
 WHOLE = 127.0
 """What a cosine of one is as an int8."""
 

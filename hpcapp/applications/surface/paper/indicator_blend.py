@@ -12,8 +12,6 @@ from hpcapp.applications.surface.paper.kdtree import Patches
 from hpcapp.applications.surface.types.points import FloatArray
 from hpccomponent.errors import JobError, UsageError
 
-__all__ = ["NodeGrid", "plan_grid", "sample_indicator_blend", "settle_zeros"]
-
 #: Cells of empty margin on every side: iso-surfaces that leave the outermost boxes close in it.
 MARGIN = 2
 #: How near to a node's position, in cells, a box face counts as lying on it.

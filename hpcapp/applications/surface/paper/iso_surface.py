@@ -12,8 +12,6 @@ from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray
 from hpccomponent.errors import JobError
 
-__all__ = ["extract_iso_surface"]
-
 
 def extract_iso_surface(
     values: NDArray[np.float32], nodes: NodeGrid, origin: FloatArray | None = None

@@ -17,8 +17,6 @@ from hpcapp.applications.surface.paper.split_rule import SplitRule
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpccomponent.errors import InputError, UsageError
 
-__all__ = ["Patches", "partition_by_count", "partition_by_rule"]
-
 #: Boxes of this part of the root's side are not split: without an end the halving would go on
 #: through a thousand levels to the smallest float.
 SMALLEST_BOX = 2.0**-70

@@ -43,8 +43,6 @@ from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.workforce import Workforce, map_batches
 from hpccomponent.errors import InputError, UsageError
 
-__all__ = ["PaperMethod", "PaperPartition", "measure_residuals"]
-
 #: Residuals are measured on no more points than these: three digits need no more.
 MOST_MEASURED = 200_000
 

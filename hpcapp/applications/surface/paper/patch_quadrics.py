@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpccomponent.errors import InputError
-from hpccomponent.protocol.declared import Array, Declared, Where
+from hpccomponent.protocol.declared import Declared, Where
+from hpccomponent.protocol.declared_arrays import Array
 from hpccomponent.runtime.tasks import declare
-
-__all__ = ["evaluate_quadrics", "fit_patches", "gradient_quadrics"]
 
 #: Exponents of x, y and z in each element of the basis.
 EXPONENTS = np.vstack(

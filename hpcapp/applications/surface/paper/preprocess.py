@@ -14,8 +14,6 @@ from scipy.spatial import cKDTree
 from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
 from hpccomponent.errors import InputError, UsageError
 
-__all__ = ["denoise", "measure_spacing", "remove_outliers", "resample"]
-
 #: Points whose neighbourhoods are held in memory at once.
 CHUNK = 20_000
 

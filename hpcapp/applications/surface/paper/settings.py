@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from hpcapp.applications.surface.paper.method import PaperPartition
     from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 
-__all__ = ["Paper"]
 
 _GRID = 256
 _BYTES_PER_NODE = 16.0

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from hpccomponent.errors import UsageError
 
-__all__ = ["SplitRule"]
-
 
 @dataclass(frozen=True, slots=True)
 class SplitRule:

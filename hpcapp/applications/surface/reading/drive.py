@@ -47,8 +47,6 @@ from hpcapp.io.points.usable import (
 from hpccomponent.errors import InputError
 from hpccomponent.terminal import visible_text
 
-__all__ = ["Ingested", "ingest_file"]
-
 Task = Callable[..., Any]
 
 

@@ -15,9 +15,8 @@ from hpcapp.applications.surface.types.result_patterns import (
     keys_within,
     lie_in,
 )
-from hpccomponent.protocol.declared import Array, Declared, Fixed, Where, Whole
-
-__all__ = ["arranged_range", "bounded_range", "range_bytes", "surveyed_range"]
+from hpccomponent.protocol.declared import Declared, Fixed, Where, Whole
+from hpccomponent.protocol.declared_arrays import Array
 
 _BLOCKS = 66  # along each side of an arrangement, at most: see `choose_arrangement`
 _SPARE = 4  # on either side: the box is what others have told of the file, and may be a little off

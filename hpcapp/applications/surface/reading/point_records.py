@@ -17,8 +17,6 @@ from hpcapp.applications.surface.types.points import ByteArray, PointCloud
 from hpccomponent.errors import InputError
 from hpccomponent.protocol.records import record
 
-__all__ = ["Column", "PointRecords", "colour_type"]
-
 Column = tuple[int, str]
 """Where in a record a number stands, in bytes, and its numpy type with the byte order."""
 

@@ -8,8 +8,6 @@ from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.reading.validity import Reach
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 
-__all__ = ["EvenSample", "drop_far", "even_step", "find_reach"]
-
 _SAMPLE = 20_000
 _CORE = (0.02, 0.98)  # quantiles of each coordinate
 _CORES = 100.0  # longest sides of the core: beyond them lie markers, not measurements

@@ -21,8 +21,6 @@ from hpcapp.applications.surface.types.points import FloatArray, IntArray, Point
 from hpcapp.io.points.point_source import SCAN, Scan
 from hpccomponent.errors import InputError
 
-__all__ = ["AGREEING", "PairOfScans", "check_registration", "compare_scans"]
-
 Samples = Mapping[int, tuple[FloatArray, FloatArray]]
 
 _CELLS = (5.0, 20.0)  # spacings of the sparsest scan: edges, the first that tell anything decide

@@ -32,16 +32,6 @@ from hpcapp.applications.surface.types.result_patterns import SMALL_BYTES
 from hpccomponent.protocol.records import record
 from hpccomponent.runtime.tasks import declare
 
-__all__ = [
-    "FilePoints",
-    "FileRange",
-    "SentRange",
-    "arrange_range",
-    "bound_range",
-    "survey_range",
-    "unite_boxes",
-]
-
 _AT_ONCE = 1 << 16  # points: what is made of them stays in the cache
 _NOWHERE = np.zeros((0, 3))
 

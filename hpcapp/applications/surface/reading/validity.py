@@ -9,8 +9,6 @@ import numpy as np
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, PointCloud
 from hpccomponent.protocol.records import record
 
-__all__ = ["Dropped", "Reach", "are_usable", "select_usable"]
-
 _TINY = 1e-200  # square of a length: far from where squares are lost
 _CHUNK = 1 << 14  # normals at once: what is made of them stays in the cache
 

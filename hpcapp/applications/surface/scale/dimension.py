@@ -19,8 +19,6 @@ import numpy as np
 
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray
 
-__all__ = ["FEWEST", "Neighbourhoods", "choose_counts", "look_around"]
-
 FEWEST = 15
 """Neighbours that tell their spread."""
 

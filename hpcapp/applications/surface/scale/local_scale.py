@@ -33,17 +33,6 @@ from hpcapp.applications.surface.types.lattice import (
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpccomponent.protocol.records import record
 
-__all__ = [
-    "LEAST",
-    "LocalScale",
-    "ScaleCounts",
-    "count_depth",
-    "count_scale",
-    "double_cells",
-    "make_scale",
-    "merge_scale_counts",
-]
-
 HALVINGS = 2
 """So often a block is halved for the finest cells."""
 

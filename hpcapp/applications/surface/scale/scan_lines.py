@@ -39,16 +39,6 @@ from hpcapp.applications.surface.types.lattice import (
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
 from hpccomponent.protocol.records import record
 
-__all__ = [
-    "SHARE",
-    "GapBoxes",
-    "count_narrow",
-    "find_gaps",
-    "find_spare",
-    "keep_lines",
-    "measure_spread",
-]
-
 _GROWTH = 1.5  # powers of two: half way between a line and a surface
 _ACROSS = 2.0**0.5  # gaps: edge of the boxes at that growth, of lines all one gap apart
 _BOX = 0.5  # gaps: edge of the boxes of which one point is kept

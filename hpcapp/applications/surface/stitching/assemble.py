@@ -15,15 +15,13 @@ from hpcapp.applications.surface.extraction.part_places import (
     place_faces,
     place_vertices,
 )
-from hpcapp.applications.surface.extraction.parts import Int32Array, MeshPart
+from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.stitching.plan import StitchingPlan
 from hpcapp.applications.surface.stitching.tile_ply import cut_tile
 from hpcapp.applications.surface.types.lattice import unique_keys
 from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
+from hpcapp.applications.surface.types.points import FloatArray, Int32Array, IntArray, PointCloud
 from hpcapp.io import MeshStream
-
-__all__ = ["LoadPart", "assemble_mesh", "stream_mesh", "stream_tiles", "take_tile"]
 
 LoadPart = Callable[[int], MeshPart]
 

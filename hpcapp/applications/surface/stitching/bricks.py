@@ -15,9 +15,6 @@ from hpcapp.applications.surface.types.lattice import find_keys, unique_keys, un
 from hpcapp.applications.surface.types.points import IntArray
 from hpccomponent.errors import JobError
 
-__all__ = ["PartBricks", "check_foreign", "collect_bricks", "join_labels", "missing_bricks"]
-
-
 Integers = IntArray | NDArray[np.int32]
 
 

@@ -23,8 +23,6 @@ from hpcapp.applications.surface.types.lattice import number_keys, pack_places
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
 from hpcapp.io.meshes.mesh_stream import MeshStream
 
-__all__ = ["BOX", "SmallHandles", "find_small_handles"]
-
 BOX = 8.0
 """Sides of faces: the edge of the boxes that a handle must fit into to be small. See
 ``benchmarks/decisions.py``."""

@@ -21,8 +21,6 @@ from hpcapp.applications.surface.stitching.topology import Topology, count_loops
 from hpcapp.applications.surface.types.lattice import find_first, find_keys, number_keys
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
 
-__all__ = ["Components", "judge_parts"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Components:

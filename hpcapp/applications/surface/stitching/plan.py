@@ -19,14 +19,11 @@ from hpcapp.applications.surface.stitching.bricks import (
     check_foreign,
     collect_bricks,
     join_labels,
-    missing_bricks,
 )
 from hpcapp.applications.surface.stitching.part_topology import Components, judge_parts
 from hpcapp.applications.surface.stitching.topology import Topology
 from hpcapp.applications.surface.types.lattice import unique_keys
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
-
-__all__ = ["StitchingPlan", "missing_bricks", "plan_stitching"]
 
 SMALL_SIZES = ((0.02, 0.0), (0.002, 0.5), (0.0005, 0.75))
 """A component stays that has so many faces, by those of the largest one, and of whose vertices so

@@ -32,19 +32,6 @@ from hpccomponent.protocol.records import record
 from hpccomponent.runtime.tasks import declare
 from hpccomponent.store.places import hold_store
 
-__all__ = [
-    "FACE_SIZE",
-    "SharedPly",
-    "coordinate_lines",
-    "face_rows",
-    "mesh_header",
-    "ply_header",
-    "vertex_rows",
-    "vertex_size",
-    "write_kept",
-    "write_part",
-]
-
 _CORNERS = np.dtype("V12")  # three int32, moved as one
 _FACE = np.dtype([("n", "u1"), ("corners", _CORNERS)])
 

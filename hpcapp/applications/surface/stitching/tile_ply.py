@@ -23,8 +23,6 @@ from hpccomponent.files.checksum import note_written
 from hpccomponent.runtime.tasks import declare
 from hpccomponent.store.places import hold_store
 
-__all__ = ["cut_tile", "write_kept_tile"]
-
 
 def cut_tile(
     part: MeshPart, places: PartPlaces, locate: Callable[[IntArray], FloatArray]

@@ -15,8 +15,6 @@ from hpcapp.applications.surface.types.lattice import number_keys
 from hpcapp.applications.surface.types.mesh import Mesh, Survey
 from hpcapp.applications.surface.types.points import IntArray
 
-__all__ = ["Topology", "check_mesh", "count_loops", "signed_volume"]
-
 
 @dataclass(frozen=True, slots=True)
 class Topology:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from hpcapp.applications.surface.tiles.prepared import PreparedTile
 
-__all__ = ["TileCache"]
-
 
 class TileCache:
     """Prepared tiles by their tickets, the oldest given up first.

@@ -26,16 +26,6 @@ from hpcapp.applications.surface.types.lattice import find_keys, unpack_keys
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
 from hpcapp.applications.surface.types.rims import dilate, mark_rim
 
-__all__ = [
-    "cut_slab",
-    "halo_steps",
-    "mark_near",
-    "near_bricks",
-    "plan_gap",
-    "plan_tile",
-    "plan_whole",
-]
-
 
 def halo_steps(grid: Grid) -> int:
     """Return how far a point of a tile may be from a node of its bricks or rim, in grid steps."""

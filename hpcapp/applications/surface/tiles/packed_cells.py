@@ -31,8 +31,6 @@ from hpcapp.applications.surface.types.points import (
     IntArray,
 )
 
-__all__ = ["PackedRows", "sort_tile"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PackedRows:

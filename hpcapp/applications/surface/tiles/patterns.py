@@ -35,7 +35,6 @@ from hpcapp.applications.surface.types.result_patterns import (
     rise_by_pairs,
 )
 from hpccomponent.protocol.declared import (
-    Array,
     Declared,
     Exactly,
     Fixed,
@@ -45,22 +44,7 @@ from hpccomponent.protocol.declared import (
     Where,
     Whole,
 )
-
-__all__ = [
-    "MOST_FACES",
-    "MOST_VERTICES",
-    "are_bounds",
-    "coarse_lattice",
-    "far_field",
-    "kept_part",
-    "part_surface",
-    "summed_bytes",
-    "summed_tile",
-    "surface_box",
-    "surface_bytes",
-    "tile_surface",
-    "whole_numbers",
-]
+from hpccomponent.protocol.declared_arrays import Array
 
 MOST_VERTICES, MOST_FACES = 3 * BRICK**3, 5 * BRICK**3
 """Of a brick: a vertex on each edge, five faces in each cell.

@@ -20,8 +20,6 @@ from hpcapp.applications.surface.types.grid import BrickStrides, Grid
 from hpcapp.applications.surface.types.points import Float32Array, FloatArray, IntArray
 from hpccomponent.protocol.records import record
 
-__all__ = ["CoarseLattice", "CoarseLevels", "Plan", "Samples"]
-
 
 @record("surface.plan")
 @dataclass(frozen=True, slots=True, eq=False)

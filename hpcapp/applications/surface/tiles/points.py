@@ -31,15 +31,6 @@ from hpcapp.applications.surface.types.lattice import (
 from hpcapp.applications.surface.types.points import ByteArray, FloatArray, IntArray
 from hpccomponent.protocol.records import record
 
-__all__ = [
-    "CellPoints",
-    "PointsThere",
-    "TilePoints",
-    "estimate_work",
-    "pack_cells",
-    "take_points",
-]
-
 _BYTES_PER_POINT = 24.0
 _NO_GROUP = np.uint8(255)
 

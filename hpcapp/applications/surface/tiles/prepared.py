@@ -25,8 +25,6 @@ from hpcapp.applications.surface.tiles.points import CellPoints, TilePoints, tak
 from hpcapp.applications.surface.types.grid import BrickKinds
 from hpcapp.applications.surface.types.points import BoolArray, IntArray
 
-__all__ = ["PreparedTile", "finish", "lay_corners"]
-
 Found = TypeVar("Found")
 Corners = list[IntArray]
 Laid = tuple[BrickKinds | None, Corners]

@@ -28,8 +28,6 @@ from hpcapp.applications.surface.types.lattice import unique_keys
 from hpcapp.applications.surface.types.mesh import BrickMesh
 from hpcapp.applications.surface.types.points import IntArray
 
-__all__ = ["SLAB_QUADRICS", "cut_slabs", "grow_slabs", "grow_tile"]
-
 SLAB_QUADRICS = 1_000_000
 """Of the finest level, in a slab: 0.1 GB with what their fits take."""
 

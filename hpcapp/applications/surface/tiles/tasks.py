@@ -58,16 +58,6 @@ from hpccomponent.runtime.background import worker_background
 from hpccomponent.runtime.tasks import declare
 from hpccomponent.store.places import hold_store
 
-__all__ = [
-    "KEPT_TILES",
-    "find_far",
-    "mesh_gap",
-    "mesh_tile",
-    "sample_cells",
-    "solve_far",
-    "sum_tile",
-]
-
 _NO_LEVEL = FieldLevel(
     np.empty(0, np.int64), np.empty((0, BASIS), np.float32), np.empty(0, np.float32)
 )

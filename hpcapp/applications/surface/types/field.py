@@ -9,8 +9,6 @@ import numpy as np
 from hpcapp.applications.surface.types.points import ByteArray, Float32Array, FloatArray, IntArray
 from hpccomponent.protocol.records import record
 
-__all__ = ["CHANNELS", "PIECES", "FarField", "Features", "Field", "FieldLevel"]
-
 CHANNELS = 12
 """Ten coefficients, presence and trust of a vertex."""
 

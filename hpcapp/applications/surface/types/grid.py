@@ -10,11 +10,6 @@ from hpcapp.applications.surface.types.lattice import find_keys, pack_places, un
 from hpcapp.applications.surface.types.points import ByteArray, FloatArray, IntArray
 from hpccomponent.protocol.records import record
 
-__all__ = [
-    "BESIDE", "BRICK", "FOREIGN", "MOST_SHIFT", "NODES", "OPEN", "OUT", "OWN",
-    "BrickKinds", "BrickStrides", "Grid",
-]  # fmt: skip
-
 MOST_SHIFT = 3
 """Of a stride of one brick, as a power of two."""
 

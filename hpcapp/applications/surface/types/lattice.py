@@ -15,31 +15,6 @@ from numpy.typing import NDArray
 from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
 from hpccomponent.errors import InputError
 
-__all__ = [
-    "BITS",
-    "NEIGHBOURS",
-    "OCTANTS",
-    "ancestor_keys",
-    "are_sampled",
-    "cells_of",
-    "corner_parents",
-    "find_first",
-    "find_keys",
-    "find_layers",
-    "keys_lie_within",
-    "lay_lattice",
-    "merge_counts",
-    "number_keys",
-    "pack_places",
-    "shift_within",
-    "shuffle_keys",
-    "spread_keys",
-    "step_keys",
-    "unique_keys",
-    "unite_keys",
-    "unpack_keys",
-]
-
 KeyT = TypeVar("KeyT", np.int64, np.int32)
 
 BITS = 21

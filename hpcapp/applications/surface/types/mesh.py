@@ -17,8 +17,6 @@ from hpcapp.applications.surface.types.points import (
     IntArray,
 )
 
-__all__ = ["BrickMesh", "BrickSums", "Mesh", "Seams", "Survey"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:

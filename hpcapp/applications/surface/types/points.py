@@ -9,16 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "BoolArray",
-    "ByteArray",
-    "Float32Array",
-    "FloatArray",
-    "Int32Array",
-    "IntArray",
-    "PointCloud",
-]
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Float32Array = NDArray[np.float32]

@@ -14,23 +14,8 @@ from numpy.typing import NDArray
 
 from hpcapp.applications.surface.types.lattice import keys_lie_within, pack_places, shift_within
 from hpcapp.applications.surface.types.points import FloatArray, IntArray
-from hpccomponent.protocol.declared import Array, Declared, Fixed, Flag, Where, Whole
-
-__all__ = [
-    "BOX",
-    "SMALL_BYTES",
-    "WRITTEN",
-    "Box",
-    "are_units",
-    "bounds_some",
-    "cells_in",
-    "is_share",
-    "keys_within",
-    "lie_in",
-    "lie_within",
-    "rise_by_pairs",
-    "sampled_boxes",
-]
+from hpccomponent.protocol.declared import Declared, Fixed, Flag, Where, Whole
+from hpccomponent.protocol.declared_arrays import Array
 
 SMALL_BYTES = 1 << 16
 """Of results whose size does not depend on the points."""

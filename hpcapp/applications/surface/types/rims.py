@@ -9,8 +9,6 @@ import numpy as np
 from hpcapp.applications.surface.types.grid import BRICK
 from hpcapp.applications.surface.types.points import BoolArray, ByteArray
 
-__all__ = ["dilate", "mark_rim"]
-
 Array = TypeVar("Array", BoolArray, ByteArray)
 
 

@@ -18,7 +18,8 @@ from hpcapp.applications.compare.truth import (
     Truth,
     sample_mesh,
 )
-from hpcapp.applications.simulate.shapes import SHAPES, diagonal_of
+from hpcapp.applications.simulate.implicit import diagonal_of
+from hpcapp.applications.simulate.shapes import SHAPES
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 

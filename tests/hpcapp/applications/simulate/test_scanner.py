@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from hpcapp.applications.simulate.scanner import ScanSettings, sample_surface, simulate_scan
-from hpcapp.applications.simulate.shapes import SHAPES, Shape, diagonal_of
+from hpcapp.applications.simulate.implicit import Shape, diagonal_of
+from hpcapp.applications.simulate.scanner import sample_surface, simulate_scan
+from hpcapp.applications.simulate.settings import ScanSettings
+from hpcapp.applications.simulate.shapes import SHAPES
 from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpccomponent.errors import UsageError
 

@@ -8,14 +8,9 @@ from scipy.spatial import KDTree
 from skimage.measure import marching_cubes
 
 from hpcapp.applications.simulate import fields, outlines, reliefs, solids
+from hpcapp.applications.simulate.implicit import ImplicitShape, Shape, diagonal_of
 from hpcapp.applications.simulate.rays import closest_points, cross_rays, sample_lines, unit_vectors
-from hpcapp.applications.simulate.shapes import (
-    SHAPES,
-    ImplicitShape,
-    Shape,
-    diagonal_of,
-    find_shape,
-)
+from hpcapp.applications.simulate.shapes import SHAPES, find_shape
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import FloatArray

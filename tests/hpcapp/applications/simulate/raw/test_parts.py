@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.compare.nearest import face_normals
+from hpcapp.applications.simulate.implicit import diagonal_of
 from hpcapp.applications.simulate.raw.parts import (
     HeightField,
     Part,
@@ -14,7 +15,7 @@ from hpcapp.applications.simulate.raw.parts import (
     make_model,
     make_trunks,
 )
-from hpcapp.applications.simulate.shapes import SHAPES, diagonal_of
+from hpcapp.applications.simulate.shapes import SHAPES
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.applications.surface.types.points import FloatArray
 

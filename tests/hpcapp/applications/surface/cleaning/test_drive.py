@@ -10,9 +10,10 @@ import pytest
 from shared_data import shared
 
 from hpcapp.api.reconstruction import reconstruct
+from hpcapp.applications.simulate.implicit import diagonal_of
 from hpcapp.applications.simulate.scanner import simulate_scan
 from hpcapp.applications.simulate.settings import ScanSettings
-from hpcapp.applications.simulate.shapes import SHAPES, diagonal_of
+from hpcapp.applications.simulate.shapes import SHAPES
 from hpcapp.applications.surface.cleaning.drive import Cleaned, drop_strays, mend_normals
 from hpcapp.applications.surface.cloud import arranged as arranged_cloud
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud

@@ -12,9 +12,10 @@ from passes import alone
 
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
 from hpcapp.applications.surface.job.load import Loaded, PointFolder, load
-from hpcapp.applications.surface.job.run import JobSettings, run_job
+from hpcapp.applications.surface.job.run import run_job
 from hpcapp.applications.surface.normals.sides import orient_cloud
 from hpcapp.applications.surface.paper.settings import Paper
+from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.applications.surface.viewpoint import Viewpoint
 from hpcapp.io import write_points

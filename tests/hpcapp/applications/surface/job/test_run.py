@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
-from hpcapp.applications.surface.job.run import JobSettings, run_job
+from hpcapp.applications.surface.job.run import run_job
 from hpcapp.applications.surface.method import MethodSettings
 from hpcapp.applications.surface.paper.settings import Paper
+from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.io import read_mesh, write_mesh, write_points

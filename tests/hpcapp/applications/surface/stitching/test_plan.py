@@ -22,12 +22,8 @@ from hypothesis import strategies as st
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.extraction.summary import summarize_part
 from hpcapp.applications.surface.stitching.assemble import assemble_mesh
-from hpcapp.applications.surface.stitching.plan import (
-    StitchingPlan,
-    find_large,
-    missing_bricks,
-    plan_stitching,
-)
+from hpcapp.applications.surface.stitching.bricks import missing_bricks
+from hpcapp.applications.surface.stitching.plan import StitchingPlan, find_large, plan_stitching
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.applications.surface.types.lattice import unpack_keys
 from hpcapp.applications.surface.types.mesh import Mesh
