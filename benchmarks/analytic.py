@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import hpcapp
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 
 SEMI_AXES = np.array([1.0, 0.8, 0.6])
 MAJOR, MINOR = 1.0, 0.4

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 from hpcapp.io import open_points
 
 HEIGHT, WAVES = 0.08, 7.0

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hpcapp.applications.compare.truth import MeshTruth, ShapeTruth, Truth, read_mesh_at
-from hpcapp.applications.simulate.scanner import simulate_scan
-from hpcapp.applications.simulate.settings import ScanSettings
-from hpcapp.applications.simulate.shapes import find_shape
 from hpcapp.io import write_points
+from hpcapp.lab.simulate.scanner import simulate_scan
+from hpcapp.lab.simulate.settings import ScanSettings
+from hpcapp.lab.simulate.shapes import find_shape
 from hpccomponent.errors import UsageError
 
 

@@ -44,9 +44,9 @@ from hpcapp.applications.surface.normals.readings import (
 from hpcapp.applications.surface.reading.reach import drop_far
 from hpcapp.applications.surface.stitching.handles import BOX, find_small_handles
 from hpcapp.applications.surface.stitching.topology import check_mesh
-from hpcapp.applications.surface.types.lattice import lay_lattice
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.lattice import lay_lattice
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import drop_unusable, open_points, read_whole
 from hpcapp.io.meshes.mesh_stream import as_stream
 

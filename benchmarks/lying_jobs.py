@@ -24,11 +24,11 @@ sys.path.insert(0, str(HELPERS))
 from lying_tasks import TASKS, list_tasks  # noqa: E402
 from standing import StandingCluster, StandingDask  # noqa: E402
 
-from hpcapp.applications.simulate.scanner import simulate_scan  # noqa: E402
-from hpcapp.applications.simulate.settings import ScanSettings  # noqa: E402
-from hpcapp.applications.simulate.shapes import SHAPES  # noqa: E402
-from hpcapp.applications.surface.types.points import PointCloud  # noqa: E402
+from hpcapp.geometry.points import PointCloud  # noqa: E402
 from hpcapp.io import write_points  # noqa: E402
+from hpcapp.lab.simulate.scanner import simulate_scan  # noqa: E402
+from hpcapp.lab.simulate.settings import ScanSettings  # noqa: E402
+from hpcapp.lab.simulate.shapes import SHAPES  # noqa: E402
 
 SUBJECTS = ("reading", "cloud", "cleaning", "normals", "tiles")
 LIES = ("zero", "plus one", "times 1.001", "failure")

@@ -22,7 +22,7 @@ from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
 from hpcapp.applications.surface.cloud.measure import measure_spacing
 from hpcapp.applications.surface.normals.drive import turn_normals
 from hpcapp.applications.surface.normals.sensor import Sensor
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import open_points, read_whole
 
 COLUMNS = ["scan", "points", "right, %", "sure, %", "right of the sure, %", "CPU s"]

@@ -15,7 +15,7 @@ import numpy as np
 import hpcapp
 from hpcapp.applications.surface.cloud.spacing import estimate_spacing
 from hpcapp.applications.surface.reading.registration import compare_scans
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 
 SHAPES = ("bust", "torus", "knot", "gear", "box")
 NOISES = (0.0, 0.3)  # spacings

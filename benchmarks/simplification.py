@@ -18,8 +18,8 @@ import numpy as np
 import open3d
 
 from hpcapp.applications.surface.stitching.topology import check_mesh
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import FloatArray
 from hpcapp.io import read_mesh
 from hpcapp.simplification.mesh import Target, simplify_mesh
 

@@ -25,11 +25,11 @@ from pathlib import Path
 import numpy as np
 
 import hpcapp
-from hpcapp.applications.simulate.scanner import simulate_scan
-from hpcapp.applications.simulate.settings import ScanSettings
-from hpcapp.applications.simulate.shapes import SHAPES
 from hpcapp.communicator.executor import CommunicatorExecutor
 from hpcapp.communicator.scheduling.verification import Verification
+from hpcapp.lab.simulate.scanner import simulate_scan
+from hpcapp.lab.simulate.settings import ScanSettings
+from hpcapp.lab.simulate.shapes import SHAPES
 from hpccomponent.protocol.connection import write_connection
 
 FACTOR = 1.001

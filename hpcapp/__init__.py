@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from hpcapp.api.simulation import simulate
     from hpcapp.applications.surface.hierarchical.settings import Hierarchical
     from hpcapp.applications.surface.paper.settings import Paper
-    from hpcapp.applications.surface.types.points import PointCloud
     from hpcapp.backends.selection import open_executor
     from hpcapp.cancellation import Cancellation
+    from hpcapp.geometry.points import PointCloud
     from hpcapp.io import read_points, write_points
     from hpccomponent.errors import (
         HpcError,
@@ -71,7 +71,7 @@ _HOMES = {
     "hpcapp.api.simulation": ("simulate",),
     "hpcapp.applications.surface.hierarchical.settings": ("Hierarchical",),
     "hpcapp.applications.surface.paper.settings": ("Paper",),
-    "hpcapp.applications.surface.types.points": ("PointCloud",),
+    "hpcapp.geometry.points": ("PointCloud",),
     "hpcapp.backends.selection": ("open_executor",),
     "hpcapp.cancellation": ("Cancellation",),
     "hpcapp.io": ("read_points", "write_points"),

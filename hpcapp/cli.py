@@ -26,13 +26,13 @@ from hpccomponent.verbosity import Verbosity, set_verbosity
 # The verbs that ship; named here so that finding them costs no search through installed packages.
 SHIPPED = {
     "reconstruct": "hpcapp.applications.surface.command:reconstruct",
-    "simulate": "hpcapp.applications.simulate.command:simulate",
+    "simulate": "hpcapp.lab.simulate.command:simulate",
     "info": "hpcapp.applications.points.command:info",
     "convert": "hpcapp.applications.points.command:convert",
     "simplify": "hpcapp.simplification.command:simplify",
     "view": "hpcapp.applications.view.command:view",
     "compare": "hpcapp.applications.compare.command:compare",
-    "reproduce": "hpcapp.applications.reproduce.command:reproduce",
+    "reproduce": "hpcapp.lab.reproduce.command:reproduce",
 }
 EXIT_FAILED, EXIT_USAGE = 1, 2
 # The verbs as help shows them; those of a plug-in come last.

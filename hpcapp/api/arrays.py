@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hpcapp.applications.surface.types.points import ByteArray, FloatArray, IntArray, PointCloud
+from hpcapp.geometry.points import ByteArray, FloatArray, IntArray, PointCloud
 from hpcapp.io import drop_unusable
 from hpcapp.io.frame import to_local
 from hpccomponent.errors import InputError, UsageError

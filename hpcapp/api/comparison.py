@@ -14,8 +14,8 @@ from hpcapp.api.arrays import check_cloud
 from hpcapp.api.mesh import Mesh, unwrap_mesh
 from hpcapp.applications.compare.metrics import F_THRESHOLDS, Measures, as_json, measure_mesh
 from hpcapp.applications.compare.truth import MeshTruth, PointTruth, Truth, check_usable, open_truth
-from hpcapp.applications.surface.types import mesh as plain
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry import mesh as plain
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import formats
 from hpccomponent.errors import InputError
 from hpccomponent.ranges import check_range

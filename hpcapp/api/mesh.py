@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hpcapp.api.arrays import check_colours, check_column, check_faces, check_rows
-from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.stitching.topology import Topology, check_mesh, signed_volume
-from hpcapp.applications.surface.types import mesh as plain
-from hpcapp.applications.surface.types.points import ByteArray, FloatArray, IntArray, PointCloud
+from hpcapp.geometry import mesh as plain
+from hpcapp.geometry.bounds import bound_points
+from hpcapp.geometry.points import ByteArray, FloatArray, IntArray, PointCloud
 from hpcapp.io import formats
 from hpcapp.io.crs import UNKNOWN, Crs
 from hpcapp.io.frame import to_local

@@ -36,13 +36,13 @@ from hpcapp.applications.surface.method import MAX_GRID, MIN_GRID, MethodSetting
 from hpcapp.applications.surface.methods import DEFAULT_METHOD, find_method
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.options import option_names
-from hpcapp.applications.surface.reading.validity import Dropped
 from hpcapp.applications.surface.settings import JobSettings, Settings
-from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.applications.surface.viewpoint import Viewpoint, parse_viewpoint
 from hpcapp.cancellation import Cancellation
 from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY
 from hpcapp.communicator.scheduling.verification import Verification, attempt, repeat_until_trusted
+from hpcapp.geometry.points import PointCloud
+from hpcapp.geometry.validity import Dropped
 from hpcapp.io.points.inputs import find_paths, gather_points
 from hpcapp.io.points.survey import is_flown_over
 from hpcapp.io.points.usable import refuse_too_few

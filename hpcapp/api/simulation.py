@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Literal
 
-from hpcapp.applications.simulate.scanner import simulate_scan
-from hpcapp.applications.simulate.settings import ScanSettings
-from hpcapp.applications.simulate.shapes import find_shape
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
+from hpcapp.lab.simulate.scanner import simulate_scan
+from hpcapp.lab.simulate.settings import ScanSettings
+from hpcapp.lab.simulate.shapes import find_shape
 
 
 def simulate(

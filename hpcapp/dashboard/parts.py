@@ -6,7 +6,7 @@ import struct
 
 import numpy as np
 
-from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.geometry.mesh import Mesh
 from hpcapp.pages.arrays import quantise
 from hpcapp.pages.thin import thin_mesh
 from hpcapp.progress import MeshPart

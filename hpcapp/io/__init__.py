@@ -5,7 +5,7 @@ renamed. Only this package knows formats, and imports one when a file of it is r
 imports `hpccomponent` and nothing else of ours.
 """
 
-from hpcapp.applications.surface.reading.validity import Dropped
+from hpcapp.geometry.validity import Dropped
 from hpcapp.io.formats import (
     FOLDER_SUFFIXES,
     MESH_SUFFIXES,

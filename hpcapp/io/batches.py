@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
 
 
 def batch_points(parts: Iterable[PointCloud], rows: int) -> Iterator[PointCloud]:

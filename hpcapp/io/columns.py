@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.types.points import IntArray
+from hpcapp.geometry.points import IntArray
 
 Numbers = NDArray[np.number | np.bool_]
 """Numbers of any type."""

@@ -11,8 +11,8 @@ from typing import Literal
 
 import numpy as np
 
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io.crs import Crs
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.points.point_source import PointSource, Scan, read_whole, translated

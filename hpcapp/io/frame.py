@@ -10,8 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from hpcapp.applications.surface.kernels import bound_points
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.bounds import bound_points
+from hpcapp.geometry.points import FloatArray, PointCloud
 
 FAR_IN_DIAGONALS = 10.0
 """Coordinates beyond so many diagonals of the bounding box count as georeferenced."""

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from hpccomponent.errors import OutputError, UsageError
 
 if TYPE_CHECKING:
-    from hpcapp.applications.surface.types.mesh import Mesh
-    from hpcapp.applications.surface.types.points import PointCloud
+    from hpcapp.geometry.mesh import Mesh
+    from hpcapp.geometry.points import PointCloud
     from hpcapp.io.crs import Crs
     from hpcapp.io.meshes.mesh_stream import MeshStream
     from hpcapp.io.points.point_source import PointSource, Scan

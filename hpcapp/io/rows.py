@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 from hpcapp.io.columns import Numbers
 from hpccomponent.errors import InputError
 

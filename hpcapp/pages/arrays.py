@@ -16,7 +16,7 @@ import gzip
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 
 Packable = NDArray[np.uint8 | np.uint16 | np.uint32]
 

@@ -10,8 +10,8 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta
 
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import IntArray
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import IntArray
 from hpcapp.pages.scene import Field, label_field
 from hpccomponent.errors import InputError
 from hpccomponent.foreign_json import convert

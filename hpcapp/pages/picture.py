@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import PointCloud
 from hpcapp.pages.drawing.camera import look_along
 from hpcapp.pages.drawing.scale_bar import add_scale_bar
 from hpcapp.pages.png import write_png

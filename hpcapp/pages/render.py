@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import ByteArray
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import ByteArray
 from hpcapp.pages.drawing.camera import Camera, Screen, aim, look_along
 from hpcapp.pages.drawing.depth_buffer import DepthBuffer, find_rows
 from hpcapp.pages.drawing.light import GREY, light_normals

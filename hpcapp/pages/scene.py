@@ -9,9 +9,9 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.kernels import bound_points
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.bounds import bound_points
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.pages.arrays import Packable, pack_array, quantise
 
 MOST_POINTS = 200_000

@@ -10,9 +10,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hpcapp.applications.surface.types.lattice import pack_places
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
+from hpcapp.geometry.lattice import pack_places
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 
 MOST_FACES = 2_000_000

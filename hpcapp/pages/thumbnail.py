@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.types.points import ByteArray, FloatArray, PointCloud
+from hpcapp.geometry.points import ByteArray, FloatArray, PointCloud
 from hpcapp.pages.drawing.camera import (
     SAMPLES,
     Camera,

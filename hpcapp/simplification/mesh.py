@@ -9,8 +9,8 @@ from math import frexp, inf
 import numpy as np
 
 from hpcapp.applications.surface import kernels
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import FloatArray, IntArray
 from hpccomponent.errors import UsageError
 
 log = logging.getLogger("hpcapp")

@@ -7,7 +7,7 @@ from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
-from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.geometry.mesh import Mesh
 from hpcapp.io import FOLDER_SUFFIXES, write_mesh
 from hpcapp.io.crs import Crs
 from hpcapp.io.meshes.mesh_stream import as_stream

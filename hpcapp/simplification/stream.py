@@ -15,8 +15,8 @@ from tempfile import TemporaryFile
 
 import numpy as np
 
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import FloatArray, IntArray
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.simplification.mesh import Target, simplify_faces, simplify_mesh, unite_vertices
 

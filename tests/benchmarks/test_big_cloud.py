@@ -8,7 +8,7 @@ import big_cloud
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io import open_points, read_points, write_points
 
 

@@ -21,9 +21,9 @@ from peers import (
 )
 from skimage.measure import marching_cubes
 
-from hpcapp.applications.simulate.settings import ScanSettings
-from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.geometry.mesh import Mesh
 from hpcapp.io import read_points, write_mesh
+from hpcapp.lab.simulate.settings import ScanSettings
 from hpccomponent.errors import UsageError
 
 SMALL = SimulatedCloud("sphere-small", "clean", "sphere", ScanSettings(points=500))

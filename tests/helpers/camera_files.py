@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 
 Write = Callable[[FloatArray, FloatArray], bytes]
 """Makes the file of cameras at places, which look at the origin of each row of `targets`."""

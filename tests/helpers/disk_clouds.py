@@ -8,7 +8,7 @@ import numpy as np
 
 from hpcapp.applications.surface.cloud.arrangement import Arrangement, pack_points, unpack_points
 from hpcapp.applications.surface.cloud.disk import DiskCloud, Part, write_index, write_part
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 
 
 class DiskCloudWriter:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.applications.surface.types.grid import Grid
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.geometry.points import FloatArray, IntArray
 
 StartComponent = Callable[..., "subprocess.Popen[str]"]
 StartCommand = Callable[..., "subprocess.Popen[str]"]

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from skimage import measure
 
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import FloatArray
 
 Field = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 

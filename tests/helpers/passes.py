@@ -11,8 +11,8 @@ from hpcapp.applications.surface.cloud.arranged import MemoryCloud, arrange_clou
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
 from hpcapp.applications.surface.cloud.folder_pass import FolderPass, make_cloud_folder
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
-from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.backends.serial import SerialExecutor
+from hpcapp.geometry.points import PointCloud
 from hpcapp.workforce import Workforce
 
 

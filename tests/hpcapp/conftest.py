@@ -19,8 +19,8 @@ import zmq
 from standing import StandingDask, StartDask
 from stopping import SITECUSTOMIZE
 
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.cli import _run
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import write_points
 from hpccomponent.verbosity import Verbosity, set_verbosity
 

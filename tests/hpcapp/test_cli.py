@@ -18,8 +18,8 @@ from process_tree import are_gone
 from stopping import await_stop, go_on
 
 from hpcapp import cli
-from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.cli import main
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io import read_mesh
 from hpccomponent.errors import CloudError, ConfigError, TaskError
 from hpccomponent.terminal import echo

@@ -13,14 +13,14 @@ from lies import LIES
 from lying_tasks import TASKS
 from standing import StandingCluster, StartCluster
 
-from hpcapp.applications.simulate.scanner import simulate_scan
-from hpcapp.applications.simulate.settings import ScanSettings
-from hpcapp.applications.simulate.shapes import SHAPES
 from hpcapp.applications.surface.job.run import run_job
 from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.backends.selection import open_executor
 from hpcapp.communicator.scheduling.verification import Verification, attempt, repeat_until_trusted
 from hpcapp.io import write_points
+from hpcapp.lab.simulate.scanner import simulate_scan
+from hpcapp.lab.simulate.settings import ScanSettings
+from hpcapp.lab.simulate.shapes import SHAPES
 from hpcapp.progress import Progress
 from hpccomponent.errors import InputError
 

@@ -17,7 +17,7 @@ from fixture_types import StartCommand
 from process_tree import are_gone
 from standing import StartCluster
 
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io import write_points
 from hpccomponent.limits import control_groups, read_text
 

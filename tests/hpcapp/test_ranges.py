@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 import hpcapp
-from hpcapp.applications.simulate.raw.scan import RawSettings
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
 from hpcapp.applications.surface.paper.settings import Paper
 from hpcapp.applications.surface.settings import Settings
 from hpcapp.cli import hpcapp as command
+from hpcapp.lab.simulate.raw.scan import RawSettings
 from hpccomponent.errors import UsageError
 from hpccomponent.verb import Verb
 

@@ -11,8 +11,8 @@ import pytest
 from hpcapp.applications.surface.job.run import run_job
 from hpcapp.applications.surface.paper.settings import Paper
 from hpcapp.applications.surface.settings import JobSettings
-from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.backends.selection import open_executor
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io import write_points
 from hpcapp.progress import Progress, StageClock
 from hpcapp.timeline import ANY_WORKER, MASTER, Timeline

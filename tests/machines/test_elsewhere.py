@@ -16,8 +16,8 @@ from machines.openssh import start_sshd
 from standing import StartCluster
 
 from hpcapp import open_executor
-from hpcapp.applications.quadrature.application import estimate
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
+from hpcapp.lab.quadrature.application import estimate
 from hpccomponent.errors import CloudError
 from hpcdeploy.reconcile.cluster import open_cluster
 

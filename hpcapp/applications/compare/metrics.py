@@ -10,8 +10,8 @@ import numpy as np
 from hpcapp.applications.compare.nearest import NearestFace, face_normals
 from hpcapp.applications.compare.truth import Truth, sample_mesh
 from hpcapp.applications.surface.stitching.topology import Topology, check_mesh
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import FloatArray
 from hpcapp.progress import Progress, StageClock
 
 F_THRESHOLDS = (0.02, 0.1, 0.5)  # per cent of the diagonal

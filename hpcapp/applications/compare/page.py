@@ -9,7 +9,7 @@ from pathlib import Path
 
 from hpcapp.applications.compare.metrics import Measures
 from hpcapp.applications.compare.truth import Truth
-from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.geometry.mesh import Mesh
 from hpcapp.pages.page import Section, build_page, make_table
 from hpcapp.pages.scene import MOST_POINTS, Field, Scene, fields_of
 from hpcapp.pages.thin import thin_mesh

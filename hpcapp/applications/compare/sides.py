@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from hpcapp.applications.compare.nearest import face_normals
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import FloatArray, IntArray
 
 _ON = 1e-9  # a weight so small is none
 

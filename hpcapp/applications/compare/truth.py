@@ -12,15 +12,15 @@ from scipy.spatial import KDTree
 
 from hpcapp.applications.compare.nearest import ROUNDING, NearestFace, face_normals
 from hpcapp.applications.compare.sides import find_sides
-from hpcapp.applications.simulate.implicit import Shape, diagonal_of
-from hpcapp.applications.simulate.rays import closest_points
-from hpcapp.applications.simulate.scanner import sample_surface
-from hpcapp.applications.simulate.shapes import find_shape
-from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.stitching.topology import Topology, check_mesh
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.bounds import bound_points
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import holds_faces, open_points, read_mesh, read_points, take_finite
+from hpcapp.lab.simulate.implicit import Shape, diagonal_of
+from hpcapp.lab.simulate.rays import closest_points
+from hpcapp.lab.simulate.scanner import sample_surface
+from hpcapp.lab.simulate.shapes import find_shape
 from hpccomponent.errors import InputError
 
 SHAPE = "shape:"

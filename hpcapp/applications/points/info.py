@@ -10,9 +10,9 @@ from hpcapp.applications.points.noise import find_noise
 from hpcapp.applications.points.rejected import reject_points
 from hpcapp.applications.surface.cleaning.repeated import find_repeated
 from hpcapp.applications.surface.cloud.surface_check import find_no_surface_in
-from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.reading.reach import drop_far
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.bounds import bound_points
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import PointSource, drop_unusable, read_whole
 from hpcapp.io.frame import scale_heights
 from hpcapp.io.points.column_roles import tell_use

@@ -8,7 +8,7 @@ import numpy as np
 
 from hpcapp.applications.points.noise import find_noise
 from hpcapp.applications.surface.cloud.measured import find_scale
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.points import FloatArray, PointCloud
 
 _DOUBLINGS = 3.0  # of what is usual, up and down, from end to end of the colours
 _COLOURS = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)])

@@ -14,7 +14,7 @@ from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
 from hpcapp.applications.surface.reading.reach import drop_far
 from hpcapp.applications.surface.scale.local_scale import LocalScale
-from hpcapp.applications.surface.types.points import BoolArray, PointCloud
+from hpcapp.geometry.points import BoolArray, PointCloud
 from hpcapp.io import drop_unusable
 
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.cloud.spacing import estimate_spacing
-from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.method import TILE_POINTS, MethodSettings
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.bounds import bound_points
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io.registry import find_point_reader
 from hpccomponent.errors import HpcError, UsageError
 from hpccomponent.limits import available_memory

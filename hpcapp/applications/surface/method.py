@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from hpcapp.applications.surface.checkpoint import Checkpoint
     from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
     from hpcapp.applications.surface.surface import Surface
-    from hpcapp.applications.surface.types.points import PointCloud
+    from hpcapp.geometry.points import PointCloud
     from hpcapp.workforce import Workforce
 
 

@@ -17,7 +17,7 @@ from typing import Any
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, replace_points
 from hpcapp.applications.surface.method import Method
 from hpcapp.applications.surface.surface import Surface
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
 from hpcapp.progress import StageClock
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import UsageError

@@ -27,9 +27,9 @@ from hpcapp.applications.surface.stitching.shared_ply import write_kept, write_p
 from hpcapp.applications.surface.stitching.tile_ply import write_kept_tile
 from hpcapp.applications.surface.stitching.topology import Topology, check_mesh
 from hpcapp.applications.surface.tiles.patterns import kept_part
-from hpcapp.applications.surface.types.lattice import number_keys
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.geometry.lattice import number_keys
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import FloatArray, IntArray
 from hpcapp.io import describe_losses, needs_double, write_mesh
 from hpcapp.io.crs import Crs
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.stitching.topology import check_mesh
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.bounds import bound_points
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import (
     find_mesh_crs,
     holds_faces,

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 from hpcapp.io.cameras.poses import BACKWARDS, world_to_camera
 
 _NUMBERS = 15  # of a camera: f, k1, k2; three rows of R; t

@@ -10,7 +10,7 @@ import struct
 from pathlib import Path
 from typing import TextIO
 
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 from hpcapp.io.cameras.poses import FORWARDS, quaternion_matrices, world_to_camera
 
 _NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"

@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 from hpcapp.io.cameras.bundler import read_bundle
 from hpcapp.io.cameras.colmap import (
     find_colmap_part,

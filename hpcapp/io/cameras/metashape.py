@@ -14,7 +14,7 @@ from xml.parsers import expat
 
 import numpy as np
 
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 from hpcapp.io.cameras.poses import FORWARDS, camera_to_world, check_rotations
 
 _LONGEST_TEXT = 4096  # characters of 16 numbers

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray
+from hpcapp.geometry.points import BoolArray, FloatArray
 
 FORWARDS, BACKWARDS = 1.0, -1.0
 """Which end of its z axis a camera looks along: as in computer vision, or as in OpenGL."""

@@ -16,7 +16,7 @@ from xml.parsers import expat
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.types.points import ByteArray
+from hpcapp.geometry.points import ByteArray
 from hpccomponent.errors import InputError
 
 _HEADER = struct.Struct("<8sIIQQQQ")  # magic, version, size, place and length of the XML, page

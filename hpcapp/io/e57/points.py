@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hpcapp.applications.surface.types.points import FloatArray, Int32Array, PointCloud
 from hpcapp.extras import how_to_install
+from hpcapp.geometry.points import FloatArray, Int32Array, PointCloud
 from hpcapp.io.batches import batch_points
 from hpcapp.io.columns import Numbers
 from hpcapp.io.e57.document import Element, read_document, refuse

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 from hpcapp.io.e57.document import Element, refuse
 from hpcapp.io.e57.packets import hold_more
 from hpcapp.io.points.column_roles import COLOURS, find_role

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.extras import how_to_install
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io.columns import Numbers
 from hpcapp.io.frame import finite_bounds
 from hpcapp.io.points.usable import drop_non_finite

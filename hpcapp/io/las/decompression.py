@@ -10,8 +10,8 @@ from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 
-from hpcapp.applications.surface.types.points import ByteArray
 from hpcapp.extras import how_to_install
+from hpcapp.geometry.points import ByteArray
 from hpcapp.io.las.header import LasHeader
 from hpcapp.io.points.point_source import Findings
 from hpccomponent.decoding.laz import ONE_STREAM, read_items

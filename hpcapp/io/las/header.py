@@ -15,7 +15,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 from hpcapp.io.crs import Crs, parse_geokeys, parse_wkt
 from hpcapp.io.points.point_source import Findings
 from hpccomponent.errors import InputError

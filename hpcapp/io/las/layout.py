@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, PointCloud
+from hpcapp.geometry.points import BoolArray, FloatArray, PointCloud
 from hpcapp.io.columns import Numbers
 from hpcapp.io.las.header import LasHeader
 from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS, find_role

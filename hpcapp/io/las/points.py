@@ -11,7 +11,7 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.types.points import ByteArray, PointCloud
+from hpcapp.geometry.points import ByteArray, PointCloud
 from hpcapp.io.batches import batch_points
 from hpcapp.io.las.decompression import Take, find_library, open_decompressor
 from hpcapp.io.las.header import LasHeader, find_crs, read_header

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.extras import how_to_install
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io.columns import Numbers
 from hpcapp.io.crs import UNIT_CODES, Crs, parse_epsg
 from hpcapp.io.frame import finite_bounds

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io.columns import Numbers
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.staging import replacing

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import ByteArray, FloatArray
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import ByteArray, FloatArray
 from hpcapp.io.columns import Numbers
 from hpcapp.io.frame import to_local
 from hpccomponent.errors import InputError

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import FloatArray
 from hpcapp.io.columns import Ragged
 from hpcapp.io.crs import Crs
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream

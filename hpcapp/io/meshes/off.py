@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.geometry.mesh import Mesh
 from hpcapp.io.columns import Ragged
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.meshes.obj import comment_lines, coordinate_format

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import FloatArray
 from hpcapp.io.columns import Ragged, cut_fans
 from hpcapp.io.frame import to_local
 from hpccomponent.errors import InputError

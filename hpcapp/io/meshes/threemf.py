@@ -17,8 +17,8 @@ from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 import numpy as np
 
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import IntArray
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import IntArray
 from hpcapp.io.crs import METRES, Crs
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.rows import write_rows

@@ -21,8 +21,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import FloatArray, IntArray
 from hpcapp.io.batches import join_points
 from hpcapp.io.meshes.glb import say_frame, write_glb
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream, find_vertices, make_mesh

@@ -16,9 +16,9 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from hpcapp.applications.surface.stitching.shared_ply import vertex_rows
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.ply_rows import vertex_rows
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io.columns import Numbers
 from hpcapp.io.crs import Crs
 from hpcapp.io.frame import needs_double

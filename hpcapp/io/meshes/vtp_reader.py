@@ -16,7 +16,7 @@ from xml.etree import ElementTree as Xml
 
 import numpy as np
 
-from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.geometry.mesh import Mesh
 from hpcapp.io.columns import Numbers, Ragged
 from hpcapp.io.meshes.polygons import mesh_of_polygons
 from hpccomponent.errors import InputError

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 from hpcapp.io.columns import Numbers, Ragged, Rows
 from hpcapp.io.ply.header import Element, Header, Property
 from hpcapp.io.rows import Line, line_error, numbered, parse_table, take_lines

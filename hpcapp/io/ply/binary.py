@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.types.points import IntArray
+from hpcapp.geometry.points import IntArray
 from hpcapp.io.columns import Numbers, Ragged, Rows, positions_within
 from hpcapp.io.ply.header import Element, Header, Property
 from hpccomponent.errors import InputError

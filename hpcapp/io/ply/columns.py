@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io.columns import Numbers
 from hpcapp.io.ply.header import SCALAR_TYPES
 from hpcapp.io.points.column_roles import COLOURS, NORMALS

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 from hpcapp.io.crs import Crs
 from hpcapp.io.points.point_source import Scan
 

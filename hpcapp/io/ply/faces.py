@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray
+from hpcapp.geometry.points import BoolArray, FloatArray
 from hpcapp.io.columns import Numbers, Ragged, cut_fans
 from hpcapp.io.ply.header import Header
 from hpccomponent.errors import InputError

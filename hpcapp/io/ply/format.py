@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.stitching.shared_ply import (
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.ply_rows import (
     FACE_SIZE,
     SharedPly,
     coordinate_lines,
@@ -24,8 +25,7 @@ from hpcapp.applications.surface.stitching.shared_ply import (
     vertex_rows,
     vertex_size,
 )
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io.crs import UNKNOWN, Crs
 from hpcapp.io.frame import needs_double
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hpcapp.applications.surface.stitching.shared_ply import coordinate_lines, ply_header
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.ply_rows import coordinate_lines, ply_header
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io.crs import Crs
 from hpcapp.io.ply.columns import VertexProperties
 from hpcapp.io.ply.comments import keep

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hpcapp.applications.surface.reading.point_records import Column, PointRecords
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.point_records import Column, PointRecords
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io.batches import batch_points, cut_points, join_points
 from hpcapp.io.columns import Ragged, Rows
 from hpcapp.io.ply.binary import find_records

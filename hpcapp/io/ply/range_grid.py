@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hpcapp.applications.surface.types.points import IntArray
+from hpcapp.geometry.points import IntArray
 from hpcapp.io.columns import Ragged
 from hpcapp.io.ply.header import Header
 from hpcapp.io.rows import is_count

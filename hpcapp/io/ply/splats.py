@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, PointCloud
+from hpcapp.geometry.points import BoolArray, FloatArray, PointCloud
 from hpcapp.io.columns import Numbers
 from hpcapp.io.points.named_columns import ColumnPlan, build_cloud, stack
 

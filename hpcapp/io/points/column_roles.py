@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io.columns import Numbers
 
 AXES = ("x", "y", "z")

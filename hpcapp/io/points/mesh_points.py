@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.attributes.vertex_normals import add_face_normals, scale_normals
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import FloatArray, PointCloud
+from hpcapp.geometry.vertex_normals import add_face_normals, scale_normals
 from hpcapp.io.batches import cut_points
 from hpcapp.io.columns import Numbers
 from hpcapp.io.meshes.obj import read_obj

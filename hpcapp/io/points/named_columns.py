@@ -10,8 +10,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.reading.point_records import Column, PointRecords, colour_type
-from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
+from hpcapp.geometry.point_records import Column, PointRecords, colour_type
+from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
 from hpcapp.io.columns import Numbers
 from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS, find_role
 from hpccomponent.errors import InputError

@@ -21,8 +21,8 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.reading.point_records import Column, PointRecords
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.point_records import Column, PointRecords
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io.columns import Numbers
 from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS
 from hpcapp.io.points.named_columns import (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpcapp.applications.surface.types.points import ByteArray, FloatArray
+from hpcapp.geometry.points import ByteArray, FloatArray
 from hpcapp.io.columns import Numbers
 
 PACKED = (("red", 2), ("green", 1), ("blue", 0))

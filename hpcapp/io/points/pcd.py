@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hpcapp.applications.surface.reading.point_records import Column, PointRecords
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.point_records import Column, PointRecords
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io.columns import Numbers
 from hpcapp.io.points.lzf import MOST_EXPANSION, expand_lzf
 from hpcapp.io.points.named_columns import (

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
-from hpcapp.applications.surface.reading.point_records import PointRecords
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.point_records import PointRecords
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io.batches import cut_points, join_points
 from hpcapp.io.crs import Crs
 from hpcapp.io.frame import scale_heights, to_local

@@ -34,9 +34,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.kernels import bound_points
-from hpcapp.applications.surface.reading.point_records import PointRecords
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, PointCloud
+from hpcapp.geometry.bounds import bound_points
+from hpcapp.geometry.point_records import PointRecords
+from hpcapp.geometry.points import BoolArray, FloatArray, PointCloud
 from hpcapp.io.batches import join_points
 from hpcapp.io.columns import Numbers
 from hpcapp.io.points.column_roles import ColourScale, judge_colours, judge_normals

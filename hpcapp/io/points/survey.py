@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io.crs import METRES
 
 EVIDENCE = ("return_number", "scan_angle", "classification")

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from hpcapp.applications.surface.kernels import bound_points
-from hpcapp.applications.surface.reading.validity import Dropped, select_usable
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, PointCloud
+from hpcapp.geometry.bounds import bound_points
+from hpcapp.geometry.points import BoolArray, FloatArray, PointCloud
+from hpcapp.geometry.validity import Dropped, select_usable
 from hpccomponent.errors import InputError, OutputError
 
 log = logging.getLogger("hpcapp")

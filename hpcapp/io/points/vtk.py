@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io.columns import Numbers
 from hpcapp.io.points.column_roles import AXES, find_role, judge_colours
 from hpcapp.io.points.mesh_points import slice_cloud

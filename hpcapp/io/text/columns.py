@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io.columns import Numbers
 from hpcapp.io.points.column_roles import (
     AXES,

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS, find_role, name_some
 from hpcapp.io.points.point_source import Findings
 from hpcapp.io.rows import Line, is_count, line_error, numbered

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io.batches import batch_points
 from hpcapp.io.points.point_source import Findings, PointSource, Scan
 from hpcapp.io.rows import line_error

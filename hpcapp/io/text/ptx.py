@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io.batches import batch_points
 from hpcapp.io.columns import Numbers
 from hpcapp.io.points.column_roles import AXES, COLOURS

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 from hpcapp.io.cameras.poses import are_rotations
 from hpcapp.io.points.column_roles import AXES, find_role
 from hpcapp.io.points.point_source import Findings, translated

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 
 SAMPLES = 3
 """Samples along each side of a pixel."""

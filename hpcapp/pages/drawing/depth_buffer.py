@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 from hpcapp.pages.drawing.camera import Screen
 
 SAMPLES_PER_BAND = 1_000_000  # bounds the memory: about 100 bytes a sample

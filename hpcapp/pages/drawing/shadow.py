@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 from hpcapp.pages.drawing.camera import SAMPLES, Camera, turn_upright
 from hpcapp.pages.drawing.depth_buffer import DepthBuffer
 

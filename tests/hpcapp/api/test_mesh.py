@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import hpcapp
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
 from hpccomponent.errors import HpcError, InputError, MissingLibraryError, UsageError
 
 CORNERS = np.array([[0.0, 0, 0], [2.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]])

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 import hpcapp
 from hpcapp.applications.surface.job.run import run_job
 from hpcapp.applications.surface.settings import JobSettings
-from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.applications.surface.viewpoint import parse_viewpoint
 from hpcapp.cli import _run
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io import read_points, write_points
 from hpcapp.progress import Progress
 from hpccomponent.errors import HpcError, InputError, MissingLibraryError, UsageError

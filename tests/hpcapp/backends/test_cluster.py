@@ -18,10 +18,10 @@ from fixture_types import StartCommand
 from standing import StartCluster
 
 import hpcapp
-from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.backends import cluster as cluster_module
 from hpcapp.backends.selection import Backend
 from hpcapp.communicator.executor import CommunicatorExecutor
+from hpcapp.geometry.points import FloatArray
 from hpccomponent.errors import NoWorkersError, UsageError
 from hpccomponent.inventory import dump_inventory, read_inventory
 from hpccomponent.protocol.keys import write_secret

@@ -23,8 +23,8 @@ from standing import StartDask
 
 import hpcapp
 from hpcapp.applications.surface.kernels.build import kernel_id
-from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.backends.selection import open_backend, open_executor
+from hpcapp.geometry.points import PointCloud
 from hpcapp.workforce import map_batches
 from hpccomponent.errors import JobError, NoWorkersError, TaskError, UsageError, WorkerLostError
 

@@ -12,11 +12,11 @@ from typing import Any
 import pytest
 
 import hpcapp
-from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.backends import BACKENDS
 from hpcapp.backends.processes import open_processes
 from hpcapp.backends.selection import open_backend, open_executor
 from hpcapp.backends.serial import SerialExecutor
+from hpcapp.geometry.points import PointCloud
 from hpcapp.workforce import map_batches
 from hpccomponent.errors import UsageError, WorkerLostError
 from hpccomponent.limits import available_cores

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from fixture_types import StartComponent
 
-from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.communicator.executor import CommunicatorExecutor
+from hpcapp.geometry.points import FloatArray
 from hpccomponent.protocol.connection import write_connection
 
 HELPERS = Path(__file__).parents[2] / "helpers"

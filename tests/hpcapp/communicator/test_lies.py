@@ -12,9 +12,9 @@ import pytest
 import zmq
 from fixture_types import StartComponent
 
-from hpcapp.applications.quadrature.application import estimate
 from hpcapp.applications.surface.paper.patch_quadrics import fit_patches
 from hpcapp.communicator.executor import CommunicatorExecutor
+from hpcapp.lab.quadrature.application import estimate
 from hpccomponent.errors import TaskError
 from hpccomponent.protocol.codec import encode_values
 from hpccomponent.protocol.frames import LARGEST_FRAME, Buffer, split_buffers

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.dashboard.server import open_dashboard
 from hpcapp.dashboard.watched_job import WatchedJob
+from hpcapp.geometry.mesh import Mesh
 from hpcapp.progress import Progress
 from hpcapp.timeline import MASTER, Timeline, WorkerState
 

@@ -14,12 +14,12 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.types.mesh import Mesh
 from hpcapp.dashboard.app import MOST_REQUESTS
 from hpcapp.dashboard.server import open_dashboard, parse_address
 from hpcapp.dashboard.unauthenticated import MOST_UNAUTHENTICATED
 from hpcapp.dashboard.viewers import Viewers
 from hpcapp.dashboard.watched_job import WatchedJob
+from hpcapp.geometry.mesh import Mesh
 from hpcapp.progress import Progress
 from hpcapp.timeline import MASTER, Timeline, WorkerState
 from hpccomponent.errors import UsageError

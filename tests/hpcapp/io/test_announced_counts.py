@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 from mutated_files import page_e57, read_pages
 
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io import open_points, read_mesh, read_whole, write_mesh, write_points
 from hpccomponent.errors import InputError
 

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io import drop_unusable, read_mesh, read_points, write_mesh, write_points
 from hpccomponent.errors import InputError
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from shared_data import shared
 
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io import (
     check_writable,
     drop_unusable,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from mutated_files import GOOD, watch_reading, write_mutations
 
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io import write_points
 
 MUTATIONS = 150  # python tests/helpers/mutated_files.py makes more

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 import shared_data
 
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.cli import main
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import open_points, read_whole
 from hpcapp.io.points.inputs import gather_points
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io import open_points, read_points, write_points
 from hpcapp.io.points.point_source import Scan
 from hpcapp.io.registry import FORMATS, Format, list_suffixes

@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.geometry.mesh import Mesh
 from hpcapp.io import check_writable, write_mesh
 from hpcapp.io.meshes.tiles import shared_tiles
 from hpcapp.io.staging import check_place, replacing

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from hpcapp.api.mesh import wrap_mesh
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
 from hpcapp.pages.job import describe_job
 from hpcapp.pages.page import build_page
 from hpcapp.pages.scene import Field, Marker, Scene, Tint, label_field

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.geometry.mesh import Mesh
 from hpcapp.pages.owners import TILE, Owners, mark_tiles, take_labels
 from hpccomponent.errors import InputError
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import PointCloud
 from hpcapp.pages.page import Section, build_page, make_list, make_table, write_page
 from hpcapp.pages.scene import Field, Marker, Scene, fields_of, label_field
 from hpccomponent.errors import OutputError

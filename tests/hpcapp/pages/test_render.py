@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import BoolArray, ByteArray
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import BoolArray, ByteArray
 from hpcapp.pages.drawing import depth_buffer
 from hpcapp.pages.png import write_png
 from hpcapp.pages.render import render_mesh

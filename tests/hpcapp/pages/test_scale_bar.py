@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.geometry.mesh import Mesh
 from hpcapp.pages.drawing.camera import look_along
 from hpcapp.pages.drawing.scale_bar import add_scale_bar, choose_length, name_length
 from hpcapp.pages.render import draw_mesh

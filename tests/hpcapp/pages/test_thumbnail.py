@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from hpcapp.applications.surface.types.points import ByteArray, FloatArray, PointCloud
+from hpcapp.geometry.points import ByteArray, FloatArray, PointCloud
 from hpcapp.pages.thumbnail import draw_points, write_thumbnail
 
 RED, BLUE = (200, 10, 10), (10, 10, 200)

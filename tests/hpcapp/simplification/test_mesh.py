@@ -12,7 +12,7 @@ from level_sets import mesh_level_set
 from scipy.spatial import cKDTree
 
 from hpcapp.applications.surface.stitching.topology import check_mesh, signed_volume
-from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.geometry.mesh import Mesh
 from hpcapp.simplification.mesh import Target, simplify_mesh
 from hpccomponent.errors import UsageError
 

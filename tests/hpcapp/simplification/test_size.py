@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 from level_sets import mesh_level_set
 
-from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.geometry.mesh import Mesh
 from hpcapp.io import read_mesh, write_mesh
 from hpcapp.simplification.command import simplify
 from hpcapp.simplification.size import fit_size, read_size

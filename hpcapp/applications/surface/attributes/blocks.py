@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, find_runs
 from hpcapp.applications.surface.cloud.arrangement import snap_points
-from hpcapp.applications.surface.types.lattice import find_keys
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray, PointCloud
+from hpcapp.geometry.lattice import find_keys
+from hpcapp.geometry.points import BoolArray, FloatArray, IntArray, PointCloud
 from hpccomponent.errors import JobError, OutputError
 from hpccomponent.files.whole_files import write_whole
 from hpccomponent.option_names import name_option

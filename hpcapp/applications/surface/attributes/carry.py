@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
+from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
 
 NEIGHBOURS = 8
 """So many points share in the value of a place."""

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hpcapp.applications.surface.attributes.vertex_normals import add_face_normals, scale_normals
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import FloatArray, PointCloud
+from hpcapp.geometry.vertex_normals import add_face_normals, scale_normals
 from hpcapp.io.crs import UNKNOWN, Crs
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream, scale_mesh_heights
 

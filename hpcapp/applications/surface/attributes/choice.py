@@ -12,7 +12,7 @@ from hpccomponent.errors import UsageError
 from hpccomponent.option_names import name_option
 
 if TYPE_CHECKING:
-    from hpcapp.applications.surface.types.points import PointCloud
+    from hpcapp.geometry.points import PointCloud
 
 
 _COLOURS = ("colours", "colors", "rgb")

@@ -14,8 +14,8 @@ import numpy as np
 
 from hpcapp.applications.surface.attributes.carry import NEIGHBOURS, AttributeField, Carried
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
-from hpcapp.applications.surface.types.lattice import unpack_keys
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray, PointCloud
+from hpcapp.geometry.lattice import unpack_keys
+from hpcapp.geometry.points import BoolArray, FloatArray, IntArray, PointCloud
 
 _SLACK = 1.0 + 1e-9  # for the rounding of distances
 

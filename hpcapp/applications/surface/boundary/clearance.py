@@ -29,14 +29,14 @@ from numpy.typing import NDArray
 
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.scale.local_scale import LocalScale
-from hpcapp.applications.surface.types.lattice import (
+from hpcapp.geometry.lattice import (
     NEIGHBOURS,
     find_keys,
     number_keys,
     pack_places,
     step_keys,
 )
-from hpcapp.applications.surface.types.points import (
+from hpcapp.geometry.points import (
     BoolArray,
     Float32Array,
     FloatArray,

@@ -42,8 +42,8 @@ from hpcapp.applications.surface.surface import PartSurface
 from hpcapp.applications.surface.tiles.patterns import surface_box
 from hpcapp.applications.surface.tiles.plan import Plan
 from hpcapp.applications.surface.types.grid import BRICK
-from hpcapp.applications.surface.types.lattice import unpack_keys
-from hpcapp.applications.surface.types.points import BoolArray, IntArray
+from hpcapp.geometry.lattice import unpack_keys
+from hpcapp.geometry.points import BoolArray, IntArray
 from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.errors import InputError
 from hpccomponent.option_names import name_option

@@ -25,13 +25,13 @@ import numpy as np
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.extraction.part_places import starts_of
 from hpcapp.applications.surface.extraction.parts import MeshPart
-from hpcapp.applications.surface.types.lattice import (
+from hpcapp.geometry.lattice import (
     find_first,
     find_keys,
     number_keys,
     unique_keys,
 )
-from hpcapp.applications.surface.types.points import (
+from hpcapp.geometry.points import (
     BoolArray,
     Float32Array,
     FloatArray,

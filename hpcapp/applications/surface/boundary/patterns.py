@@ -18,13 +18,13 @@ from hpcapp.applications.surface.tiles.patterns import (
     part_surface,
     whole_numbers,
 )
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpcapp.applications.surface.types.result_patterns import (
     SMALL_BYTES,
     lie_in,
     lie_within,
     rise_by_pairs,
 )
+from hpcapp.geometry.points import FloatArray, IntArray
 from hpccomponent.protocol.declared import Declared, Exactly, Fixed, Nothing, Record, Where, Whole
 from hpccomponent.protocol.declared_arrays import Array
 

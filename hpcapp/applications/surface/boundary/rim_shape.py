@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray
+from hpcapp.geometry.points import BoolArray, FloatArray
 
 _NEIGHBOURS = 24
 _ONE_SIDED = 0.33  # of the distance of the last of them: their mean, at a border

@@ -18,8 +18,8 @@ from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.boundary.opening import OpeningSeams
 from hpcapp.applications.surface.extraction.part_places import starts_of
 from hpcapp.applications.surface.stitching.plan import StitchingPlan
-from hpcapp.applications.surface.types.lattice import find_keys
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, Int32Array, IntArray
+from hpcapp.geometry.lattice import find_keys
+from hpcapp.geometry.points import BoolArray, FloatArray, Int32Array, IntArray
 from hpccomponent.errors import JobError
 
 

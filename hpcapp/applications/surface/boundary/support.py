@@ -8,8 +8,8 @@ import numpy as np
 
 from hpcapp.applications.surface.boundary.clearance import SupportRule
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
-from hpcapp.applications.surface.types.lattice import unpack_keys
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.lattice import unpack_keys
+from hpcapp.geometry.points import FloatArray
 
 _MEASURED = 256  # places at most: their distances change little from one to the next
 _ONE_IN = 16  # blocks that bound distances at first

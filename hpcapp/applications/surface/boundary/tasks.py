@@ -38,7 +38,7 @@ from hpcapp.applications.surface.extraction.part_places import starts_of
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.extraction.summary import PartSummary, summarize_part
 from hpcapp.applications.surface.extraction.taken_bricks import TakenBricks
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray, PointCloud
+from hpcapp.geometry.points import BoolArray, FloatArray, IntArray, PointCloud
 from hpccomponent.protocol.records import record
 from hpccomponent.runtime.tasks import declare
 from hpccomponent.store.places import hold_store

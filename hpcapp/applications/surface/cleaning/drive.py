@@ -25,7 +25,7 @@ from hpcapp.applications.surface.cloud.measure import measure_scale
 from hpcapp.applications.surface.normals import consistency
 from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.applications.surface.scale.scan_lines import keep_lines
-from hpcapp.applications.surface.types.lattice import lay_lattice, unique_keys
+from hpcapp.geometry.lattice import lay_lattice, unique_keys
 
 _MANY = 0.001  # of the points are strays: only then they have vouched for others
 

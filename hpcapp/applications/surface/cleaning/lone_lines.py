@@ -16,8 +16,8 @@ import numpy as np
 
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.scale.scan_lines import measure_spread
-from hpcapp.applications.surface.types.lattice import lay_lattice, unique_keys
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
+from hpcapp.geometry.lattice import lay_lattice, unique_keys
+from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 
 _COUNTS = 8, 16  # neighbours: noise hides a line among few, what is beside it does among many
 _THIN = 0.02  # variance across a line, of that along it: see `measure_spread`

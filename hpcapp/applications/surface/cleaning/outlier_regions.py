@@ -29,7 +29,7 @@ from hpcapp.applications.surface.cleaning.outliers import (
     find_strays,
     rank_cells,
 )
-from hpcapp.applications.surface.types.lattice import (
+from hpcapp.geometry.lattice import (
     cells_of,
     find_keys,
     merge_counts,
@@ -37,7 +37,7 @@ from hpcapp.applications.surface.types.lattice import (
     pack_places,
     unpack_keys,
 )
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
+from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 from hpccomponent.protocol.records import record
 
 RegionRanks = tuple[IntArray, IntArray, IntArray, IntArray, IntArray, IntArray]

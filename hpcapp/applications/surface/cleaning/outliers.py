@@ -18,14 +18,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpcapp.applications.surface import kernels
-from hpcapp.applications.surface.types.lattice import (
+from hpcapp.geometry.lattice import (
     BITS,
     ancestor_keys,
     number_keys,
     pack_places,
     unpack_keys,
 )
-from hpcapp.applications.surface.types.points import BoolArray, IntArray
+from hpcapp.geometry.points import BoolArray, IntArray
 
 EDGE = 2.0  # of the finest cells, in spacings
 _LEAST = 10  # points that make a neighbourhood

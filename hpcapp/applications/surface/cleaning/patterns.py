@@ -11,8 +11,8 @@ from hpcapp.applications.surface.cleaning.outliers import EDGE, ISLAND_LEVEL
 from hpcapp.applications.surface.cloud.patterns import UNIT, AssignedPoints
 from hpcapp.applications.surface.cloud.regions import StoredBlocks
 from hpcapp.applications.surface.scale.local_scale import HALVINGS
-from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.applications.surface.types.result_patterns import are_units
+from hpcapp.geometry.points import FloatArray
 from hpccomponent.protocol.declared import Declared, Either, Fixed, Nothing, Where, Whole
 from hpccomponent.protocol.declared_arrays import Array
 

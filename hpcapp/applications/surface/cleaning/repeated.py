@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray
+from hpcapp.geometry.points import BoolArray, FloatArray
 
 _ROWS_AT_ONCE = 1 << 14  # what is made of them stays in the cache
 _FACTORS = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)

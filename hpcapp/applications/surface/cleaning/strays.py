@@ -18,8 +18,8 @@ import numpy as np
 
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.scale.local_scale import LocalScale
-from hpcapp.applications.surface.types.lattice import lay_lattice, unique_keys, unpack_keys
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
+from hpcapp.geometry.lattice import lay_lattice, unique_keys, unpack_keys
+from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 
 _COUNTS = (8, 24)  # neighbours; on a surface the last of them lie 1.6 and 2.8 spacings away
 _CROWDED = 3.6  # local spacings: with so many so near, a point is none

@@ -31,7 +31,7 @@ from hpcapp.applications.surface.cloud.regions import RegionPoints, Replaced
 from hpcapp.applications.surface.normals.consistency import find_turned
 from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.applications.surface.scale.scan_lines import GapBoxes, count_narrow, find_spare
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.geometry.points import FloatArray, IntArray
 from hpccomponent.runtime.tasks import declare
 
 

@@ -23,9 +23,9 @@ from hpcapp.applications.surface.cloud.arrangement import (
     snap_points,
 )
 from hpcapp.applications.surface.cloud.measured import Measured, Points, measure_points
-from hpcapp.applications.surface.kernels import bound_points
-from hpcapp.applications.surface.types.lattice import find_keys
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray, PointCloud
+from hpcapp.geometry.bounds import bound_points
+from hpcapp.geometry.lattice import find_keys
+from hpcapp.geometry.points import BoolArray, FloatArray, IntArray, PointCloud
 
 _ROWS_AT_ONCE = 1 << 14  # what is made of them stays in the cache
 _ENDLESS = Arrangement(np.zeros(3), np.inf)

@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 
 from hpcapp.applications.surface import kernels
-from hpcapp.applications.surface.types.lattice import lay_lattice, unpack_keys
-from hpcapp.applications.surface.types.points import Float32Array, FloatArray, IntArray
+from hpcapp.geometry.lattice import lay_lattice, unpack_keys
+from hpcapp.geometry.points import Float32Array, FloatArray, IntArray
 from hpccomponent.errors import InputError
 from hpccomponent.protocol.records import record
 

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, MemoryCloud
 from hpcapp.applications.surface.cloud.measured import Measured
 from hpcapp.applications.surface.cloud.regions import MemoryRegion, ReplacedRows
-from hpcapp.applications.surface.kernels import bound_points
-from hpcapp.applications.surface.types.lattice import find_keys
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
+from hpcapp.geometry.bounds import bound_points
+from hpcapp.geometry.lattice import find_keys
+from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 
 Rows = IntArray | slice
 Result = TypeVar("Result")

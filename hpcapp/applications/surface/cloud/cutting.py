@@ -6,8 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from hpcapp.applications.surface.types.lattice import unique_keys, unpack_keys
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.geometry.lattice import unique_keys, unpack_keys
+from hpcapp.geometry.points import FloatArray, IntArray
 
 
 def cut_even(counts: IntArray, pieces: int) -> list[slice]:

@@ -41,8 +41,8 @@ from hpcapp.applications.surface.cloud.arrangement import (
 from hpcapp.applications.surface.cloud.measured import Measured, Points, measure_points
 from hpcapp.applications.surface.cloud.part_check import check_part, with_check
 from hpcapp.applications.surface.scale.local_scale import LocalScale
-from hpcapp.applications.surface.types.lattice import find_keys, merge_counts
-from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
+from hpcapp.geometry.lattice import find_keys, merge_counts
+from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
 from hpccomponent.errors import JobError, OutputError
 from hpccomponent.files.private_files import open_at_once
 from hpccomponent.files.whole_files import write_whole

@@ -17,7 +17,7 @@ from hpcapp.applications.surface.cloud.disk import DiskCloud, Part, write_index,
 from hpcapp.applications.surface.cloud.measured import Measured
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.cloud.tasks import bound_region
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 from hpccomponent.files.private_files import make_private_folder
 
 Result = TypeVar("Result")

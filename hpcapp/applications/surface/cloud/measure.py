@@ -23,8 +23,8 @@ from hpcapp.applications.surface.scale.local_scale import (
     make_scale,
 )
 from hpcapp.applications.surface.scale.scan_lines import GapBoxes, find_gaps
-from hpcapp.applications.surface.types.lattice import lay_lattice, unique_keys
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.lattice import lay_lattice, unique_keys
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpccomponent.errors import InputError
 
 

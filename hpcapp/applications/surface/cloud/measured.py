@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.cloud.arrangement import choose_arrangement
 from hpcapp.applications.surface.cloud.spacing import estimate_spacing
-from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.scale.local_scale import (
     HALVINGS,
     LocalScale,
@@ -16,8 +15,9 @@ from hpcapp.applications.surface.scale.local_scale import (
     count_scale,
     make_scale,
 )
-from hpcapp.applications.surface.types.lattice import lay_lattice
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.bounds import bound_points
+from hpcapp.geometry.lattice import lay_lattice
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpccomponent.errors import InputError
 
 Points = tuple[FloatArray, FloatArray]

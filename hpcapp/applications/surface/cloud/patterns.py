@@ -19,8 +19,6 @@ from hpcapp.applications.surface.cloud.arrangement import Arrangement, PackedPoi
 from hpcapp.applications.surface.cloud.disk import open_disk_cloud, open_place
 from hpcapp.applications.surface.cloud.regions import SentBlocks, StoredBlocks
 from hpcapp.applications.surface.scale.local_scale import ScaleCounts
-from hpcapp.applications.surface.types.lattice import find_keys, pack_places, unpack_keys
-from hpcapp.applications.surface.types.points import Float32Array, FloatArray, IntArray
 from hpcapp.applications.surface.types.result_patterns import (
     BOX,
     SMALL_BYTES,
@@ -33,6 +31,8 @@ from hpcapp.applications.surface.types.result_patterns import (
     lie_within,
     sampled_boxes,
 )
+from hpcapp.geometry.lattice import find_keys, pack_places, unpack_keys
+from hpcapp.geometry.points import Float32Array, FloatArray, IntArray
 from hpccomponent.protocol.declared import Declared, Fixed, Record, Where
 from hpccomponent.protocol.declared_arrays import Array
 

@@ -16,8 +16,8 @@ from hpcapp.applications.surface.cloud.cutting import cut_even, cut_regions
 from hpcapp.applications.surface.cloud.disk import DiskCloud
 from hpcapp.applications.surface.cloud.regions import SentBlocks, StoredBlocks, pack_region
 from hpcapp.applications.surface.cloud.tasks import count_block_cells, merge_cells
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpcapp.backends.serial import SerialExecutor
+from hpcapp.geometry.points import FloatArray, IntArray
 from hpcapp.workforce import Workforce, map_batches, stream_batches
 from hpccomponent.cutting import cut_equal
 

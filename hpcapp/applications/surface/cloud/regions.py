@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from hpcapp.applications.surface.cloud.arrangement import Arrangement, PackedPoints, unpack_near
 from hpcapp.applications.surface.cloud.disk import DiskCloud, open_disk_cloud, write_part
-from hpcapp.applications.surface.types.lattice import find_keys, unpack_keys
-from hpcapp.applications.surface.types.points import BoolArray, Float32Array, FloatArray, IntArray
+from hpcapp.geometry.lattice import find_keys, unpack_keys
+from hpcapp.geometry.points import BoolArray, Float32Array, FloatArray, IntArray
 from hpccomponent.protocol.records import record
 
 

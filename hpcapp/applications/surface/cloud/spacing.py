@@ -8,14 +8,14 @@ from math import sqrt
 import numpy as np
 
 from hpcapp.applications.surface import kernels
-from hpcapp.applications.surface.kernels import bound_points
-from hpcapp.applications.surface.types.lattice import (
+from hpcapp.geometry.bounds import bound_points
+from hpcapp.geometry.lattice import (
     cells_of,
     lay_lattice,
     pack_places,
     unique_keys,
 )
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.geometry.points import FloatArray, IntArray
 from hpccomponent.errors import InputError
 
 Count = Callable[[float, int, bool], tuple[int, int]]

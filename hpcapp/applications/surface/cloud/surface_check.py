@@ -13,16 +13,16 @@ import numpy as np
 
 from hpcapp.applications.surface.cloud.measured import SAMPLED_BOX, first_share
 from hpcapp.applications.surface.cloud.spacing import estimate_spacing
-from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.scale.dimension import FEWEST, choose_counts, look_around
-from hpcapp.applications.surface.types.lattice import (
+from hpcapp.geometry.bounds import bound_points
+from hpcapp.geometry.lattice import (
     are_sampled,
     cells_of,
     lay_lattice,
     pack_places,
     shuffle_keys,
 )
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 from hpccomponent.errors import InputError
 
 Draw = Callable[[float, int], FloatArray]

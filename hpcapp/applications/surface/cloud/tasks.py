@@ -22,16 +22,17 @@ from hpcapp.applications.surface.cloud.regions import RegionPoints
 from hpcapp.applications.surface.cloud.spacing import sample_box_keys
 from hpcapp.applications.surface.cloud.surface_check import sample_positions
 from hpcapp.applications.surface.scale.local_scale import ScaleCounts, count_scale
-from hpcapp.applications.surface.types.lattice import merge_counts
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpcapp.applications.surface.types.result_patterns import SMALL_BYTES
+from hpcapp.geometry.bounds import bound_points
+from hpcapp.geometry.lattice import merge_counts
+from hpcapp.geometry.points import FloatArray, IntArray
 from hpccomponent.runtime.tasks import declare
 
 
 @declare(result=bounded_region, limit=SMALL_BYTES)
 def bound_region(points: RegionPoints) -> FloatArray:
     """Return the corners of the box around a region's points, shape (2, 3) (a task)."""
-    return np.stack(kernels.bound_points(points.take().positions))
+    return np.stack(bound_points(points.take().positions))
 
 
 @declare(result=counted_boxes, limit=region_bytes(16))

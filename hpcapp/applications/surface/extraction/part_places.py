@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.applications.surface.extraction.parts import MeshPart
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, Int32Array, IntArray
+from hpcapp.geometry.points import BoolArray, FloatArray, Int32Array, IntArray
 from hpccomponent.protocol.records import record
 
 Row = TypeVar("Row", bound=np.generic)

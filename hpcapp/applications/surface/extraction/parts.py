@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hpcapp.applications.surface.types.brick_mesh import BrickMesh
 from hpcapp.applications.surface.types.grid import OWN, BrickKinds
-from hpcapp.applications.surface.types.lattice import find_keys, number_keys
-from hpcapp.applications.surface.types.mesh import BrickMesh
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, Int32Array, IntArray
+from hpcapp.geometry.lattice import find_keys, number_keys
+from hpcapp.geometry.points import BoolArray, FloatArray, Int32Array, IntArray
 from hpccomponent.protocol.records import record
 
 

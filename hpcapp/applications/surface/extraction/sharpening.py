@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpcapp.applications.surface.types.field import Features
-from hpcapp.applications.surface.types.lattice import find_keys, pack_places
-from hpcapp.applications.surface.types.points import BoolArray, ByteArray, FloatArray, IntArray
+from hpcapp.geometry.lattice import find_keys, pack_places
+from hpcapp.geometry.points import BoolArray, ByteArray, FloatArray, IntArray
 from hpccomponent.cutting import cut_equal
 
 _NEAR = 0.3  # cells: pieces that are farther from a vertex are not the surface there

@@ -12,8 +12,8 @@ import numpy as np
 
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.extraction.parts import MeshPart
-from hpcapp.applications.surface.types.lattice import find_keys, number_keys, unique_keys
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, Int32Array, IntArray
+from hpcapp.geometry.lattice import find_keys, number_keys, unique_keys
+from hpcapp.geometry.points import BoolArray, FloatArray, Int32Array, IntArray
 from hpccomponent.protocol.records import record
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpcapp.applications.surface.extraction.parts import MeshPart
-from hpcapp.applications.surface.types.lattice import are_sampled, find_keys
-from hpcapp.applications.surface.types.points import (
+from hpcapp.geometry.lattice import are_sampled, find_keys
+from hpcapp.geometry.points import (
     BoolArray,
     ByteArray,
     FloatArray,

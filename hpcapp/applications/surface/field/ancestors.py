@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.applications.surface import kernels
-from hpcapp.applications.surface.types.lattice import (
+from hpcapp.geometry.lattice import (
     step_keys,
 )
-from hpcapp.applications.surface.types.points import IntArray
+from hpcapp.geometry.points import IntArray
 
 Marks = NDArray[np.uint32]
 

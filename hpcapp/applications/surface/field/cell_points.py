@@ -18,13 +18,13 @@ from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.kernels import COLUMNS
 from hpcapp.applications.surface.kernels.parallel import run_batches
 from hpcapp.applications.surface.types.grid import Grid
-from hpcapp.applications.surface.types.lattice import (
+from hpcapp.geometry.lattice import (
     BITS,
     ancestor_keys,
     number_keys,
     unique_keys,
 )
-from hpcapp.applications.surface.types.points import (
+from hpcapp.geometry.points import (
     BoolArray,
     Float32Array,
     FloatArray,

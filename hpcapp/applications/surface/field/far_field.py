@@ -18,7 +18,7 @@ import numpy as np
 from hpcapp.applications.surface.field.hull import find_hull
 from hpcapp.applications.surface.kernels import integrate_normals, sample_grid
 from hpcapp.applications.surface.types.field import FarField
-from hpcapp.applications.surface.types.lattice import (
+from hpcapp.geometry.lattice import (
     OCTANTS,
     ancestor_keys,
     find_keys,
@@ -26,7 +26,7 @@ from hpcapp.applications.surface.types.lattice import (
     number_keys,
     pack_places,
 )
-from hpcapp.applications.surface.types.points import Float32Array, FloatArray, IntArray
+from hpcapp.geometry.points import Float32Array, FloatArray, IntArray
 from hpccomponent.protocol.records import record
 
 _PADDING = 1.5

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 
 _WIDE = 4.0
 """Cells: facets that are narrower lie over points."""

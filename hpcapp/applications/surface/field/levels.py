@@ -39,7 +39,7 @@ from hpcapp.applications.surface.kernels import BASIS
 from hpcapp.applications.surface.kernels.parallel import run_batches
 from hpcapp.applications.surface.types.field import FarField, Features, Field, FieldLevel
 from hpcapp.applications.surface.types.grid import BRICK, Grid
-from hpcapp.applications.surface.types.lattice import (
+from hpcapp.geometry.lattice import (
     ancestor_keys,
     find_keys,
     find_layers,
@@ -47,7 +47,7 @@ from hpcapp.applications.surface.types.lattice import (
     unique_keys,
     unpack_keys,
 )
-from hpcapp.applications.surface.types.points import BoolArray, Float32Array, FloatArray, IntArray
+from hpcapp.geometry.points import BoolArray, Float32Array, FloatArray, IntArray
 from hpccomponent.cutting import cut_equal
 
 _AT_ONCE = 1 << 17  # vertices of the finest level

@@ -19,8 +19,8 @@ import numpy as np
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.field.weights import SAME_NOISE, tell_noise
 from hpcapp.applications.surface.scale.local_scale import LocalScale
-from hpcapp.applications.surface.types.lattice import ancestor_keys, unique_keys
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.geometry.lattice import ancestor_keys, unique_keys
+from hpcapp.geometry.points import FloatArray, IntArray
 from hpccomponent.protocol.records import record
 
 SHARE = 0.15

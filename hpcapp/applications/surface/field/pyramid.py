@@ -33,13 +33,13 @@ from hpcapp.applications.surface.field.weights import (
 )
 from hpcapp.applications.surface.kernels import BASIS
 from hpcapp.applications.surface.kernels.parallel import run_batches
-from hpcapp.applications.surface.types.lattice import (
+from hpcapp.geometry.lattice import (
     BITS,
     OCTANTS,
     find_layers,
     step_keys,
 )
-from hpcapp.applications.surface.types.points import (
+from hpcapp.geometry.points import (
     BoolArray,
     Float32Array,
     FloatArray,

@@ -19,11 +19,11 @@ import numpy as np
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.field.cell_points import SortedPoints
 from hpcapp.applications.surface.kernels.parallel import run_batches
-from hpcapp.applications.surface.types.lattice import (
+from hpcapp.geometry.lattice import (
     ancestor_keys,
     number_keys,
 )
-from hpcapp.applications.surface.types.points import Float32Array, FloatArray, IntArray
+from hpcapp.geometry.points import Float32Array, FloatArray, IntArray
 from hpccomponent.cutting import cut_equal
 
 Blend = tuple[IntArray, Float32Array, Float32Array]

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from hpcapp.applications.surface import kernels
-from hpcapp.applications.surface.types.lattice import OCTANTS, ancestor_keys, step_keys
-from hpcapp.applications.surface.types.points import BoolArray, Float32Array, FloatArray, IntArray
+from hpcapp.geometry.lattice import OCTANTS, ancestor_keys, step_keys
+from hpcapp.geometry.points import BoolArray, Float32Array, FloatArray, IntArray
 
 _LEAST_CELLS = 4
 

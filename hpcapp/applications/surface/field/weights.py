@@ -10,7 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from hpcapp.applications.surface.types.points import BoolArray, Float32Array, FloatArray
+from hpcapp.geometry.points import BoolArray, Float32Array, FloatArray
 
 Variances = TypeVar("Variances", FloatArray, Float32Array)
 

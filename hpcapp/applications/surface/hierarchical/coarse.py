@@ -28,7 +28,7 @@ from hpcapp.applications.surface.tiles.plan import CoarseLattice, CoarseLevels, 
 from hpcapp.applications.surface.tiles.tasks import solve_far
 from hpcapp.applications.surface.types.field import FarField, FieldLevel
 from hpcapp.applications.surface.types.grid import BRICK, Grid
-from hpcapp.applications.surface.types.lattice import (
+from hpcapp.geometry.lattice import (
     ancestor_keys,
     cells_of,
     lay_lattice,
@@ -37,7 +37,7 @@ from hpcapp.applications.surface.types.lattice import (
     unique_keys,
     unpack_keys,
 )
-from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
+from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
 from hpcapp.workforce import Workforce, begin_batch
 
 FEWEST_NODES = 128

@@ -26,10 +26,10 @@ from hpcapp.applications.surface.field.pyramid import (
 )
 from hpcapp.applications.surface.field.robust import find_tolerance, measure_points, tell_kurtosis
 from hpcapp.applications.surface.field.weights import LEAST_MU, Weights, tell_noise
-from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.method import MARGIN, MAX_GRID, Resolution
-from hpcapp.applications.surface.types.lattice import lay_lattice
-from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
+from hpcapp.geometry.bounds import bound_points
+from hpcapp.geometry.lattice import lay_lattice
+from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
 
 _CHEAP, _SIXTEEN = 256, 16  # cells along the longest side
 _EXACT = 1e-6  # of sixteen cells: whole numbers stay what they are

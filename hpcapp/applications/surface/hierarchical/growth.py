@@ -24,13 +24,13 @@ from hpcapp.applications.surface.tiles.patterns import tile_surface
 from hpcapp.applications.surface.tiles.plan import Plan
 from hpcapp.applications.surface.tiles.tasks import mesh_gap, mesh_tile
 from hpcapp.applications.surface.types.grid import BRICK
-from hpcapp.applications.surface.types.lattice import (
+from hpcapp.geometry.lattice import (
     find_keys,
     pack_places,
     unique_keys,
     unpack_keys,
 )
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.geometry.points import FloatArray, IntArray
 from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.errors import JobError
 

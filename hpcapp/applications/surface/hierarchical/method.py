@@ -51,8 +51,8 @@ from hpcapp.applications.surface.tiles.patterns import coarse_lattice
 from hpcapp.applications.surface.tiles.plan import CoarseLattice, Plan, Samples
 from hpcapp.applications.surface.tiles.tasks import sum_tile
 from hpcapp.applications.surface.types.grid import BRICK, MOST_SHIFT, Grid
-from hpcapp.applications.surface.types.lattice import lay_lattice
-from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
+from hpcapp.geometry.lattice import lay_lattice
+from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
 from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.option_names import name_option

@@ -13,7 +13,7 @@ from hpccomponent.option_names import name_option
 if TYPE_CHECKING:
     from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
     from hpcapp.applications.surface.method import Method, Resolution, Resources
-    from hpcapp.applications.surface.types.points import PointCloud
+    from hpcapp.geometry.points import PointCloud
 
 
 @dataclass(frozen=True, slots=True)

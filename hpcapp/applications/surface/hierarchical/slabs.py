@@ -18,7 +18,7 @@ from hpcapp.applications.surface.tiles.halo import plan_whole
 from hpcapp.applications.surface.tiles.plan import Plan
 from hpcapp.applications.surface.tiles.slabs import cut_slabs, grow_slabs
 from hpcapp.applications.surface.tiles.tasks import find_far, sample_cells
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
 
 
 def mesh_slabs(

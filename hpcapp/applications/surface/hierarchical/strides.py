@@ -13,13 +13,13 @@ from hpcapp.applications.surface.field.far_field import far_step
 from hpcapp.applications.surface.field.refinement import Refinement
 from hpcapp.applications.surface.hierarchical.coarse import FEWEST_NODES
 from hpcapp.applications.surface.types.grid import BRICK, MOST_SHIFT, BrickStrides, Grid
-from hpcapp.applications.surface.types.lattice import (
+from hpcapp.geometry.lattice import (
     NEIGHBOURS,
     find_first,
     step_keys,
     unpack_keys,
 )
-from hpcapp.applications.surface.types.points import IntArray
+from hpcapp.geometry.points import IntArray
 
 _STEPS = 1.25  # of the grid, across the smallest cells that points are dense enough for
 _EARLY = 0.25  # doublings: steps are up to a fifth larger than the spacing

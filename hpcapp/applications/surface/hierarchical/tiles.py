@@ -19,8 +19,8 @@ from hpcapp.applications.surface.tiles.plan import Plan
 from hpcapp.applications.surface.tiles.points import CellPoints, PointsThere, pack_cells
 from hpcapp.applications.surface.tiles.tasks import KEPT_TILES
 from hpcapp.applications.surface.types.grid import BRICK
-from hpcapp.applications.surface.types.lattice import unpack_keys
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.geometry.lattice import unpack_keys
+from hpcapp.geometry.points import FloatArray, IntArray
 
 # What a finest cell on the surface, and a cell of the grid there, take beside the points, in what a
 # point takes: from scans of bunny, table and rocker arm, whose finest cells were 1 to 6.5 cells of

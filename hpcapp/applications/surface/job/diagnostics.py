@@ -9,11 +9,11 @@ from typing import Any
 
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.boundary.drive import BARE_SHARE
-from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.normals.consistency import faces_inwards
 from hpcapp.applications.surface.stitching.handles import find_small_handles
 from hpcapp.applications.surface.surface import Surface
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.bounds import bound_points
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.wording import say_count
 from hpccomponent.option_names import name_option
 

@@ -40,11 +40,11 @@ from hpcapp.applications.surface.normals.sides import Oriented, orient_cloud
 from hpcapp.applications.surface.reading.drive import ingest_file
 from hpcapp.applications.surface.reading.reach import drop_far
 from hpcapp.applications.surface.reading.registration import check_registration
-from hpcapp.applications.surface.reading.validity import Dropped
 from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.applications.surface.settings import JobSettings, Settings
-from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.applications.surface.viewpoint import Viewpoint
+from hpcapp.geometry.points import PointCloud
+from hpcapp.geometry.validity import Dropped
 from hpcapp.io import PointSource, drop_unusable, open_points, read_whole
 from hpcapp.io.crs import UNKNOWN, Crs
 from hpcapp.io.points.point_source import SCAN, Findings

@@ -14,8 +14,8 @@ from scipy.spatial import cKDTree
 
 from hpcapp.applications.surface.attributes.carrying import SUPPORT, Carrying
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
 from hpcapp.io import open_points, read_mesh, read_whole, take_finite
 from hpcapp.io.crs import UNKNOWN
 from hpcapp.io.frame import scale_heights

@@ -11,7 +11,7 @@ from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.memory import check_memory, fit_memory
 from hpcapp.applications.surface.method import MARGIN, MAX_GRID, MIN_GRID
 from hpcapp.applications.surface.settings import Settings
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 from hpccomponent.errors import UsageError
 from hpccomponent.option_names import name_option
 

@@ -35,9 +35,9 @@ from hpcapp.applications.surface.settings import (
     choose_threads,
 )
 from hpcapp.applications.surface.surface import simplify_surface
-from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.backends.selection import Backend
 from hpcapp.cancellation import Cancellation
+from hpcapp.geometry.points import FloatArray
 from hpcapp.progress import StageClock
 from hpccomponent.runtime.background import Deferred
 

@@ -81,4 +81,4 @@ def kernel_id(build: str | None = None) -> str:
         digest_code,  # it loads OpenSSL: `--version` would feel it
     )
 
-    return f"portable-{digest_code(Path(__file__).parents[1])}"
+    return f"portable-{digest_code(Path(__file__).parents[3])}"

@@ -14,7 +14,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-_SHARED = ("types/field.py", "types/grid.py", "types/lattice.py", "kernels/case_table.py")
+_SURFACE = "applications/surface"
+_SHARED = (
+    f"{_SURFACE}/types/field.py",
+    f"{_SURFACE}/types/grid.py",
+    "geometry/lattice.py",
+    f"{_SURFACE}/kernels/case_table.py",
+)
 _NAME = re.compile(r"_?([A-Z][A-Z\d_]*)")
 _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: operator.add,
@@ -79,19 +85,20 @@ def _evaluate(node: ast.AST, known: dict[str, Any]) -> Any:
     raise KeyError(type(node))
 
 
-def make_header(surface: Path) -> str:
+def make_header(package: Path) -> str:
     """Return the header: a namespace for each module, in `hpc::constants`.
 
     Parameters
     ----------
-    surface : Path
-        The folder of the surface.
+    package : Path
+        The folder of `hpcapp`.
     """
-    modules = [surface / name for name in _SHARED]
-    modules += sorted((surface / "kernels/portable").rglob("*.py"))
+    kernels = package / _SURFACE / "kernels"
+    modules = [package / name for name in _SHARED]
+    modules += sorted((kernels / "portable").rglob("*.py"))
     lines = ["// Made from the Python modules (see constants_header.py).", "#pragma once"]
     lines += ["#include <cstdint>", "namespace hpc::constants {"]
-    lines += _declare((surface / "kernels/constants.py").read_text("utf-8"))
+    lines += _declare((kernels / "constants.py").read_text("utf-8"))
     for module in modules:
         if declared := _declare(module.read_text("utf-8")):
             lines += [f"namespace {module.stem} {{", *declared, "}"]

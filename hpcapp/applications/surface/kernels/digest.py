@@ -12,11 +12,11 @@ import re
 import sys
 from pathlib import Path
 
-SUBJECTS = (
+SUBJECTS = ("geometry", *(f"applications/surface/{subject}" for subject in (
     "attributes", "boundary", "cleaning", "cloud", "extraction", "field", "kernels", "normals",
     "paper", "reading", "scale", "stitching", "tiles", "types",
-)  # fmt: skip
-"""The folders of the surface with what workers run; all other code is the master's alone."""
+)))  # fmt: skip
+"""The folders of the package with what workers run; all other code is the master's alone."""
 
 _DIGITS = 12
 
@@ -68,12 +68,12 @@ def _is_prose(node: ast.AST) -> bool:
 
 
 def digest_code(folder: Path) -> str:
-    """Return a digest of the code of the surface's subjects.
+    """Return a digest of the code that workers run.
 
     Parameters
     ----------
     folder : Path
-        With `SUBJECTS`. All their Python files count, at any depth, with their names.
+        The package, with `SUBJECTS`. All their Python files count, at any depth, with their names.
 
     Returns
     -------

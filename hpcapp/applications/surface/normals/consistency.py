@@ -7,15 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpcapp.applications.surface import kernels
-from hpcapp.applications.surface.kernels import UNSURE, WRONG, bound_points
-from hpcapp.applications.surface.types.lattice import (
+from hpcapp.applications.surface.kernels import UNSURE, WRONG
+from hpcapp.geometry.bounds import bound_points
+from hpcapp.geometry.lattice import (
     cells_of,
     find_first,
     lay_lattice,
     number_keys,
     pack_places,
 )
-from hpcapp.applications.surface.types.points import (
+from hpcapp.geometry.points import (
     BoolArray,
     Float32Array,
     FloatArray,

@@ -22,8 +22,8 @@ from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.normals.sides import Unsure
 from hpcapp.applications.surface.normals.stand import has_pixels
 from hpcapp.applications.surface.normals.tasks import estimate_region, group_region, turn_region
-from hpcapp.applications.surface.types.lattice import lay_lattice
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.lattice import lay_lattice
+from hpcapp.geometry.points import FloatArray
 
 _SAMPLE = 20_000  # points that are looked at for the pixels of a camera
 

@@ -17,7 +17,7 @@ from hpcapp.applications.surface.normals.inside import TIGHT, find_inside
 from hpcapp.applications.surface.normals.patches import CELL, Patches
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.normals.visibility import WHOLE, look, surround
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, Int8Array, IntArray
+from hpcapp.geometry.points import BoolArray, FloatArray, Int8Array, IntArray
 from hpccomponent.errors import InputError
 from hpccomponent.option_names import name_option
 

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import ndimage
 
 from hpcapp.applications.surface.normals.patches import CELL, Patches, quarter_patches
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
+from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 
 AMPLE, TIGHT = 6.0, 4.0
 """Spacings between a place and the nearest patch: where nobody has said that somebody was inside,

@@ -8,7 +8,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import cg
 
 from hpcapp.applications.surface.normals.patches import Links, Patches
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
+from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 
 _POWER = 4  # of the agreement of two patches, in the strength of their link
 _MOST_CONTACTS = 4.0  # by the square root of the points: more make a link no stronger

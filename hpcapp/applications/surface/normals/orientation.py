@@ -25,7 +25,7 @@ from hpcapp.applications.surface.normals.readings import (
     weigh_readings,
 )
 from hpcapp.applications.surface.normals.sensor import Sensor
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
+from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 
 SURE = 0.3
 """From this confidence on the side of a patch counts as sure."""

@@ -19,14 +19,14 @@ import numpy as np
 
 from hpcapp.applications.surface.kernels import SHEETS, group_sheets, link_groups
 from hpcapp.applications.surface.normals.estimation import refuse_wide
-from hpcapp.applications.surface.types.lattice import (
+from hpcapp.geometry.lattice import (
     find_first,
     find_keys,
     merge_counts,
     number_keys,
     unique_keys,
 )
-from hpcapp.applications.surface.types.points import BoolArray, Float32Array, FloatArray, IntArray
+from hpcapp.geometry.points import BoolArray, Float32Array, FloatArray, IntArray
 from hpccomponent.protocol.records import record
 
 CELL = 4.0

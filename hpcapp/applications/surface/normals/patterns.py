@@ -14,13 +14,13 @@ from hpcapp.applications.surface.normals.patches import (
     Links,
     Patches,
 )
-from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.applications.surface.types.result_patterns import (
     are_units,
     cells_in,
     lie_within,
     rise_by_pairs,
 )
+from hpcapp.geometry.points import FloatArray
 from hpccomponent.protocol.declared import Declared, Fixed, Record, Where, Whole
 from hpccomponent.protocol.declared_arrays import Array
 

@@ -32,7 +32,7 @@ from hpcapp.applications.surface.normals.linked import LinkedPatches
 from hpcapp.applications.surface.normals.patches import Patches
 from hpcapp.applications.surface.normals.stand import has_stand
 from hpcapp.applications.surface.normals.visibility import look
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray
+from hpcapp.geometry.points import BoolArray, FloatArray
 
 CERTAIN = 0.047
 """Cost from one reading to the next from which on the first one is certain, and from .3 of it on

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 from hpccomponent.errors import InputError
 from hpccomponent.option_names import name_option
 

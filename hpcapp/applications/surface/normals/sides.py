@@ -14,7 +14,7 @@ from hpcapp.applications.surface.cloud.measure import draw_boxes
 from hpcapp.applications.surface.normals import patches
 from hpcapp.applications.surface.normals.consistency import share_opposed, weigh_torn
 from hpcapp.applications.surface.normals.sensor import Sensor
-from hpcapp.applications.surface.types.lattice import lay_lattice
+from hpcapp.geometry.lattice import lay_lattice
 from hpcapp.progress import StageClock
 from hpccomponent.option_names import name_option
 

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from hpcapp.applications.surface.normals.patches import CELL, Patches, quarter_patches
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.geometry.points import FloatArray, IntArray
 
 _SAMPLE = 3000  # patches, about
 _PLACES = 7  # along each side of the box

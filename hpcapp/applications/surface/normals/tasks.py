@@ -27,7 +27,7 @@ from hpcapp.applications.surface.normals.patterns import (
     grouped_region,
     turned_region,
 )
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.geometry.points import FloatArray, IntArray
 from hpccomponent.runtime.tasks import declare
 
 

@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from hpcapp.applications.surface.normals.patches import CELL, Patches
-from hpcapp.applications.surface.types.lattice import number_keys
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, Int8Array, IntArray
+from hpcapp.geometry.lattice import number_keys
+from hpcapp.geometry.points import BoolArray, FloatArray, Int8Array, IntArray
 
 WHOLE = 127.0
 """What a cosine of one is as an int8."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.applications.surface.paper.kdtree import Patches
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 from hpccomponent.errors import JobError, UsageError
 
 #: Cells of empty margin on every side: iso-surfaces that leave the outermost boxes close in it.

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.applications.surface.paper.indicator_blend import NodeGrid
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import FloatArray
 from hpccomponent.errors import JobError
 
 

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.paper.split_rule import SplitRule
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.geometry.bounds import bound_points
+from hpcapp.geometry.points import FloatArray, IntArray
 from hpccomponent.errors import InputError, UsageError
 
 #: Boxes of this part of the root's side are not split: without an end the halving would go on

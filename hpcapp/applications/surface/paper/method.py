@@ -19,7 +19,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
-from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.method import Advance, ShowPart, show_nothing
 from hpcapp.applications.surface.paper.indicator_blend import (
     plan_grid,
@@ -39,7 +38,8 @@ from hpcapp.applications.surface.paper.patch_quadrics import (
 )
 from hpcapp.applications.surface.paper.split_rule import SplitRule
 from hpcapp.applications.surface.surface import WholeSurface
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.bounds import bound_points
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.workforce import Workforce, map_batches
 from hpccomponent.errors import InputError, UsageError
 

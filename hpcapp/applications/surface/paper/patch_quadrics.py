@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.geometry.points import FloatArray, IntArray
 from hpccomponent.errors import InputError
 from hpccomponent.protocol.declared import Declared, Where
 from hpccomponent.protocol.declared_arrays import Array

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
+from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
 from hpccomponent.errors import InputError, UsageError
 
 #: Points whose neighbourhoods are held in memory at once.

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
     from hpcapp.applications.surface.method import Method, Resources
     from hpcapp.applications.surface.paper.method import PaperPartition
-    from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+    from hpcapp.geometry.points import FloatArray, PointCloud
 
 
 _GRID = 256

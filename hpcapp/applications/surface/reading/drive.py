@@ -32,11 +32,11 @@ from hpcapp.applications.surface.reading.tasks import (
     survey_range,
     unite_boxes,
 )
-from hpcapp.applications.surface.reading.validity import (
+from hpcapp.geometry.points import FloatArray
+from hpcapp.geometry.validity import (
     Dropped,
     select_usable,
 )
-from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.io.frame import choose_origin
 from hpcapp.io.points.point_source import PointSource
 from hpcapp.io.points.usable import (

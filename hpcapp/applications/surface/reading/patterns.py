@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from hpcapp.applications.surface.reading.validity import Reach
-from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.applications.surface.types.result_patterns import (
     BOX,
     SMALL_BYTES,
@@ -15,6 +13,8 @@ from hpcapp.applications.surface.types.result_patterns import (
     keys_within,
     lie_in,
 )
+from hpcapp.geometry.points import FloatArray
+from hpcapp.geometry.validity import Reach
 from hpccomponent.protocol.declared import Declared, Fixed, Where, Whole
 from hpccomponent.protocol.declared_arrays import Array
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpcapp.applications.surface.kernels import bound_points
-from hpcapp.applications.surface.reading.validity import Reach
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.bounds import bound_points
+from hpcapp.geometry.points import FloatArray, PointCloud
+from hpcapp.geometry.validity import Reach
 
 _SAMPLE = 20_000
 _CORE = (0.02, 0.98)  # quantiles of each coordinate

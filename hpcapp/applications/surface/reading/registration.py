@@ -16,8 +16,8 @@ import numpy as np
 
 from hpcapp.applications.surface.cloud.spacing import estimate_spacing
 from hpcapp.applications.surface.reading.reach import EvenSample
-from hpcapp.applications.surface.types.lattice import number_keys, pack_places
-from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
+from hpcapp.geometry.lattice import number_keys, pack_places
+from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
 from hpcapp.io.points.point_source import SCAN, Scan
 from hpccomponent.errors import InputError
 

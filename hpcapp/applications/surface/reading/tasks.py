@@ -15,20 +15,19 @@ from typing import Any
 
 import numpy as np
 
-from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.cloud.arrangement import Arrangement, PackedPoints, pack_points
 from hpcapp.applications.surface.cloud.disk import write_part
-from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.reading.patterns import (
     arranged_range,
     bounded_range,
     range_bytes,
     surveyed_range,
 )
-from hpcapp.applications.surface.reading.point_records import PointRecords
-from hpcapp.applications.surface.reading.validity import Dropped, Reach, are_usable, select_usable
-from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
 from hpcapp.applications.surface.types.result_patterns import SMALL_BYTES
+from hpcapp.geometry.bounds import bound_points
+from hpcapp.geometry.point_records import PointRecords
+from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
+from hpcapp.geometry.validity import Dropped, Reach, are_usable, select_usable
 from hpccomponent.protocol.records import record
 from hpccomponent.runtime.tasks import declare
 
@@ -221,7 +220,7 @@ def _bound(positions: FloatArray) -> FloatArray:
     """Return a box around points; around none it is one that any other makes larger."""
     if not len(positions):
         return np.array([[np.inf] * 3, [-np.inf] * 3])
-    return np.stack(kernels.bound_points(positions))
+    return np.stack(bound_points(positions))
 
 
 def unite_boxes(boxes: Sequence[FloatArray]) -> FloatArray:

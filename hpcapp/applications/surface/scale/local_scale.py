@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpcapp.applications.surface import kernels
-from hpcapp.applications.surface.types.lattice import (
+from hpcapp.geometry.lattice import (
     BITS,
     NEIGHBOURS,
     ancestor_keys,
@@ -30,7 +30,7 @@ from hpcapp.applications.surface.types.lattice import (
     step_keys,
     unique_keys,
 )
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.geometry.points import FloatArray, IntArray
 from hpccomponent.protocol.records import record
 
 HALVINGS = 2

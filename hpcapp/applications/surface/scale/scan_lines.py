@@ -26,7 +26,7 @@ from hpcapp.applications.surface.scale.local_scale import (
     double_cells,
     merge_scale_counts,
 )
-from hpcapp.applications.surface.types.lattice import (
+from hpcapp.geometry.lattice import (
     BITS,
     ancestor_keys,
     cells_of,
@@ -36,7 +36,7 @@ from hpcapp.applications.surface.types.lattice import (
     pack_places,
     unique_keys,
 )
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
+from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 from hpccomponent.protocol.records import record
 
 _GROWTH = 1.5  # powers of two: half way between a line and a surface

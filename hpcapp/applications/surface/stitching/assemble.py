@@ -18,9 +18,9 @@ from hpcapp.applications.surface.extraction.part_places import (
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.stitching.plan import StitchingPlan
 from hpcapp.applications.surface.stitching.tile_ply import cut_tile
-from hpcapp.applications.surface.types.lattice import unique_keys
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray, Int32Array, IntArray, PointCloud
+from hpcapp.geometry.lattice import unique_keys
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import FloatArray, Int32Array, IntArray, PointCloud
 from hpcapp.io import MeshStream
 
 LoadPart = Callable[[int], MeshPart]

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.extraction.part_places import starts_of
 from hpcapp.applications.surface.extraction.summary import PartSummary
-from hpcapp.applications.surface.types.lattice import find_keys, unique_keys, unpack_keys
-from hpcapp.applications.surface.types.points import IntArray
+from hpcapp.geometry.lattice import find_keys, unique_keys, unpack_keys
+from hpcapp.geometry.points import IntArray
 from hpccomponent.errors import JobError
 
 Integers = IntArray | NDArray[np.int32]

@@ -19,8 +19,8 @@ from itertools import islice
 import numpy as np
 
 from hpcapp.applications.surface import kernels
-from hpcapp.applications.surface.types.lattice import number_keys, pack_places
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
+from hpcapp.geometry.lattice import number_keys, pack_places
+from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 from hpcapp.io.meshes.mesh_stream import MeshStream
 
 BOX = 8.0

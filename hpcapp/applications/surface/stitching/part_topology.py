@@ -18,8 +18,8 @@ from hpcapp.applications.surface.extraction.part_places import starts_of
 from hpcapp.applications.surface.extraction.summary import PartSummary
 from hpcapp.applications.surface.stitching.bricks import PartBricks
 from hpcapp.applications.surface.stitching.topology import Topology, count_loops
-from hpcapp.applications.surface.types.lattice import find_first, find_keys, number_keys
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.geometry.lattice import find_first, find_keys, number_keys
+from hpcapp.geometry.points import FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

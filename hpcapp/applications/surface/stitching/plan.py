@@ -22,8 +22,8 @@ from hpcapp.applications.surface.stitching.bricks import (
 )
 from hpcapp.applications.surface.stitching.part_topology import Components, judge_parts
 from hpcapp.applications.surface.stitching.topology import Topology
-from hpcapp.applications.surface.types.lattice import unique_keys
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.geometry.lattice import unique_keys
+from hpcapp.geometry.points import FloatArray, IntArray
 
 SMALL_SIZES = ((0.02, 0.0), (0.002, 0.5), (0.0005, 0.75))
 """A component stays that has so many faces, by those of the largest one, and of whose vertices so

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.applications.surface import kernels
-from hpcapp.applications.surface.types.lattice import number_keys
-from hpcapp.applications.surface.types.mesh import Mesh, Survey
-from hpcapp.applications.surface.types.points import IntArray
+from hpcapp.applications.surface.types.brick_mesh import Survey
+from hpcapp.geometry.lattice import number_keys
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import IntArray
 
 
 @dataclass(frozen=True, slots=True)

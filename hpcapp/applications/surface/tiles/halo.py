@@ -22,9 +22,9 @@ from hpcapp.applications.surface.types.grid import (
     BrickKinds,
     Grid,
 )
-from hpcapp.applications.surface.types.lattice import find_keys, unpack_keys
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
 from hpcapp.applications.surface.types.rims import dilate, mark_rim
+from hpcapp.geometry.lattice import find_keys, unpack_keys
+from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 
 
 def halo_steps(grid: Grid) -> int:

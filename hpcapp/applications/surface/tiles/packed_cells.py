@@ -23,7 +23,7 @@ from hpcapp.applications.surface.cloud.arrangement import (
     unpacking_arguments,
 )
 from hpcapp.applications.surface.types.grid import Grid
-from hpcapp.applications.surface.types.points import (
+from hpcapp.geometry.points import (
     BoolArray,
     ByteArray,
     Float32Array,

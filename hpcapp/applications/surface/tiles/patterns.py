@@ -24,8 +24,6 @@ from hpcapp.applications.surface.kernels import COLUMNS
 from hpcapp.applications.surface.tiles.plan import CoarseLattice, CoarseLevels, Plan, Samples
 from hpcapp.applications.surface.tiles.points import estimate_work
 from hpcapp.applications.surface.types.grid import BRICK
-from hpcapp.applications.surface.types.lattice import ancestor_keys, find_keys, unique_keys
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
 from hpcapp.applications.surface.types.result_patterns import (
     SMALL_BYTES,
     Box,
@@ -34,6 +32,8 @@ from hpcapp.applications.surface.types.result_patterns import (
     lie_within,
     rise_by_pairs,
 )
+from hpcapp.geometry.lattice import ancestor_keys, find_keys, unique_keys
+from hpcapp.geometry.points import FloatArray, IntArray
 from hpccomponent.protocol.declared import (
     Declared,
     Exactly,

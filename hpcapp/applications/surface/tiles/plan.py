@@ -17,7 +17,7 @@ from hpcapp.applications.surface.field.weights import FIELD_LEVELS, Weights, wei
 from hpcapp.applications.surface.tiles.halo import halo_steps
 from hpcapp.applications.surface.types.field import FieldLevel
 from hpcapp.applications.surface.types.grid import BrickStrides, Grid
-from hpcapp.applications.surface.types.points import Float32Array, FloatArray, IntArray
+from hpcapp.geometry.points import Float32Array, FloatArray, IntArray
 from hpccomponent.protocol.records import record
 
 

@@ -21,14 +21,14 @@ from hpcapp.applications.surface.field.pyramid import Level
 from hpcapp.applications.surface.tiles.packed_cells import sort_tile
 from hpcapp.applications.surface.tiles.plan import Plan
 from hpcapp.applications.surface.types.grid import Grid
-from hpcapp.applications.surface.types.lattice import (
+from hpcapp.geometry.lattice import (
     cells_of,
     find_keys,
     pack_places,
     unique_keys,
     unpack_keys,
 )
-from hpcapp.applications.surface.types.points import ByteArray, FloatArray, IntArray
+from hpcapp.geometry.points import ByteArray, FloatArray, IntArray
 from hpccomponent.protocol.records import record
 
 _BYTES_PER_POINT = 24.0

@@ -23,7 +23,7 @@ from hpcapp.applications.surface.tiles.halo import near_bricks, plan_tile
 from hpcapp.applications.surface.tiles.plan import Plan
 from hpcapp.applications.surface.tiles.points import CellPoints, TilePoints, take_points
 from hpcapp.applications.surface.types.grid import BrickKinds
-from hpcapp.applications.surface.types.points import BoolArray, IntArray
+from hpcapp.geometry.points import BoolArray, IntArray
 
 Found = TypeVar("Found")
 Corners = list[IntArray]

@@ -23,10 +23,10 @@ from hpcapp.applications.surface.extraction.parts import MeshPart, cut_part, joi
 from hpcapp.applications.surface.extraction.sharpening import sharpen_vertices
 from hpcapp.applications.surface.field.levels import SlabFields
 from hpcapp.applications.surface.tiles.halo import cut_slab
+from hpcapp.applications.surface.types.brick_mesh import BrickMesh
 from hpcapp.applications.surface.types.grid import FOREIGN, OPEN, OWN, BrickKinds
-from hpcapp.applications.surface.types.lattice import unique_keys
-from hpcapp.applications.surface.types.mesh import BrickMesh
-from hpcapp.applications.surface.types.points import IntArray
+from hpcapp.geometry.lattice import unique_keys
+from hpcapp.geometry.points import IntArray
 
 SLAB_QUADRICS = 1_000_000
 """Of the finest level, in a slab: 0.1 GB with what their fits take."""

@@ -51,9 +51,9 @@ from hpcapp.applications.surface.tiles.prepared import PreparedTile, finish, lay
 from hpcapp.applications.surface.tiles.slabs import grow_tile
 from hpcapp.applications.surface.types.field import FarField, Features, FieldLevel
 from hpcapp.applications.surface.types.grid import BrickKinds
-from hpcapp.applications.surface.types.lattice import ancestor_keys, unique_keys, unpack_keys
-from hpcapp.applications.surface.types.points import IntArray
 from hpcapp.applications.surface.types.result_patterns import SMALL_BYTES
+from hpcapp.geometry.lattice import ancestor_keys, unique_keys, unpack_keys
+from hpcapp.geometry.points import IntArray
 from hpccomponent.runtime.background import worker_background
 from hpccomponent.runtime.tasks import declare
 from hpccomponent.store.places import hold_store

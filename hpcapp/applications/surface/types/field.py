@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hpcapp.applications.surface.types.points import ByteArray, Float32Array, FloatArray, IntArray
+from hpcapp.geometry.points import ByteArray, Float32Array, FloatArray, IntArray
 from hpccomponent.protocol.records import record
 
 CHANNELS = 12

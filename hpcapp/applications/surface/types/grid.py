@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hpcapp.applications.surface.types.lattice import find_keys, pack_places, unpack_keys
-from hpcapp.applications.surface.types.points import ByteArray, FloatArray, IntArray
+from hpcapp.geometry.lattice import find_keys, pack_places, unpack_keys
+from hpcapp.geometry.points import ByteArray, FloatArray, IntArray
 from hpccomponent.protocol.records import record
 
 MOST_SHIFT = 3

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.types.lattice import keys_lie_within, pack_places, shift_within
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.geometry.lattice import keys_lie_within, pack_places, shift_within
+from hpcapp.geometry.points import FloatArray, IntArray
 from hpccomponent.protocol.declared import Declared, Fixed, Flag, Where, Whole
 from hpccomponent.protocol.declared_arrays import Array
 

@@ -7,7 +7,7 @@ from typing import TypeVar
 import numpy as np
 
 from hpcapp.applications.surface.types.grid import BRICK
-from hpcapp.applications.surface.types.points import BoolArray, ByteArray
+from hpcapp.geometry.points import BoolArray, ByteArray
 
 Array = TypeVar("Array", BoolArray, ByteArray)
 

@@ -11,8 +11,8 @@ import pytest
 from click.testing import CliRunner
 
 from hpcapp.applications.compare.command import compare
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io import write_mesh, write_points
 from hpccomponent.errors import InputError, UsageError
 

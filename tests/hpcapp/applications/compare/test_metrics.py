@@ -18,10 +18,10 @@ from hpcapp.applications.compare.truth import (
     Truth,
     sample_mesh,
 )
-from hpcapp.applications.simulate.implicit import diagonal_of
-from hpcapp.applications.simulate.shapes import SHAPES
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import FloatArray, PointCloud
+from hpcapp.lab.simulate.implicit import diagonal_of
+from hpcapp.lab.simulate.shapes import SHAPES
 
 
 def ball(radius: float = 1.0, cells: int = 40) -> Mesh:

@@ -8,9 +8,9 @@ import pytest
 from hpcapp.applications.compare.nearest import NearestFace
 from hpcapp.applications.compare.sides import find_sides
 from hpcapp.applications.compare.truth import MeshTruth, PointTruth, ShapeTruth
-from hpcapp.applications.simulate.shapes import SHAPES
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import FloatArray, PointCloud
+from hpcapp.lab.simulate.shapes import SHAPES
 
 # A thin wedge: most places near its edge are nearest to the edge itself.
 WEDGE = Mesh(

@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from hpcapp.applications.points.command import convert
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io import open_points, read_points, write_points
 from hpccomponent.errors import OutputError
 

@@ -7,7 +7,7 @@ import pytest
 from hpcapp.applications.points.info import describe, describe_file, measure_spacing
 from hpcapp.applications.surface.job.run import run_job
 from hpcapp.applications.surface.settings import JobSettings
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io import open_points
 from hpcapp.progress import Progress
 

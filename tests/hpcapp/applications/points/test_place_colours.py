@@ -8,7 +8,7 @@ from click.testing import CliRunner
 
 from hpcapp.applications.points.command import info
 from hpcapp.applications.points.place_colours import colour_by_noise, colour_by_spacing
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io import write_points
 from hpccomponent.errors import UsageError
 

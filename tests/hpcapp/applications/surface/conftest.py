@@ -8,7 +8,7 @@ from fixture_types import BrickFunction, BrickValues, Function
 from numpy.typing import NDArray
 
 from hpcapp.applications.surface.types.grid import BRICK, NODES, Grid
-from hpcapp.applications.surface.types.points import IntArray
+from hpcapp.geometry.points import IntArray
 
 
 @pytest.fixture(scope="session")

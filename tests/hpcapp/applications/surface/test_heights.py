@@ -20,8 +20,8 @@ from hpcapp.applications.surface.job import run, steps, storage
 from hpcapp.applications.surface.job.report_page import show_files
 from hpcapp.applications.surface.job.run import run_job
 from hpcapp.applications.surface.settings import JobSettings
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import open_points, read_mesh, read_points, write_points
 from hpcapp.io.crs import Crs
 from hpcapp.io.points.inputs import gather_points

@@ -8,7 +8,7 @@ from hpcapp.applications.surface import memory
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
 from hpcapp.applications.surface.memory import check_memory
 from hpcapp.applications.surface.paper.settings import Paper
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
 from hpccomponent.errors import UsageError
 
 

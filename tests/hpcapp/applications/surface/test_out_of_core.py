@@ -25,7 +25,7 @@ from hpcapp.applications.surface.memory import fitting_tile, parse_limit
 from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.applications.surface.stitching import shared_ply, tile_ply
 from hpcapp.applications.surface.tiles import tasks as region
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io import read_mesh, read_points, write_points
 from hpcapp.progress import Progress, ProgressObserver
 from hpccomponent.errors import JobError, OutputError, UsageError

@@ -9,8 +9,8 @@ import pytest
 from hpcapp.applications.surface.cloud.arranged import MemoryCloud
 from hpcapp.applications.surface.paper.method import PaperMethod
 from hpcapp.applications.surface.pipeline import reconstruct
-from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.backends.serial import SerialExecutor
+from hpcapp.geometry.points import PointCloud
 from hpcapp.progress import Progress, StageClock
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import InputError

@@ -12,9 +12,9 @@ import pytest
 from scipy.spatial import cKDTree
 from shared_data import shared
 
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.cli import main
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import FloatArray
 from hpcapp.io import open_points, read_mesh, read_whole
 
 pytestmark = pytest.mark.slow

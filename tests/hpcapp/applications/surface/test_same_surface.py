@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import hpcapp
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 
 Cloud = tuple[FloatArray, FloatArray | None]
 

@@ -13,7 +13,7 @@ from hpcapp.api.reconstruction import reconstruct
 from hpcapp.applications.surface.job import run, steps, storage
 from hpcapp.applications.surface.job.run import run_job
 from hpcapp.applications.surface.settings import JobSettings
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io import read_mesh, write_points
 from hpcapp.progress import Progress
 from hpcapp.simplification.command import simplify

@@ -11,8 +11,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import hpcapp
-from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.backends.selection import open_executor
+from hpcapp.geometry.points import FloatArray
 from hpccomponent.errors import InputError, JobError
 
 Random = np.random.Generator

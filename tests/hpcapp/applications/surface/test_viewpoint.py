@@ -11,12 +11,12 @@ from camera_files import ring, write_cameras
 
 import hpcapp
 from hpcapp.applications.surface.job.load import told_sensor
-from hpcapp.applications.surface.types.points import FloatArray
 from hpcapp.applications.surface.viewpoint import (
     Viewpoint,
     parse_viewpoint,
     type_viewpoint,
 )
+from hpcapp.geometry.points import FloatArray
 from hpccomponent.errors import InputError, UsageError
 
 Run = Callable[..., tuple[int, str, str]]

@@ -12,9 +12,9 @@ import pytest
 from click.testing import CliRunner, Result
 
 import hpcapp
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.applications.view.command import view
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io import read_mesh, write_mesh, write_points
 from hpcapp.io.crs import UNKNOWN, Crs
 from hpcapp.io.meshes.mesh_stream import as_stream

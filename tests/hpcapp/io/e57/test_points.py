@@ -14,7 +14,7 @@ import pytest
 from mutated_files import page_e57, read_pages
 from shared_data import shared
 
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io.e57.points import open_e57
 from hpcapp.io.points.point_source import PointSource
 from hpccomponent.errors import InputError, MissingLibraryError

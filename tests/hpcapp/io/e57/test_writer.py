@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io import read_points, write_points
 from hpcapp.io.e57.points import open_e57
 from hpccomponent.errors import MissingLibraryError, OutputError

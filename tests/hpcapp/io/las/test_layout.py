@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io import PointSource, open_points
 from hpcapp.io.las.points import open_las
 from hpccomponent.errors import InputError

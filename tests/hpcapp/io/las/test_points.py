@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from shared_data import shared
 
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io import open_points
 from hpcapp.io.las.points import open_las
 from hpccomponent.errors import InputError

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io import read_points, write_points
 from hpcapp.io.las.points import open_las
 from hpcapp.io.las.writer import choose_grid

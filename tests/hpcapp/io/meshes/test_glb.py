@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.geometry.mesh import Mesh
 from hpcapp.io.meshes.glb import write_glb
 from hpcapp.io.meshes.mesh_stream import as_stream
 from hpccomponent.errors import OutputError

@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.geometry.mesh import Mesh
 from hpcapp.io.meshes.obj import read_obj, write_obj
 from hpccomponent.errors import InputError
 

@@ -7,7 +7,7 @@ from zipfile import ZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.geometry.mesh import Mesh
 from hpcapp.io.meshes.threemf import write_3mf
 
 CORE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.geometry.mesh import Mesh
 from hpcapp.io import check_writable, read_mesh, write_mesh
 from hpcapp.io.meshes.mesh_stream import MeshStream
 from hpcapp.io.meshes.tiles import write_tiles

@@ -11,8 +11,8 @@ import pytest
 from level_sets import mesh_level_set
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import FloatArray
 from hpcapp.io.meshes.tileset import write_tileset
 from hpccomponent.errors import OutputError
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.geometry.mesh import Mesh
 from hpcapp.io.meshes.vtp import write_vtp
 
 

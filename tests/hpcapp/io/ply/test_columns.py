@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io import read_mesh, write_mesh
 from hpcapp.io.ply.columns import VertexProperties
 

@@ -9,8 +9,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io.formats import read_points
 from hpcapp.io.ply.format import read_ply_mesh, shared_ply, write_ply_mesh, write_ply_points
 from hpcapp.io.ply.points import open_ply

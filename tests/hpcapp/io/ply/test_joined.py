@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io import open_points, read_points, write_points
 from hpcapp.io.ply.joined import write_joined
 from hpcapp.io.points.mesh_points import slice_cloud

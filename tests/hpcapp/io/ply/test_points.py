@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from hpcapp.applications.surface.reading.tasks import FileRange
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io.ply.points import open_ply
 from hpcapp.io.points.point_source import PointSource
 from hpccomponent.errors import InputError

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import open_points, read_points, write_points
 from hpcapp.io.points.inputs import find_files, gather_points
 from hpccomponent.errors import InputError, UsageError

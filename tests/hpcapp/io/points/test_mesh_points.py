@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import FloatArray
 from hpcapp.io import read_whole
 from hpcapp.io.meshes.stl import write_stl
 from hpcapp.io.points.mesh_points import open_obj, open_off, open_stl, sample_faces

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io.points.npy import open_npy
 from hpcapp.io.points.npz_writer import write_npz_points
 from hpcapp.io.points.point_source import read_whole

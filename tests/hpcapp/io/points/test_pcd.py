@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io.points.pcd import open_pcd
 from hpcapp.io.points.point_source import PointSource, read_whole
 from hpccomponent.errors import InputError

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.reading.point_records import PointRecords
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.point_records import PointRecords
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io import PointSource, open_points, read_points, write_points
 from hpcapp.io.points.point_source import Findings, keep_small
 from hpccomponent.errors import InputError

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import open_points, read_whole
 from hpcapp.io.points.point_source import PointSource
 from hpcapp.io.points.recognition import recognise

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io.points.survey import is_flown_over, is_projected
 
 MAP = np.array([512_000.0, 5_403_000.0, 400.0])

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.reading.validity import Dropped
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
+from hpcapp.geometry.validity import Dropped
 from hpcapp.io.points.usable import drop_unusable
 from hpccomponent.errors import InputError
 

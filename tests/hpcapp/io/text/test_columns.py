@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 from hpcapp.io.points.point_source import Findings
 from hpcapp.io.text.columns import Columns, assign_by_name, assign_by_value
 from hpcapp.io.text.tables import RowNotes

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.surface.attributes.carry import AttributeField, carry_attributes
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.points import FloatArray, PointCloud
 
 RNG = np.random.default_rng(7)
 

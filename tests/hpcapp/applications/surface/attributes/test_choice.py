@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.surface.attributes.choice import AttributeChoice, parse_attributes
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
 from hpccomponent.errors import UsageError
 
 CLOUD = PointCloud(

@@ -14,7 +14,7 @@ from hpcapp.applications.surface.attributes.search import evaluate_blocks
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.cloud.arrangement import choose_arrangement
 from hpcapp.applications.surface.cloud.disk import DiskCloud
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpccomponent.errors import JobError
 
 LABELS = frozenset({"kind"})

@@ -9,7 +9,7 @@ from hpcapp.applications.surface.boundary.clearance import (
     measure_clearance,
 )
 from hpcapp.applications.surface.scale.local_scale import LocalScale, count_scale, make_scale
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.points import FloatArray, PointCloud
 
 SPACING = 0.1
 RULE = SupportRule(0.0, 3.0, LocalScale.uniform(SPACING))

@@ -11,9 +11,9 @@ from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
 from hpcapp.applications.surface.pipeline import Reconstruction, reconstruct
 from hpcapp.applications.surface.stitching.topology import Topology, check_mesh
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.backends.serial import SerialExecutor
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.progress import Progress, StageClock
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import InputError

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.surface.boundary.rim_shape import draws_together
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 
 TURNS = [np.eye(3), np.eye(3)[[1, 2, 0]], np.diag([1.0, -1.0, -1.0])]
 

@@ -13,8 +13,8 @@ from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
 from hpcapp.applications.surface.pipeline import reconstruct
 from hpcapp.applications.surface.stitching.plan import StitchingPlan
 from hpcapp.applications.surface.surface import PartSurface
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
 from hpcapp.backends.serial import SerialExecutor
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.progress import Progress, StageClock
 from hpcapp.workforce import Workforce
 

@@ -11,8 +11,8 @@ from hpcapp.applications.surface.boundary.support import find_farthest
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
 from hpcapp.applications.surface.pipeline import Reconstruction, reconstruct
-from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.backends.serial import SerialExecutor
+from hpcapp.geometry.points import PointCloud
 from hpcapp.progress import Progress, StageClock
 from hpcapp.workforce import Workforce
 

@@ -12,9 +12,6 @@ import numpy as np
 import pytest
 from passes import alone, in_folder
 
-from hpcapp.applications.simulate.scanner import simulate_scan
-from hpcapp.applications.simulate.settings import ScanSettings
-from hpcapp.applications.simulate.shapes import SHAPES
 from hpcapp.applications.surface.cleaning.drive import (
     Cleaned,
     drop_strays,
@@ -28,7 +25,10 @@ from hpcapp.applications.surface.cloud.measured import measure_points
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.hierarchical.estimates import choose_scale
 from hpcapp.applications.surface.scale.local_scale import LocalScale
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.points import FloatArray, PointCloud
+from hpcapp.lab.simulate.scanner import simulate_scan
+from hpcapp.lab.simulate.settings import ScanSettings
+from hpcapp.lab.simulate.shapes import SHAPES
 from hpcapp.workforce import Workforce
 
 Random = np.random.Generator

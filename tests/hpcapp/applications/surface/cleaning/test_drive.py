@@ -10,10 +10,6 @@ import pytest
 from shared_data import shared
 
 from hpcapp.api.reconstruction import reconstruct
-from hpcapp.applications.simulate.implicit import diagonal_of
-from hpcapp.applications.simulate.scanner import simulate_scan
-from hpcapp.applications.simulate.settings import ScanSettings
-from hpcapp.applications.simulate.shapes import SHAPES
 from hpcapp.applications.surface.cleaning.drive import Cleaned, drop_strays, mend_normals
 from hpcapp.applications.surface.cloud import arranged as arranged_cloud
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud
@@ -21,8 +17,12 @@ from hpcapp.applications.surface.cloud.arrangement import choose_arrangement, sn
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
 from hpcapp.applications.surface.cloud.measure import measure_scale
 from hpcapp.applications.surface.reading.reach import drop_far
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io import drop_unusable, read_points
+from hpcapp.lab.simulate.implicit import diagonal_of
+from hpcapp.lab.simulate.scanner import simulate_scan
+from hpcapp.lab.simulate.settings import ScanSettings
+from hpcapp.lab.simulate.shapes import SHAPES
 
 
 def clean(points: PointCloud) -> tuple[PointCloud, Cleaned]:

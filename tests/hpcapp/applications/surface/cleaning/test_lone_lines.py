@@ -8,7 +8,7 @@ import pytest
 from hpcapp.applications.surface.cleaning.drive import drop_strays, thin_lines
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, PointCloud
+from hpcapp.geometry.points import BoolArray, FloatArray, PointCloud
 
 Random = np.random.Generator
 

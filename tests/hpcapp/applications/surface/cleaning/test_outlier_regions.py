@@ -13,8 +13,8 @@ from hpcapp.applications.surface.cleaning.outlier_regions import (
     rank_region,
 )
 from hpcapp.applications.surface.cloud.spacing import estimate_spacing
-from hpcapp.applications.surface.kernels import bound_points
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray
+from hpcapp.geometry.bounds import bound_points
+from hpcapp.geometry.points import BoolArray, FloatArray
 
 
 def _cloud(seed: int) -> FloatArray:

@@ -13,8 +13,8 @@ from hpcapp.applications.surface.cleaning.outlier_regions import (
 )
 from hpcapp.applications.surface.cloud.spacing import estimate_spacing
 from hpcapp.applications.surface.kernels import portable
-from hpcapp.applications.surface.types.lattice import pack_places, unique_keys, unpack_keys
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.lattice import pack_places, unique_keys, unpack_keys
+from hpcapp.geometry.points import FloatArray
 
 
 def sphere(count: int, seed: int = 0) -> FloatArray:

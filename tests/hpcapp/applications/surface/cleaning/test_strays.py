@@ -9,7 +9,7 @@ from hpcapp.applications.surface.cleaning.drive import drop_strays
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
 from hpcapp.applications.surface.cloud.measure import measure_scale
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, PointCloud
+from hpcapp.geometry.points import BoolArray, FloatArray, PointCloud
 
 Random = np.random.Generator
 

@@ -22,7 +22,7 @@ from hpcapp.applications.surface.cloud.disk import (
     write_part,
 )
 from hpcapp.applications.surface.cloud.measured import Points
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
 from hpccomponent.errors import JobError, OutputError
 
 

@@ -14,8 +14,8 @@ from hpcapp.applications.surface.cloud.arrangement import (
     snap_points,
     unpack_points,
 )
-from hpcapp.applications.surface.types.lattice import pack_places, unpack_keys
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.lattice import pack_places, unpack_keys
+from hpcapp.geometry.points import FloatArray
 from hpccomponent.errors import InputError
 
 

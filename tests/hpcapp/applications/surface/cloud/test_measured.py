@@ -10,7 +10,7 @@ from hpcapp.applications.surface.cloud.measured import (
     first_share,
     measure_points,
 )
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
 from hpccomponent.errors import InputError
 
 

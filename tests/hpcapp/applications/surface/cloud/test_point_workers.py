@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.cloud.cutting import cut_even, cut_regions
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
-from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.backends.serial import SerialExecutor
+from hpcapp.geometry.points import PointCloud
 from hpcapp.workforce import Workforce
 
 

@@ -20,7 +20,7 @@ from hpcapp.applications.surface.cloud.regions import (
 )
 from hpcapp.applications.surface.cloud.spacing import estimate_spacing
 from hpcapp.applications.surface.normals.consistency import MARGIN, find_turned
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.points import FloatArray, PointCloud
 
 
 def _cloud(seed: int) -> FloatArray:

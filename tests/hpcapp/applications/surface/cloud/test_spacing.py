@@ -9,8 +9,8 @@ from hpcapp.applications.surface.cloud.spacing import (
     sample_box_keys,
     search_spacing,
 )
-from hpcapp.applications.surface.types.lattice import lay_lattice
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.lattice import lay_lattice
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpccomponent.errors import InputError
 
 

@@ -13,7 +13,7 @@ from hpcapp.applications.surface.cloud.arranged import MemoryCloud, arrange_clou
 from hpcapp.applications.surface.cloud.cloud_pass import CloudPass, MemoryPass
 from hpcapp.applications.surface.cloud.measure import check_surface, measure_spacing
 from hpcapp.applications.surface.cloud.surface_check import find_no_surface_in
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.points import FloatArray, PointCloud
 
 Random = np.random.Generator
 

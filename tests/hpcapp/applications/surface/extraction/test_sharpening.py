@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from hpcapp.applications.surface.extraction.sharpening import sharpen_vertices
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.applications.surface.types.field import Features
-from hpcapp.applications.surface.types.lattice import pack_places, unpack_keys
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
+from hpcapp.geometry.lattice import pack_places, unpack_keys
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 
 LATTICE = (np.array([-1.1, -1.1, -1.1]), 1.5 * GRID.step)
 BALL = 0.8

@@ -7,8 +7,8 @@ from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.field.ancestors import corners_at
 from hpcapp.applications.surface.field.pyramid import lay_vertices
 from hpcapp.applications.surface.kernels.portable.lattice.keys import mark_ancestors
-from hpcapp.applications.surface.types.lattice import pack_places, unique_keys, unpack_keys
-from hpcapp.applications.surface.types.points import IntArray
+from hpcapp.geometry.lattice import pack_places, unique_keys, unpack_keys
+from hpcapp.geometry.points import IntArray
 
 
 @pytest.fixture(scope="module")

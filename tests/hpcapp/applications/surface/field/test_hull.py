@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.surface.field.hull import find_hull
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 
 SIZE = 0.1
 

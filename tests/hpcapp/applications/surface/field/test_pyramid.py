@@ -16,10 +16,10 @@ from hpcapp.applications.surface.field.pyramid import (
     raise_levels,
 )
 from hpcapp.applications.surface.field.weights import Weights, weigh_levels
-from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.kernels.portable.quadrics.moments import accumulate_moments
-from hpcapp.applications.surface.types.lattice import find_keys, unpack_keys
-from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
+from hpcapp.geometry.bounds import bound_points
+from hpcapp.geometry.lattice import find_keys, unpack_keys
+from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
 
 CELL_SIZE = 0.05
 CENTRE = np.array([10.0, 0.0, -3.0])

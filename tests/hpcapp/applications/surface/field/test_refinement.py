@@ -9,14 +9,14 @@ from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.field.local_noise import LocalNoise
 from hpcapp.applications.surface.field.refinement import Refinement
 from hpcapp.applications.surface.scale.local_scale import LocalScale, count_scale, make_scale
-from hpcapp.applications.surface.types.lattice import (
+from hpcapp.geometry.lattice import (
     ancestor_keys,
     find_keys,
     pack_places,
     unique_keys,
     unpack_keys,
 )
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.geometry.points import FloatArray, IntArray
 
 ORIGIN = np.zeros(3)
 

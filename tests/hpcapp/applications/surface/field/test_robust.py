@@ -8,8 +8,8 @@ import pytest
 from hpcapp.applications.surface.field.cell_points import CloudRows, SortedPoints, sort_cloud
 from hpcapp.applications.surface.field.robust import find_tolerance, tell_kurtosis, weigh_points
 from hpcapp.applications.surface.kernels.portable.quadrics.robust import rate_points
-from hpcapp.applications.surface.types.lattice import pack_places, spread_keys
-from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
+from hpcapp.geometry.lattice import pack_places, spread_keys
+from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
 
 SIZE = 0.25
 

@@ -8,13 +8,13 @@ from hpcapp.applications.surface.field.support import (
     sum_squares,
     surrounded_vertices,
 )
-from hpcapp.applications.surface.types.lattice import (
+from hpcapp.geometry.lattice import (
     pack_places,
     spread_keys,
     unique_keys,
     unpack_keys,
 )
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.geometry.points import FloatArray, IntArray
 
 LevelCounts = tuple[IntArray, FloatArray, IntArray, IntArray]
 

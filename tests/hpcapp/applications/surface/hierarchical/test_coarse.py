@@ -5,7 +5,7 @@ import pytest
 
 from hpcapp.applications.surface.cloud.measured import measure_points
 from hpcapp.applications.surface.hierarchical.coarse import choose_nodes
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.points import FloatArray, PointCloud
 
 POINTS = 40_000
 BOX = np.full(3, -1.0), np.full(3, 1.0)

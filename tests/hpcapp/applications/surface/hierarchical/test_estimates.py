@@ -6,7 +6,7 @@ import pytest
 from hpcapp.applications.surface.cloud.measured import measure_points
 from hpcapp.applications.surface.cloud.spacing import estimate_spacing
 from hpcapp.applications.surface.hierarchical.estimates import choose_scale, suggest_grid
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
 
 
 def noisy_sphere(noise: float, count: int = 20_000) -> PointCloud:

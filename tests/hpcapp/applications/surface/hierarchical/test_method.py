@@ -27,9 +27,9 @@ from hpcapp.applications.surface.tiles import slabs as slab_growth
 from hpcapp.applications.surface.tiles.plan import Plan
 from hpcapp.applications.surface.tiles.slabs import grow_slabs
 from hpcapp.applications.surface.types.grid import BRICK, BrickKinds, BrickStrides
-from hpcapp.applications.surface.types.lattice import pack_places, unpack_keys
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray, IntArray, PointCloud
+from hpcapp.geometry.lattice import pack_places, unpack_keys
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
 from hpcapp.io import read_points
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import InputError, UsageError

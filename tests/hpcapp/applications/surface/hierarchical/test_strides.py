@@ -13,8 +13,8 @@ from hpcapp.applications.surface.hierarchical.coarse import FEWEST_NODES
 from hpcapp.applications.surface.hierarchical.strides import choose_strides
 from hpcapp.applications.surface.kernels import seed_bricks
 from hpcapp.applications.surface.types.grid import BRICK, BrickStrides, Grid
-from hpcapp.applications.surface.types.lattice import NEIGHBOURS, step_keys, unpack_keys
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.geometry.lattice import NEIGHBOURS, step_keys, unpack_keys
+from hpcapp.geometry.points import FloatArray, IntArray
 
 
 def sheet(low: float, high: float, spacing: float) -> FloatArray:

@@ -10,7 +10,7 @@ from hpcapp.applications.surface.cloud.cutting import cut_tiles
 from hpcapp.applications.surface.hierarchical.tiles import weigh_cells
 from hpcapp.applications.surface.tiles.halo import mark_near
 from hpcapp.applications.surface.tiles.plan import Plan
-from hpcapp.applications.surface.types.lattice import pack_places, spread_keys, unique_keys
+from hpcapp.geometry.lattice import pack_places, spread_keys, unique_keys
 
 
 @given(st.integers(0, 2**32), st.integers(1, 200), st.integers(1, 20))

@@ -16,7 +16,7 @@ from hpcapp.applications.surface.job import run, steps, storage
 from hpcapp.applications.surface.job.run import run_job
 from hpcapp.applications.surface.normals.orientation import SURE
 from hpcapp.applications.surface.settings import JobSettings
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import write_points
 from hpcapp.progress import Progress
 from hpccomponent.errors import InputError, JobError, UsageError

@@ -10,10 +10,10 @@ from hpcapp.applications.surface.job.diagnostics import (
     check_sides,
     check_support,
 )
-from hpcapp.applications.surface.kernels import bound_points
 from hpcapp.applications.surface.surface import WholeSurface
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.bounds import bound_points
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import FloatArray, PointCloud
 
 
 def surface_of(vertices: FloatArray) -> WholeSurface:

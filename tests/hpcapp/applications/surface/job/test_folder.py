@@ -16,8 +16,8 @@ from hpcapp.applications.surface.job import folder
 from hpcapp.applications.surface.job.folder import find_point_workers, may_pay_in_folder
 from hpcapp.applications.surface.job.load import PointFolder, load
 from hpcapp.applications.surface.settings import JobSettings
-from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.backends.selection import Backend
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io import write_points
 from hpcapp.progress import Progress, StageClock
 from hpcapp.workforce import Workforce

@@ -16,8 +16,8 @@ from hpcapp.applications.surface.job.run import run_job
 from hpcapp.applications.surface.normals.sides import orient_cloud
 from hpcapp.applications.surface.paper.settings import Paper
 from hpcapp.applications.surface.settings import JobSettings
-from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.applications.surface.viewpoint import Viewpoint
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io import write_points
 from hpcapp.progress import Progress, StageClock
 from hpccomponent.errors import InputError

@@ -18,9 +18,9 @@ from hpcapp.applications.surface.job.report_page import (
     find_guesses,
     show_files,
 )
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.applications.view.page import make_page
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io import read_mesh, write_points
 from hpcapp.wording import say_number
 from hpccomponent.errors import UsageError

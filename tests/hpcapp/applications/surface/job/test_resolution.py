@@ -11,7 +11,7 @@ from hpcapp.applications.surface.hierarchical.settings import Hierarchical
 from hpcapp.applications.surface.job.resolution import find_grid, guess_grid
 from hpcapp.applications.surface.paper.settings import Paper
 from hpcapp.applications.surface.settings import Settings
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
 from hpccomponent.errors import UsageError
 
 

@@ -13,8 +13,8 @@ from hpcapp.applications.surface.job.run import run_job
 from hpcapp.applications.surface.method import MethodSettings
 from hpcapp.applications.surface.paper.settings import Paper
 from hpcapp.applications.surface.settings import JobSettings
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io import read_mesh, write_mesh, write_points
 from hpcapp.progress import Progress
 from hpccomponent.errors import HpcError, OutputError

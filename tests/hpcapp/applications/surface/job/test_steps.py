@@ -15,7 +15,7 @@ from hpcapp.applications.surface.job.backend_choice import approach_workers
 from hpcapp.applications.surface.job.load import load
 from hpcapp.applications.surface.job.steps import run_steps
 from hpcapp.applications.surface.settings import JobSettings
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io import write_points
 from hpcapp.progress import Progress, StageClock
 

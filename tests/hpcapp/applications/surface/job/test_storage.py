@@ -22,7 +22,7 @@ from hpcapp.applications.surface.job import run, steps, storage
 from hpcapp.applications.surface.job.run import run_job
 from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.applications.surface.tiles import tasks as region
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io import write_points
 from hpcapp.progress import Progress
 from hpccomponent.errors import InputError, JobError, NoWorkersError

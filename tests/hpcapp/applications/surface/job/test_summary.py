@@ -9,7 +9,7 @@ import pytest
 
 from hpcapp.applications.surface.job.summary import summarize
 from hpcapp.applications.surface.stitching.topology import Topology, check_mesh
-from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.geometry.mesh import Mesh
 
 CORNERS = np.array([[0.0, 0, 0], [1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hpcapp.applications.surface.kernels.case_table import EDGES, case_triangles, triangle_counts
-from hpcapp.applications.surface.types.lattice import OCTANTS
+from hpcapp.geometry.lattice import OCTANTS
 
 CASES = range(256)
 

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-import hpcapp.applications.surface
+import hpcapp
 from hpcapp.applications.surface.kernels.constants_header import make_header, read_constants
 from hpcapp.applications.surface.kernels.digest import SUBJECTS, digest_code
 from hpcapp.applications.surface.kernels.portable.around import planes
 from hpcapp.applications.surface.kernels.portable.field import features
 
-SURFACE = Path(hpcapp.applications.surface.__file__ or "").parent
+PACKAGE = Path(hpcapp.__file__).parent
 
 
 @pytest.mark.parametrize("module", [planes, features])
@@ -30,7 +30,7 @@ def test_what_is_computed_is_left_out() -> None:
 
 
 def test_types_and_sides_are_those_of_the_values() -> None:
-    header = make_header(SURFACE)
+    header = make_header(PACKAGE)
     assert "namespace planes {\nconstexpr int COUNTS[5] = {8, 12, 17, 24, 34};" in header
     assert "constexpr int64_t STRIDES[3] = {4398046511104, 2097152, 1};" in header
     assert "constexpr double RIDGE = 1e-09;" in header
@@ -38,9 +38,9 @@ def test_types_and_sides_are_those_of_the_values() -> None:
 
 def test_a_constant_changes_the_header_and_the_numerics_id(tmp_path: Path) -> None:
     for subject in SUBJECTS:
-        shutil.copytree(SURFACE / subject, tmp_path / subject)
+        shutil.copytree(PACKAGE / subject, tmp_path / subject)
     header, digest = make_header(tmp_path), digest_code(tmp_path)
-    module = tmp_path / "kernels/portable/quadrics/hermite.py"
+    module = tmp_path / "applications/surface/kernels/portable/quadrics/hermite.py"
     module.write_text(module.read_text().replace("_RIDGE = 1e-9", "_RIDGE = 2e-9"))
     assert make_header(tmp_path) == header.replace("RIDGE = 1e-09", "RIDGE = 2e-09") != header
     assert digest_code(tmp_path) != digest

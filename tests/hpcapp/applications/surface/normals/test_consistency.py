@@ -7,7 +7,7 @@ import pytest
 
 from hpcapp.applications.surface.cloud.spacing import estimate_spacing
 from hpcapp.applications.surface.normals.consistency import find_turned
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 
 Oriented = tuple[FloatArray, FloatArray]
 

@@ -8,9 +8,6 @@ import numpy as np
 import pytest
 from passes import alone, in_folder, in_memory
 
-from hpcapp.applications.simulate.scanner import simulate_scan
-from hpcapp.applications.simulate.settings import ScanSettings
-from hpcapp.applications.simulate.shapes import SHAPES
 from hpcapp.applications.surface.cloud import cloud_pass
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
@@ -19,7 +16,10 @@ from hpcapp.applications.surface.normals.drive import turn_normals
 from hpcapp.applications.surface.normals.orientation import SURE
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.normals.sides import Oriented, judge_normals, orient_cloud
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.points import FloatArray, PointCloud
+from hpcapp.lab.simulate.scanner import simulate_scan
+from hpcapp.lab.simulate.settings import ScanSettings
+from hpcapp.lab.simulate.shapes import SHAPES
 from hpcapp.progress import Progress, StageClock
 
 UNKNOWN = Sensor()

@@ -7,7 +7,7 @@ import pytest
 
 from hpcapp.applications.surface.cloud.spacing import estimate_spacing
 from hpcapp.applications.surface.normals.estimation import MARGIN, estimate_normals, keep_directions
-from hpcapp.applications.surface.types.points import Float32Array, FloatArray
+from hpcapp.geometry.points import Float32Array, FloatArray
 
 
 def _estimate(positions: FloatArray) -> Float32Array:

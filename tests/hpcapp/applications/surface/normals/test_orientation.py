@@ -12,7 +12,7 @@ from hpcapp.applications.surface.normals.estimation import estimate_normals
 from hpcapp.applications.surface.normals.orientation import SURE, orient_patches
 from hpcapp.applications.surface.normals.patches import find_patches, merge_patches, turn_points
 from hpcapp.applications.surface.normals.sensor import Sensor
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 
 FAR = np.full(3, 1e9)
 FLOWN = Sensor("above")

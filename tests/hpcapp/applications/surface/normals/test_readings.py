@@ -14,7 +14,7 @@ from hpcapp.applications.surface.normals.orientation import SURE, Orientation, o
 from hpcapp.applications.surface.normals.patches import Links, Patches, find_patches, turn_points
 from hpcapp.applications.surface.normals.readings import HABIT, choose, lies_level, weigh_readings
 from hpcapp.applications.surface.normals.sensor import Sensor
-from hpcapp.applications.surface.types.points import Float32Array, FloatArray
+from hpcapp.geometry.points import Float32Array, FloatArray
 from hpccomponent.errors import InputError
 
 FAR = np.full(3, 1e9)

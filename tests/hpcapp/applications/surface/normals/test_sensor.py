@@ -7,7 +7,7 @@ import pytest
 from camera_files import look_at, ring
 
 from hpcapp.applications.surface.normals.sensor import Sensor
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 from hpccomponent.errors import InputError
 
 ZERO, FAR = np.zeros(3), np.array([500_000.0, 5_200_000.0, 400.0])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.surface.normals.stand import has_pixels
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 
 
 def _depth_image(axes: list[int]) -> FloatArray:

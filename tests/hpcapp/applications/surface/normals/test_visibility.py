@@ -11,7 +11,7 @@ from hpcapp.applications.surface.normals.evidence import Views
 from hpcapp.applications.surface.normals.inside import TIGHT, find_inside
 from hpcapp.applications.surface.normals.patches import Patches
 from hpcapp.applications.surface.normals.visibility import find_seen, look, surround
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 
 SPACING = 0.02
 

@@ -13,7 +13,7 @@ from hpcapp.applications.surface.paper.iso_surface import extract_iso_surface
 from hpcapp.applications.surface.paper.kdtree import Patches
 from hpcapp.applications.surface.paper.patch_quadrics import evaluate_quadrics
 from hpcapp.applications.surface.stitching.topology import check_mesh
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 from hpccomponent.errors import JobError, UsageError
 
 

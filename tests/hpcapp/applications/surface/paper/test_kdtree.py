@@ -9,7 +9,7 @@ from shared_data import shared
 
 from hpcapp.applications.surface.paper.kdtree import partition_by_count, partition_by_rule
 from hpcapp.applications.surface.paper.split_rule import SplitRule
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 from hpccomponent.errors import InputError, UsageError
 
 ROOTS = ("cube", "box", "tight")

@@ -12,8 +12,8 @@ import pytest
 from hpcapp.applications.surface.cloud.arranged import MemoryCloud
 from hpcapp.applications.surface.paper.method import PaperMethod, PaperPartition, measure_residuals
 from hpcapp.applications.surface.stitching.topology import check_mesh
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import InputError, UsageError
 

@@ -16,7 +16,7 @@ from hpcapp.applications.surface.paper.patch_quadrics import (
     fit_patches,
     gradient_quadrics,
 )
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.geometry.points import FloatArray, IntArray
 from hpccomponent.errors import InputError
 
 Shape = Callable[[np.random.Generator], tuple[FloatArray, FloatArray]]

@@ -13,7 +13,7 @@ from hpcapp.applications.surface.paper.preprocess import (
     remove_outliers,
     resample,
 )
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpccomponent.errors import InputError, UsageError
 
 

@@ -16,7 +16,7 @@ from hpcapp.applications.surface.reading import drive as ingest
 from hpcapp.applications.surface.reading import tasks
 from hpcapp.applications.surface.reading.drive import ingest_file
 from hpcapp.applications.surface.reading.reach import EvenSample, drop_far
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import drop_unusable, open_points, read_points, write_points
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import InputError

@@ -14,7 +14,7 @@ from hpcapp.applications.surface.reading.registration import (
     check_registration,
     compare_scans,
 )
-from hpcapp.applications.surface.types.points import FloatArray, PointCloud
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io.points.point_source import Scan
 from hpccomponent.errors import InputError
 

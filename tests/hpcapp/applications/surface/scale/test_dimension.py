@@ -15,7 +15,7 @@ from hpcapp.applications.surface.scale.dimension import (
     choose_counts,
     look_around,
 )
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 
 Random = np.random.Generator
 

@@ -11,7 +11,7 @@ from hpcapp.applications.surface.scale.local_scale import (
     count_scale,
     make_scale,
 )
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 
 ORIGIN, EDGE = np.full(3, -8.0), 0.25
 

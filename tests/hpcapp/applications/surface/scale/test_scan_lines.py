@@ -14,8 +14,8 @@ from hpcapp.applications.surface.scale.scan_lines import (
     find_spare,
     keep_lines,
 )
-from hpcapp.applications.surface.types.lattice import cells_of, pack_places
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.geometry.lattice import cells_of, pack_places
+from hpcapp.geometry.points import FloatArray, IntArray
 
 ORIGIN, EDGE = np.full(3, -8.0), 0.0625
 

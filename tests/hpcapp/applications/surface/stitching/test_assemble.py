@@ -18,7 +18,7 @@ from hpcapp.applications.surface.stitching import assemble as welded
 from hpcapp.applications.surface.stitching.plan import StitchingPlan, plan_stitching
 from hpcapp.applications.surface.stitching.shared_ply import write_part
 from hpcapp.applications.surface.stitching.topology import check_mesh
-from hpcapp.applications.surface.types.mesh import Mesh
+from hpcapp.geometry.mesh import Mesh
 from hpcapp.io import read_mesh, write_mesh
 from hpcapp.io.meshes.tiles import write_tiles
 from hpcapp.io.ply.format import shared_ply

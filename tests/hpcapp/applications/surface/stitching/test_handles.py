@@ -7,8 +7,8 @@ import pytest
 
 from hpcapp.applications.surface.stitching.handles import SmallHandles, find_small_handles
 from hpcapp.applications.surface.stitching.topology import check_mesh
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import BoolArray, FloatArray
 from hpcapp.io.meshes.mesh_stream import as_stream
 
 

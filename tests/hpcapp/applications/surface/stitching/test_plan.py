@@ -25,9 +25,9 @@ from hpcapp.applications.surface.stitching.assemble import assemble_mesh
 from hpcapp.applications.surface.stitching.bricks import missing_bricks
 from hpcapp.applications.surface.stitching.plan import StitchingPlan, find_large, plan_stitching
 from hpcapp.applications.surface.stitching.topology import check_mesh
-from hpcapp.applications.surface.types.lattice import unpack_keys
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import IntArray
+from hpcapp.geometry.lattice import unpack_keys
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import IntArray
 from hpccomponent.errors import JobError
 
 ORIGIN = np.array([5.0, 0.0, -3.0])

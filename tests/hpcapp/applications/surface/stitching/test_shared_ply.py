@@ -11,7 +11,8 @@ import pytest
 
 from hpcapp.applications.surface.extraction.part_places import PartPlaces
 from hpcapp.applications.surface.extraction.parts import MeshPart
-from hpcapp.applications.surface.stitching.shared_ply import FACE_SIZE, SharedPly, write_kept
+from hpcapp.applications.surface.stitching.shared_ply import write_kept
+from hpcapp.geometry.ply_rows import FACE_SIZE, SharedPly
 from hpccomponent.errors import JobError, OutputError
 from hpccomponent.store.places import open_store
 

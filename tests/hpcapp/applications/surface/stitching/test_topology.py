@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.surface.stitching.topology import check_mesh, signed_volume
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import IntArray
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import IntArray
 
 
 def grid_torus(

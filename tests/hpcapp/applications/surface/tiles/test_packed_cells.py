@@ -24,8 +24,8 @@ from hpcapp.applications.surface.kernels.portable.lattice.points import sort_poi
 from hpcapp.applications.surface.tiles import packed_cells
 from hpcapp.applications.surface.tiles.packed_cells import sort_tile
 from hpcapp.applications.surface.types.grid import Grid
-from hpcapp.applications.surface.types.lattice import cells_of, find_keys, pack_places, unique_keys
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.lattice import cells_of, find_keys, pack_places, unique_keys
+from hpcapp.geometry.points import PointCloud
 
 BUILDS = [build for build in (portable, load_native()) if build is not None]
 

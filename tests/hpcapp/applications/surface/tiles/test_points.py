@@ -9,8 +9,8 @@ from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.cloud.arrangement import unpack_points
 from hpcapp.applications.surface.tiles.points import PointsThere, estimate_work, pack_cells
 from hpcapp.applications.surface.tiles.tasks import mesh_gap, mesh_tile, sum_tile
-from hpcapp.applications.surface.types.lattice import pack_places, unique_keys
-from hpcapp.applications.surface.types.points import PointCloud
+from hpcapp.geometry.lattice import pack_places, unique_keys
+from hpcapp.geometry.points import PointCloud
 from hpccomponent.protocol.blobs import make_blob
 from hpccomponent.protocol.codec import encode_values
 from hpccomponent.runtime.tasks import traits_of

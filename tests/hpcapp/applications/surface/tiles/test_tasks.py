@@ -25,8 +25,8 @@ from hpcapp.applications.surface.tiles.plan import Plan
 from hpcapp.applications.surface.tiles.points import PointsThere, TilePoints, take_points
 from hpcapp.applications.surface.tiles.prepared import PreparedTile, lay_corners
 from hpcapp.applications.surface.tiles.tasks import KEPT_TILES, mesh_tile, solve_far, sum_tile
-from hpcapp.applications.surface.types.points import PointCloud
 from hpcapp.backends.serial import SerialExecutor
+from hpcapp.geometry.points import PointCloud
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import JobError
 from hpccomponent.runtime.background import Background

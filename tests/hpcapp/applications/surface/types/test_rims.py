@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.surface.types.grid import BRICK, MOST_SHIFT, BrickStrides, Grid
-from hpcapp.applications.surface.types.lattice import pack_places
-from hpcapp.applications.surface.types.points import BoolArray
 from hpcapp.applications.surface.types.rims import mark_rim
+from hpcapp.geometry.lattice import pack_places
+from hpcapp.geometry.points import BoolArray
 
 
 def middle_of(side: int) -> BoolArray:

@@ -1,4 +1,4 @@
-// Places on a lattice as sorted 63-bit keys: packing, finding, sorting (see types/lattice.py).
+// Places on a lattice as sorted 63-bit keys: packing, finding, sorting (see geometry/lattice.py).
 #pragma once
 
 #include <algorithm>

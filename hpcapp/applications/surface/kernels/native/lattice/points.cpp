@@ -81,18 +81,6 @@ HPC_CLONES void bound(const double* points, int64_t count, double* least, double
   }
 }
 
-nb::tuple bound_points(Doubles positions) {
-  const double* point = check<double>(positions, "positions", {ANY, 3});
-  const int64_t count = rows_of(positions);
-  if (!count) refuse("positions: expected at least one point");
-  auto low = make_buffer<double>(3), high = make_buffer<double>(3);
-  {
-    nb::gil_scoped_release unlocked;
-    bound(point, count, low.get(), high.get());
-  }
-  return nb::make_tuple(give(std::move(low), {3}), give(std::move(high), {3}));
-}
-
 // Return whether a box is in the sample of about one in so many, chosen by a hash.
 inline bool is_sampled(int64_t key, int64_t one_in) {
   const uint64_t mixed = static_cast<uint64_t>(key) * 0x9E3779B97F4A7C15u >> 33;
@@ -284,7 +272,6 @@ HPC_CLONES void centre_points(double* points, int64_t count, const double* origi
 }
 
 HPC_KERNELS {
-  module.def("bound_points", &bound_points, "positions"_a);
   module.def("count_boxes", &count_boxes, "positions"_a, "low"_a, "edge"_a, "one_in"_a);
   module.def("sample_boxes", &sample_boxes, "positions"_a, "low"_a, "edge"_a, "one_in"_a);
   module.def("sort_points", &sort_points, "positions"_a, "origin"_a, "cell_size"_a);

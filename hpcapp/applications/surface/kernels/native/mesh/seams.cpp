@@ -181,7 +181,7 @@ nb::object find_seams(Input faces_of, std::pair<int64_t, int64_t> counts, Input 
     components = found.labels.number(labels.get());
     join_open(faces, found);
   }
-  return python_object("types.mesh", "Seams")(components, give(std::move(labels), {static_cast<size_t>(vertices)}),
+  return python_object("types.brick_mesh", "Seams")(components, give(std::move(labels), {static_cast<size_t>(vertices)}),
                                        give_list(found.pieces), give_list(found.sides, 3), give_list(found.bare));
 }
 
@@ -276,7 +276,7 @@ nb::object give_sums(Buffer<int32_t> starts, int64_t bricks, const std::vector<E
     std::copy(entries[e].sums, entries[e].sums + 4, sums.get() + 4 * e);
   }
   const size_t rows = entries.size();
-  return python_object("types.mesh", "BrickSums")(
+  return python_object("types.brick_mesh", "BrickSums")(
       give(std::move(starts), {static_cast<size_t>(bricks) + 1}), give(std::move(labels), {rows}),
       give(std::move(vertices), {rows}), give(std::move(faces), {rows}), give(std::move(sums), {rows, 4}),
       give(std::move(bounds), {static_cast<size_t>(components), 6}));

@@ -95,7 +95,7 @@ nb::object survey_mesh(Integers faces_of, int64_t vertices) {
     }
     for (int64_t i = 0; i < 3 * count; ++i) fans += corners.find(static_cast<int32_t>(i)) == i;
   }
-  return python_object("types.mesh", "Survey")(survey.boundary, survey.overfull, survey.degenerate, survey.misoriented, fans,
+  return python_object("types.brick_mesh", "Survey")(survey.boundary, survey.overfull, survey.degenerate, survey.misoriented, fans,
                                         give(std::move(edges_of), {static_cast<size_t>(vertices)}));
 }
 

@@ -242,7 +242,7 @@ nb::object give_mesh(Bricks& all, Extracted&& mesh, Large<int64_t>&& exits) {
     faces[i] = all.bricks[i].faces;
   }
   const size_t vertex_count = static_cast<size_t>(mesh.vertex_count), face_count = static_cast<size_t>(mesh.face_count);
-  return python_object("types.mesh", "BrickMesh")(
+  return python_object("types.brick_mesh", "BrickMesh")(
       give(std::move(keys)), give(std::move(taken), {count}), give(std::move(vertices), {count}),
       give(std::move(faces), {count}), give(std::move(mesh.vertices), {vertex_count, 3}),
       give(std::move(mesh.faces), {face_count, 3}), give(std::move(exits)));

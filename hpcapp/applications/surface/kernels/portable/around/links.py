@@ -6,8 +6,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from hpcapp.applications.surface.kernels.portable.around.nearest import Nearest, round_positions
-from hpcapp.applications.surface.types.lattice import merge_counts
-from hpcapp.applications.surface.types.points import ByteArray, FloatArray, IntArray
+from hpcapp.geometry.lattice import merge_counts
+from hpcapp.geometry.points import ByteArray, FloatArray, IntArray
 
 __all__ = ["link_groups"]
 

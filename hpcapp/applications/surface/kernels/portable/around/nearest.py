@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from hpcapp.applications.surface.types.lattice import number_keys, pack_places
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.geometry.lattice import number_keys, pack_places
+from hpcapp.geometry.points import FloatArray, IntArray
 
 UNITS = 1 << 19
 """In a spacing."""

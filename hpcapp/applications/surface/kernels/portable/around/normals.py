@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from hpcapp.applications.surface.kernels.constants import FINE, UNSURE, WRONG
-from hpcapp.applications.surface.types.lattice import NEIGHBOURS, find_keys, step_keys
-from hpcapp.applications.surface.types.points import ByteArray, Float32Array, FloatArray, IntArray
+from hpcapp.geometry.lattice import NEIGHBOURS, find_keys, step_keys
+from hpcapp.geometry.points import ByteArray, Float32Array, FloatArray, IntArray
 
 __all__ = ["poll_normals"]
 

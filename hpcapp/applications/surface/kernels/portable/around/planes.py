@@ -14,7 +14,7 @@ from hpcapp.applications.surface.kernels.portable.around.nearest import (
     cells_of_units,
     round_positions,
 )
-from hpcapp.applications.surface.types.points import ByteArray, Float32Array, FloatArray, IntArray
+from hpcapp.geometry.points import ByteArray, Float32Array, FloatArray, IntArray
 
 __all__ = ["fit_planes"]
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from hpcapp.applications.surface.kernels.constants import SHEETS
-from hpcapp.applications.surface.types.lattice import (
+from hpcapp.geometry.lattice import (
     cells_of,
     find_first,
     number_keys,
     pack_places,
 )
-from hpcapp.applications.surface.types.points import ByteArray, Float32Array, FloatArray, IntArray
+from hpcapp.geometry.points import ByteArray, Float32Array, FloatArray, IntArray
 
 __all__ = ["group_sheets"]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.types.lattice import NEIGHBOURS, find_keys, step_keys
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
+from hpcapp.geometry.lattice import NEIGHBOURS, find_keys, step_keys
+from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 
 __all__ = ["find_nearest", "find_sparse"]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.types.lattice import unpack_keys
-from hpcapp.applications.surface.types.points import Float32Array, FloatArray, IntArray
+from hpcapp.geometry.lattice import unpack_keys
+from hpcapp.geometry.points import Float32Array, FloatArray, IntArray
 
 __all__ = ["integrate_normals", "sample_corners", "sample_grid"]
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from hpcapp.applications.surface.kernels.constants import BASIS
 from hpcapp.applications.surface.types.field import Features
-from hpcapp.applications.surface.types.lattice import find_keys
-from hpcapp.applications.surface.types.points import ByteArray, FloatArray, IntArray
+from hpcapp.geometry.lattice import find_keys
+from hpcapp.geometry.points import ByteArray, FloatArray, IntArray
 
 
 def blend_features(

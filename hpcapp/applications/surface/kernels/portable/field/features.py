@@ -19,8 +19,8 @@ import numpy as np
 from hpcapp.applications.surface.kernels.constants import BASIS
 from hpcapp.applications.surface.kernels.portable.field.feature_blend import join_pieces
 from hpcapp.applications.surface.types.field import PIECES
-from hpcapp.applications.surface.types.lattice import find_keys, pack_places, unpack_keys
-from hpcapp.applications.surface.types.points import (
+from hpcapp.geometry.lattice import find_keys, pack_places, unpack_keys
+from hpcapp.geometry.points import (
     BoolArray,
     ByteArray,
     Float32Array,

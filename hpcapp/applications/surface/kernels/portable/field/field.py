@@ -24,8 +24,8 @@ from hpcapp.applications.surface.kernels.portable.field.strides import (
 )
 from hpcapp.applications.surface.types.field import Field
 from hpcapp.applications.surface.types.grid import BRICK, NODES, Grid
-from hpcapp.applications.surface.types.lattice import find_keys, pack_places
-from hpcapp.applications.surface.types.points import BoolArray, Float32Array, FloatArray, IntArray
+from hpcapp.geometry.lattice import find_keys, pack_places
+from hpcapp.geometry.points import BoolArray, Float32Array, FloatArray, IntArray
 
 __all__ = ["evaluate_bricks"]
 

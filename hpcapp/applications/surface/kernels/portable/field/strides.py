@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from hpcapp.applications.surface.types.grid import BRICK, MOST_SHIFT, NODES, Grid
-from hpcapp.applications.surface.types.lattice import pack_places
-from hpcapp.applications.surface.types.points import ByteArray, Float32Array, IntArray
+from hpcapp.geometry.lattice import pack_places
+from hpcapp.geometry.points import ByteArray, Float32Array, IntArray
 
 ENDS = np.array([0, *[1] * (BRICK - 1), 2])
 """Whether a node, by its place along an axis, is the first of a brick, an inner or the last one."""

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.applications.surface.kernels.portable.mesh.topology import label_components
-from hpcapp.applications.surface.types import lattice
-from hpcapp.applications.surface.types.lattice import (
+from hpcapp.geometry import lattice
+from hpcapp.geometry.lattice import (
     NEIGHBOURS,
     OCTANTS,
     corner_parents,
@@ -18,7 +18,7 @@ from hpcapp.applications.surface.types.lattice import (
     unite_keys,
     unpack_keys,
 )
-from hpcapp.applications.surface.types.points import (
+from hpcapp.geometry.points import (
     BoolArray,
     ByteArray,
     FloatArray,

@@ -9,14 +9,14 @@ from hpcapp.applications.surface.kernels.constants import QUANTA
 from hpcapp.applications.surface.kernels.portable.lattice.points import sort_points
 from hpcapp.applications.surface.kernels.portable.surface.bricks import seed_bricks
 from hpcapp.applications.surface.types.grid import Grid
-from hpcapp.applications.surface.types.lattice import (
+from hpcapp.geometry.lattice import (
     cells_of,
     find_keys,
     merge_counts,
     pack_places,
     unique_keys,
 )
-from hpcapp.applications.surface.types.points import (
+from hpcapp.geometry.points import (
     BoolArray,
     ByteArray,
     Float32Array,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.types.lattice import (
+from hpcapp.geometry.lattice import (
     NEIGHBOURS,
     are_sampled,
     cells_of,
@@ -15,10 +15,9 @@ from hpcapp.applications.surface.types.lattice import (
     step_keys,
     unique_keys,
 )
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.geometry.points import FloatArray, IntArray
 
 __all__ = [
-    "bound_points",
     "count_boxes",
     "count_cells",
     "gather_points",
@@ -100,24 +99,6 @@ def count_boxes(
     keys = pack_places(np.floor(cells_of(positions, low, edge)).astype(np.int64))
     keys = keys[are_sampled(keys, one_in)]
     return len(keys), len(unique_keys(keys))
-
-
-def bound_points(positions: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the corners of the box around some points.
-
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        At least one point; finite.
-
-    Returns
-    -------
-    low, high : ndarray of float64, shape (3,)
-    """
-    # Column by column: numpy is slow to reduce along the first axis of narrow arrays.
-    columns = positions.T
-    low = np.array([column.min() for column in columns])
-    return low, np.array([column.max() for column in columns])
 
 
 def sample_boxes(positions: FloatArray, low: FloatArray, edge: float, one_in: int) -> IntArray:

@@ -11,7 +11,7 @@ from math import isfinite, sqrt
 
 import numpy as np
 
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.geometry.points import FloatArray, IntArray
 
 __all__ = ["collapse_edges"]
 

@@ -12,8 +12,8 @@ from __future__ import annotations
 import numpy as np
 
 from hpcapp.applications.surface.kernels.portable.mesh.topology import join_nodes, label_components
-from hpcapp.applications.surface.types.mesh import BrickSums, Seams
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, Int32Array, IntArray
+from hpcapp.applications.surface.types.brick_mesh import BrickSums, Seams
+from hpcapp.geometry.points import BoolArray, FloatArray, Int32Array, IntArray
 
 __all__ = ["find_seams", "sum_bricks"]
 

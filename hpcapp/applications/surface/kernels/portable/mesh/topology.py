@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hpcapp.applications.surface.types.mesh import Survey
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, Int32Array, IntArray
+from hpcapp.applications.surface.types.brick_mesh import Survey
+from hpcapp.geometry.points import BoolArray, FloatArray, Int32Array, IntArray
 
 __all__ = ["label_components", "signed_volume", "survey_mesh"]
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from hpcapp.applications.surface.kernels.constants import BASIS, COLUMNS, MONOMIALS
 from hpcapp.applications.surface.kernels.portable.quadrics.moments import EXPONENTS, shift_moments
-from hpcapp.applications.surface.types.lattice import OCTANTS, find_keys, step_keys
-from hpcapp.applications.surface.types.points import Float32Array, FloatArray, IntArray
+from hpcapp.geometry.lattice import OCTANTS, find_keys, step_keys
+from hpcapp.geometry.points import Float32Array, FloatArray, IntArray
 
 __all__ = ["corner_moments", "evaluate_residuals", "fit_corners"]
 

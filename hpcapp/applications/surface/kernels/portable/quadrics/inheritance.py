@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from hpcapp.applications.surface.kernels.constants import BASIS
-from hpcapp.applications.surface.types.lattice import (
+from hpcapp.geometry.lattice import (
     OCTANTS,
     corner_parents,
     find_keys,
     unpack_keys,
 )
-from hpcapp.applications.surface.types.points import Float32Array, FloatArray, IntArray
+from hpcapp.geometry.points import Float32Array, FloatArray, IntArray
 
 __all__ = ["inherit_level"]
 

@@ -18,14 +18,14 @@ from math import comb
 import numpy as np
 
 from hpcapp.applications.surface.kernels.constants import COLUMNS
-from hpcapp.applications.surface.types.lattice import (
+from hpcapp.geometry.lattice import (
     OCTANTS,
     find_keys,
     pack_places,
     unique_keys,
     unpack_keys,
 )
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.geometry.points import FloatArray, IntArray
 
 __all__ = ["accumulate_moments", "merge_cells"]
 

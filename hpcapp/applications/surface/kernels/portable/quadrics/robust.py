@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpcapp.applications.surface.types.lattice import (
+from hpcapp.geometry.lattice import (
     OCTANTS,
     find_keys,
     pack_places,
     step_keys,
     unpack_keys,
 )
-from hpcapp.applications.surface.types.points import Float32Array, FloatArray, IntArray
+from hpcapp.geometry.points import Float32Array, FloatArray, IntArray
 
 __all__ = ["rate_points"]
 

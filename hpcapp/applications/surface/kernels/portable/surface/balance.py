@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpcapp.applications.surface.types.points import ByteArray, FloatArray, IntArray
+from hpcapp.geometry.points import ByteArray, FloatArray, IntArray
 
 __all__ = ["balance_vertices"]
 

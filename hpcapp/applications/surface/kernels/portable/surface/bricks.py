@@ -14,6 +14,7 @@ import numpy as np
 
 from hpcapp.applications.surface.kernels.portable.field.field import evaluate_bricks
 from hpcapp.applications.surface.kernels.portable.surface.marching_cubes import extract_surface
+from hpcapp.applications.surface.types.brick_mesh import BrickMesh
 from hpcapp.applications.surface.types.field import Field
 from hpcapp.applications.surface.types.grid import (
     BESIDE,
@@ -26,16 +27,15 @@ from hpcapp.applications.surface.types.grid import (
     BrickStrides,
     Grid,
 )
-from hpcapp.applications.surface.types.lattice import (
+from hpcapp.applications.surface.types.rims import mark_rim
+from hpcapp.geometry.lattice import (
     cells_of,
     pack_places,
     step_keys,
     unique_keys,
     unpack_keys,
 )
-from hpcapp.applications.surface.types.mesh import BrickMesh
-from hpcapp.applications.surface.types.points import BoolArray, Float32Array, FloatArray, IntArray
-from hpcapp.applications.surface.types.rims import mark_rim
+from hpcapp.geometry.points import BoolArray, Float32Array, FloatArray, IntArray
 
 __all__ = ["grow_surface", "seed_bricks"]
 

@@ -13,10 +13,10 @@ from hpcapp.applications.surface.kernels.portable.surface.transitions import (
     trace_loops,
     triangulate_loop,
 )
+from hpcapp.applications.surface.types.brick_mesh import BrickMesh
 from hpcapp.applications.surface.types.grid import BRICK, Grid
-from hpcapp.applications.surface.types.lattice import OCTANTS, find_keys, pack_places, step_keys
-from hpcapp.applications.surface.types.mesh import BrickMesh
-from hpcapp.applications.surface.types.points import (
+from hpcapp.geometry.lattice import OCTANTS, find_keys, pack_places, step_keys
+from hpcapp.geometry.points import (
     BoolArray,
     ByteArray,
     Float32Array,

@@ -25,7 +25,7 @@ import numpy as np
 
 from hpcapp.applications.surface.kernels.portable.field.strides import ENDS
 from hpcapp.applications.surface.types.grid import BRICK
-from hpcapp.applications.surface.types.points import (
+from hpcapp.geometry.points import (
     BoolArray,
     ByteArray,
     FloatArray,

@@ -12,8 +12,8 @@ from hpcapp.applications.surface.kernels import portable
 from hpcapp.applications.surface.kernels.build import load_native
 from hpcapp.applications.surface.types.field import FarField, Field, FieldLevel
 from hpcapp.applications.surface.types.grid import Grid
-from hpcapp.applications.surface.types.lattice import spread_keys
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.geometry.lattice import spread_keys
+from hpcapp.geometry.points import FloatArray, IntArray
 
 
 @pytest.fixture(scope="session")

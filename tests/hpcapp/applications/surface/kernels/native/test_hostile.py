@@ -16,7 +16,7 @@ from hpcapp.applications.surface.kernels import portable
 from hpcapp.applications.surface.kernels.case_table import case_triangles
 from hpcapp.applications.surface.types.field import FarField, Features, Field, FieldLevel
 from hpcapp.applications.surface.types.grid import BrickKinds, BrickStrides, Grid
-from hpcapp.applications.surface.types.lattice import pack_places
+from hpcapp.geometry.lattice import pack_places
 
 KERNELS = sorted({*portable.KERNELS} - {"bound_free_memory", "keep_memory"})
 

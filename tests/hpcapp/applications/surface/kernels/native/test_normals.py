@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hpcapp.applications.surface.kernels import portable
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 
 
 def _make_points(kind: str, seed: int) -> FloatArray:

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hpcapp.applications.surface.kernels import portable
-from hpcapp.applications.surface.types.mesh import BrickSums, Seams
+from hpcapp.applications.surface.types.brick_mesh import BrickSums, Seams
 
 
 @st.composite

@@ -10,8 +10,8 @@ import pytest
 from hpcapp.applications.surface.kernels.portable.field.features import fit_features
 from hpcapp.applications.surface.kernels.portable.lattice.points import gather_points, sort_points
 from hpcapp.applications.surface.types.field import PIECES
-from hpcapp.applications.surface.types.lattice import spread_keys, unpack_keys
-from hpcapp.applications.surface.types.points import BoolArray, ByteArray, FloatArray, IntArray
+from hpcapp.geometry.lattice import spread_keys, unpack_keys
+from hpcapp.geometry.points import BoolArray, ByteArray, FloatArray, IntArray
 
 SPACING = 0.6  # of the points, in cells
 NOISE = 0.03

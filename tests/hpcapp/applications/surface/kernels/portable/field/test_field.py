@@ -14,8 +14,8 @@ from hpcapp.applications.surface.kernels.portable.field.field import (
 )
 from hpcapp.applications.surface.types.field import FarField, Field, FieldLevel
 from hpcapp.applications.surface.types.grid import BRICK, NODES, Grid
-from hpcapp.applications.surface.types.lattice import OCTANTS, pack_places, unpack_keys
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.geometry.lattice import OCTANTS, pack_places, unpack_keys
+from hpcapp.geometry.points import FloatArray, IntArray
 
 GRID = Grid(np.array([-0.31, 0.12, 1.07]), 0.05, (4, 3, 4))
 CELL_SIZES = [0.4, 0.13, 0.05, 0.008]  # wider than a brick, to finer than the grid

@@ -15,7 +15,7 @@ from hpcapp.applications.surface.kernels.portable.quadrics.hermite import (
 )
 from hpcapp.applications.surface.kernels.portable.quadrics.inheritance import inherit_quadrics
 from hpcapp.applications.surface.kernels.portable.quadrics.moments import accumulate_moments
-from hpcapp.applications.surface.types.points import FloatArray
+from hpcapp.geometry.points import FloatArray
 
 Patch = tuple[FloatArray, ...]
 

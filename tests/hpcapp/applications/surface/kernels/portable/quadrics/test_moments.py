@@ -12,7 +12,7 @@ from hpcapp.applications.surface.kernels.portable.quadrics.moments import (
     scale_moments,
     shift_moments,
 )
-from hpcapp.applications.surface.types.points import FloatArray, IntArray
+from hpcapp.geometry.points import FloatArray, IntArray
 
 SortedCells = tuple[FloatArray, FloatArray, IntArray]
 

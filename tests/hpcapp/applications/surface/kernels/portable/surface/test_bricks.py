@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from hpcapp.applications.surface.kernels.portable.surface.bricks import grow_bricks, seed_bricks
 from hpcapp.applications.surface.types.grid import BESIDE, FOREIGN, OPEN, OUT, OWN, BrickKinds, Grid
-from hpcapp.applications.surface.types.lattice import pack_places, unpack_keys
-from hpcapp.applications.surface.types.points import BoolArray, IntArray
+from hpcapp.geometry.lattice import pack_places, unpack_keys
+from hpcapp.geometry.points import BoolArray, IntArray
 
 GRID = Grid(np.zeros(3), 0.125, (6, 6, 5))  # bricks of unit edge
 

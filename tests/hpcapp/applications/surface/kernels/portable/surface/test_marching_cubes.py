@@ -12,9 +12,9 @@ from hpcapp.applications.surface.kernels.portable.surface.bricks import grow_bri
 from hpcapp.applications.surface.kernels.portable.surface.marching_cubes import extract_surface
 from hpcapp.applications.surface.stitching.topology import check_mesh, signed_volume
 from hpcapp.applications.surface.types.grid import BRICK, OPEN, OWN, BrickKinds, Grid
-from hpcapp.applications.surface.types.lattice import pack_places, unpack_keys
-from hpcapp.applications.surface.types.mesh import Mesh
-from hpcapp.applications.surface.types.points import BoolArray, FloatArray, IntArray
+from hpcapp.geometry.lattice import pack_places, unpack_keys
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 
 GRID = Grid(np.array([-1.0, -1.0, -1.0]), 1 / 16, (4, 4, 4))
 

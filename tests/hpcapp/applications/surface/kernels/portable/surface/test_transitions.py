@@ -16,6 +16,7 @@ from hpcapp.applications.surface.kernels.portable.surface.balance import balance
 from hpcapp.applications.surface.kernels.portable.surface.bricks import grow_bricks
 from hpcapp.applications.surface.kernels.portable.surface.marching_cubes import extract_surface
 from hpcapp.applications.surface.stitching.topology import check_mesh, signed_volume
+from hpcapp.applications.surface.types.brick_mesh import BrickMesh
 from hpcapp.applications.surface.types.grid import (
     BRICK,
     FOREIGN,
@@ -25,9 +26,9 @@ from hpcapp.applications.surface.types.grid import (
     BrickStrides,
     Grid,
 )
-from hpcapp.applications.surface.types.lattice import pack_places
-from hpcapp.applications.surface.types.mesh import BrickMesh, Mesh
-from hpcapp.applications.surface.types.points import Float32Array, FloatArray, IntArray
+from hpcapp.geometry.lattice import pack_places
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import Float32Array, FloatArray, IntArray
 
 Bricks = tuple[int, int, int]
 

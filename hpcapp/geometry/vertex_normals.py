@@ -1,0 +1,43 @@
+"""Normals of a mesh's vertices: those of the faces around, by their areas."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hpcapp.geometry.points import FloatArray, IntArray
+
+
+def add_face_normals(sums: FloatArray, faces: IntArray, corners: FloatArray) -> None:
+    """Add the normals of some faces, as long as their areas are large, to their vertices.
+
+    Parameters
+    ----------
+    sums : ndarray of float64, shape (3, v)
+        Is added to, face after face: so blocks of faces of any size give the same sums.
+    faces : ndarray of int, shape (f, 3)
+    corners : ndarray of float64, shape (f, 3, 3)
+        Where the faces' vertices are, in length units of the input.
+    """
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    vertices = np.ascontiguousarray(faces).reshape(-1)
+    for axis in range(3):
+        y, z = (axis + 1) % 3, (axis + 2) % 3
+        normals = first[:, y] * second[:, z] - first[:, z] * second[:, y]
+        np.add.at(sums[axis], vertices, np.repeat(normals, 3))
+
+
+def scale_normals(sums: FloatArray) -> FloatArray:
+    """Return vectors with a length of one.
+
+    Parameters
+    ----------
+    sums : ndarray of float64, shape (3, v)
+
+    Returns
+    -------
+    ndarray of float64, shape (v, 3)
+        Zero where there are no faces with an area.
+    """
+    lengths = np.sqrt(sums[0] * sums[0] + sums[1] * sums[1] + sums[2] * sums[2])
+    scaled = np.divide(sums, lengths, out=np.zeros_like(sums), where=lengths > 0.0)
+    return np.ascontiguousarray(scaled.T)
