@@ -31,7 +31,7 @@ from msgspec import convert
 from process_usage import run
 
 from hpcapp.applications.surface.job import storage
-from hpcapp.applications.surface.settings import THREADS_FROM_POINTS
+from hpcapp.applications.surface.job.settings import THREADS_FROM_POINTS
 from hpccomponent.limits import available_cores
 
 SIZES = (1_000, 10_000, 100_000, 1_000_000)

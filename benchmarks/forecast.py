@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import nnls
 
-from hpcapp.applications.surface.method import LARGE_TILE, TILE_POINTS, TILES_EACH
+from hpcapp.applications.surface.methods.method import LARGE_TILE, TILE_POINTS, TILES_EACH
 from hpccomponent.foreign_json import decode
 
 MACHINES = (8, 64, 512)

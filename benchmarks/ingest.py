@@ -20,9 +20,9 @@ from hpcapp.applications.surface.cleaning.drive import drop_strays, mend_normals
 from hpcapp.applications.surface.cloud.folder_pass import FolderPass, make_cloud_folder
 from hpcapp.applications.surface.cloud.measure import measure_cloud
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
-from hpcapp.applications.surface.hierarchical.estimates import choose_scale
-from hpcapp.applications.surface.method import TILE_POINTS
+from hpcapp.applications.surface.methods.method import TILE_POINTS
 from hpcapp.applications.surface.reading.drive import ingest_file
+from hpcapp.applications.surface.resolution.estimates import choose_scale
 from hpcapp.backends.selection import open_executor
 from hpcapp.io import open_points
 

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
 from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
-from hpcapp.applications.surface.job.load import load
-from hpcapp.applications.surface.settings import JobSettings
+from hpcapp.applications.surface.job.settings import JobSettings
+from hpcapp.applications.surface.pipeline import load
 from hpcapp.backends.serial import SerialExecutor
 from hpcapp.progress import Progress, StageClock
 from hpcapp.workforce import Workforce

@@ -165,11 +165,11 @@ FLOW_OURS = Drawing(
     428,
     _stack(
         ("data", "any scan"),
-        ("worker", "recognise, normals, clean"),
-        ("master", "tiles with halo; coarse quadrics and|far field of the whole cloud"),
+        ("worker", "read, clean, orient, mend, measure"),
+        ("master", "resolve the grid; partition into tiles;|fit coarse quadrics and the far field"),
         ("worker", "fit fine quadrics, blend them smoothly,|extract the tile's part of the mesh"),
-        ("master", "stitch parts by the ids of vertices"),
-        ("master", "check: closed, manifold"),
+        ("master", "close or cut; stitch parts by vertex ids"),
+        ("master", "write, and check: closed, manifold"),
         ("data", "watertight mesh"),
     ),
 )

@@ -25,7 +25,7 @@ from hpccomponent.verbosity import Verbosity, set_verbosity
 
 # The verbs that ship; named here so that finding them costs no search through installed packages.
 SHIPPED = {
-    "reconstruct": "hpcapp.applications.surface.command:reconstruct",
+    "reconstruct": "hpcapp.applications.surface.cli.command:reconstruct",
     "simulate": "hpcapp.lab.simulate.command:simulate",
     "info": "hpcapp.applications.points.command:info",
     "convert": "hpcapp.applications.points.command:convert",

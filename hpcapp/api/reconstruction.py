@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import fields, replace
+from functools import partial
 from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, cast
@@ -28,16 +29,18 @@ from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.attributes.labels import find_labels
 from hpcapp.applications.surface.job.backend_choice import approach_workers
 from hpcapp.applications.surface.job.carry import carry_columns
-from hpcapp.applications.surface.job.load import Loaded, arrange_points, load, prepare, told_sensor
+from hpcapp.applications.surface.job.read import arrange_points
 from hpcapp.applications.surface.job.recognised import describe_input
-from hpcapp.applications.surface.job.run import describe_outcome
-from hpcapp.applications.surface.job.steps import run_steps
-from hpcapp.applications.surface.method import MAX_GRID, MIN_GRID, MethodSettings
-from hpcapp.applications.surface.methods import DEFAULT_METHOD, find_method
-from hpcapp.applications.surface.normals.sensor import Sensor
-from hpcapp.applications.surface.options import option_names
-from hpcapp.applications.surface.settings import JobSettings, Settings
-from hpcapp.applications.surface.viewpoint import Viewpoint, parse_viewpoint
+from hpcapp.applications.surface.job.report import describe_outcome
+from hpcapp.applications.surface.job.scan import Loaded
+from hpcapp.applications.surface.job.settings import JobSettings, Settings
+from hpcapp.applications.surface.job.site import open_site
+from hpcapp.applications.surface.methods.method import MAX_GRID, MIN_GRID, MethodSettings
+from hpcapp.applications.surface.methods.options import option_names
+from hpcapp.applications.surface.methods.table import DEFAULT_METHOD, find_method
+from hpcapp.applications.surface.normals.sensor import Sensor, sensor_of
+from hpcapp.applications.surface.normals.viewpoint import Viewpoint, parse_viewpoint
+from hpcapp.applications.surface.pipeline import load, prepare, reconstruct_cloud
 from hpcapp.cancellation import Cancellation
 from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY
 from hpcapp.communicator.scheduling.verification import Verification, attempt, repeat_until_trusted
@@ -272,18 +275,15 @@ def _run(
     verification = _choose_verification(executor, settings.verify)
     with approach_workers(settings, verification=verification) as opener:
         loaded = load_points(clock)
+        site = partial(
+            open_site, len(loaded.cloud), opener, clock,
+            executor=executor, cancellation=reporter.cancellation,
+        )  # fmt: skip
 
         def run(_is_first: bool) -> Mesh:
             with (
                 attempt(verification, lambda error: error is reporter.raised),
-                run_steps(
-                    settings,
-                    loaded,
-                    opener,
-                    clock,
-                    executor=executor,
-                    cancellation=reporter.cancellation,
-                ) as outcome,
+                reconstruct_cloud(settings, loaded, site, clock) as outcome,
             ):
                 carrying = carry_columns(settings, loaded, outcome, clock)
                 mesh = outcome.result.surface.mesh(carrying)
@@ -385,7 +385,7 @@ def _choose_viewpoint(viewpoints: str | ArrayLike | None) -> Viewpoint:
 def _find_sensor(settings: Settings, points: PointCloud) -> Sensor:
     """Return where the points were measured from: as the user says, else as they look."""
     if settings.viewpoint or not is_flown_over(points):
-        return told_sensor(settings.viewpoint)
+        return sensor_of(settings.viewpoint)
     return Sensor("above")
 
 

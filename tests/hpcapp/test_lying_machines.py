@@ -13,8 +13,8 @@ from lies import LIES
 from lying_tasks import TASKS
 from standing import StandingCluster, StartCluster
 
-from hpcapp.applications.surface.job.run import run_job
-from hpcapp.applications.surface.settings import JobSettings
+from hpcapp.applications.surface.cli.run import run_job
+from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.backends.selection import open_executor
 from hpcapp.communicator.scheduling.verification import Verification, attempt, repeat_until_trusted
 from hpcapp.io import write_points

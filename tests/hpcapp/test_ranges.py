@@ -15,8 +15,8 @@ import pytest
 
 import hpcapp
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
+from hpcapp.applications.surface.job.settings import Settings
 from hpcapp.applications.surface.paper.settings import Paper
-from hpcapp.applications.surface.settings import Settings
 from hpcapp.cli import hpcapp as command
 from hpcapp.lab.simulate.raw.scan import RawSettings
 from hpccomponent.errors import UsageError

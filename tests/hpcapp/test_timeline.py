@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.job.run import run_job
+from hpcapp.applications.surface.cli.run import run_job
+from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.paper.settings import Paper
-from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.backends.selection import open_executor
 from hpcapp.geometry.points import PointCloud
 from hpcapp.io import write_points

@@ -7,9 +7,9 @@ from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
 from hpcapp.applications.surface.cloud.measured import SAMPLED_BOX, Measured, first_share
 from hpcapp.applications.surface.field.local_noise import LocalNoise
-from hpcapp.applications.surface.hierarchical.estimates import choose_scale
 from hpcapp.applications.surface.normals.drive import turn_normals
 from hpcapp.applications.surface.normals.sensor import Sensor
+from hpcapp.applications.surface.resolution.estimates import choose_scale
 from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.lattice import lay_lattice

@@ -1,94 +1,159 @@
-"""The master process of surface reconstruction: the paper's Figure 1, one stage after the other.
+"""The road of a scan to its mesh: the master process of the paper's Figure 1, stage by stage.
 
 ::
 
-    read ─> preprocess ─> partition ─> fit ─> extract ─> write ─> check
-                          │            │       └─ hierarchical: tiles to the workers, parts back
-                          │            └─ paper: batches to the workers, quadrics back
-                          └─ patches (paper) or tiles (hierarchical)
+    read ─> clean ─> orient ─> mend ─> measure                         a cloud (load, prepare)
+       ─> resolve ─> partition ─> fit ─> extract ─> close ─> simplify  a surface (reconstruct_cloud)
+       ─> carry ─> write ─> check                                      a mesh (deliver)
+
+A stage is a call of its name, in the room of its name. Folders, files and machines are opened
+around the road: by `cli.run` for files, by `hpcapp.api` for arrays.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
 from typing import Any
 
-from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, replace_points
-from hpcapp.applications.surface.method import Method
-from hpcapp.applications.surface.surface import Surface
-from hpcapp.geometry.points import PointCloud
+from hpcapp.applications.surface.attributes.carrying import Carrying
+from hpcapp.applications.surface.cleaning.drive import clean, mend_normals
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
+from hpcapp.applications.surface.cloud.measure import measure_cloud
+from hpcapp.applications.surface.job.carry import carry_columns
+from hpcapp.applications.surface.job.diagnostics import check_points, warn_of
+from hpcapp.applications.surface.job.outcome import Outcome, Reconstruction
+from hpcapp.applications.surface.job.read import read_file
+from hpcapp.applications.surface.job.resume import find_loaded, note_loaded
+from hpcapp.applications.surface.job.scan import Loaded, PointFolder, Scan
+from hpcapp.applications.surface.job.settings import JobSettings, Settings
+from hpcapp.applications.surface.job.simplify import fit_surface, simplify
+from hpcapp.applications.surface.job.site import Site, open_method, preprocess
+from hpcapp.applications.surface.methods.method import Method
+from hpcapp.applications.surface.normals.sides import orient_cloud
+from hpcapp.applications.surface.resolution.asked import find_grid
+from hpcapp.applications.surface.stitching.topology import Topology
+from hpcapp.io import open_points
 from hpcapp.progress import StageClock
 from hpcapp.workforce import Workforce
-from hpccomponent.errors import UsageError
-from hpccomponent.option_names import name_option
-
-Preprocess = Callable[[PointCloud], PointCloud]
+from hpccomponent.runtime.background import Deferred
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Reconstruction:
-    """A surface, and how it came about.
+def load(settings: JobSettings, clock: StageClock, folder: PointFolder | None = None) -> Loaded:
+    """Read a job's points, and make of them what its method takes.
 
     Parameters
     ----------
-    surface : Surface
-        The 0-level iso-surface.
-    points : int
-        Points that were left after preprocessing.
-    facts : dict
-        What the method chose and found; ``patches`` is always there.
+    settings : JobSettings
+    clock : StageClock
+        Times and announces the stages.
+    folder : PointFolder, optional
+        Where the points are put; into memory by default. They are the same, bit for bit. With
+        `resume`, what is in the folder is taken, if it is whole.
     """
+    source = open_points(settings.points).isotropic()
+    if folder is not None and settings.resume and (left := find_loaded(settings, source, folder)):
+        return left
+    loaded = prepare(settings, read_file(settings, source, folder, clock), clock)
+    if folder is not None:
+        note_loaded(loaded, folder)
+    return loaded
 
-    surface: Surface
-    points: int
-    facts: dict[str, Any]
+
+def prepare(settings: Settings, scan: Scan, clock: StageClock) -> Loaded:
+    """Clean points that were read, give them normals, and measure their scale.
+
+    Raises
+    ------
+    InputError
+        They are too few, or have no normals and lie on no surface.
+    """
+    method, has_normals = settings.method, scan.has_normals
+    in_cells = not method.needs_whole_cloud
+    with clock.stage("clean") if method.cleans else nullcontext():
+        cloud_pass, cleaned, scale = clean(
+            scan.cloud_pass, drops=method.cleans, in_cells=in_cells, has_normals=has_normals
+        )
+    cloud_pass, oriented = orient_cloud(
+        cloud_pass, scale.spacing, settings.normals, scan.sensor, clock,
+        has_normals=has_normals, is_oriented=scan.is_oriented,
+        attribute=settings.attributes.name_confidence(scan.columns.layout),
+    )  # fmt: skip
+    if method.cleans:
+        with clock.stage("mend normals"):
+            cloud_pass, flipped = mend_normals(cloud_pass, scale.spacing)
+        cleaned = replace(cleaned, flipped=flipped)
+    if in_cells:
+        cloud_pass = measure_cloud(cloud_pass, scale)
+    return scan.loaded(cloud_pass.cloud, cleaned, oriented)
 
 
-def reconstruct(
+@contextmanager
+def reconstruct_cloud(
+    settings: Settings,
+    loaded: Loaded,
+    open_site: Callable[[int], AbstractContextManager[Site]],
+    clock: StageClock,
+) -> Iterator[Outcome]:
+    """Turn a cloud into a surface.
+
+    Parameters
+    ----------
+    open_site : callable
+        Opens where it runs, for a grid of so many cells along the longest side.
+    """
+    grid = find_grid(settings, loaded.cloud)
+    with open_site(grid) as site:
+        checks = Deferred(partial(check_points, grid, loaded.cloud))
+        method = open_method(settings, site, grid, len(loaded.cloud), clock)
+        cloud = preprocess(settings, loaded.cloud, clock)
+        result = make_surface(cloud, method, site.backend.workforce, clock, checks)
+        warnings = warn_of(settings, loaded, checks(), result)
+        result, more = simplify(settings.target, result, clock)
+        yield Outcome(result, grid, site.backend, site.choice, warnings + more)
+
+
+def make_surface(
     cloud: ArrangedCloud,
-    method: Method[Any, Any],
+    method: Method[Any, Any, Any],
     workforce: Workforce,
     clock: StageClock,
-    preprocess: tuple[tuple[str, Preprocess], ...] = (),
     background: Callable[[], object] | None = None,
 ) -> Reconstruction:
-    """Turn oriented points into a mesh.
+    """Take the paper's steps: cut a cloud, fit quadrics, blend them and extract the surface.
 
     Parameters
     ----------
     cloud : ArrangedCloud
-        Finite positions and unit normals (see `hpcapp.io.drop_unusable`).
-    method : Method
-        The strategy: `PaperMethod` or `HierarchicalMethod`.
-    workforce : Workforce
-        Where batches and tiles run.
-    clock : StageClock
-        Times and announces the stages.
-    preprocess : tuple of (str, callable)
-        Named steps that run first, in order, on clouds in memory.
+        Finite positions and unit normals.
     background : callable, optional
         Left for `Workforce.defer` once the cloud is cut: short passes before would wait for it.
-
-    Raises
-    ------
-    HpcError
-        What a stage raised.
     """
-    for name, step in preprocess:
-        if cloud.points is None:
-            raise UsageError(
-                f"the step '{name}' needs all points in memory",
-                f"leave it out, or give more {name_option('max_memory')}",
-            )
-        with clock.stage(name):
-            cloud = replace_points(cloud, step(cloud.points))
+    advance = clock.progress.advance
     with clock.stage("partition"):
         partition = method.partition(cloud, workforce)
     if background is not None:
         workforce.defer(background)
     with clock.stage("fit"):
-        quadrics = method.fit(partition, workforce, clock.progress.advance)
+        quadrics = method.fit(partition, workforce, advance)
     with clock.stage("extract"):
-        surface = method.extract(partition, quadrics, workforce, clock.progress.advance)
+        surface = method.extract(partition, quadrics, workforce, advance)
+        surface = method.close(partition, surface, workforce, advance)
     return Reconstruction(surface, len(cloud), method.facts(partition))
+
+
+def deliver(
+    settings: JobSettings, loaded: Loaded, outcome: Outcome, target: Path, clock: StageClock
+) -> tuple[Outcome, Carrying, Topology]:
+    """Write a surface, with what its vertices carry, to a file of the size that is asked for."""
+    carrying = carry_columns(settings, loaded, outcome, clock)
+    if settings.size is not None:
+        with clock.stage("fit size"):
+            outcome = fit_surface(outcome, settings.size, target.suffix, carrying)
+    with clock.stage("write"):
+        outcome.result.surface.write(target, outcome.backend.workforce, carrying)
+    with clock.stage("check"):  # most of it is done while workers write
+        return outcome, carrying, outcome.result.surface.check()

@@ -21,9 +21,9 @@ from statistics import median
 from time import perf_counter
 
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
-from hpcapp.applications.surface.method import MethodSettings, Resources
+from hpcapp.applications.surface.methods.method import MethodSettings, Resources
 from hpcapp.applications.surface.paper.settings import Paper
-from hpcapp.applications.surface.pipeline import reconstruct
+from hpcapp.applications.surface.pipeline import make_surface
 from hpcapp.backends.selection import Backend, open_executor
 from hpcapp.io import drop_unusable, read_points
 from hpcapp.lab.reproduce.subject import arrange_for
@@ -173,7 +173,7 @@ def _run(
     start = perf_counter()
     points, _ = drop_unusable(read_points(cloud), str(cloud))
     method = settings.open(grid, Resources())
-    result = reconstruct(arrange_for(settings, points), method, opened.workforce, clock)
+    result = make_surface(arrange_for(settings, points), method, opened.workforce, clock)
     result.surface.write(cloud.with_name("mesh.ply"), opened.workforce)
     seconds = perf_counter() - start
     return clock.seconds["fit"], seconds, opened.traffic().bytes_sent - sent

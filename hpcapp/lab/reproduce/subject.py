@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hpcapp.applications.surface.cloud.arranged import MemoryCloud, arrange_cloud
-from hpcapp.applications.surface.job.load import load
-from hpcapp.applications.surface.method import MethodSettings
+from hpcapp.applications.surface.job.settings import JobSettings
+from hpcapp.applications.surface.methods.method import MethodSettings
 from hpcapp.applications.surface.paper.preprocess import denoise, resample
 from hpcapp.applications.surface.paper.settings import Paper
-from hpcapp.applications.surface.settings import JobSettings
+from hpcapp.applications.surface.pipeline import load
 from hpcapp.geometry.points import PointCloud
 from hpcapp.io import write_points
 from hpcapp.io.points.inputs import gather_points

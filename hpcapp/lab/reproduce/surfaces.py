@@ -5,9 +5,9 @@ from __future__ import annotations
 from hpcapp.applications.compare.metrics import measure_mesh
 from hpcapp.applications.compare.truth import PointTruth
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
-from hpcapp.applications.surface.method import MethodSettings, Resources
+from hpcapp.applications.surface.methods.method import MethodSettings, Resources
 from hpcapp.applications.surface.paper.settings import Paper
-from hpcapp.applications.surface.pipeline import reconstruct
+from hpcapp.applications.surface.pipeline import make_surface
 from hpcapp.backends.selection import open_executor
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import PointCloud
@@ -48,7 +48,7 @@ def _mesh(points: PointCloud, method: MethodSettings, grid: int) -> Mesh:
         clock = StageClock(Progress())
         cloud = arrange_for(method, points)
         strategy = method.open(grid, Resources())
-        return reconstruct(cloud, strategy, opened.workforce, clock).surface.mesh()
+        return make_surface(cloud, strategy, opened.workforce, clock).surface.mesh()
 
 
 def make_figure_6(subject: Subject, up: str, clock: StageClock) -> tuple[Finding, Picture]:

@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 import hpcapp
-from hpcapp.applications.surface.job.run import run_job
-from hpcapp.applications.surface.settings import JobSettings
-from hpcapp.applications.surface.viewpoint import parse_viewpoint
+from hpcapp.applications.surface.cli.run import run_job
+from hpcapp.applications.surface.job.settings import JobSettings
+from hpcapp.applications.surface.normals.viewpoint import parse_viewpoint
 from hpcapp.cli import _run
 from hpcapp.geometry.points import PointCloud
 from hpcapp.io import read_points, write_points

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from hpcapp.applications.surface.job.run import run_job
-from hpcapp.applications.surface.settings import JobSettings
+from hpcapp.applications.surface.cli.run import run_job
+from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.progress import Progress
 
 RunMpi = Callable[..., "subprocess.CompletedProcess[str]"]

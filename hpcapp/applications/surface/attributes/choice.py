@@ -48,6 +48,17 @@ class AttributeChoice:
     has_support: bool = False
     has_confidence: bool = False
 
+    def name_confidence(self, layout: PointCloud) -> str | None:
+        """Return by which name points keep how sure their sides are; None where they need not.
+
+        Parameters
+        ----------
+        layout : PointCloud
+            What the input has already.
+        """
+        is_needed = self.has_confidence and CONFIDENCE not in layout.attributes
+        return CONFIDENCE if is_needed else None
+
     def select(self, cloud: PointCloud, source: str) -> PointCloud:
         """Leave out the columns that are not asked for.
 

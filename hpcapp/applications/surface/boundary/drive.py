@@ -30,15 +30,15 @@ from hpcapp.applications.surface.boundary.tasks import (
     open_part,
     survey_support,
 )
-from hpcapp.applications.surface.checkpoint import Checkpoint
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.cloud.measured import Measured
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.extraction.taken_bricks import TakenBricks
-from hpcapp.applications.surface.method import Advance
+from hpcapp.applications.surface.methods.method import Advance
 from hpcapp.applications.surface.normals.consistency import faces_inwards
 from hpcapp.applications.surface.scale.local_scale import LocalScale
-from hpcapp.applications.surface.surface import PartSurface
+from hpcapp.applications.surface.stitching.surface import PartSurface
+from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
 from hpcapp.applications.surface.tiles.patterns import surface_box
 from hpcapp.applications.surface.tiles.plan import Plan
 from hpcapp.applications.surface.types.grid import BRICK

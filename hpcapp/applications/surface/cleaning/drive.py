@@ -21,7 +21,11 @@ from hpcapp.applications.surface.cleaning import tasks as tasks
 from hpcapp.applications.surface.cleaning.outlier_regions import DroppedCells
 from hpcapp.applications.surface.cleaning.strays import MARGIN, ROUNDS
 from hpcapp.applications.surface.cloud.cloud_pass import CloudPass, PassT
-from hpcapp.applications.surface.cloud.measure import measure_scale
+from hpcapp.applications.surface.cloud.measure import (
+    check_surface,
+    measure_scale,
+    measure_spacing,
+)
 from hpcapp.applications.surface.normals import consistency
 from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.applications.surface.scale.scan_lines import keep_lines
@@ -80,6 +84,50 @@ def drop_repeated(cloud_pass: PassT) -> tuple[PassT, int]:
     """
     cloud_pass, counts = cloud_pass.rewrite(tasks.drop_repeated)
     return cloud_pass, sum(count for (count,) in counts)
+
+
+def clean(
+    cloud_pass: PassT, *, drops: bool, in_cells: bool, has_normals: bool
+) -> tuple[PassT, Cleaned, LocalScale]:
+    """Drop the points that are not needed, or that belong to no surface, and find the scale.
+
+    Parameters
+    ----------
+    cloud_pass : CloudPass
+        Through ten points or more. Far ones must have been dropped: see `drop_far`.
+    drops : bool
+        Otherwise all points stay.
+    in_cells : bool
+        Whether the cloud lies in blocks, in whose cells its spacing is told.
+    has_normals : bool
+        What has none must lie on a surface.
+
+    Returns
+    -------
+    cloud_pass : CloudPass
+        Through the points that remain, in their order.
+    cleaned : Cleaned
+    scale : LocalScale
+        Of these.
+
+    Raises
+    ------
+    InputError
+        Points without normals lie on no surface.
+    """
+    cleaned = Cleaned()
+    if drops:
+        cloud_pass, cleaned, scale = thin_lines(cloud_pass)
+    elif in_cells:
+        scale, _ = measure_scale(cloud_pass)
+    else:
+        scale = LocalScale.uniform(measure_spacing(cloud_pass))
+    if not has_normals and (problem := check_surface(cloud_pass, scale.spacing)) is not None:
+        raise problem
+    if drops:
+        cloud_pass, found, scale = drop_strays(cloud_pass, scale)
+        cleaned = cleaned.plus(found)
+    return cloud_pass, cleaned, scale
 
 
 def thin_lines(cloud_pass: PassT) -> tuple[PassT, Cleaned, LocalScale]:

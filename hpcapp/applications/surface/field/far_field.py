@@ -34,6 +34,9 @@ _PADDING = 1.5
 FAR_REACH = 1.5
 """Steps: the values are cut off there."""
 
+FEWEST_NODES = 128
+"""Of a far field, along a side."""
+
 _ENOUGH = 6.0  # samples on one sheet, from which the area of each is told
 _WIDEST = 5  # the level of cells up to which they are looked for
 _PER_SQUARE = 1.5  # samples of a whole sheet in a cube, by the square of its edge in cells

@@ -9,6 +9,7 @@ import numpy as np
 from hpcapp.applications.surface.cloud.measured import SAMPLED_BOX, Measured
 from hpcapp.applications.surface.field.cell_points import PartMoments
 from hpcapp.applications.surface.field.far_field import (
+    FEWEST_NODES,
     crop_far_field,
     far_step,
     restore_far_field,
@@ -39,9 +40,6 @@ from hpcapp.geometry.lattice import (
 )
 from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
 from hpcapp.workforce import Workforce, begin_batch
-
-FEWEST_NODES = 128
-"""Of a far field, along a side."""
 
 _MOST_NODES = 256
 _BLURRED = 4.0  # standard deviations of the noise: shape that is smaller is not told from it

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from hpcapp.applications.surface.checkpoint import Checkpoint
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.extraction.summary import PartSummary
 from hpcapp.applications.surface.hierarchical.coarse import Coarse
 from hpcapp.applications.surface.hierarchical.tiles import Tiling
-from hpcapp.applications.surface.method import Advance, ShowPart, show_nothing
-from hpcapp.applications.surface.surface import PartSurface
+from hpcapp.applications.surface.methods.method import Advance, ShowPart, show_nothing
+from hpcapp.applications.surface.stitching.surface import PartSurface
+from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
 from hpcapp.applications.surface.tiles.patterns import tile_surface
 from hpcapp.applications.surface.tiles.plan import Plan
 from hpcapp.applications.surface.tiles.tasks import mesh_gap, mesh_tile

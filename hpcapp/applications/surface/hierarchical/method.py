@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,46 +20,41 @@ from hpcapp.applications.surface.boundary.drive import (
     OpeningSettings,
     close_surface,
 )
-from hpcapp.applications.surface.checkpoint import Checkpoint
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
+from hpcapp.applications.surface.field.far_field import FEWEST_NODES
 from hpcapp.applications.surface.field.pyramid import count_levels
-from hpcapp.applications.surface.field.refinement import Refinement
 from hpcapp.applications.surface.hierarchical.coarse import (
-    FEWEST_NODES,
     Coarse,
     choose_nodes,
     far_level,
     fit_coarse,
 )
-from hpcapp.applications.surface.hierarchical.estimates import Scale, choose_scale
 from hpcapp.applications.surface.hierarchical.growth import mesh_regions
 from hpcapp.applications.surface.hierarchical.slabs import mesh_slabs
-from hpcapp.applications.surface.hierarchical.strides import choose_strides
 from hpcapp.applications.surface.hierarchical.tiles import Tiling
-from hpcapp.applications.surface.method import (
+from hpcapp.applications.surface.methods.method import (
     LARGE_TILE,
-    MARGIN,
     TILE_POINTS,
     TILES_EACH,
     Advance,
     ShowPart,
     show_nothing,
 )
-from hpcapp.applications.surface.surface import PartSurface
+from hpcapp.applications.surface.resolution.chain import resolve
+from hpcapp.applications.surface.resolution.estimates import Scale
+from hpcapp.applications.surface.stitching.surface import PartSurface
+from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
 from hpcapp.applications.surface.tiles.patterns import coarse_lattice
 from hpcapp.applications.surface.tiles.plan import CoarseLattice, Plan, Samples
 from hpcapp.applications.surface.tiles.tasks import sum_tile
-from hpcapp.applications.surface.types.grid import BRICK, MOST_SHIFT, Grid
-from hpcapp.geometry.lattice import lay_lattice
-from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
+from hpcapp.geometry.points import IntArray, PointCloud
 from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.option_names import name_option
 
 _LEAST_GRID = 16
 _POINTS_AT_ONCE = 2_000_000
-_EXACT = 1e-3  # steps: equal sides have equally many
 _ROBUST_LEVELS = 2  # whose fits ask the points themselves, where these are weighed
 
 
@@ -162,24 +157,17 @@ class HierarchicalMethod:
         InputError
             There are no normals, or all points are the same.
         """
-        low, high, measured = cloud.low, cloud.high, cloud.measure()
-        grid = plan_grid(low, high, self.grid)
-        scale = choose_scale(measured, grid.step, self.smoothness, self.detail, self.threads)
-        below = scale.levels
-        origin = lay_lattice(low, scale.finest)
-        noise = scale.noise.scaled(self.smoothness)
-        given = scale.spacings, measured.scale, origin, scale.finest, noise
-        refinement = Refinement(below, *given)
         are_read = workforce.in_process or self._find_shared(cloud) is not None
         workers = PointWorkers(workforce, are_read, _POINTS_AT_ONCE)
-        if below and not self.uniform:
-            wide = plan_grid(low, high, self.grid, MARGIN << MOST_SHIFT)
-            seeds, _ = workers.count_cells(cloud, wide.origin, BRICK * wide.step)
-            if (strides := choose_strides(wide, seeds, refinement)) is not None:
-                grid = replace(wide, strides=strides)
+        found = resolve(
+            cloud, self.grid, self.smoothness, self.detail,
+            uniform=self.uniform, workers=workers, threads=self.threads,
+        )  # fmt: skip
+        scale, refinement, grid = found.scale, found.refinement, found.grid
+        low, high, below, noise = cloud.low, cloud.high, scale.levels, refinement.noise
         height = scale.finer + count_levels(float((high - low).max()), scale.cell_size)
         height = max(height, below + 1)
-        nodes = choose_nodes(grid.box, scale.finest, noise.whole, measured)
+        nodes = choose_nodes(grid.box, scale.finest, noise.whole, found.measured)
         far = far_level(grid, nodes, scale.finest, scale.finer, height)
         count = self._count_tiles(cloud, height - below, workforce)
         tolerance = scale.tolerance if height > _ROBUST_LEVELS else np.inf
@@ -189,10 +177,22 @@ class HierarchicalMethod:
         coarse = max(least, min(lowest, height - 1)) if count else height
         blocks = cloud.arrangement
         plan = Plan(
-            origin, scale.finest, height, coarse, noise.whole,
-            grid.origin, grid.step, grid.bricks, blocks.origin, blocks.edge, far, nodes, tolerance,
-            refinement, grid.strides,
-        )  # fmt: skip
+            origin=refinement.origin,
+            cell_size=scale.finest,
+            height=height,
+            coarse=coarse,
+            noise=noise.whole,
+            grid_origin=grid.origin,
+            step=grid.step,
+            bricks=grid.bricks,
+            block_origin=blocks.origin,
+            block_edge=blocks.edge,
+            far=far,
+            far_nodes=nodes,
+            tolerance=tolerance,
+            refinement=refinement,
+            strides=grid.strides,
+        )
         if not count:
             return HierarchicalPartition(cloud, scale, plan, None)
         tiling = Tiling(cloud, plan, count, workers, self.tile_points is not None)
@@ -295,6 +295,26 @@ class HierarchicalMethod:
                 "no part of the cloud encloses a volume",
                 "check that the normals point out of the object, and try a finer grid",
             )
+        return surface
+
+    def close(
+        self,
+        partition: HierarchicalPartition,
+        surface: PartSurface,
+        workforce: Workforce,
+        advance: Advance,
+    ) -> PartSurface:
+        """Cut the surface open where no point supports it, if it is to be open.
+
+        Parameters
+        ----------
+        partition : HierarchicalPartition
+            Its `closure` is set here.
+        surface : PartSurface
+        workforce : Workforce
+        advance : callable
+            Told (tiles done, tiles in all).
+        """
         cloud = partition.cloud
         shared = None if workforce.in_process else self._find_shared(cloud)
         surface, partition.closure = close_surface(
@@ -339,7 +359,7 @@ class HierarchicalMethod:
         Parameters
         ----------
         partition : HierarchicalPartition
-            After `extract`.
+            After `close`.
 
         Returns
         -------
@@ -362,36 +382,3 @@ class HierarchicalMethod:
             "tiles": 1 if partition.tiling is None else len(partition.tiling),
             **({} if partition.closure is None else partition.closure.facts()),
         }
-
-
-def plan_grid(low: FloatArray, high: FloatArray, cells: int, margin: int = MARGIN) -> Grid:
-    """Lay the evaluation grid around a cloud.
-
-    Parameters
-    ----------
-    low, high : ndarray of float64, shape (3,)
-        Corners of the box around all points, in length units of the input.
-    cells : int
-        Along the longest side, with about four to spare at each end.
-    margin : int
-        So many are in fact to spare. Where strides differ, a cell may be as large as a brick.
-
-    Returns
-    -------
-    Grid
-        Centred on the cloud but for a part of a step: flat sides lie on no nodes. Each side is a
-        whole number of bricks.
-
-    Raises
-    ------
-    InputError
-        All points are the same.
-    """
-    longest = float((high - low).max())
-    if longest <= 0.0:
-        raise InputError("all points lie at one place", "scan something with an extent")
-    step = longest / (cells - 2 * MARGIN)
-    sides = np.ceil((high - low) / step + 2 * margin - _EXACT)
-    x, y, z = (int(bricks) for bricks in np.ceil(sides / BRICK))
-    half = 0.5 * BRICK * step * np.array([x, y, z])
-    return Grid(lay_lattice(0.5 * (low + high) - half, step), step, (x, y, z))

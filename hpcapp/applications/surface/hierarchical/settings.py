@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from hpcapp.applications.surface.boundary.lengths import parse_length
-from hpcapp.applications.surface.options import check_options, option
+from hpcapp.applications.surface.methods.options import check_options, option
 from hpccomponent.errors import UsageError
 from hpccomponent.option_names import name_option
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
-    from hpcapp.applications.surface.method import Method, Resolution, Resources
+    from hpcapp.applications.surface.methods.method import Method, Resolution, Resources
     from hpcapp.geometry.points import PointCloud
 
 
@@ -103,7 +103,7 @@ class Hierarchical:
             Cells along the longest side.
         cloud : PointCloud
         """
-        from hpcapp.applications.surface.memory import estimate_surface
+        from hpcapp.applications.surface.resolution.memory import estimate_surface
 
         return estimate_surface(grid, cloud)
 
@@ -120,12 +120,12 @@ class Hierarchical:
         InputError
             There are no normals, or all points are the same.
         """
-        from hpcapp.applications.surface.hierarchical.estimates import suggest_grid
+        from hpcapp.applications.surface.resolution.estimates import suggest_grid
 
         longest = float((cloud.high - cloud.low).max())
         return suggest_grid(cloud.measure(), longest, self.smoothness, self.detail)
 
-    def open(self, grid: int, resources: Resources) -> Method[Any, Any]:
+    def open(self, grid: int, resources: Resources) -> Method[Any, Any, Any]:
         """Return the strategy.
 
         Parameters

@@ -12,8 +12,8 @@ from functools import partial
 from hpcapp.applications.surface.extraction.summary import summarize_part
 from hpcapp.applications.surface.field.levels import SlabFields, fit_above
 from hpcapp.applications.surface.field.pyramid import build_pyramid
-from hpcapp.applications.surface.method import Advance, ShowPart, show_nothing
-from hpcapp.applications.surface.surface import PartSurface
+from hpcapp.applications.surface.methods.method import Advance, ShowPart, show_nothing
+from hpcapp.applications.surface.stitching.surface import PartSurface
 from hpcapp.applications.surface.tiles.halo import plan_whole
 from hpcapp.applications.surface.tiles.plan import Plan
 from hpcapp.applications.surface.tiles.slabs import cut_slabs, grow_slabs

@@ -1,8 +1,9 @@
-"""One job of surface reconstruction, from its points to its mesh and its report.
+"""One job of surface reconstruction: what its pipeline stands on.
 
 ::
 
-    run ──> steps ──> backend selection, resolution, (pipeline), diagnostics
-     ├────> carry          what the mesh carries, and its output
-     └────> report page
+    settings ─> storage, folder, backend choice ─> site      where it runs
+    read, columns ─> scan <─ resume                          what it runs on
+    outcome ─> diagnostics, simplify, carry                  what comes of it
+        └────> report, report page
 """

@@ -18,7 +18,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from hpcapp.applications.surface.settings import Settings, choose_local, name_backend
+from hpcapp.applications.surface.job.settings import Settings, choose_local, name_backend
 from hpcapp.backends.selection import Backend, open_backend, open_executor, wrap_communicator
 from hpcapp.capacity import count_carried
 from hpcapp.communicator.scheduling.verification import Verification

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 from hpcapp.applications.surface.attributes.carrying import Carrying
 from hpcapp.applications.surface.attributes.choice import CONFIDENCE
 from hpcapp.applications.surface.job.folder import choose_tile
-from hpcapp.applications.surface.job.load import Loaded
-from hpcapp.applications.surface.settings import Settings, choose_threads
+from hpcapp.applications.surface.job.scan import Loaded
+from hpcapp.applications.surface.job.settings import Settings, choose_threads
 from hpcapp.progress import StageClock
 from hpccomponent.option_names import name_option
 
 if TYPE_CHECKING:
-    from hpcapp.applications.surface.job.steps import Outcome
+    from hpcapp.applications.surface.job.outcome import Outcome
 
 
 log = logging.getLogger("hpcapp")

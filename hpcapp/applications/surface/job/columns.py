@@ -14,7 +14,7 @@ from typing import Protocol
 
 from hpcapp.applications.surface.attributes.carrying import Evaluate
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
-from hpcapp.applications.surface.settings import JobSettings
+from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.geometry.points import PointCloud
 from hpcapp.io import PointSource, open_points
 from hpccomponent.files.private_files import make_private_folder

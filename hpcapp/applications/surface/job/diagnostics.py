@@ -5,17 +5,25 @@ Each function returns sentences that say what is odd and what to do, or none.
 
 from __future__ import annotations
 
+import logging
+from dataclasses import dataclass
 from typing import Any
 
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.boundary.drive import BARE_SHARE
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
+from hpcapp.applications.surface.job.outcome import Reconstruction
+from hpcapp.applications.surface.job.scan import Loaded
+from hpcapp.applications.surface.job.settings import Settings
 from hpcapp.applications.surface.normals.consistency import faces_inwards
 from hpcapp.applications.surface.stitching.handles import find_small_handles
-from hpcapp.applications.surface.surface import Surface
+from hpcapp.applications.surface.stitching.surface import Surface
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.wording import say_count
 from hpccomponent.option_names import name_option
+
+log = logging.getLogger("hpcapp")
 
 #: Points are judged on a sample of about so many.
 SAMPLE = 10_000
@@ -126,3 +134,42 @@ def check_support(facts: dict[str, Any]) -> list[str]:
         f"{support['farthest']:.3g} from the nearest one: a side that was not scanned is closed "
         f"there by guesswork; {name_option('close', 'no')} leaves it open"
     ]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointChecks:
+    """What is suspicious of the points, and what their mesh is judged by."""
+
+    resolution: list[str]
+    sides: list[str]
+    low: FloatArray
+    high: FloatArray
+    step: float
+
+
+def check_points(grid: int, cloud: ArrangedCloud) -> PointChecks:
+    """Look for what is suspicious of the points of a grid."""
+    low, high, points = cloud.low, cloud.high, cloud.sample(SAMPLE)
+    step = float((high - low).max()) / grid
+    resolution = check_resolution(points, step)
+    sides = [] if resolution else check_sides(points)
+    return PointChecks(resolution, sides, low, high, step)
+
+
+def warn_of(
+    settings: Settings, loaded: Loaded, checks: PointChecks, result: Reconstruction
+) -> list[str]:
+    """Log what should make the user doubt the mesh, and return it for the report."""
+    warnings = [*checks.resolution]
+    is_open = result.facts.get("open", False)
+    # Where sides were looked for, that has been judged; of an open mesh, nothing is guessed.
+    if loaded.oriented.is_believed and (not is_open or result.facts.get("room", False)):
+        warnings += checks.sides
+    # Too few cells explain a mesh that is too large.
+    if not (is_open or checks.resolution) and settings.method.makes_closed_meshes:
+        warnings += check_closure(checks.low, checks.high, result.surface, checks.step)
+        warnings += check_handles(result.surface, loaded.cleaned.line_gap)
+        warnings += check_support(result.facts)
+    for warning in warnings:
+        log.warning("warning: %s", warning)
+    return warnings

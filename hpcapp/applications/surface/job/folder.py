@@ -7,8 +7,13 @@ import tempfile
 from pathlib import Path
 
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
-from hpcapp.applications.surface.memory import count_most_points, fitting_tile
-from hpcapp.applications.surface.settings import JobSettings, Settings, choose_steps, name_backend
+from hpcapp.applications.surface.job.settings import (
+    JobSettings,
+    Settings,
+    choose_steps,
+    name_backend,
+)
+from hpcapp.applications.surface.resolution.memory import count_most_points, fitting_tile
 from hpcapp.backends import BACKENDS, IN_PROCESS
 from hpcapp.backends.selection import Backend
 from hpcapp.io import open_points

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from hpcapp.applications.surface.settings import JobSettings
+from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.io import open_points
 from hpcapp.io.points.column_roles import tell_use
 

@@ -28,9 +28,8 @@ from hpcapp.pages.thin import thin_mesh
 from hpcapp.wording import say_count, say_number, say_share
 
 if TYPE_CHECKING:
-    from hpcapp.applications.surface.job.load import Loaded
-    from hpcapp.applications.surface.job.steps import Outcome
-    from hpcapp.applications.surface.pipeline import Reconstruction
+    from hpcapp.applications.surface.job.outcome import Outcome, Reconstruction
+    from hpcapp.applications.surface.job.scan import Loaded
 
 
 GUESSED = 6.0

@@ -23,11 +23,11 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from hpcapp.applications.surface.checkpoint import SUMS, Checkpoint, digest
 from hpcapp.applications.surface.job.folder import may_pay_in_folder
+from hpcapp.applications.surface.job.settings import JobSettings, name_backend
 from hpcapp.applications.surface.kernels.build import kernel_id
-from hpcapp.applications.surface.memory import fits_memory
-from hpcapp.applications.surface.settings import JobSettings, name_backend
+from hpcapp.applications.surface.resolution.memory import fits_memory
+from hpcapp.applications.surface.tiles.checkpoint import SUMS, Checkpoint, digest
 from hpcapp.backends import BACKENDS
 from hpccomponent.errors import DistrustError, HpcError, InputError, OutputError, UsageError
 from hpccomponent.files.held_folders import (

@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from hpcapp.applications.surface.normals.viewpoint import Viewpoint
 from hpcapp.geometry.points import FloatArray
 from hpccomponent.errors import InputError
 from hpccomponent.option_names import name_option
@@ -88,3 +89,13 @@ class Sensor:
             f"the cameras ({name_option('viewpoint')}) did not see these points: {seen}",
             "export both in the same coordinates: of a map, or local",
         )
+
+
+def sensor_of(viewpoint: Viewpoint) -> Sensor:
+    """Return what a user says of where points were measured from."""
+    if isinstance(viewpoint, str):
+        return Sensor(viewpoint, is_told=True)
+    if not viewpoint:
+        return Sensor()
+    rows = np.array([(*place, 0.0, 0.0, 0.0)[:6] for place in viewpoint])
+    return Sensor("places", rows[:, :3], rows[:, 3:], is_told=True)

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
-from hpcapp.applications.surface.method import Advance, ShowPart, show_nothing
+from hpcapp.applications.surface.methods.method import Advance, ShowPart, show_nothing
 from hpcapp.applications.surface.paper.indicator_blend import (
     plan_grid,
     sample_indicator_blend,
@@ -37,7 +37,7 @@ from hpcapp.applications.surface.paper.patch_quadrics import (
     gradient_quadrics,
 )
 from hpcapp.applications.surface.paper.split_rule import SplitRule
-from hpcapp.applications.surface.surface import WholeSurface
+from hpcapp.applications.surface.stitching.surface import WholeSurface
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.workforce import Workforce, map_batches
@@ -165,6 +165,17 @@ class PaperMethod:
         mesh = extract_iso_surface(values, nodes, partition.points.origin)
         self.show_part(lambda: mesh)
         return WholeSurface(mesh)
+
+    def close(
+        self,
+        partition: PaperPartition,
+        surface: WholeSurface,
+        workforce: Workforce,
+        advance: Advance,
+    ) -> WholeSurface:
+        """Return the surface as it is: the paper does not speak of borders."""
+        del partition, workforce, advance
+        return surface
 
     def facts(self, partition: PaperPartition) -> dict[str, object]:
         """Return the number of patches, the rule that made them, and after `fit` its residuals."""

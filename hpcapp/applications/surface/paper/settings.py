@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from hpcapp.applications.surface.method import MARGIN, Resolution
-from hpcapp.applications.surface.options import check_options, option
+from hpcapp.applications.surface.methods.method import MARGIN, Resolution
+from hpcapp.applications.surface.methods.options import check_options, option
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
-    from hpcapp.applications.surface.method import Method, Resources
+    from hpcapp.applications.surface.methods.method import Method, Resources
     from hpcapp.applications.surface.paper.method import PaperPartition
+    from hpcapp.applications.surface.stitching.surface import WholeSurface
     from hpcapp.geometry.points import FloatArray, PointCloud
 
 
@@ -87,7 +88,9 @@ class Paper:
         del cloud
         return Resolution(_GRID, "the default of this method")
 
-    def open(self, grid: int, resources: Resources) -> Method[PaperPartition, FloatArray]:
+    def open(
+        self, grid: int, resources: Resources
+    ) -> Method[PaperPartition, FloatArray, WholeSurface]:
         """Return the strategy, whose own grid has no margins."""
         from hpcapp.applications.surface.paper.method import PaperMethod
 

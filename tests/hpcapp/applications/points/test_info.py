@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.points.info import describe, describe_file, measure_spacing
-from hpcapp.applications.surface.job.run import run_job
-from hpcapp.applications.surface.settings import JobSettings
+from hpcapp.applications.surface.cli.run import run_job
+from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.geometry.points import PointCloud
 from hpcapp.io import open_points
 from hpcapp.progress import Progress

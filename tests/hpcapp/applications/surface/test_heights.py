@@ -16,10 +16,11 @@ import pytest
 from hpcapp.applications.points.info import describe_file
 from hpcapp.applications.surface.attributes.carrying import Carrying
 from hpcapp.applications.surface.attributes.choice import parse_attributes
-from hpcapp.applications.surface.job import run, steps, storage
+from hpcapp.applications.surface.cli import run
+from hpcapp.applications.surface.cli.run import run_job
+from hpcapp.applications.surface.job import site, storage
 from hpcapp.applications.surface.job.report_page import show_files
-from hpcapp.applications.surface.job.run import run_job
-from hpcapp.applications.surface.settings import JobSettings
+from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import open_points, read_mesh, read_points, write_points
@@ -117,7 +118,7 @@ def test_a_cloud_in_a_folder_gives_the_same_mesh(
 ) -> None:
     reconstruct(ball, tmp_path / "whole.ply")
     monkeypatch.setattr(storage, "fits_memory", lambda *_: False)
-    for module in (run, steps):
+    for module in (run, site):
         monkeypatch.setattr(module, "choose_tile", lambda *_: 3_000)
     output = tmp_path / f"parts{suffix}"
     report = reconstruct(ball, output, temp_dir=str(tmp_path / "room"))
@@ -137,7 +138,7 @@ def test_who_writes_parts_says_what_coordinates_mean(
     write_points(feet, PointCloud(cloud.positions, cloud.normals), "EPSG:2229", "ft")
     reconstruct(feet, tmp_path / "whole.ply")
     monkeypatch.setattr(storage, "fits_memory", lambda *_: False)
-    for module in (run, steps):
+    for module in (run, site):
         monkeypatch.setattr(module, "choose_tile", lambda *_: 3_000)
     output = tmp_path / f"parts{suffix}"
     reconstruct(feet, output, temp_dir=str(tmp_path / "room"))

@@ -14,10 +14,11 @@ import recorded_tasks
 from lies import LIES
 from recorded_tasks import Answer, RecordedTasks
 
-from hpcapp.applications.surface.job import run, steps, storage
-from hpcapp.applications.surface.job.run import run_job
+from hpcapp.applications.surface.cli import run
+from hpcapp.applications.surface.cli.run import run_job
+from hpcapp.applications.surface.job import site, storage
+from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.paper.settings import Paper
-from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.geometry.points import PointCloud
 from hpcapp.io import write_points
 from hpcapp.progress import Progress
@@ -173,7 +174,7 @@ def run_small(
         if sees is not None:  # so many points are too many for memory, and tiles are small
             settings["temp_dir"] = str(folder / "room")
             patch.setattr(storage, "fits_memory", lambda *_: False)
-            for module in (run, steps):
+            for module in (run, site):
                 patch.setattr(module, "choose_tile", lambda *_: 3_000)
         backend = "recorded_tasks:make"
         run_job(JobSettings(folder / "scan.ply", backend=backend, **settings), Progress())

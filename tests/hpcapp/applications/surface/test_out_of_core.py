@@ -15,15 +15,15 @@ import numpy as np
 import pytest
 
 from hpcapp.api.reconstruction import reconstruct
-from hpcapp.applications.surface import surface
+from hpcapp.applications.surface.cli import run
+from hpcapp.applications.surface.cli.run import run_job
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.hierarchical import growth as regions
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
-from hpcapp.applications.surface.job import folder, load, run, steps, storage
-from hpcapp.applications.surface.job.run import run_job
-from hpcapp.applications.surface.memory import fitting_tile, parse_limit
-from hpcapp.applications.surface.settings import JobSettings
-from hpcapp.applications.surface.stitching import shared_ply, tile_ply
+from hpcapp.applications.surface.job import folder, read, site, storage
+from hpcapp.applications.surface.job.settings import JobSettings
+from hpcapp.applications.surface.resolution.memory import fitting_tile, parse_limit
+from hpcapp.applications.surface.stitching import shared_ply, surface, tile_ply
 from hpcapp.applications.surface.tiles import tasks as region
 from hpcapp.geometry.points import PointCloud
 from hpcapp.io import read_mesh, read_points, write_points
@@ -79,7 +79,7 @@ def whole(scan: Path) -> bytes:
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let so many points be too many for memory, and tiles be small."""
     monkeypatch.setattr(storage, "fits_memory", lambda *_: False)
-    for module in (run, steps):
+    for module in (run, site):
         monkeypatch.setattr(module, "choose_tile", lambda *_: 6_000)
 
 
@@ -177,7 +177,7 @@ def test_workers_read_a_cloud_that_memory_would_hold(
     scan: Path, whole: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(folder, "FOLDER_FROM_POINTS", 10_000)
-    monkeypatch.setattr(load, "read_whole", None)
+    monkeypatch.setattr(read, "read_whole", None)
     output = tmp_path / "mesh.ply"
     run_job(JobSettings(scan, str(output), grid=96, backend="zmq", workers=2), SILENT)
     assert output.read_bytes() == whole
@@ -393,7 +393,7 @@ def test_a_full_disk_leaves_the_old_mesh(
 def test_what_is_kept_is_written_in_other_formats_too(
     name: str, scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(steps, "choose_tile", lambda *_: 6_000)
+    monkeypatch.setattr(site, "choose_tile", lambda *_: 6_000)
     room = str(tmp_path / "room")
     places = ((None, "serial"), (room, "serial"), (room, "processes"), ("s3://lab/tiles", "serial"))
     meshes = []

@@ -9,7 +9,8 @@ from hpcapp.applications.surface.boundary.drive import OpeningSettings
 from hpcapp.applications.surface.boundary.lengths import Length
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
-from hpcapp.applications.surface.pipeline import Reconstruction, reconstruct
+from hpcapp.applications.surface.job.outcome import Reconstruction
+from hpcapp.applications.surface.pipeline import make_surface
 from hpcapp.applications.surface.stitching.topology import Topology, check_mesh
 from hpcapp.backends.serial import SerialExecutor
 from hpcapp.geometry.mesh import Mesh
@@ -51,7 +52,7 @@ def run(
         method = HierarchicalMethod(GRID, tile_points=tile_points, opening=opening)
         clock = StageClock(Progress())
         workforce = Workforce(executor, in_process=True)
-        return reconstruct(arrange_cloud(cloud), method, workforce, clock)
+        return make_surface(arrange_cloud(cloud), method, workforce, clock)
 
 
 def open_mesh(

@@ -10,9 +10,9 @@ from hpcapp.applications.surface.boundary.drive import OpeningSettings
 from hpcapp.applications.surface.boundary.seams import place_foreign
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
-from hpcapp.applications.surface.pipeline import reconstruct
+from hpcapp.applications.surface.pipeline import make_surface
 from hpcapp.applications.surface.stitching.plan import StitchingPlan
-from hpcapp.applications.surface.surface import PartSurface
+from hpcapp.applications.surface.stitching.surface import PartSurface
 from hpcapp.backends.serial import SerialExecutor
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.progress import Progress, StageClock
@@ -26,7 +26,7 @@ def plan_sphere() -> StitchingPlan:
     method = HierarchicalMethod(64, tile_points=500, opening=OpeningSettings("yes"))
     with SerialExecutor() as executor:
         cloud, clock = arrange_cloud(PointCloud(points, points)), StageClock(Progress())
-        surface = reconstruct(cloud, method, Workforce(executor, in_process=True), clock).surface
+        surface = make_surface(cloud, method, Workforce(executor, in_process=True), clock).surface
     assert isinstance(surface, PartSurface)
     return surface.plan
 

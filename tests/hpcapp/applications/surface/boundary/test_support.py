@@ -10,7 +10,8 @@ from hpcapp.applications.surface.boundary.drive import OpeningSettings
 from hpcapp.applications.surface.boundary.support import find_farthest
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
-from hpcapp.applications.surface.pipeline import Reconstruction, reconstruct
+from hpcapp.applications.surface.job.outcome import Reconstruction
+from hpcapp.applications.surface.pipeline import make_surface
 from hpcapp.backends.serial import SerialExecutor
 from hpcapp.geometry.points import PointCloud
 from hpcapp.progress import Progress, StageClock
@@ -35,7 +36,7 @@ def run(cloud: PointCloud, tile_points: int | None = None) -> Reconstruction:
         )  # fmt: skip
         clock = StageClock(Progress())
         workforce = Workforce(executor, in_process=True)
-        return reconstruct(arrange_cloud(cloud), method, workforce, clock)
+        return make_surface(arrange_cloud(cloud), method, workforce, clock)
 
 
 @pytest.mark.parametrize("count", [0, 1, 60])

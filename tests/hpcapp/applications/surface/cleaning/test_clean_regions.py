@@ -23,7 +23,7 @@ from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass, PassT
 from hpcapp.applications.surface.cloud.measure import measure_cloud
 from hpcapp.applications.surface.cloud.measured import measure_points
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
-from hpcapp.applications.surface.hierarchical.estimates import choose_scale
+from hpcapp.applications.surface.resolution.estimates import choose_scale
 from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.lab.simulate.scanner import simulate_scan

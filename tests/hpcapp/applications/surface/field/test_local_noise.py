@@ -8,7 +8,7 @@ from shared_data import shared
 
 from hpcapp.applications.surface.cloud.measured import find_scale, measure_points
 from hpcapp.applications.surface.field.local_noise import LocalNoise
-from hpcapp.applications.surface.hierarchical.estimates import choose_scale
+from hpcapp.applications.surface.resolution.estimates import choose_scale
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import open_points, read_whole
 

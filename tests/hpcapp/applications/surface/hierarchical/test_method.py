@@ -12,18 +12,19 @@ from disk_clouds import DiskCloudWriter
 from recorder import Recorder
 from shared_data import shared
 
-from hpcapp.applications.surface.checkpoint import Checkpoint
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.field import levels as field_levels
 from hpcapp.applications.surface.field.levels import SlabFields
 from hpcapp.applications.surface.field.robust import find_tolerance
-from hpcapp.applications.surface.hierarchical import estimates, slabs
-from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod, plan_grid
+from hpcapp.applications.surface.hierarchical import slabs
+from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
 from hpcapp.applications.surface.hierarchical.tiles import Tiling
+from hpcapp.applications.surface.resolution import estimates
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.applications.surface.tiles import slabs as slab_growth
+from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
 from hpcapp.applications.surface.tiles.plan import Plan
 from hpcapp.applications.surface.tiles.slabs import grow_slabs
 from hpcapp.applications.surface.types.grid import BRICK, BrickKinds, BrickStrides
@@ -405,19 +406,6 @@ def test_the_origin_of_the_cloud_stays_with_the_mesh() -> None:
 def test_a_sparse_cloud_gives_one_closed_ball(count: int) -> None:
     mesh, _ = reconstruct(sphere(count), HierarchicalMethod(48))
     assert_closed(mesh, genus=0)
-
-
-@pytest.mark.parametrize("margin", [4, 32])
-def test_the_grid_covers_the_cloud_with_cells_to_spare(margin: int) -> None:
-    cloud = sphere(500)
-    positions = cloud.positions * [3.0, 1.0, 0.2] + [100.0, 0.0, 0.0]
-    grid = plan_grid(positions.min(axis=0), positions.max(axis=0), 128, margin)
-    sides = BRICK * np.array(grid.bricks)
-    assert sides[0] == 120 + 2 * margin
-    assert sides.max() == sides[0]
-    low, high = grid.origin, grid.origin + grid.step * sides
-    assert (positions.min(axis=0) - low > (margin - 0.5) * grid.step).all()
-    assert (high - positions.max(axis=0) > (margin - 0.5) * grid.step).all()
 
 
 @pytest.mark.parametrize(

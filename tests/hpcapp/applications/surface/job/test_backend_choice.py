@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from standing import StartCluster
 
 import hpcapp
+from hpcapp.applications.surface.cli.run import run_job
 from hpcapp.applications.surface.job import backend_choice
 from hpcapp.applications.surface.job.backend_choice import Job, least_work
-from hpcapp.applications.surface.job.run import run_job
+from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.paper.settings import Paper
-from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.backends.selection import open_executor
 from hpcapp.io import read_points
 from hpcapp.progress import Progress

@@ -10,12 +10,13 @@ import pytest
 from numpy.typing import NDArray
 
 import hpcapp
-from hpcapp.applications.surface import surface
 from hpcapp.applications.surface.attributes.choice import parse_attributes
-from hpcapp.applications.surface.job import run, steps, storage
-from hpcapp.applications.surface.job.run import run_job
+from hpcapp.applications.surface.cli import run
+from hpcapp.applications.surface.cli.run import run_job
+from hpcapp.applications.surface.job import site, storage
+from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.normals.orientation import SURE
-from hpcapp.applications.surface.settings import JobSettings
+from hpcapp.applications.surface.stitching import surface
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import write_points
 from hpcapp.progress import Progress
@@ -223,7 +224,7 @@ def test_tiles_and_workers_give_the_bytes_of_memory(
     whole, tiled = tmp_path / f"whole-{name}", tmp_path / f"tiled-{name}"
     run_job(JobSettings(painted_file, str(whole), grid=64, attributes=chosen), SILENT)
     monkeypatch.setattr(storage, "fits_memory", lambda *_: False)
-    for module in (run, steps):
+    for module in (run, site):
         monkeypatch.setattr(module, "choose_tile", lambda *_: 6_000)
     settings = JobSettings(
         painted_file,
@@ -261,7 +262,7 @@ def test_tiles_carry_what_needs_no_other_tile(
     painted_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(storage, "fits_memory", lambda *_: False)
-    for module in (run, steps):
+    for module in (run, site):
         monkeypatch.setattr(module, "choose_tile", lambda *_: 6_000)
     chosen = parse_attributes("auto,normals")
     settings = JobSettings(painted_file, str(tmp_path / "m.tiles"), grid=48, attributes=chosen)
@@ -283,7 +284,7 @@ def test_a_job_that_is_resumed_carries_the_same(
     whole, again = tmp_path / "whole.ply", tmp_path / "again.ply"
     run_job(JobSettings(painted_file, str(whole), grid=48), SILENT)
     monkeypatch.setattr(storage, "fits_memory", lambda *_: False)
-    for module in (run, steps):
+    for module in (run, site):
         monkeypatch.setattr(module, "choose_tile", lambda *_: 6_000)
     settings = JobSettings(
         painted_file, str(again), grid=48, temp_dir=str(tmp_path / "temp"), resume=True

@@ -10,7 +10,7 @@ from hpcapp.applications.surface.job.diagnostics import (
     check_sides,
     check_support,
 )
-from hpcapp.applications.surface.surface import WholeSurface
+from hpcapp.applications.surface.stitching.surface import WholeSurface
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, PointCloud

@@ -14,8 +14,9 @@ import pytest
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.job import folder
 from hpcapp.applications.surface.job.folder import find_point_workers, may_pay_in_folder
-from hpcapp.applications.surface.job.load import PointFolder, load
-from hpcapp.applications.surface.settings import JobSettings
+from hpcapp.applications.surface.job.scan import PointFolder
+from hpcapp.applications.surface.job.settings import JobSettings
+from hpcapp.applications.surface.pipeline import load
 from hpcapp.backends.selection import Backend
 from hpcapp.geometry.points import PointCloud
 from hpcapp.io import write_points

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from hpcapp.applications.surface.command import reconstruct
+from hpcapp.applications.surface.cli.command import reconstruct
 from hpcapp.applications.surface.job.report_page import (
     Shown,
     build_job_page,

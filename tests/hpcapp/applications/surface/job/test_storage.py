@@ -17,10 +17,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface.cli import run
+from hpcapp.applications.surface.cli.run import run_job
 from hpcapp.applications.surface.hierarchical import growth as regions
-from hpcapp.applications.surface.job import run, steps, storage
-from hpcapp.applications.surface.job.run import run_job
-from hpcapp.applications.surface.settings import JobSettings
+from hpcapp.applications.surface.job import site, storage
+from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.tiles import tasks as region
 from hpcapp.geometry.points import PointCloud
 from hpcapp.io import write_points
@@ -296,7 +297,7 @@ def _settings(scan: Path, place: Path) -> JobSettings:
 
 def _let_tiles_be_small(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(storage, "fits_memory", lambda *_: False)
-    for module in (run, steps):
+    for module in (run, site):
         patch.setattr(module, "choose_tile", lambda *_: 5_000)
 
 

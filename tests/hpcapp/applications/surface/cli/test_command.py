@@ -10,10 +10,10 @@ from click.testing import CliRunner
 
 from hpcapp.applications.compare.command import compare
 from hpcapp.applications.points.command import convert, info
-from hpcapp.applications.surface.command import reconstruct
-from hpcapp.applications.surface.methods import METHODS, find_method
-from hpcapp.applications.surface.options import WATCHED, option_names
-from hpcapp.applications.surface.settings import JobSettings
+from hpcapp.applications.surface.cli.command import reconstruct
+from hpcapp.applications.surface.job.settings import JobSettings
+from hpcapp.applications.surface.methods.options import WATCHED, option_names
+from hpcapp.applications.surface.methods.table import METHODS, find_method
 from hpcapp.applications.view.command import view
 from hpcapp.io.registry import FORMATS
 from hpcapp.lab.simulate.command import simulate

@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 from passes import alone
 
+from hpcapp.applications.surface.cli.run import run_job
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
-from hpcapp.applications.surface.job.load import Loaded, PointFolder, load
-from hpcapp.applications.surface.job.run import run_job
+from hpcapp.applications.surface.job.scan import Loaded, PointFolder
+from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.normals.sides import orient_cloud
+from hpcapp.applications.surface.normals.viewpoint import Viewpoint
 from hpcapp.applications.surface.paper.settings import Paper
-from hpcapp.applications.surface.settings import JobSettings
-from hpcapp.applications.surface.viewpoint import Viewpoint
+from hpcapp.applications.surface.pipeline import load
 from hpcapp.geometry.points import PointCloud
 from hpcapp.io import write_points
 from hpcapp.progress import Progress, StageClock
@@ -159,6 +160,6 @@ def test_the_user_knows_the_sensor_best(
         sensors.append(arguments[3])
         return orient_cloud(*arguments, **options)
 
-    monkeypatch.setattr("hpcapp.applications.surface.job.load.orient_cloud", spy)
+    monkeypatch.setattr("hpcapp.applications.surface.pipeline.orient_cloud", spy)
     load(JobSettings(path, "m.ply", viewpoint=viewpoint), StageClock(Progress()))
     assert [(sensor.kind, sensor.is_told) for sensor in sensors] == [(kind, is_told)]

@@ -5,12 +5,12 @@ import logging
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface import memory
 from hpcapp.applications.surface.cloud.arranged import MemoryCloud, arrange_cloud
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
-from hpcapp.applications.surface.job.resolution import find_grid, guess_grid
+from hpcapp.applications.surface.job.settings import Settings
 from hpcapp.applications.surface.paper.settings import Paper
-from hpcapp.applications.surface.settings import Settings
+from hpcapp.applications.surface.resolution import memory
+from hpcapp.applications.surface.resolution.asked import find_grid, guess_grid
 from hpcapp.geometry.points import PointCloud
 from hpccomponent.errors import UsageError
 

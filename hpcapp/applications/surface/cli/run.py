@@ -11,37 +11,33 @@ import logging
 import shlex
 from contextlib import ExitStack, nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hpcapp.applications.surface.job.backend_choice import Job, approach_workers
-from hpcapp.applications.surface.job.carry import carry_columns
 from hpcapp.applications.surface.job.folder import choose_tile, find_point_workers
-from hpcapp.applications.surface.job.load import Loaded, PointFolder, load
 from hpcapp.applications.surface.job.recognised import describe_input
-from hpcapp.applications.surface.job.resolution import guess_grid
+from hpcapp.applications.surface.job.report import describe_outcome
+from hpcapp.applications.surface.job.scan import Loaded, PointFolder
+from hpcapp.applications.surface.job.settings import JobSettings
+from hpcapp.applications.surface.job.site import open_site
 from hpcapp.applications.surface.job.storage import JobStorage, open_storage
-from hpcapp.applications.surface.job.summary import summarize
-from hpcapp.applications.surface.kernels.build import kernel_id
 from hpcapp.applications.surface.kernels.freed_memory import keep_memory
-from hpcapp.applications.surface.memory import count_most_points
-from hpcapp.applications.surface.method import TILE_POINTS
-from hpcapp.applications.surface.settings import JobSettings, Settings
+from hpcapp.applications.surface.methods.method import TILE_POINTS
+from hpcapp.applications.surface.pipeline import deliver, load, reconstruct_cloud
+from hpcapp.applications.surface.resolution.asked import guess_grid
+from hpcapp.applications.surface.resolution.memory import count_most_points
 from hpcapp.backends.selection import Backend
 from hpcapp.communicator.scheduling.verification import Verification, attempt, repeat_until_trusted
 from hpcapp.io import describe_losses
 from hpcapp.io.output import open_output
 from hpcapp.progress import Progress, StageClock
-from hpcapp.simplification.mesh import Target
-from hpcapp.simplification.size import fit_size
 from hpcapp.timeline import Timeline
-from hpccomponent.files.held_folders import temporary_folder
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.attributes.carrying import Carrying
-    from hpcapp.applications.surface.job.steps import Outcome
-    from hpcapp.applications.surface.stitching.topology import Topology
-    from hpcapp.applications.surface.surface import Surface
+    from hpcapp.applications.surface.job.outcome import Outcome
     from hpcapp.backends.local_cluster import LocalMachines
 
 
@@ -135,10 +131,10 @@ def _run_in(
                 folder = _open_folder(settings, storage.folder, opened[0])
         loaded = load(settings, clock, folder)
         loaded.report(settings.shown)
-        # Half of what a job imports: where workers went through the points, that is done by now.
-        from hpcapp.applications.surface.job.steps import run_steps
-
-        with run_steps(settings, loaded, opener, clock, checkpoint, opened=opened) as outcome:
+        site = partial(
+            open_site, len(loaded.cloud), opener, clock, checkpoint=checkpoint, opened=opened
+        )
+        with reconstruct_cloud(settings, loaded, site, clock) as outcome:
             return _write(settings, loaded, outcome, target, clock, verification)
 
 
@@ -165,14 +161,7 @@ def _write(
     verification: Verification,
 ) -> dict[str, Any]:
     """Write the mesh, and describe what came of the job."""
-    carrying = carry_columns(settings, loaded, outcome, clock)
-    if settings.size is not None:
-        with clock.stage("fit size"):
-            outcome = _fit(outcome, settings.size, target.suffix, carrying)
-    with clock.stage("write"):
-        outcome.result.surface.write(target, outcome.backend.workforce, carrying)
-    with clock.stage("check"):  # most of it is done while workers write
-        topology = outcome.result.surface.check()
+    outcome, carrying, topology = deliver(settings, loaded, outcome, target, clock)
     report = describe_outcome(settings, loaded, outcome, topology, carrying)
     written = carrying.to_stream(outcome.result.surface.stream())
     report["warnings"] += describe_losses(target, written)
@@ -188,60 +177,6 @@ def _write(
     if settings.report is not None or settings.png is not None:
         with clock.stage("show"):
             _show(settings, loaded, outcome, carrying, clock, report)
-    return report
-
-
-def _fit(outcome: Outcome, size: int, suffix: str, carrying: Carrying) -> Outcome:
-    """Return an outcome whose surface is simplified to a file of a size at most."""
-    from hpcapp.applications.surface.surface import simplify_surface
-
-    surface = outcome.result.surface
-    most = surface.stream().face_count
-    with temporary_folder() as folder:
-        path = folder / f"mesh{suffix}"
-
-        def simplify(faces: int) -> Surface:
-            return surface if faces == most else simplify_surface(surface, Target(faces))
-
-        def weigh(faces: int) -> int:
-            simplify(faces).write(path, outcome.backend.workforce, carrying)
-            return path.stat().st_size
-
-        light = simplify(fit_size(size, most, weigh))
-    return replace(outcome, result=replace(outcome.result, surface=light))
-
-
-def describe_outcome(
-    settings: Settings, loaded: Loaded, outcome: Outcome, topology: Topology, carrying: Carrying
-) -> dict[str, Any]:
-    """Return the report of a job, but for its input and its output.
-
-    Parameters
-    ----------
-    topology : Topology
-        Of the mesh.
-    carrying : Carrying
-        What its vertices carry.
-    """
-    report = _describe(settings, outcome, topology)
-    report["attributes"] = carrying.names
-    report["warnings"] = [
-        *loaded.findings.warnings,
-        *loaded.oriented.warnings,
-        *outcome.warnings,
-    ]
-    report["dropped"] = {
-        **loaded.findings.dropped,
-        "non_finite_points": loaded.dropped.non_finite_points,
-        "bad_normals": loaded.dropped.bad_normals,
-        "duplicates": loaded.cleaned.repeated,
-        "outliers": loaded.cleaned.outliers,
-        "strays": loaded.cleaned.strays,
-        "lone_lines": loaded.cleaned.lone_lines,
-    }
-    report["turned_normals"] = loaded.cleaned.flipped
-    report["scan_lines"] = loaded.cleaned.tell_lines()
-    report["normals"] = loaded.oriented.to_json()
     return report
 
 
@@ -263,30 +198,3 @@ def _show(
     if settings.report is not None:
         told = {**report, "stages": clock.seconds, "timeline": clock.timeline.to_json()}
         write_job_page(settings.report, shown, told, Path(settings.output).name)
-
-
-def _describe(settings: Settings, outcome: Outcome, topology: Topology) -> dict[str, Any]:
-    result, backend = outcome.result, outcome.backend
-    traffic = backend.traffic()
-    return {
-        "summary": summarize(topology, result.facts),
-        "method": settings.method.name,
-        "kernels": kernel_id(),
-        "points": result.points,
-        **result.facts,
-        "grid": outcome.grid,
-        "vertices": topology.vertices,
-        "faces": topology.faces,
-        "watertight": topology.watertight,
-        "edge_manifold": topology.edge_manifold,
-        "vertex_manifold": topology.vertex_manifold,
-        "boundaries": topology.boundaries,
-        "components": topology.components,
-        "genus": topology.genus,
-        "backend": backend.name,
-        "workers": backend.workforce.workers,
-        "choice": outcome.choice.to_json(),
-        "policy": settings.policy,
-        "bytes_sent": traffic.bytes_sent,
-        "bytes_received": traffic.bytes_received,
-    }

@@ -5,7 +5,7 @@ import pytest
 
 from hpcapp.applications.surface.cloud.measured import measure_points
 from hpcapp.applications.surface.cloud.spacing import estimate_spacing
-from hpcapp.applications.surface.hierarchical.estimates import choose_scale, suggest_grid
+from hpcapp.applications.surface.resolution.estimates import choose_scale, suggest_grid
 from hpcapp.geometry.points import PointCloud
 
 

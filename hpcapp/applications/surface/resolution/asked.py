@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import logging
 from math import sqrt
+from typing import Protocol
 
 import numpy as np
 
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
-from hpcapp.applications.surface.memory import check_memory, fit_memory
-from hpcapp.applications.surface.method import MARGIN, MAX_GRID, MIN_GRID
-from hpcapp.applications.surface.settings import Settings
+from hpcapp.applications.surface.methods.method import MARGIN, MAX_GRID, MIN_GRID, MethodSettings
+from hpcapp.applications.surface.resolution.memory import check_memory, fit_memory
 from hpcapp.geometry.points import FloatArray
 from hpccomponent.errors import UsageError
 from hpccomponent.option_names import name_option
@@ -20,12 +20,36 @@ log = logging.getLogger("hpcapp")
 _LEAST_GUESS = 256
 
 
-def find_grid(settings: Settings, cloud: ArrangedCloud) -> int:
+class Asked(Protocol):
+    """What a user asks of the resolution: at most one of the three (see `job.settings`)."""
+
+    @property
+    def method(self) -> MethodSettings:
+        """That chooses, where nothing is asked."""
+        ...
+
+    @property
+    def grid(self) -> int | None:
+        """Cells along the longest side, margins included."""
+        ...
+
+    @property
+    def depth(self) -> int | None:
+        """Their binary logarithm."""
+        ...
+
+    @property
+    def voxel_size(self) -> float | None:
+        """Edge of a cell, in length units of the input."""
+        ...
+
+
+def find_grid(settings: Asked, cloud: ArrangedCloud) -> int:
     """Return the cells along the longest side: asked for, or chosen by the method and announced.
 
     Parameters
     ----------
-    settings : Settings
+    settings : Asked
     cloud : ArrangedCloud
         With what its method asks for.
 
@@ -54,12 +78,12 @@ def find_grid(settings: Settings, cloud: ArrangedCloud) -> int:
     return grid
 
 
-def choose_grid(settings: Settings, low: FloatArray, high: FloatArray) -> int | None:
+def choose_grid(settings: Asked, low: FloatArray, high: FloatArray) -> int | None:
     """Return the cells along the longest side, margins included, asked for in one of three ways.
 
     Parameters
     ----------
-    settings : Settings
+    settings : Asked
     low, high : ndarray of float64, shape (3,)
         Corners of the box around all points, in length units of the input.
 
@@ -89,12 +113,12 @@ def choose_grid(settings: Settings, low: FloatArray, high: FloatArray) -> int | 
     return int(cells)
 
 
-def guess_grid(settings: Settings, points: int) -> int:
+def guess_grid(settings: Asked, points: int) -> int:
     """Return the cells along the longest side before any point is read: as many as there may be.
 
     Parameters
     ----------
-    settings : Settings
+    settings : Asked
     points : int
         About so many.
 

@@ -12,7 +12,6 @@ from typing import Any, Protocol, cast
 import numpy as np
 
 from hpcapp.applications.surface.attributes.carrying import NOTHING, Carrying
-from hpcapp.applications.surface.checkpoint import Checkpoint
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.extraction.summary import PartSummary
 from hpcapp.applications.surface.stitching.assemble import (
@@ -26,6 +25,7 @@ from hpcapp.applications.surface.stitching.plan import StitchingPlan, plan_stitc
 from hpcapp.applications.surface.stitching.shared_ply import write_kept, write_part
 from hpcapp.applications.surface.stitching.tile_ply import write_kept_tile
 from hpcapp.applications.surface.stitching.topology import Topology, check_mesh
+from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
 from hpcapp.applications.surface.tiles.patterns import kept_part
 from hpcapp.geometry.lattice import number_keys
 from hpcapp.geometry.mesh import Mesh

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from hpcapp.applications.surface import remote
-from hpcapp.applications.surface.command import reconstruct
-from hpcapp.applications.surface.remote_check import check_job
-from hpcapp.applications.surface.viewpoint import parse_viewpoint
+from hpcapp.applications.surface.cli import remote
+from hpcapp.applications.surface.cli.command import reconstruct
+from hpcapp.applications.surface.cli.remote_check import check_job
+from hpcapp.applications.surface.normals.viewpoint import parse_viewpoint
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import PointCloud
 from hpcapp.io import read_mesh, read_points, write_mesh, write_points

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import click
 
-from hpcapp.applications.surface.command import check_flags, reconstruct
-from hpcapp.applications.surface.remote import (
+from hpcapp.applications.surface.cli.command import check_flags, reconstruct
+from hpcapp.applications.surface.cli.remote import (
     OF_THIS_MACHINE,
     check_file,
     check_points,

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpcapp.applications.surface.field.far_field import far_step
+from hpcapp.applications.surface.field.far_field import FEWEST_NODES, far_step
 from hpcapp.applications.surface.field.refinement import Refinement
-from hpcapp.applications.surface.hierarchical.coarse import FEWEST_NODES
 from hpcapp.applications.surface.types.grid import BRICK, MOST_SHIFT, BrickStrides, Grid
 from hpcapp.geometry.lattice import (
     NEIGHBOURS,

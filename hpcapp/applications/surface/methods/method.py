@@ -12,9 +12,9 @@ from dataclasses import Field, dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar
 
 if TYPE_CHECKING:
-    from hpcapp.applications.surface.checkpoint import Checkpoint
     from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
-    from hpcapp.applications.surface.surface import Surface
+    from hpcapp.applications.surface.stitching.surface import Surface
+    from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
     from hpcapp.geometry.points import PointCloud
     from hpcapp.workforce import Workforce
 
@@ -43,6 +43,7 @@ def show_nothing(load: Callable[[], Any]) -> None:
 
 PartitionT = TypeVar("PartitionT")
 QuadricsT = TypeVar("QuadricsT")
+SurfaceT = TypeVar("SurfaceT", bound="Surface")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,7 +132,7 @@ class MethodSettings(Protocol):
         """
         ...
 
-    def open(self, grid: int, resources: Resources) -> Method[Any, Any]:
+    def open(self, grid: int, resources: Resources) -> Method[Any, Any, Any]:
         """Return the strategy for one job; UsageError where options contradict each other.
 
         Parameters
@@ -148,8 +149,8 @@ class MethodSettings(Protocol):
         ...
 
 
-class Method(Protocol[PartitionT, QuadricsT]):
-    """One way to turn oriented points into a mesh, in three stages."""
+class Method(Protocol[PartitionT, QuadricsT, SurfaceT]):
+    """One way to turn oriented points into a mesh, in four stages."""
 
     def partition(self, cloud: ArrangedCloud, workforce: Workforce) -> PartitionT:
         """Cut the cloud into parts.
@@ -193,7 +194,7 @@ class Method(Protocol[PartitionT, QuadricsT]):
 
     def extract(
         self, partition: PartitionT, quadrics: QuadricsT, workforce: Workforce, advance: Advance
-    ) -> Surface:
+    ) -> SurfaceT:
         """Fit what is left, blend the quadrics and extract the 0-level iso-surface.
 
         Parameters
@@ -208,6 +209,23 @@ class Method(Protocol[PartitionT, QuadricsT]):
         """
         ...
 
+    def close(
+        self, partition: PartitionT, surface: SurfaceT, workforce: Workforce, advance: Advance
+    ) -> SurfaceT:
+        """Close the borders of a surface, or cut it open, as the user or the points ask.
+
+        Parameters
+        ----------
+        partition : object
+            What `partition` has returned.
+        surface : Surface
+            What `extract` has returned.
+        workforce : Workforce
+        advance : callable
+            Told (parts done, parts in all).
+        """
+        ...
+
     def facts(self, partition: PartitionT) -> dict[str, Any]:
         """Return what was chosen or found by the way, for the job's report: JSON values.
 
@@ -216,6 +234,6 @@ class Method(Protocol[PartitionT, QuadricsT]):
         Parameters
         ----------
         partition : object
-            After `extract`.
+            After `close`.
         """
         ...

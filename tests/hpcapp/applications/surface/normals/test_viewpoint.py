@@ -10,12 +10,8 @@ import pytest
 from camera_files import ring, write_cameras
 
 import hpcapp
-from hpcapp.applications.surface.job.load import told_sensor
-from hpcapp.applications.surface.viewpoint import (
-    Viewpoint,
-    parse_viewpoint,
-    type_viewpoint,
-)
+from hpcapp.applications.surface.normals.sensor import sensor_of
+from hpcapp.applications.surface.normals.viewpoint import Viewpoint, parse_viewpoint, type_viewpoint
 from hpcapp.geometry.points import FloatArray
 from hpccomponent.errors import InputError, UsageError
 
@@ -69,16 +65,16 @@ def test_a_direction_stands_alone() -> None:
 
 
 def test_what_the_user_says_is_told() -> None:
-    assert told_sensor("below").kind == "below"
-    assert told_sensor("below").is_told
-    places = told_sensor(((1.0, 2.0, 3.0),)).places
+    assert sensor_of("below").kind == "below"
+    assert sensor_of("below").is_told
+    places = sensor_of(((1.0, 2.0, 3.0),)).places
     assert places is not None
     assert places.tolist() == [[1.0, 2.0, 3.0]]
-    assert not told_sensor(()).is_told
+    assert not sensor_of(()).is_told
 
 
 def test_cameras_have_a_direction_and_places_have_none() -> None:
-    sensor = told_sensor(((1.0, 2.0, 3.0), (4.0, 5.0, 6.0, 0.0, 0.0, -1.0)))
+    sensor = sensor_of(((1.0, 2.0, 3.0), (4.0, 5.0, 6.0, 0.0, 0.0, -1.0)))
     assert sensor.places is not None
     assert sensor.axes is not None
     assert sensor.places.tolist() == [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]

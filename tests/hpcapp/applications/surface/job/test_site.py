@@ -1,20 +1,22 @@
-"""A cloud in memory, and workers on machines that do not see where its tiles are kept."""
+"""Where a cloud is reconstructed, and what runs there."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
+from functools import partial
 from pathlib import Path
 from typing import ParamSpec, TypeVar, cast
 
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.checkpoint import Checkpoint
+from hpcapp.applications.surface.cloud.arranged import MemoryCloud
 from hpcapp.applications.surface.job.backend_choice import approach_workers
-from hpcapp.applications.surface.job.load import load
-from hpcapp.applications.surface.job.steps import run_steps
-from hpcapp.applications.surface.settings import JobSettings
+from hpcapp.applications.surface.job.settings import JobSettings, Settings
+from hpcapp.applications.surface.job.site import open_site, preprocess
+from hpcapp.applications.surface.pipeline import load, reconstruct_cloud
+from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
 from hpcapp.geometry.points import PointCloud
 from hpcapp.io import write_points
 from hpcapp.progress import Progress, StageClock
@@ -67,13 +69,22 @@ def test_tiles_are_kept_by_who_sees_the_folder(tmp_path: Path, sees: bool) -> No
     loaded = load(settings, clock)
     checkpoint, machine = Checkpoint(str(here), "job"), OtherMachine(here, here if sees else there)
     checkpoint.make_folders()
-    with (
-        approach_workers(settings) as opener,
-        run_steps(settings, loaded, opener, clock, checkpoint, executor=machine) as outcome,
-    ):
-        mesh = outcome.result.surface.mesh()
-        assert list(there.iterdir()) == []
-        kept = checkpoint.store.list("job/")
+    with approach_workers(settings) as opener:
+        site = partial(
+            open_site, len(loaded.cloud), opener, clock, checkpoint=checkpoint, executor=machine
+        )
+        with reconstruct_cloud(settings, loaded, site, clock) as outcome:
+            mesh = outcome.result.surface.mesh()
+            assert list(there.iterdir()) == []
+            kept = checkpoint.store.list("job/")
     assert len(kept) >= 2
     np.testing.assert_allclose(np.linalg.norm(mesh.vertices, axis=1), 1.0, atol=0.01)
     assert len(mesh.vertices) - len(mesh.faces) // 2 == 2  # closed, of genus 0
+
+
+def test_the_papers_steps_run_in_its_order_as_stages(sphere: PointCloud) -> None:
+    clock, cloud = StageClock(Progress()), MemoryCloud.as_they_are(sphere)
+    found = preprocess(Settings(outliers=True, resample=True), cloud, clock)
+    assert list(clock.seconds) == ["remove outliers", "resample"]
+    assert 0 < len(found) < len(sphere)
+    assert preprocess(Settings(), cloud, clock) is cloud

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.surface.cloud.measured import find_scale
-from hpcapp.applications.surface.field.far_field import far_step
+from hpcapp.applications.surface.field.far_field import FEWEST_NODES, far_step
 from hpcapp.applications.surface.field.local_noise import LocalNoise
 from hpcapp.applications.surface.field.refinement import Refinement
-from hpcapp.applications.surface.hierarchical.coarse import FEWEST_NODES
-from hpcapp.applications.surface.hierarchical.strides import choose_strides
 from hpcapp.applications.surface.kernels import seed_bricks
+from hpcapp.applications.surface.resolution.strides import choose_strides
 from hpcapp.applications.surface.types.grid import BRICK, BrickStrides, Grid
 from hpcapp.geometry.lattice import NEIGHBOURS, step_keys, unpack_keys
 from hpcapp.geometry.points import FloatArray, IntArray

@@ -17,16 +17,16 @@ import click
 
 from hpcapp.applications.points.command import INPUTS, SAMPLE, readable
 from hpcapp.applications.surface.attributes.choice import parse_attributes
-from hpcapp.applications.surface.method import MAX_GRID, MIN_GRID
-from hpcapp.applications.surface.methods import DEFAULT_METHOD, METHODS, find_method
-from hpcapp.applications.surface.options import (
+from hpcapp.applications.surface.methods.method import MAX_GRID, MIN_GRID
+from hpcapp.applications.surface.methods.options import (
     WATCHED,
     check_exclusive,
     make_click_options,
     option_names,
     typed_command,
 )
-from hpcapp.applications.surface.viewpoint import parse_viewpoint
+from hpcapp.applications.surface.methods.table import DEFAULT_METHOD, METHODS, find_method
+from hpcapp.applications.surface.normals.viewpoint import parse_viewpoint
 from hpcapp.applications.view.command import check_page, check_picture
 from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY, POLICIES
 from hpcapp.dashboard import DEFAULT_ADDRESS
@@ -387,7 +387,7 @@ def reconstruct(ctx: click.Context, /, **options: Any) -> None:
     watching = Watching(*(options.pop(name) for name in WATCHED))
     cluster = options["cluster"]
     if cluster is not None and cluster.suffix != ".json":
-        from hpcapp.applications.surface.remote import run_on_cluster
+        from hpcapp.applications.surface.cli.remote import run_on_cluster
 
         report = run_on_cluster(ctx)
     else:
@@ -461,9 +461,9 @@ def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:
     if options["resume"]:  # it may wait for another job, and machines would give up meanwhile
         name = "auto"
     with start_early(name, options["workers"]) as machines:
-        from hpcapp.applications.surface.job.run import run_job  # while the machines start
-        from hpcapp.applications.surface.memory import parse_limit
-        from hpcapp.applications.surface.settings import JobSettings
+        from hpcapp.applications.surface.cli.run import run_job  # while the machines start
+        from hpcapp.applications.surface.job.settings import JobSettings
+        from hpcapp.applications.surface.resolution.memory import parse_limit
         from hpcapp.io.points.inputs import find_paths, gather_points
         from hpcapp.simplification.mesh import Target
         from hpcapp.simplification.size import read_size

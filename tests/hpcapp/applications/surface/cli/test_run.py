@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface.cli.run import run_job
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
-from hpcapp.applications.surface.job.run import run_job
-from hpcapp.applications.surface.method import MethodSettings
+from hpcapp.applications.surface.job.settings import JobSettings
+from hpcapp.applications.surface.methods.method import MethodSettings
 from hpcapp.applications.surface.paper.settings import Paper
-from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import PointCloud
 from hpcapp.io import read_mesh, write_mesh, write_points
@@ -109,7 +109,7 @@ def test_a_job_that_fails_leaves_the_old_mesh(
         monkeypatch.setattr(os, "replace", fail)
         write_mesh(path, mesh)
 
-    monkeypatch.setattr("hpcapp.applications.surface.surface.write_mesh", write_half)
+    monkeypatch.setattr("hpcapp.applications.surface.stitching.surface.write_mesh", write_half)
     old = tmp_path / "mesh.ply"
     old.write_bytes(b"the mesh of yesterday")
     with pytest.raises((KeyboardInterrupt, HpcError)):

@@ -26,7 +26,7 @@ from hpcapp.applications.surface.field.pyramid import (
 )
 from hpcapp.applications.surface.field.robust import find_tolerance, measure_points, tell_kurtosis
 from hpcapp.applications.surface.field.weights import LEAST_MU, Weights, tell_noise
-from hpcapp.applications.surface.method import MARGIN, MAX_GRID, Resolution
+from hpcapp.applications.surface.methods.method import MARGIN, MAX_GRID, Resolution
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.lattice import lay_lattice
 from hpcapp.geometry.points import FloatArray, IntArray, PointCloud

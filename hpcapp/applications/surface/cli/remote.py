@@ -9,8 +9,8 @@ from typing import Any
 
 import click
 
-from hpcapp.applications.surface.options import typed_command, typed_options
-from hpcapp.applications.surface.viewpoint import parse_viewpoint, type_viewpoint
+from hpcapp.applications.surface.methods.options import typed_command, typed_options
+from hpcapp.applications.surface.normals.viewpoint import parse_viewpoint, type_viewpoint
 from hpcapp.backends.cluster import load_cluster_function
 from hpcapp.io import FOLDER_SUFFIXES, MESH_SUFFIXES, drop_unusable, read_points
 from hpcapp.io.output import open_output

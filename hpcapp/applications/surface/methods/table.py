@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib import import_module
 
-from hpcapp.applications.surface.method import MethodSettings
+from hpcapp.applications.surface.methods.method import MethodSettings
 from hpccomponent.errors import UsageError
 
 METHODS = {

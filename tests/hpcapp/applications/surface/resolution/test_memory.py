@@ -4,10 +4,10 @@ import re
 
 import pytest
 
-from hpcapp.applications.surface import memory
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
-from hpcapp.applications.surface.memory import check_memory
 from hpcapp.applications.surface.paper.settings import Paper
+from hpcapp.applications.surface.resolution import memory
+from hpcapp.applications.surface.resolution.memory import check_memory
 from hpcapp.geometry.points import PointCloud
 from hpccomponent.errors import UsageError
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.cloud.spacing import estimate_spacing
-from hpcapp.applications.surface.method import TILE_POINTS, MethodSettings
+from hpcapp.applications.surface.methods.method import TILE_POINTS, MethodSettings
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.points import PointCloud
 from hpcapp.io.registry import find_point_reader

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from hpcapp.applications.surface.attributes.choice import AttributeChoice
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
-from hpcapp.applications.surface.method import MethodSettings
-from hpcapp.applications.surface.viewpoint import Viewpoint
+from hpcapp.applications.surface.methods.method import MethodSettings
+from hpcapp.applications.surface.normals.viewpoint import Viewpoint
 from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY
 from hpcapp.simplification.mesh import Target
 from hpcapp.workforce import Workforce
@@ -17,8 +18,10 @@ from hpccomponent.limits import available_cores
 from hpccomponent.ranges import check_range
 
 if TYPE_CHECKING:
-    from hpcapp.applications.surface.pipeline import Preprocess
+    from hpcapp.geometry.points import PointCloud
 
+
+Preprocess: TypeAlias = "Callable[[PointCloud], PointCloud]"
 
 # Below this many points a second thread costs more than it brings.
 THREADS_FROM_POINTS = 100_000

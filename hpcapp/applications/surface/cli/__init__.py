@@ -1,0 +1,1 @@
+"""The verb ``reconstruct``: here, or on another machine."""

@@ -1,0 +1,53 @@
+"""What came of a job, before it is written."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from hpcapp.applications.surface.job.backend_choice import Choice
+from hpcapp.applications.surface.stitching.surface import Surface
+from hpcapp.backends.selection import Backend
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reconstruction:
+    """A surface, and how it came about.
+
+    Parameters
+    ----------
+    surface : Surface
+        The 0-level iso-surface.
+    points : int
+        Points that were left after preprocessing.
+    facts : dict
+        What the method chose and found; ``patches`` is always there.
+    """
+
+    surface: Surface
+    points: int
+    facts: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outcome:
+    """What came of a job, while its backend is open.
+
+    Parameters
+    ----------
+    result : Reconstruction
+    grid : int
+        Cells along the longest side.
+    backend : Backend
+        That the workers are behind, who may write the mesh.
+    choice : Choice
+        Why it is this one.
+    warnings : list of str
+        What should make the user doubt the mesh; logged already.
+    """
+
+    result: Reconstruction
+    grid: int
+    backend: Backend
+    choice: Choice
+    warnings: list[str]

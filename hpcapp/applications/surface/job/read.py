@@ -1,0 +1,146 @@
+"""Points as they are given, in files or arrays, each place once: in memory, or in a folder."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from contextlib import nullcontext
+from dataclasses import replace
+
+import numpy as np
+
+from hpcapp.applications.surface.attributes.labels import find_labels
+from hpcapp.applications.surface.cleaning.drive import (
+    Cleaned,
+    drop_repeated,
+)
+from hpcapp.applications.surface.cloud.arranged import MemoryCloud, arrange_cloud
+from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
+from hpcapp.applications.surface.cloud.folder_pass import FolderPass, make_cloud_folder
+from hpcapp.applications.surface.job.columns import FileColumns, MemoryColumns
+from hpcapp.applications.surface.job.scan import PointFolder, Scan
+from hpcapp.applications.surface.job.settings import JobSettings, Settings
+from hpcapp.applications.surface.normals.sensor import Sensor, sensor_of
+from hpcapp.applications.surface.reading.drive import ingest_file
+from hpcapp.applications.surface.reading.reach import drop_far
+from hpcapp.applications.surface.reading.registration import check_registration
+from hpcapp.geometry.points import PointCloud
+from hpcapp.geometry.validity import Dropped
+from hpcapp.io import PointSource, drop_unusable, read_whole
+from hpcapp.io.points.point_source import SCAN
+from hpcapp.io.points.usable import refuse_too_few
+from hpcapp.progress import StageClock
+from hpccomponent.files.private_files import remove_path
+
+
+def read_file(
+    settings: JobSettings, source: PointSource, folder: PointFolder | None, clock: StageClock
+) -> Scan:
+    """Read the points of a file, each place once.
+
+    Parameters
+    ----------
+    settings : JobSettings
+    source : PointSource
+    folder : PointFolder, optional
+        Where the points are put; into memory by default. They are the same, bit for bit.
+    clock : StageClock
+    """
+    if settings.normals == "estimate":
+        source = source.without_normals()
+    if folder is None:
+        scan = _read_into_memory(settings, source, clock)
+    else:
+        scan = _read_into_folder(settings, source, folder, clock)
+    refuse_too_few(len(scan.cloud_pass.cloud), scan.dropped, str(settings.points))
+    return scan
+
+
+def _read_into_memory(settings: JobSettings, source: PointSource, clock: StageClock) -> Scan:
+    with clock.stage("read"):
+        whole = read_whole(source)
+        _check_scans([whole], source)
+        columns = settings.attributes.select(whole, settings.shown)
+        del whole
+        labels = find_labels(columns.attributes)
+        points, dropped = drop_unusable(columns, str(settings.points))
+        del columns
+    scan = arrange_points(settings, points, labels, clock)
+    return replace(
+        scan,
+        dropped=dropped,
+        is_oriented=source.oriented,
+        sensor=_find_sensor(settings, source),
+        crs=source.frame,
+        findings=source.findings,
+    )
+
+
+def arrange_points(
+    settings: Settings, points: PointCloud, labels: frozenset[str], clock: StageClock
+) -> Scan:
+    """Drop points that lie far away, arrange the rest, and drop those at the place of another.
+
+    Parameters
+    ----------
+    settings : Settings
+        The method tells whether far points are dropped, and whether the others are arranged.
+    points : PointCloud
+        Usable ones.
+    labels : frozenset of str
+        Attributes of which no mean is to be taken.
+    clock : StageClock
+    """
+    method, near = settings.method, points
+    with nullcontext() if method.needs_whole_cloud else clock.stage("arrange"):
+        if method.needs_whole_cloud:  # it cuts the cloud up by itself
+            cloud = MemoryCloud.as_they_are(points)
+        else:
+            near = drop_far(points) if method.cleans else points
+            cloud = arrange_cloud(near)
+        cloud_pass, repeated = drop_repeated(MemoryPass(cloud))
+    cleaned = Cleaned(len(points) - len(near), repeated=repeated)
+    columns = MemoryColumns(points.view(slice(0)), labels)
+    return Scan(cloud_pass, Dropped(0, 0), cleaned, columns, points.normals is not None)
+
+
+def _read_into_folder(
+    settings: JobSettings, source: PointSource, folder: PointFolder, clock: StageClock
+) -> Scan:
+    remove_path(folder.path)
+    place = make_cloud_folder(folder.path)
+    with clock.stage("read"):
+        _check_scans(source.chunks(folder.workers.points), source)
+        ingested = ingest_file(source, place, folder.workers, drop_far=settings.method.cleans)
+    with clock.stage("arrange"):
+        cloud_pass = FolderPass(ingested.cloud, folder.path, folder.workers)
+        cloud_pass, repeated = drop_repeated(cloud_pass)
+    return Scan(
+        cloud_pass,
+        ingested.dropped,
+        Cleaned(ingested.far, repeated=repeated),
+        FileColumns.of(settings, source),
+        source.has_normals,
+        source.oriented,
+        _find_sensor(settings, source),
+        source.frame,
+        source.findings,
+    )
+
+
+def _check_scans(chunks: Iterable[PointCloud], source: PointSource) -> None:
+    """Find out whether the scans of a file fit together, where it tells them apart."""
+    if len(source.scans) > 1 or SCAN in source.columns:
+        warning = check_registration(chunks, source.scans)
+        if warning is not None:
+            source.findings.warn(warning)
+
+
+def _find_sensor(settings: JobSettings, source: PointSource) -> Sensor:
+    """Return where the points were measured from: as the user says, else as the file does."""
+    said = sensor_of(settings.viewpoint)
+    if said.is_told:
+        return said.scale_heights(source.frame.height_scale)
+    known = [scan.scanner for scan in source.scans if scan.scanner is not None]
+    if known and len(known) == len(source.scans):
+        return Sensor("places", np.array(known))
+    return Sensor("above" if source.is_flown else "unknown")

@@ -1,0 +1,140 @@
+"""What is known of a scan: as it was read, and as the methods take it."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from hpcapp.applications.surface.cleaning.drive import Cleaned
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
+from hpcapp.applications.surface.cloud.cloud_pass import CloudPass
+from hpcapp.applications.surface.cloud.point_workers import PointWorkers
+from hpcapp.applications.surface.job.columns import Columns
+from hpcapp.applications.surface.normals.sensor import Sensor
+from hpcapp.applications.surface.normals.sides import Oriented
+from hpcapp.geometry.validity import Dropped
+from hpcapp.io.crs import UNKNOWN, Crs
+from hpcapp.io.points.point_source import Findings
+
+log = logging.getLogger("hpcapp")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointFolder:
+    """A folder that a job's points are put into, and who goes through them there.
+
+    Parameters
+    ----------
+    path : Path
+        Is made where there is none; 24 bytes a point are written, and those of blocks that change
+        again.
+    workers : PointWorkers
+    """
+
+    path: Path
+    workers: PointWorkers
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scan:
+    """Points as they were read, each place once, and what is known of them.
+
+    Parameters
+    ----------
+    cloud_pass : CloudPass
+    dropped : Dropped
+        Points that cannot be used.
+    cleaned : Cleaned
+        Points that were dropped because they lie far away or at the place of another.
+    columns : Columns
+        What is to be carried to the mesh.
+    has_normals, is_oriented : bool
+        Whether the points have normals, and whether the input says that these have a side.
+    sensor : Sensor
+        Where they were measured from.
+    crs : Crs
+        What the file's coordinates mean; heights are in the unit of x and y here.
+    findings : Findings
+        What is odd about the file.
+    """
+
+    cloud_pass: CloudPass
+    dropped: Dropped
+    cleaned: Cleaned
+    columns: Columns
+    has_normals: bool
+    is_oriented: bool = True
+    sensor: Sensor = field(default_factory=Sensor)
+    crs: Crs = UNKNOWN
+    findings: Findings = field(default_factory=Findings)
+
+    def loaded(self, cloud: ArrangedCloud, cleaned: Cleaned, oriented: Oriented) -> Loaded:
+        """Return what has become of it.
+
+        Parameters
+        ----------
+        cloud : ArrangedCloud
+        cleaned : Cleaned
+            What was found since it was read.
+        oriented : Oriented
+        """
+        cleaned, columns = self.cleaned.plus(cleaned), self.columns.of_cloud(cloud)
+        return Loaded(cloud, self.dropped, cleaned, columns, oriented, self.findings, self.crs)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Loaded:
+    """A cloud, and what was left out of it.
+
+    Parameters
+    ----------
+    cloud : ArrangedCloud
+    dropped : Dropped
+    cleaned : Cleaned
+    columns : Columns
+        Colours and attributes that are to be carried to the mesh.
+    oriented : Oriented
+        How its normals came about.
+    findings : Findings
+        What is odd about the file.
+    crs : Crs
+        What the file's coordinates mean.
+    """
+
+    cloud: ArrangedCloud
+    dropped: Dropped
+    cleaned: Cleaned
+    columns: Columns
+    oriented: Oriented
+    findings: Findings
+    crs: Crs
+
+    def report(self, shown: str) -> None:
+        """Log what was left out of the input.
+
+        Parameters
+        ----------
+        shown : str
+            The input, for the messages.
+        """
+        for line in self.findings.lines():
+            log.warning("warning: %s: %s", shown, line)
+        dropped, cleaned = self.dropped, self.cleaned
+        if cleaned.spared:
+            log.info(
+                "%s: scan lines some %.3g apart, with points every %.3g: %d of these spared",
+                shown, cleaned.line_gap, cleaned.line_step, cleaned.spared,
+            )  # fmt: skip
+        for count, what in (
+            (dropped.non_finite_points, "dropped %d points that are NaN or Inf"),
+            (dropped.bad_normals, "dropped %d points whose normal is zero, NaN or Inf"),
+            (cleaned.repeated, "dropped %d points at the place of another"),
+            (cleaned.outliers, "dropped %d outliers"),
+            (cleaned.strays, "dropped %d stray points near the surface"),
+            (cleaned.lone_lines, "dropped %d points along lone lines: wires have no surface"),
+            (cleaned.flipped, "flipped %d inconsistent normals"),
+        ):
+            if count:
+                log.warning(f"%s: {what}", shown, count)
+        self.oriented.report(shown)

@@ -1,0 +1,129 @@
+"""Where a cloud is reconstructed, and what a method gets there."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, replace_points
+from hpcapp.applications.surface.job.backend_choice import Choice, Job, Opener
+from hpcapp.applications.surface.job.folder import all_see_folder, choose_tile
+from hpcapp.applications.surface.job.settings import Settings, choose_steps, choose_threads
+from hpcapp.applications.surface.kernels.build import kernel_id
+from hpcapp.applications.surface.methods.method import Method, Resources
+from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
+from hpcapp.backends.selection import Backend
+from hpcapp.cancellation import Cancellation
+from hpcapp.progress import StageClock
+from hpccomponent.errors import UsageError
+from hpccomponent.option_names import name_option
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+
+log = logging.getLogger("hpcapp")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Site:
+    """A backend that is open.
+
+    Parameters
+    ----------
+    backend : Backend
+    choice : Choice
+        Why it is this one.
+    checkpoint : Checkpoint, optional
+        Where finished tiles are kept.
+    """
+
+    backend: Backend
+    choice: Choice
+    checkpoint: Checkpoint | None
+
+
+@contextmanager
+def open_site(
+    points: int,
+    opener: Opener,
+    clock: StageClock,
+    grid: int,
+    *,
+    checkpoint: Checkpoint | None = None,
+    opened: tuple[Backend, Choice] | None = None,
+    executor: Executor | Client | None = None,
+    cancellation: Cancellation | None = None,
+) -> Iterator[Site]:
+    """Choose where so many points are reconstructed, and open it.
+
+    Parameters
+    ----------
+    points : int
+    opener : Opener
+    clock : StageClock
+        Whose timeline has what the backend does.
+    grid : int
+        Cells along the longest side.
+    checkpoint : Checkpoint, optional
+        Where finished tiles are kept.
+    opened : tuple of (Backend, Choice), optional
+        Where it is reconstructed, if that is open and recorded already.
+    executor : concurrent.futures.Executor or distributed.Client, optional
+        What the user has opened.
+    cancellation : Cancellation, optional
+        By which somebody may end it.
+    """
+    job = Job(points, grid)
+    with nullcontext(opened) if opened else opener.open(job, executor) as (backend, choice):
+        recorded = backend if opened else backend.record(clock.timeline)
+        if cancellation is not None:
+            recorded = recorded.heed(cancellation)
+        if (
+            checkpoint
+            and checkpoint.holds_files
+            and not all_see_folder(Path(checkpoint.where), recorded)
+        ):
+            checkpoint = replace(checkpoint, is_shared=False)
+        yield Site(recorded, choice, checkpoint)
+
+
+def preprocess(settings: Settings, cloud: ArrangedCloud, clock: StageClock) -> ArrangedCloud:
+    """Take the steps of the paper's preprocessing that are asked for.
+
+    Raises
+    ------
+    UsageError
+        Not all points are in memory.
+    """
+    for name, step in choose_steps(settings):
+        if cloud.points is None:
+            raise UsageError(
+                f"the step '{name}' needs all points in memory",
+                f"leave it out, or give more {name_option('max_memory')}",
+            )
+        with clock.stage(name):
+            cloud = replace_points(cloud, step(cloud.points))
+    return cloud
+
+
+def open_method(
+    settings: Settings, site: Site, grid: int, points: int, clock: StageClock
+) -> Method[Any, Any, Any]:
+    """Open the method for so many points, and log what runs where."""
+    backend, workforce = site.backend, site.backend.workforce
+    threads = choose_threads(workforce, points)
+    tile_points = choose_tile(settings, backend)
+    method = settings.method.open(
+        grid, Resources(threads, tile_points, site.checkpoint, clock.progress.show_part)
+    )
+    log.info(
+        "method %s, grid %d, backend %s, workers %d, policy %s, kernels %s",
+        settings.method.name, grid, backend.name, workforce.workers, settings.policy, kernel_id(),
+    )  # fmt: skip
+    return method

@@ -1,0 +1,1 @@
+"""What a method of reconstruction is, and the table of them."""
