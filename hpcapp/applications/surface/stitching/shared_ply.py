@@ -165,6 +165,7 @@ def vertex_rows(vertices: FloatArray, origin: FloatArray, is_double: bool) -> ND
     with np.errstate(over="ignore"):  # what float cannot hold becomes infinite
         if not origin.any():
             return vertices.astype(kind, copy=False)
+        # Axis by axis straight into the type of the file: all at once would be a copy in float64.
         rows = np.empty((len(vertices), 3), kind)
         for axis, shift in enumerate(origin):
             column = vertices[:, axis]
@@ -184,6 +185,7 @@ def face_rows(faces: IntArray) -> NDArray[Any]:
     structured ndarray, shape (f,)
     """
     rows = np.empty(len(faces), _FACE)
+    # 13 bytes each: how many corners, and these.
     rows["n"] = 3
     rows["corners"] = np.ascontiguousarray(faces, "<i4").view(_CORNERS)[:, 0]
     return rows
@@ -261,6 +263,7 @@ def write_kept(kept: tuple[str, str], places: PartPlaces, shared: SharedPly) -> 
 
 def _write_rows(file: int, part: MeshPart, places: PartPlaces, shared: SharedPly) -> None:
     """Write the vertices and faces of the bricks that are taken from a part."""
+    # Those that this part gives; few at a time, so that buffers stay in the cache.
     bricks = np.flatnonzero(places.face_starts >= 0)
     for some in cut_equal(len(bricks), -(-len(bricks) // _BRICKS_AT_ONCE)):
         vertices, runs = place_vertices(part, places, bricks[some])
@@ -279,6 +282,7 @@ def _write_runs(file: int, rows: NDArray[Any], runs: Runs, start: int) -> None:
     for first, last, number in runs:
         run, at = raw[first * size : last * size], start + number * size
         note_written(run)
+        # The system may write less than it was given.
         while run:
             done = os.pwrite(file, run, at)
             run, at = run[done:], at + done
