@@ -132,6 +132,8 @@ class SupportRule:
             workers=threads,
         )
         bounds = np.minimum(radii, self.typical), np.maximum(radii, self.typical)
+        # (k, 1): a disc up to the sixth neighbour has six points, which tell the spacing; infinite
+        # where that one is too far off, until it is clipped.
         own: FloatArray = (self.spacings * _DENSITY * distances[:, 0]).clip(*bounds)
         return own
 
@@ -171,6 +173,7 @@ def measure_clearance(
     unsure = np.flatnonzero(is_near & ~is_supported)
     if not len(unsure):
         return clearance.astype(np.float32)
+    # (n,): how far each point is from the nearest of these places.
     from_places, _ = cKDTree(places[unsure]).query(
         cloud.positions, distance_upper_bound=bound, workers=threads
     )
@@ -189,6 +192,7 @@ def _measure_unsure(
 ) -> FloatArray:
     """Return the clearances of places, each with all points that matter to one of them."""
     clearance = np.full(len(places), _MOST)
+    # (u,), (u, 3): how many points support each place, and the sum of their normals.
     supporting, normals = np.zeros(len(places), np.int64), np.zeros((len(places), 3))
     for run, pairs in _pair_places(places, cloud, radii, rule, 1.0):
         supporting[run] += pairs.count()
@@ -232,16 +236,19 @@ def _lower(least: FloatArray, at: IntArray, squares: FloatArray) -> None:
     """Put some squared clearances, shape (q, k), among the least ones of the places they are of."""
     order = np.argsort(at, kind="stable")
     at = at[order]
+    # (q,): the how-manieth of its place each one is.
     turn = np.arange(len(at)) - np.searchsorted(at, at)
     # (p, k, w): those of each place side by side
     here = np.full((*least.shape[:2], int(turn.max(initial=-1)) + 1), _MOST * _MOST)
     here[at, :, turn] = squares[order]
+    # (p, k, 3 + w): old and new ones, of which the three least stay, in any order.
     both = np.concatenate([least, here], axis=2)
     least[:] = np.partition(both, _AGREEING - 1, axis=2)[:, :, :_AGREEING]
 
 
 def _look_around(normals: FloatArray) -> FloatArray:
     """Return ways in the plane that each normal stands on, shape (w, k, 3), of unit length."""
+    # (w, 3): the axis that is farthest from each normal, so that no product is near 0.
     axes = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
     one = np.cross(normals, axes)
     other = np.cross(normals, one)
@@ -298,6 +305,8 @@ class _Pairs:
 
     def step_aside(self, ways: FloatArray) -> FloatArray:
         """Return the squared clearances, shape (q, k), a step off each place in k ways."""
+        # (q, k): along . way. A step s leaves what is off the plane as it is, and makes the square
+        # of what is along it larger by 2 s along . way + s^2.
         aside = np.zeros((len(self.at), ways.shape[1]))
         for axis in range(3):
             aside += ways[self.at, :, axis] * self.along[:, axis, None]
@@ -328,6 +337,7 @@ def _pair_alike(
     assert cloud.normals is not None  # noqa: S101 - the points of a surface have normals
     if not len(places):
         return
+    # Cells as large as the reach: what is near a place is in its cell or in the 26 around it.
     size, origin = most * float(radii.max()), cloud.positions[0]
     thickness = rule.thickness(radii)
     sorted_points = kernels.sort_points(cloud.positions, origin, size)
@@ -339,6 +349,8 @@ def _pair_alike(
         off = np.zeros(len(at))  # (q,): how far each is off the point's plane
         for axis in range(3):  # sums in one order, whatever the shape
             off += offsets[:, axis] * normals[:, axis]
+        # (q, 3), (q,): what is left along the plane, in radii; then both parts by the axes of the
+        # point's ellipsoid, on which the sum of their squares is 1.
         along = (offsets - off[:, None] * normals) / radii[point, None]
         squares = _square(along) + (off / thickness[point]) ** 2
         near = np.flatnonzero(squares < most * most)
@@ -359,6 +371,7 @@ def _pair(
     # (27 p,): the points of each place in each of the cells
     first = ends[around][name].ravel()
     counts = (ends[around + 1] - ends[around])[name].ravel()
+    # (q,): in its cell, the how-manieth point each one is.
     turn = np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
     at = np.repeat(np.arange(len(counts)) // len(NEIGHBOURS), counts)
     return at, rows[np.repeat(first, counts) + turn].astype(np.int64)

@@ -179,6 +179,7 @@ class _Parts:
         if not len(bricks):
             return Near(self.cloud.place, keys[:0])
         low = blocks.origin + blocks.edge * unpack_keys(keys) - margin - plan.grid_origin
+        # (b, 3): from which brick to before which one each block reaches, widened by the margin.
         first = np.floor(low / edge).astype(np.int64)
         end = np.floor((low + blocks.edge + 2.0 * margin) / edge).astype(np.int64) + 1
         return Near(self.cloud.place, keys[_hold_some(bricks, first, end)])
@@ -200,6 +201,7 @@ def _hold_some(places: IntArray, first: IntArray, end: IntArray) -> BoolArray:
     """Tell which boxes of a lattice, each from `first` to before `end`, hold one of its places."""
     low = places.min(axis=0)
     table = np.zeros(places.max(axis=0) - low + 2, np.int32)
+    # (x, y, z): 1 at each place; then sums from the lowest corner on, of which eight tell a box.
     table[tuple((places - low + 1).T)] = 1
     for axis in range(3):  # how many places lie below each corner
         np.cumsum(table, axis=axis, out=table)
@@ -208,6 +210,7 @@ def _hold_some(places: IntArray, first: IntArray, end: IntArray) -> BoolArray:
     counts = np.zeros(len(first), np.int64)
     for corner in np.ndindex(2, 2, 2):
         at = tuple(ends[side][:, axis] for axis, side in enumerate(corner))
+        # Inclusion and exclusion over the corners: those with one upper end or three add.
         counts += (1 if sum(corner) % 2 else -1) * table[at]
     return counts > 0
 
@@ -330,6 +333,7 @@ def _cut(
 
     opened: dict[int, Any] = {}
     for index, (part, summary, exits) in parts.run(open_part, cut):
+        # A survey is of no more use, and large.
         kept, surveys[index] = part, None
         name = surface.parts[index]
         if isinstance(name, str):
@@ -337,10 +341,12 @@ def _cut(
             if part is not None and checkpoint is not None:
                 checkpoint.store.put(kept, (part, summary, exits))
         else:
+            # So that the closed and the open surface are not both in memory.
             surface.parts[index] = MeshPart.empty()
         opened[index] = kept, summary
         advance(len(parts) + len(opened), 2 * len(parts))
     cuts, summaries = zip(*(opened[index] for index in range(len(parts))), strict=True)
+    # As many faces as a square of that size has at the usual step.
     crumb = int(_FACES * (_CRUMB * rule.typical / parts.plan.usual_step) ** 2)
     opened_surface = PartSurface(
         [*cuts], [*summaries], surface.origin, checkpoint, surface.workers, crumb
@@ -368,6 +374,7 @@ def _stood_on_table(measured: Measured) -> bool:
     """Tell whether a cloud is of an object that draws together at its border."""
     sample = measured.sample
     assert sample.normals is not None  # noqa: S101 - they were measured
+    # (n,): each point stands for the square of the spacing around it.
     areas = measured.scale.at(sample.positions) ** 2
     return draws_together(sample.positions, sample.normals.astype(np.float64), areas)
 

@@ -181,11 +181,13 @@ def survey_opening(
     tails = _as_nodes(part)
     heads = np.roll(tails, -1, axis=1)
     tails, heads = tails.reshape(-1), heads.reshape(-1)
+    # (3 f,): sides within a bare patch.
     within = bare[tails] & bare[heads]
     labels, patches = _label_bare(tails[within], heads[within], bare)
     across = np.flatnonzero(bare[tails] != bare[heads])  # sides that the line crosses
     tails, heads = tails[across], heads[across]
     loops = _bound_loops(np.concatenate([part.vertices, places]), labels, patches, tails, heads)
+    # (s,): the brick of the face that each of these is a side of.
     brick_of = np.repeat(np.arange(len(part.bricks)), part.face_counts)[across // 3]
     cuts, is_lone = _find_cuts(_rank_nodes(part, tails, heads), brick_of, tails, heads)
     survey = OpeningSurvey(clearances, labels, places, cuts[:, 0], cuts[:, 1:], is_lone)
@@ -249,6 +251,7 @@ class _Numbers:
         # (b,): supported vertices come first, then the cuts, then the bare ones.
         supported = part.vertex_counts - np.diff(before[starts])
         cut_counts = np.bincount(survey.cut_bricks, minlength=bricks)
+        # (k,): how many cuts stand before each in its brick.
         turn = np.arange(len(survey.cut_bricks)) - starts_of(cut_counts)[survey.cut_bricks]
         self.cuts = supported[survey.cut_bricks] + turn
         behind = (supported + cut_counts)[self.bricks]
@@ -271,6 +274,7 @@ class _Cuts:
         self.places = points[low] + share * (points[high] - points[low])
         keys = low * self._count + high
         self._keys, self._first = find_first(keys)  # the bricks rise, so in the lowest one
+        # (k, 2): brick and number; those on a seam by the names that all parts agree on.
         named = np.stack([part.bricks[survey.cut_bricks], numbers.cuts], axis=1)
         named[survey.is_lone] = seam_cuts
         self._names = named[self._first]
@@ -295,6 +299,7 @@ def _label_bare(tails: IntArray, heads: IntArray, bare: BoolArray) -> tuple[Int3
     """Label the bare vertices by the patches that edges make of them."""
     labels = np.full(len(bare), -1, np.int32)
     joined = np.stack([tails, heads, heads], axis=1)  # edges as faces with a corner twice
+    # Numbers from 0 for the components of bare vertices; a supported one is its own, and left out.
     patches, numbers = number_keys(kernels.label_components(joined, len(bare))[1][bare])
     labels[bare] = numbers
     return labels, len(patches)
@@ -305,6 +310,7 @@ def _bound_loops(
 ) -> FloatArray:
     """Bound the bare ends of some edges, patch by patch."""
     ends = unique_keys(np.where(labels[tails] >= 0, tails, heads))
+    # (c, 6): inside out at first, so that any place bounds them.
     loops = np.full((patches, 6), np.inf)
     loops[:, 3:] = -np.inf
     np.minimum.at(loops[:, :3], labels[ends], points[ends])
@@ -318,10 +324,12 @@ def _rank_nodes(part: MeshPart, tails: IntArray, heads: IntArray) -> IntArray:
     ends = unique_keys(np.concatenate([tails, heads]))
     is_own = ends < own
     bricks, numbers = np.empty(len(ends), np.int64), np.empty(len(ends), np.int64)
+    # (e,) each: own ones are known by the row in the part, foreign ones by their names.
     rows = np.searchsorted(starts, ends[is_own], side="right") - 1
     bricks[is_own], numbers[is_own] = part.bricks[rows], ends[is_own] - starts[rows]
     foreign = ends[~is_own] - own
     bricks[~is_own], numbers[~is_own] = part.foreign_bricks[foreign], part.foreign_numbers[foreign]
+    # (v + g,): nodes that no cut has stay 0; nobody looks them up.
     ranks = np.zeros(own + len(part.foreign_bricks), np.int64)
     ranks[ends[np.lexsort((numbers, bricks))]] = np.arange(len(ends))
     return ranks
@@ -331,6 +339,7 @@ def _find_cuts(
     ranks: IntArray, brick_of: IntArray, tails: IntArray, heads: IntArray
 ) -> tuple[IntArray, BoolArray]:
     """Return brick and ends of each cut, sorted, and whether its edge has one side here."""
+    # (s,): the ends in the order that all parts know, so that all cut at the very same place.
     forward = ranks[tails] < ranks[heads]
     low, high = np.where(forward, tails, heads), np.where(forward, heads, tails)
     # (s, 3): brick of the face and both ends of each side, sorted; a cut for each brick of an edge.
@@ -339,6 +348,7 @@ def _find_cuts(
     first = np.ones(len(sides), np.bool_)
     first[1:] = (sides[1:] != sides[:-1]).any(axis=1)
     cuts = sides[first]
+    # (s,): the edge of each side, whatever its brick. With one side here, it is a seam's.
     _, edge = number_keys(sides[:, 1] * len(ranks) + sides[:, 2])
     is_lone = np.bincount(edge)[edge[first]] == 1 if len(edge) else first
     return cuts, is_lone
@@ -349,6 +359,7 @@ def _name_edges(part: MeshPart, cuts: IntArray, numbers: IntArray) -> IntArray:
     starts = starts_of(part.vertex_counts)
     named = np.empty((len(cuts), 6), np.int64)
     for column, ends in enumerate(cuts[:, 1:].T):
+        # (m,): rows of the foreign vertices; below 0 where an end is the part's own.
         foreign = ends - len(part.vertices)
         is_own = foreign < 0
         rows = np.searchsorted(starts, ends[is_own], side="right") - 1
@@ -365,6 +376,7 @@ def _cut_faces(
 ) -> tuple[IntArray, IntArray]:
     """Return brick row and named corners, shape (f, 3, 2), of what stays of the faces."""
     nodes = _as_nodes(part)
+    # (f, 3): which corners of each face stay.
     inside = stays[nodes]
     kinds = inside.sum(axis=1)  # (f,): how many corners stay
     whole = np.flatnonzero(kinds == 3)
@@ -414,6 +426,7 @@ def _lay_vertices(
     places = np.concatenate([part.vertices[supported], cuts.places, part.vertices[bare]])
     bricks = [numbers.bricks[supported], survey.cut_bricks, numbers.bricks[bare]]
     brick_of = np.concatenate(bricks)
+    # Brick by brick, in each the supported ones, the cuts and the bare ones, as `_Numbers` has it.
     order = np.argsort(brick_of, kind="stable")
     return places[order], np.bincount(brick_of, minlength=len(part.bricks))
 

@@ -47,6 +47,7 @@ def _find_border(positions: FloatArray, normals: FloatArray) -> tuple[BoolArray,
     from scipy.spatial import cKDTree  # takes its time
 
     far, near = cKDTree(positions).query(positions, _NEIGHBOURS + 1)
+    # (n, 3): to the mean of the neighbours, along the surface: inwards at a border, else about 0.
     arms = positions[near[:, 1:]].mean(axis=1) - positions
     arms -= np.einsum("ij,ij->i", arms, normals)[:, None] * normals
     lengths = np.sqrt(np.einsum("ij,ij->i", arms, arms))

@@ -50,6 +50,7 @@ class _Rims:
         rims = [summary.rim for summary in plan.summaries]
         self.starts = starts_of(np.array([len(rim) for rim in rims], np.int64))
         owners = np.repeat(np.arange(len(rims)), np.diff(self.starts))
+        # (r,): part and row as one number; they rise, as each rim does.
         self._keys = owners << 32 | np.concatenate(rims)
         self._vertex_starts = starts_of(plan.bricks.vertex_counts)
 
@@ -67,6 +68,7 @@ class _Rims:
         copies = self._bricks.taken[there[is_known]]
         owners = self._bricks.part_of(copies)
         starts = self._vertex_starts
+        # (k,): the row in the part whose copy of the brick counts: only that one's rim has it.
         rows = starts[copies] - starts[self._bricks.parts[owners]] + numbers[is_known]
         found = np.full(len(bricks), len(self._keys), np.int64)
         found[is_known] = find_keys(self._keys, owners << 32 | rows)
@@ -115,6 +117,7 @@ def match_seams(
     """
     rims = _Rims(plan)
     label_starts = starts_of(np.array([len(some.loops) for some in seams], np.int64))
+    # (r,): shifted, the labels of a part are those of all; -1 of supported ones is never looked up.
     shifts = np.repeat(label_starts[:-1], np.diff(rims.starts))
     rim_labels = np.concatenate([some.rim_labels for some in seams]) + shifts
     rim_numbers = np.concatenate([some.rim_numbers for some in seams]).astype(np.int64)
@@ -123,6 +126,7 @@ def match_seams(
         rows = rims.find(some.foreign_bricks, some.foreign_numbers)
         foreign_numbers.append(rim_numbers[rows])
         bare = some.foreign_labels >= 0
+        # The patch that a vertex is in here and the one that it is in where it is from are one.
         left.append(start + some.foreign_labels[bare])
         right.append(rim_labels[rows[bare]])
     loops = np.concatenate([some.loops for some in seams])
@@ -147,6 +151,7 @@ def _choose_small(
     np.minimum.at(low, patch, loops[:, :3])
     np.maximum.at(high, patch, loops[:, 3:])
     is_small: BoolArray = np.logical_and.reduce(high >= low, axis=1)  # others have no boundary
+    # (s, 3): sizes and middles of the boxes around the boundaries.
     size, middle = high[is_small] - low[is_small], 0.5 * (high[is_small] + low[is_small])
     is_small[is_small] = (size * size).sum(axis=1) <= fill(middle) ** 2
     return is_small[patch], int(is_small.sum())
@@ -155,10 +160,12 @@ def _choose_small(
 def _match_cuts(edges: list[IntArray]) -> list[IntArray]:
     """Name each cut by the lowest brick with a face at its edge."""
     every = np.concatenate(edges)
+    # (m, 6) of all parts: edge by edge, by the names of both ends, and then by the faces' bricks.
     order = np.lexsort(every[:, 4::-1].T)
     ends = every[order, :4]
     first = np.ones(len(order), np.bool_)
     first[1:] = (ends[1:] != ends[:-1]).any(axis=1)
     named = np.empty((len(order), 2), np.int64)
+    # (m, 2): all copies of an edge get brick and number from the first row of it.
     named[order] = every[order[first], 4:][np.cumsum(first) - 1]
     return np.split(named, np.cumsum([len(some) for some in edges])[:-1])

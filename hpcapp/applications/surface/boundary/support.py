@@ -71,6 +71,8 @@ def find_farthest(places: FloatArray, cloud: ArrangedCloud) -> float:
         away = _measure(middles, places[one])
         least = float(away.min())
         if least + radius > farthest:
+            # There is a point within least + radius. A block whose middle is a radius farther away
+            # than that holds none that is nearer.
             near = cloud.take_blocks(cloud.keys[away <= least + 2.0 * radius])[0]
             farthest = max(farthest, float(_measure(near, places[one]).min()))
     return farthest

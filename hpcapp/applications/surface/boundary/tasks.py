@@ -136,6 +136,7 @@ def survey_support(
     held = _hold(part)
     is_taken = taken.mark(held)
     own = np.append(np.repeat(is_taken, held.vertex_counts), False)
+    # (r,): rows among the vertices that the part gives; -1 for those that another one does.
     rows = np.where(own[rim], np.cumsum(own)[rim] - 1, -1)
     held, places = drop_copies(held, is_taken, places)
     all_places = np.concatenate([held.vertices, places])

@@ -66,6 +66,7 @@ def find_lone_lines(
     neighbours = unique_keys(nearest[nearest < len(positions)])
     others = neighbours[~lines.look(neighbours)[0]]
     among = ~np.isin(nearest, others).any(axis=1)
+    # The neighbours of a point amid a line lie on that line, too.
     rows = unique_keys(np.column_stack([rows, nearest])[among].ravel())
     rows = rows[rows < len(positions)]
     lone = np.zeros(len(positions), np.bool_)
@@ -108,6 +109,7 @@ class _Lines:
         )
         are_lines = np.zeros(len(rows), np.bool_)
         for count in _COUNTS:
+            # (m, count + 1): each point with its neighbours; a line shows at one count or another.
             near = np.column_stack([rows, nearest[:, :count]])
             is_there = near < len(self._positions)
             owner = np.nonzero(is_there)[0]
@@ -127,6 +129,7 @@ class _Lines:
         away, _ = cKDTree(self._positions[rows]).query(
             self._positions, distance_upper_bound=bound * (1.0 + 1e-9)
         )
+        # Only points as near as that matter, and of those only such as lie along no line.
         around = np.flatnonzero(away <= bound)
         others = around[~self.look(around)[0]]
         if not len(others):

@@ -128,6 +128,7 @@ def rank_region(
     by_rank = np.bincount(rank, counts, LOCAL_RANK + 2).astype(np.int64)
     level = levels[ISLAND_LEVEL]
     coarse = np.bincount(level.row_of, counts, len(level.keys)).astype(np.int64)
+    # Of that rank, too: they vouch for those of the next one, which the master judges.
     some = np.flatnonzero((rank >= LOCAL_RANK) & (counts > 0))
     held = coarse > 0
     keys = levels[0].keys[some]
@@ -146,6 +147,7 @@ def judge_sparse(regions: list[RegionRanks]) -> Judgement:
     coarse = merge_counts(np.concatenate(columns[1]), np.concatenate(columns[2]))
     coarse_levels = coarsen(*coarse)
     island = find_islands(coarse_levels)
+    # (s,): the sparse cells of all regions, by key; a cell at a border is in several, in shares.
     keys, rows = number_keys(np.concatenate(columns[3]))
     counts = np.bincount(rows, np.concatenate(columns[5]), len(keys)).astype(np.int64)
     rank = np.empty(len(keys), np.int64)
@@ -156,6 +158,7 @@ def judge_sparse(regions: list[RegionRanks]) -> Judgement:
     if by_rank[-1]:
         levels = _levels_of(keys, counts, coarse_levels)
         rank = rank_cells(levels, rank)
+        # Points by rank: up to `LOCAL_RANK` as regions have counted them, above as ranked here.
         high = np.bincount(rank, np.where(rank > LOCAL_RANK, counts, 0)).astype(np.int64)
         by_rank = np.concatenate([by_rank[:-1], high[LOCAL_RANK + 1 :]])
         base = find_base(by_rank)

@@ -96,6 +96,8 @@ def rank_cells(levels: list[Level], rank: IntArray) -> IntArray:
     first = int(rank.max(initial=0))
     poor = np.flatnonzero(rank == first)
     for level in levels[first:]:
+        # (r,): cells of this level that hold what has no rank yet. Ten points in one are enough by
+        # themselves; around the others all 27 are summed.
         rows = _distinct(level.row_of[poor], len(level.keys))
         rows = rows[level.counts[rows] < _LEAST]
         around = kernels.sum_neighbours(level.keys, level.counts[:, None], rows)[:, 0]
@@ -104,6 +106,7 @@ def rank_cells(levels: list[Level], rank: IntArray) -> IntArray:
         poor = poor[is_poor[level.row_of[poor]]]
         if not len(poor):
             break
+        # Not enough on this level: what is left looks at the next one.
         rank[poor] += 1
     return rank
 
@@ -161,6 +164,7 @@ def find_strays(levels: list[Level], rank: IntArray, base: int, numbers: range) 
 def _count_companions(level: Level, sparse: IntArray, cells: IntArray) -> IntArray:
     """Count the sparse points around some finest cells."""
     rows = _distinct(level.row_of[cells], len(level.keys))
+    # (l,): sparse points in each cell of the level; then in the 27 around it.
     own = _sum_rows(level.row_of, sparse, len(level.keys))
     around = np.zeros(len(level.keys), np.int64)
     around[rows] = kernels.sum_neighbours(level.keys, own[:, None], rows)[:, 0]
@@ -171,6 +175,7 @@ def _touch_crowd(level: Level, sparse: IntArray, cells: IntArray) -> BoolArray:
     """Tell which finest cells have a cell of the base within the gap that holds crowded ones."""
     crowded = level.counts > _sum_rows(level.row_of, sparse, len(level.keys))
     holds = np.append(crowded, np.False_)
+    # (s, 3): the steps that are shorter than the gap.
     reach = np.arange(1 - _GAP, _GAP)
     steps = np.stack(np.meshgrid(reach, reach, reach, indexing="ij"), axis=-1).reshape(-1, 3)
     places = unpack_keys(level.keys[level.row_of[cells]])
@@ -188,11 +193,13 @@ def _lie_on_surface(
     places = unpack_keys(levels[0].keys[sparse > 0])
     weights = sparse[sparse > 0]
     squares = [weights * places[:, i] * places[:, j] for i, j in _PAIRS]
+    # 10 columns: points, places and products of places, in finest cells; they add up over cells.
     sums = [weights, *(weights * column for column in places.T), *squares]
     held = level.row_of[sparse > 0]
     own = np.stack([_sum_rows(held, column, len(level.keys)) for column in sums], axis=1)
     rows = _distinct(level.row_of[cells], len(level.keys))
     around = kernels.sum_neighbours(level.keys, own, rows).astype(np.float64)
+    # (r, 4), (r, 3, 3): of what lies around each cell, the mean place and the covariance.
     means = around[:, :4] / around[:, :1]
     spread = np.empty((len(rows), 3, 3))
     for column, (i, j) in enumerate(_PAIRS, start=4):
@@ -201,7 +208,9 @@ def _lie_on_surface(
     variances, axes = np.linalg.eigh(spread)
     row = np.searchsorted(rows, level.row_of[cells])
     offset = unpack_keys(levels[0].keys[cells]) - means[row, 1:]
+    # (c,): how far each cell is off the plane of what lies around it.
     height = np.abs((offset * axes[row, :, 0]).sum(axis=1))
+    # (r,): a sheet is as thick as a cell of the base, or as its points make it.
     thickness = np.maximum(2.0**base, np.sqrt(np.maximum(variances[:, 0], 0.0)))
     flat = variances[:, 0] <= _FLAT * variances.sum(axis=1)
     together = flat & (around[:, 0] >= _LEAST)
@@ -228,12 +237,16 @@ def find_islands(levels: list[Level]) -> BoolArray:
         pieces, numbers = kernels.label_cells(level.keys)
         label: IntArray = numbers.astype(np.int64)
         points = _sum_rows(label, level.counts, pieces)
+        # (p,): where too many points lie in small pieces, cells are too small for the cloud: larger
+        # ones are tried.
         small = points < _ISLAND_SHARE * total
         if points[small].sum() <= _ISLANDS_SHARE * total:
             break
     if not small.any():
         return np.zeros(len(levels[0].keys), np.bool_)
     piece_of = label[level.row_of]
+    # (p,): the level whose cells are twice as long as the piece. In none of the 27 around an island
+    # lies a large one.
     reach = number + np.ceil(np.log2(2 * _measure_extents(level.keys, label, pieces)))
     island = small & (reach < len(levels))
     for height in np.unique(reach[island]).astype(int):

@@ -35,6 +35,7 @@ def find_repeated(positions: FloatArray) -> BoolArray:
     """
     hashes = _hash(positions)
     ordered = np.sort(hashes)
+    # Hashes that several points have: only those points are compared.
     shared = ordered[1:][ordered[1:] == ordered[:-1]]
     repeated = np.zeros(len(positions), np.bool_)
     if not len(shared):

@@ -80,6 +80,7 @@ def find_strays(
     reaches[neighbours] = search(neighbours)[0]
     strays = np.zeros(len(positions), np.bool_)
     for column, (count, sparser) in enumerate(zip(_COUNTS, _SPARSER, strict=True)):
+        # (m, count): how sparse it is around each neighbour, in squares; missing ones are last.
         ordered = np.sort(reaches[nearest[:, :count], column], axis=1)
         held = np.count_nonzero(nearest[:, :count] < len(positions), axis=1)
         median = ordered[np.arange(len(ordered)), held // 2]
@@ -96,6 +97,7 @@ def _lie_flat(positions: FloatArray, rows: IntArray, nearest: IntArray) -> BoolA
     held = (near < len(positions)).astype(np.float64)
     arms = positions[np.where(held > 0, near, rows[:, None])] - positions[rows, None]
     number = held.sum(axis=1)
+    # (m, k, 3): from the mean of a point and its neighbours; missing ones are made 0.
     arms -= (arms.sum(axis=1) / number[:, None])[:, None]
     arms *= held[..., None]
     variances = np.linalg.eigvalsh(np.einsum("nki,nkj->nij", arms, arms))

@@ -242,6 +242,7 @@ class MemoryCloud:
         MemoryCloud
             Without the blocks that are left empty.
         """
+        # (b,): the points of each block that stay; blocks stand side by side, none of them empty.
         counts = np.add.reduceat(kept, self.offsets[:-1], dtype=np.int64)
         offsets = np.append(0, np.cumsum(counts[counts > 0]))
         points, keys = self.points.take(kept), self.keys[counts > 0]

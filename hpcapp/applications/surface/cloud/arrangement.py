@@ -158,12 +158,15 @@ def snap_points(arrangement: Arrangement, positions: FloatArray) -> FloatArray:
         rows = slice(start, start + _ROWS_AT_ONCE)
         part = np.subtract(positions[rows], arrangement.origin, out=snapped[rows])
         part /= arrangement.edge
+        # (r, 3): the block of each, and from its corner, in blocks, what is left.
         corners = np.floor(part)
         part -= corners
+        # In quanta: down to a whole one and up to its middle, then as a length.
         part *= kernels.QUANTA
         np.floor(part, out=part)
         part += 0.5
         part *= arrangement.quantum
+        # Corner and offset are summed as `unpack_points` does, so that both give the same bits.
         corners *= arrangement.edge
         corners += arrangement.origin
         part += corners
@@ -268,12 +271,14 @@ def interleave(
         return
     records = np.concatenate([piece.to_records() for piece in pieces])
     counts = np.concatenate([piece.counts for piece in pieces])
+    # (p,): the blocks of all pieces by key; those of one key stay in the order of the pieces.
     order = np.argsort(np.concatenate([piece.keys for piece in pieces]), kind="stable")
     sizes = counts[order]
     ends = np.cumsum(sizes)
     moves = (np.cumsum(counts) - counts)[order] - (ends - sizes)  # from where a block's come
     for start in range(0, len(records), at_once):
         stop = min(start + at_once, len(records))
+        # The blocks that these records are in, and (r,) how many of them are in each.
         first, last = np.searchsorted(ends, (start, stop - 1), "right")
         runs = slice(first, last + 1)
         within = np.diff(np.clip(ends[runs], None, stop), prepend=start)

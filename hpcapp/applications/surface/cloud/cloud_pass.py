@@ -170,6 +170,7 @@ def _cut_boxes(positions: FloatArray, rows: IntArray) -> list[IntArray]:
         return [rows]
     low, high = bound_points(positions[rows])
     column = positions[rows, int(np.argmax(high - low))]
+    # Halves of as many points, unless very many share a coordinate: then they stay together.
     is_below = column < np.median(column)
     if is_below.all() or not is_below.any():
         return [rows]
@@ -181,6 +182,7 @@ def _find_near(positions: FloatArray, rows: IntArray, margin: float) -> tuple[In
     """Return some points and those around them, in their order, and which are the points."""
     low, high = bound_points(positions[rows])
     columns = zip(positions.T, low - margin, high + margin, strict=True)
+    # (n,): in the box around them and the margin, so that some are farther off than that.
     is_near = np.logical_and.reduce([(column >= a) & (column <= b) for column, a, b in columns])
     near = np.flatnonzero(is_near)
     return near, find_keys(rows, near) < len(rows)

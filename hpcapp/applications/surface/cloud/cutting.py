@@ -32,6 +32,7 @@ def cut_even(counts: IntArray, pieces: int) -> list[slice]:
     """
     ends = np.cumsum(counts)
     wanted = ends[-1] * np.arange(1, pieces) / pieces
+    # A block belongs to the piece in which its middle point lies.
     inner = np.searchsorted(ends - 0.5 * counts, wanted)
     bounds = unique_keys(np.concatenate([[0], inner, [len(counts)]])).tolist()
     return [slice(a, b) for a, b in pairwise(bounds)]
@@ -89,6 +90,7 @@ def cut_tiles(cells: IntArray, work: IntArray | FloatArray, count: int) -> IntAr
         axis = int(np.argmax(near.max(axis=0) - near.min(axis=0)))
         rows = rows[np.argsort(near[:, axis], kind="stable")]
         own, lower = work[rows], parts // 2
+        # (r,): the work up to the middle of each cell; the lower half gets its parts' share.
         middles = np.cumsum(own) - 0.5 * own
         cut = int(np.searchsorted(middles, own.sum() * (lower / parts)))
         cut = min(max(cut, lower), len(rows) - (parts - lower))  # a cell for each tile

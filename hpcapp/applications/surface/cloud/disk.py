@@ -193,7 +193,9 @@ class DiskCloud:
             begins, sizes = part.starts[own], part.counts[own]
             first, last = filled[held], filled[held] + _POINT_BYTES * sizes
             filled[held] = last
+            # The place of each block in the result; the parts fill it one after the other.
             targets = [view[a:b] for a, b in zip(first.tolist(), last.tolist(), strict=True)]
+            # Blocks that stand side by side in the file are read at once, into several places.
             breaks = np.flatnonzero(begins[1:] != begins[:-1] + sizes[:-1]) + 1
             bounds = [0, *breaks.tolist(), len(held)]
             starts = (_POINT_BYTES * begins[bounds[:-1]]).tolist()
@@ -220,6 +222,7 @@ class DiskCloud:
         for part in self.parts:
             ends = np.cumsum(part.counts)
             every = np.arange(0, int(part.counts.sum()), step)
+            # (s,): the block of each record that is taken, and then its row in the file.
             block = np.searchsorted(ends, every, side="right")
             rows = part.starts[block] + every - (ends - part.counts)[block]
             keys.append(part.keys[block])
@@ -281,6 +284,7 @@ def _fill(file: int, start: int, targets: list[memoryview], path: Path) -> None:
                 f"{path} has become shorter",
                 "run the job again; nobody may touch its temporary folder meanwhile",
             )
+        # It may be less than was asked for: full buffers are done, and of one the rest is left.
         start += taken
         while at < len(targets) and taken >= len(targets[at]):
             taken -= len(targets[at])

@@ -63,6 +63,7 @@ class FolderPass:
         ):
             others[index] = tuple(rest)
             if replaced is not None:
+                # Whoever does not see the folder has sent the blocks, and they are written here.
                 blocks = replaced if is_written else write_part(folder, index, [replaced])
                 parts[index] = Part.whole(index, *blocks)
         results = [others[index] for index in sorted(others)]
@@ -82,11 +83,13 @@ class FolderPass:
         cloud = self.cloud
         changed = np.sort(np.concatenate([part.keys for part in parts]))
         there = os.path.relpath(cloud.folder, folder)
+        # Blocks that have not changed stay in the files that they are in.
         kept = [part.without(changed, there) for part in cloud.parts]
         written = [part for part in (*kept, *(part.filled() for part in parts)) if len(part.keys)]
         replaced = self._index(folder, (cloud.low, cloud.high), written)
         if len(replaced.cloud) == len(cloud):
             return replaced
+        # Points are gone, and with them what may have bounded the box.
         boxes = np.stack(replaced.each(bound_region))
         box = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
         return replaced._index(folder, box, written)

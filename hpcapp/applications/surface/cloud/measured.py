@@ -133,5 +133,6 @@ def draw_sample(draw: Callable[[int], Points], points: int) -> Points:
         sample = draw(one_in)
         if len(sample[0]) > _SAMPLED_POINTS // 4:
             return sample
+        # The points lie in few boxes, so that few of these are in the sample.
         one_in //= 8
     return draw(1)

@@ -141,6 +141,7 @@ class AssignedPoints:
         rows = find_keys(self.keys, keys)
         if not lie_within(rows, 0, len(self.keys)):
             return False
+        # (b,): each block that is named has lost points, together as many as were dropped.
         dropped = self.counts[rows] - counts
         return bool((dropped > 0).all()) and int(dropped.sum()) == points
 
@@ -159,6 +160,7 @@ class AssignedPoints:
 
     def samples(self, positions: FloatArray) -> bool:
         """Tell whether points in the blocks' box may be some of these, in their order."""
+        # (s,): the blocks of the points rise, and each has no more of them than it holds.
         places = np.floor((positions - self.arrangement.origin) / self.arrangement.edge)
         rows = find_keys(self.keys, pack_places(places.astype(np.int64)))
         return (
@@ -188,6 +190,7 @@ class AssignedPoints:
         if np.count_nonzero(chosen) != len(packed.keys):
             return False
         rows = np.repeat(chosen, self.sent.counts)
+        # What is left was there before, in this order and with these normals.
         before = _name_points(self.sent.counts[chosen], self.sent.offsets[rows])
         after = _name_points(packed.counts, packed.offsets)
         is_left = np.isin(before, after)

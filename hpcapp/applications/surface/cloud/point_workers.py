@@ -111,6 +111,7 @@ class PointWorkers:
                 part = None if target is None or not sees else (str(target), index)
                 yield StoredBlocks(where, blocks, margin, part), *shared
 
+        # What is sent waits in memory: one region more than there are workers.
         at_once = len(regions) if sees else workforce.workers + 1
         for index, result in stream_batches(workforce, task, batches(), max(at_once, 1)):
             yield index, sees, result

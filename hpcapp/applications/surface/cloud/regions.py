@@ -173,6 +173,7 @@ class StoredBlocks:
             cloud = open_disk_cloud(Path(self.where))
             arrangement, packed = cloud.arrangement, _take_near(cloud, self.blocks, self.margin)
         box = _bound(arrangement, self.blocks, self.margin)
+        # (n, 3), (n,): of the points in the blocks, those in the box of region and margin.
         positions, rows = unpack_near(arrangement, packed, *box)
         own = np.repeat(find_keys(self.blocks, packed.keys) < len(self.blocks), packed.counts)
         own = own[rows] if len(rows) < len(own) else own
@@ -236,6 +237,7 @@ class _StoredRegion:
         blocks = np.searchsorted(np.cumsum(self.packed.counts), self.rows[self.own], side="right")
         is_changed = np.zeros(len(self.packed.keys), np.bool_)
         is_changed[blocks[changed]] = True
+        # (m,): all points of blocks in which one has changed, without those that are dropped.
         chosen = is_changed[blocks] if kept is None else is_changed[blocks] & kept
         counts = np.bincount(blocks[chosen], minlength=len(is_changed))[is_changed]
         packed = PackedPoints.from_records(
@@ -260,6 +262,7 @@ def _bound(
     places = unpack_keys(blocks)
     corners = places.min(axis=0), places.max(axis=0) + 1
     low, high = (arrangement.origin + arrangement.edge * corner for corner in corners)
+    # A quantum more, by which rounding may move a point or a bound.
     return low - margin - arrangement.quantum, high + margin + arrangement.quantum
 
 
@@ -274,10 +277,12 @@ def _find_near(keys: IntArray, blocks: IntArray, steps: int) -> IntArray:
     low = places.min(axis=0)
     sides = places.max(axis=0) - low + 1  # some 64 at most: see `choose_arrangement`
     near = np.zeros(sides, np.int64)
+    # (x, y, z): 1 at the wanted blocks, and then, axis by axis, at all within reach of one.
     near[tuple((wanted - low).T)] = 1
     for axis, side in enumerate(sides):
         summed = np.insert(np.cumsum(near, axis=axis), 0, 0, axis=axis)
         at = np.arange(side)
+        # How many there are in a window of 2 steps + 1, as a difference of running sums.
         above = summed.take(np.minimum(at + steps + 1, side), axis=axis)
         near = np.sign(above - summed.take(np.maximum(at - steps, 0), axis=axis))
     is_near: BoolArray = near[tuple((places - low).T)] > 0

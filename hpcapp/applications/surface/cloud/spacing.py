@@ -145,6 +145,7 @@ def _search_edge(
     """
     if longest <= 0.0:
         raise InputError(f"all {points} points lie at one place", "scan something with an extent")
+    # A guess: boxes of nine points, if these covered a square of the longest side.
     edge, one_in = longest * min(0.5, 3.0 / sqrt(points)), points // _SAMPLED_POINTS + 1
 
     def measure(edge: float) -> float:
@@ -157,6 +158,7 @@ def _search_edge(
             break
         edge *= 2.0 if occupancy < _FEW else 0.5
         before, occupancy = occupancy, measure(edge)
+        # Boxes of half the edge hold about as many: points lie at the same places.
         if before > _MANY and occupancy > _STALLED * before:
             return edge, occupancy, True
     return edge, occupancy, False

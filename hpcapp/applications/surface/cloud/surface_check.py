@@ -64,6 +64,7 @@ def find_no_surface(
     filled = 0.0 if len(counts) < _FEWEST_COUNTS else float(around.fill_volume().mean())
     if filled < _VOLUME and around.follow_curve().mean() < _CURVE:
         return None
+    # What is finer than the thinned spacing, as walls and folds, is flat at full density.
     dense = _draw_enough(draw, SAMPLED_BOX * spacing, first_share(points))[:_MOST]
     near = look_around(dense, tuple(count for count in _NEAR if count <= len(dense) // 4))
     if near.lie_flat().mean() > _FLAT:

@@ -21,6 +21,7 @@ _STEPS: IntArray = np.array(list(np.ndindex(4, 4, 4))) - 1
 def _boxes() -> NDArray[np.uint64]:
     """Return, for each way to lie in an ancestor, which of these a cell lays, a bit each."""
     ways = np.array([[shape % 3, shape // 3 % 3, shape // 9] for shape in range(27)])[:, None]
+    # (27, 1, 3): the corners of one cell, and one more on the side that the way names.
     low, high = np.where(ways == 0, -1, 0), np.where(ways == 2, 2, 1)
     is_laid = (np.clip(_STEPS, low, high) == _STEPS).all(axis=2)
     boxes: NDArray[np.uint64] = is_laid @ (np.uint64(1) << np.arange(64, dtype=np.uint64))

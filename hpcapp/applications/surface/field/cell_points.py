@@ -314,6 +314,7 @@ def _cut_slabs(cells: IntArray, parts: int) -> list[slice]:
     The slowest coordinate of a key is x: between two layers of parents lies no parent.
     """
     layers = np.flatnonzero(np.diff(cells >> (2 * BITS + 1))) + 1
+    # Where equal runs would end; each run goes on to the end of its layer of parents.
     wanted = np.arange(1, parts) * len(cells) // parts
     cuts = unique_keys(np.append(layers, len(cells))[np.searchsorted(layers, wanted)])
     bounds = [0, *cuts[cuts < len(cells)].tolist(), len(cells)]

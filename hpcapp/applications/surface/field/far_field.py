@@ -86,6 +86,7 @@ def crop_nodes(
     origin: FloatArray, step: float, nodes: int, low: FloatArray, high: FloatArray
 ) -> tuple[IntArray, IntArray]:
     """Return the first and the end of the nodes that interpolation within a box asks for."""
+    # Two nodes or more along each axis, wherever the box lies: interpolation asks for them.
     first = np.clip(np.floor((low - origin) / step).astype(np.int64) - 1, 0, nodes - 2)
     end = np.clip(np.ceil((high - origin) / step).astype(np.int64) + 2, first + 2, nodes)
     return first, end
@@ -143,6 +144,7 @@ def solve_far_field(
     corner = lay_lattice(low, size)
     hull = find_hull(centroids, normals, size)
     centroids, normals = spread_samples(centroids - corner, normals, size)
+    # (s, 3): discs may reach beyond the box that the field covers.
     centroids = np.clip(centroids + corner, low, high)
     places = (centroids - origin) / step  # (s, 3): in steps from node (0, 0, 0)
     # (g, g, g): an indicator whose gradient the normals are; 0 where neither box nor samples are.
@@ -154,6 +156,7 @@ def solve_far_field(
     unit = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     chi -= np.float32(sample_grid(chi, places).mean())
     rise = sample_grid(chi, places + unit) - sample_grid(chi, places - unit)
+    # In values by length: the two places of each sample are two steps apart.
     slope = max(float(rise.mean()) / (2.0 * step), 1e-300)
     chi /= np.float32(slope)
     np.clip(chi, -FAR_REACH * step, FAR_REACH * step, out=chi)
@@ -238,6 +241,7 @@ def _find_areas(places: FloatArray, axes: FloatArray) -> FloatArray:
         straight = (around[:, 4:] * products[open_rows] * _TWICE).sum(axis=1) / count  # mean cos^2
         is_sheet = np.clip((straight - _OF_TUBE) / (_OF_SHEET - _OF_TUBE), 0.0, 1.0)
         enough = sheet >= _ENOUGH - _EXACT
+        # (e,): samples that a whole sheet leaves in the cube, which is 2^(level + 1) cells wide.
         squares = _PER_SQUARE * 4.0 ** (level + 1) * is_sheet[enough]
         areas[open_rows[enough]] = squares / sheet[enough]
         open_rows = open_rows[~enough]

@@ -78,6 +78,7 @@ def find_features_above(
     asked = misfits > _ROUND
     if not asked.any():
         return join_features([])
+    # Cells of the level that the fits look at; then the points' cells that lie in these.
     near = kernels.spread_keys(vertices[asked], -_REACH, _REACH - 1)
     is_near = kernels.find_keys(near, ancestor_keys(cells, depth)) < len(near)
     above = points.gather(np.flatnonzero(is_near), cells, depth)

@@ -68,6 +68,8 @@ def find_hull(centroids: FloatArray, normals: FloatArray, size: float) -> FloatA
     is_wide = areas > _WIDE * size * sides.max(axis=1)
     is_missing = outwards @ missing > _MISSING * length
     units = normals / np.maximum(np.linalg.norm(normals, axis=1), _TINY)[:, None]
+    # (f,): how far what was seen at a facet's corners looks the way that the facet does.
     cosines = (units[hull.simplices] * outwards[:, None]).sum(axis=2).mean(axis=1)
     kept = is_wide & is_missing & (cosines > _OPPOSED)
+    # (k, 4): n . x = d of each, moved outwards by the margin.
     return np.column_stack([outwards[kept], _MARGIN * size - hull.equations[kept, 3]])

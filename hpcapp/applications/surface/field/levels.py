@@ -178,6 +178,7 @@ class SlabFields:
         most = max(1, (end - first) // (_LEAST_LAYERS * grid.rim))
         count = min(-(-len(vertices) // quadrics), most)
         rows = np.arange(1, count) * len(vertices) // max(count, 1)
+        # (s - 1,): x of the vertices between equal runs of these, and the layers of bricks there.
         corners = self.pyramid.cell_size * unpack_keys(vertices[rows])[:, 0]
         shift = self.pyramid.origin[0] - grid.origin[0]
         cuts = np.floor((corners + shift) / (BRICK * grid.step)).astype(np.int64)
@@ -189,6 +190,7 @@ class SlabFields:
         pyramid, grid = self.pyramid, self.grid
         nodes = BRICK * np.array([first, end]) * grid.step
         places = (grid.origin[0] + nodes - pyramid.origin[0]) / pyramid.cell_size
+        # The layers of vertices around all nodes between the two planes.
         low, high = int(np.floor(places[0])), int(np.floor(places[1])) + 1
         vertices = pyramid.vertices[0]
         part = replace(pyramid, vertices=[vertices[find_layers(vertices, low, high)]])

@@ -130,6 +130,7 @@ def map_noise(
     """
     levels, keys, counts, deviations = [], [], [], []
     for pool in range(_SMALLEST, _LARGEST + 1):
+        # (v,), (c,): the pool of each vertex, and all pools of this size.
         members = ancestor_keys(residuals[0].keys, pool)
         cells = unique_keys(members)
         variances = _pool_variances(cells, pool, cell_size, residuals[: pool + 1])
@@ -154,8 +155,11 @@ def _pool_variances(
             for level, some in enumerate(residuals)
         ]
     )
+    # (l,): the largest variance that cells of each size do not cut off.
     limits = (SHARE * cell_size * 2.0 ** np.arange(len(residuals))) ** 2
     is_whole = quartiles <= limits[:, None]  # NaN is not
+    # (c,): the largest cells that the pool has enough vertices of; then the smallest that hold all
+    # of the noise, or those.
     coarsest = len(residuals) - 1 - np.isfinite(quartiles)[::-1].argmax(axis=0)
     level = np.where(is_whole.any(axis=0), is_whole.argmax(axis=0), coarsest)
     # (3, c): by this size, and by those around it
@@ -171,6 +175,7 @@ def _pool_variances(
 def _take_quartiles(cells: IntArray, keys: IntArray, variances: FloatArray) -> FloatArray:
     """Return the lower quartile of what lies in each of some cells, NaN where that is little."""
     rows = kernels.find_keys(cells, keys)
+    # Pool by pool, the variances of each rising; those of no pool are last.
     order = np.lexsort((variances, rows))
     counts = np.bincount(rows, minlength=len(cells))[: len(cells)]
     quartiles = np.full(len(cells), np.nan)

@@ -378,6 +378,7 @@ def _fit_level(
         )  # fmt: skip
         quadrics.coefficients[at] = coefficients
         quadrics.misfits[at] = misfits
+        # (b,): a quadric that no finer one replaces is supported by all of its points.
         agreeing = np.where(is_finest[cut], counts, counts * find_agreement(misfits))
         quadrics.counts[at] = agreeing
         known = ~np.isnan(variances)  # where points are many; elsewhere the parents' stand
@@ -422,6 +423,7 @@ def _fit_weighed(
 
 def _cut_corners(touched: IntArray, threads: int) -> list[slice]:
     """Cut the corners of a level into batches: small ones, but not of less than two layers."""
+    # How many layers of corners there are along x, which comes first in a key.
     layers = int((touched[-1] >> 2 * BITS) - (touched[0] >> 2 * BITS)) + 1
     wanted = max(_LAYERS * len(touched) // layers, _LEAST_BATCH)
     batches = -(-len(touched) // min(wanted, _MOST_BATCH))

@@ -100,8 +100,10 @@ def find_turned(
         )
         wrong = verdicts == WRONG
         if wrong.any():
+            # The next round votes with what is mended; what is wrong once more was right at first.
             turned ^= wrong
             mended = np.where(turned[:, None], -normals, normals)
+        # (n,): 1 where neither side has the majority; the next round asks neighbours farther away.
         asked = (verdicts == UNSURE).astype(np.uint8)
         if not asked.any():
             break
@@ -180,20 +182,24 @@ def weigh_torn(
     size = max(float(np.ptp(positions, axis=0).max()), 1e-300)
     local = (positions - positions.mean(axis=0)) / size
     planes = np.column_stack([normals, -np.einsum("ij,ij->i", normals, local)])
+    # (4,): so few numbers that a sample of the planes determines them.
     place = _find_place(planes[:: -(-len(planes) // _SEEKING)])
     following = float(np.mean(planes @ place > 0.0))
     if following < FOLLOWING:
         return Torn(following)
+    # (n, 3): unit vectors to the place; where that is a direction, the same one for all points.
     sights = place[:3] - place[3] * local
     sights /= np.maximum(np.sqrt(np.einsum("ij,ij->i", sights, sights)), 1e-300)[:, None]
     is_across = np.abs(np.einsum("ij,ij->i", sights, normals)) < _ACROSS
     one, other, cosines = _pair_up(positions, normals, low, edge, spacing)
+    # Only these pairs tell: elsewhere the normals of a surface, turned to a place, agree as well.
     told = cosines[is_across[one] & is_across[other]]
     return Torn(following, len(told), float(np.count_nonzero(told < 0.0) / max(len(told), 1)))
 
 
 def _find_place(planes: FloatArray) -> FloatArray:
     """Return the vector with most of the planes on its side: a perceptron's, from the best axis."""
+    # (8, 4): what is returned at worst, as the search does not always come to an end.
     axes = np.concatenate([np.eye(4), -np.eye(4)])
     shares = (planes @ axes.T > 0.0).mean(axis=0)
     best: FloatArray = axes[int(np.argmax(shares))]
@@ -206,6 +212,7 @@ def _find_place(planes: FloatArray) -> FloatArray:
         if share == 1.0 or (step == _HOPELESS and share < 0.85):
             break
         place = place / max(float(np.sqrt(place @ place)), 1e-300)
+        # Towards the planes on the wrong side, by shorter and shorter steps, so that it settles.
         place = place + planes[is_wrong].mean(axis=0) * (0.5 / (1.0 + 0.05 * step))
     return best
 
@@ -216,14 +223,17 @@ def _pair_up(
     """Return the rows of pairs of points on one sheet, in boxes, and the cosines of normals."""
     places = np.floor(cells_of(positions, low, edge)).astype(np.int64)
     _, boxes = number_keys(pack_places(places))
+    # Box by box: the partners of a point are the next few rows, as far as they are of its box.
     order = np.argsort(boxes, kind="stable")
     positions, normals, boxes = positions[order], normals[order], boxes[order]
     found = []
     for step in range(1, min(_PAIRS + 1, len(boxes))):
         one, other = normals[:-step], normals[step:]
         arms = positions[step:] - positions[:-step]
+        # (n - step,) each: how far each point of a pair is off the plane of the other.
         offsets = [np.abs(np.einsum("ij,ij->i", arms, some)) for some in (one, other)]
         cosines = np.einsum("ij,ij->i", one, other)
+        # Normals that are about at right angles tell nothing of their sides.
         is_pair = (boxes[step:] == boxes[:-step]) & (np.abs(cosines) > 0.5)
         rows = np.flatnonzero(is_pair & (np.maximum(*offsets) <= _TOLERANCE * spacing))
         found.append((order[rows], order[rows + step], cosines[rows]))
@@ -251,9 +261,12 @@ def faces_inwards(cloud: PointCloud) -> bool:
     every = slice(None, None, -(-len(cloud) // _SAMPLE))
     positions, normals = cloud.positions[every], cloud.normals[every]
     low, high = bound_points(positions)
+    # The edge of the boxes: k of them along the longest side hold n / k^2 points of a surface each,
+    # and these should be 24 or more.
     size = float((high - low).max()) / min(_BOXES, max(1.0, np.sqrt(len(positions) / 24.0)))
     places = np.floor(cells_of(positions, lay_lattice(low, size), size))
     keys = pack_places(places.astype(np.int64))
+    # Box by box, so that each box is one run of rows, which `reduceat` sums.
     order = np.argsort(keys, kind="stable")
     _, first = find_first(keys[order])
     counts = np.diff(np.append(first, len(keys)))[:, None]
@@ -262,4 +275,5 @@ def faces_inwards(cloud: PointCloud) -> bool:
     means = np.add.reduceat(normals[order], first) / counts
     arms = middles - middles.mean(axis=0)
     lengths = np.linalg.norm(arms, axis=1)
+    # Boxes count by their distance from the middle: near it, there is no clear way to it.
     return bool(np.einsum("ij,ij->", arms, means) < _INWARD * lengths.sum())

@@ -86,22 +86,26 @@ def turn_normals(
     cloud = cloud_pass.cloud
     given = lay_lattice(cloud.low, spacing), spacing
     margin = estimation.MARGIN * spacing
+    # From here until they are turned, normals are as long as the noise of their points.
     cloud_pass, _ = cloud_pass.rewrite(estimate_region, *given, keeps, margin=margin)
     margin = patches.MARGIN * spacing
     grouped = cloud_pass.each(group_region, *given, margin=margin)
     found = patches.merge_patches(grouped)
     sensor.check_sight(found[0].centres, -cloud.origin)
     if sensor.kind == "unknown":
+        # Where the file tells nothing, its points may: if they lie like pixels, seen from zero.
         sample = draw_places(cloud_pass, patches.CELL * spacing, len(cloud) // _SAMPLE + 1)
         if has_pixels(sample + cloud.origin):
             sensor = Sensor("places", np.zeros((1, 3)))
     oriented = orient_patches(*found, spacing, -cloud.origin, sensor)
+    # They take much memory, and the points are read again below.
     del found
     del grouped
     cloud_pass, results = cloud_pass.rewrite(
         turn_region, *given, oriented.sides, attribute, margin=margin
     )
     turned = sum(opposite for opposite, _ in results)
+    # (100,): points of all regions by the bin of their confidence.
     confidences = np.sum([binned for _, binned in results], axis=0)
     sure = float(confidences[round(SURE * CONFIDENCE_BINS) :].sum()) / len(cloud)
     doubt = None if oriented.doubt is None else _tell_doubt(oriented.doubt, cloud.origin)
@@ -129,5 +133,6 @@ def _tell_doubt(doubt: Doubt, origin: FloatArray) -> Unsure:
 
 def _type_place(place: FloatArray, origin: FloatArray) -> str:
     """Return a place far from the middle of a cloud for the option that says it."""
+    # Four digits of the largest coordinate: so far away, more do not matter.
     digits = 3 - int(np.floor(np.log10(max(float(np.abs(place).max()), 1e-300))))
     return ",".join(f"{round(value, digits):.15g}" for value in (place + origin).tolist())

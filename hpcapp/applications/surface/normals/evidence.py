@@ -83,6 +83,7 @@ class Views:
         front, back = np.zeros((2, patches), np.int32)
         is_hidden = np.ones(patches, np.bool_)
         for row, is_seen in seen:
+            # (p,): cosines in 127ths, above 0 where the normal points to the viewpoint.
             front += np.maximum(row, 0)
             back -= np.minimum(row, 0)
             is_hidden &= ~is_seen
@@ -226,6 +227,8 @@ def look_outside(patches: Patches, components: IntArray, spacing: float) -> Outs
     directions, radius, viewpoints = surround(patches, VIEWS)
     seen = [look(patches, viewpoint, spacing) for viewpoint in viewpoints]
     whole = shown = Views.sum(seen, len(patches), VIEWS)
+    # (p,) each: what each side shows once the shells around it are gone; `rows` are the patches of
+    # no shell so far.
     front, back = np.zeros(len(patches)), np.zeros(len(patches))
     is_content = whole.is_hidden
     rows = np.arange(len(patches))
@@ -237,12 +240,14 @@ def look_outside(patches: Patches, components: IntArray, spacing: float) -> Outs
         if shell:  # what is closed lines a cavity, or lies in one
             alike = np.bincount(numbers, some.counts * shown.is_alike)
             is_content[rows[taken & (alike < _CLOSED * counts)[numbers]]] = False
+        # Each second shell shows its inner side: between it and the one around it is solid matter.
         sides = (front, back) if shell % 2 == 0 else (back, front)
         for side, found in zip(sides, (shown.front, shown.back), strict=True):
             side[rows[taken]] = found[taken]
         rows = rows[~taken]
         if not (len(rows) and taken.any()):
             break
+        # What was seen so far is taken away, and the viewpoints see the next shell.
         left = patches.take(rows)
         shown = Views.sum((look(left, v, spacing) for v in viewpoints), len(rows), VIEWS)
     toggled = Views(front, back, whole.whole, whole.is_hidden)

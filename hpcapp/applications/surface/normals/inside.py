@@ -49,16 +49,20 @@ def find_inside(patches: Patches, spacing: float, least: float) -> FloatArray:
     parts = quarter_patches(patches, 0.25 * CELL * spacing)
     low, high = parts.min(axis=0), parts.max(axis=0)
     edge = max(_EDGE * CELL * spacing, float((high - low).max()) / _CELLS)
+    # (4 p, 3): the cell of each quarter, with an empty one before the first and after the last.
     rows = np.floor((parts - low) / edge).astype(np.int64) + 1
     occupied = np.zeros(rows.max(axis=0) + 2, np.bool_)
     occupied[tuple(rows.T)] = True
+    # Of each cell, in how many of the 26 directions something lies.
     blocked = np.zeros(occupied.shape, np.int8)
     for step in _DIRECTIONS:
         blocked += _find_blocked(occupied, step)
+    # (x, y, z): in cells, to the nearest one that is occupied.
     far = ndimage.distance_transform_edt(~occupied)
     is_inside = blocked >= _BLOCKED * len(_DIRECTIONS)
     roomy = max(least * spacing / edge, _ROOMY * float(far[is_inside].max(initial=0.0)))
     cells = np.argwhere(is_inside & (far >= roomy))
+    # The middles of the cells; the first of them lies before `low`.
     places: FloatArray = low + (_pick_emptiest(cells, far[tuple(cells.T)]) - 0.5) * edge
     return places
 
@@ -66,9 +70,11 @@ def find_inside(patches: Patches, spacing: float, least: float) -> FloatArray:
 def _find_blocked(occupied: BoolArray, step: tuple[int, ...]) -> BoolArray:
     """Tell of which cells a line of cells, against `step`, meets an occupied one."""
     axis = int(np.flatnonzero(step)[0])
+    # Plane after plane along an axis that the step has, in the order that the line crosses them.
     planes = np.moveaxis(occupied, axis, 0)[:: step[axis]]
     blocked = np.zeros(planes.shape, np.bool_)
     across = [shift for number, shift in enumerate(step) if number != axis]
+    # The cells of a plane that have one behind them on the line, and these in the plane before.
     taken, given = (
         tuple(slice(max(way * shift, 0), min(way * shift, 0) or None) for shift in across)
         for way in (1, -1)
@@ -86,6 +92,7 @@ def _pick_emptiest(cells: IntArray, far: FloatArray) -> IntArray:
     picked: list[IntArray] = []
     while len(cells) and len(picked) < _MOST:
         picked.append(cells[0])
+        # The ball around it is empty: places in it see about the same.
         is_left = ((cells - cells[0]) ** 2).sum(axis=1) >= far[0] ** 2
         cells, far = cells[is_left], far[is_left]
     return np.array(picked, np.int64).reshape(-1, 3)

@@ -41,10 +41,13 @@ class LinkedPatches:
         self._first, self._second = links.first, links.second
         self._strengths = _rate_links(patches, links)
         self._count = len(patches)
+        # (2 l,): each link in both directions, as the matrix is symmetric.
         ends = (links.first, links.second), (links.second, links.first)
         rows, columns = (np.concatenate(pair) for pair in zip(*ends, strict=True))
         both = np.concatenate([self._strengths, self._strengths])
         self._links = csr_matrix((both, (rows, columns)), shape=(self._count, self._count))
+        # (p,): the diagonal of the Laplacian, and a little more: a component of which nothing is
+        # known would make the matrix singular.
         self._sums = np.bincount(rows, np.abs(both), self._count) + _FREE
 
     def spread(self, weights: FloatArray, leanings: FloatArray, start: FloatArray) -> FloatArray:
@@ -66,6 +69,7 @@ class LinkedPatches:
         """
         diagonal = self._sums + weights
         sides: FloatArray
+        # Where its gradient vanishes, a system that is symmetric and positive definite.
         sides, _ = cg(
             diags(diagonal) - self._links,
             weights * leanings,
@@ -109,7 +113,9 @@ def _rate_links(patches: Patches, links: Links) -> FloatArray:
     arms = arms / lengths[:, None]
     along_one, along_other = _dot(arms, one), _dot(arms, other)
     cosines = _dot(one, other)
+    # (l,): n . (m - 2 (m . e) e) with the unit vector e from centre to centre.
     agreement: FloatArray = cosines - 2.0 * along_one * along_other
+    # (l,): the rim of a patch has about the square root of its points, and these touch others.
     fewer = np.minimum(patches.counts[first], patches.counts[second])
     strengths: FloatArray = np.sign(agreement) * np.abs(agreement) ** _POWER
     strengths *= np.minimum(links.contacts / np.sqrt(fewer), _MOST_CONTACTS)

@@ -122,9 +122,12 @@ def orient_patches(
         return Orientation(Sides(patches.keys, patches.ranks, values), evidence.how, None)
     best, *others = weigh_readings(patches, linked, spacing, zero)
     sides = _settle(patches, linked, spacing, best.reading.evidence, best.sides)
+    # (r, p): how much more a reading costs that turns the patch round; the first row is the best
+    # reading's own, which turns none.
     margins = np.full((1 + len(others), len(patches)), CERTAIN)
     for margin, other in zip(margins[1:], others, strict=True):
         margin[other.sides * sides < 0.0] = max(other.cost - best.cost, 0.0)
+    # (p,): the cheapest reading that contradicts decides. Above 0, or the sides would be lost.
     certainty = np.maximum(margins.min(axis=0) / CERTAIN, _LEAST)
     if _is_tangled(patches, linked, best):
         certainty = np.minimum(certainty, _GUESSED)
@@ -154,9 +157,11 @@ def _find_doubt(
     if not is_unsure.any():
         return None
     counts = patches.counts * is_unsure
+    # The largest piece is the one with the most points, of unsure patches that hang together.
     numbers = linked.components(is_unsure)
     largest = is_unsure & (numbers == np.argmax(np.bincount(numbers, counts)))
     middle: FloatArray = np.average(patches.centres[largest], axis=0, weights=counts[largest])
+    # (r - 1,): by points, and by how little more each reading costs that turns them round.
     rivals = (patches.counts * largest * (CERTAIN - margins[1:])).sum(axis=1)
     rival = others[int(np.argmax(rivals))].reading if rivals.any() else None
     return Doubt(middle, best.reading, rival)
@@ -177,14 +182,18 @@ def _settle(
     weights, leanings = evidence.weights, evidence.leanings
     if followed is None:
         sides = linked.spread(_LEAN * weights, leanings, np.zeros(len(patches)))
+        # (p,): the far field has its say as far as the sensor has told nothing.
         asked = 1.0 - weights
     else:
+        # (p,): views that contradict what follows of all of them may have seen the inside.
         weights = np.where(followed * leanings > 0.0, weights, 0.0)
+        # (p,): scaled so that the median patch is at 0.5, where it counts fully in the field.
         reached = np.abs(followed[followed != 0.0])  # links may lead to a few patches alone
         sides = followed / (2.0 * float(np.median(reached))) if len(reached) else followed
         asked = np.ones(len(patches))
     total = weights + asked
     for _ in range(_ROUNDS):
+        # The field depends on the sides, and these on the field: both in turn until they settle.
         signs = np.where(sides < 0.0, -1.0, 1.0)
         field = _ask_field(patches, np.clip(2.0 * sides, -1.0, 1.0), spacing)
         sides = linked.spread(_LEAN * total, (weights * leanings + asked * field) / total, sides)
@@ -198,17 +207,23 @@ def _ask_field(patches: Patches, sides: FloatArray, spacing: float) -> FloatArra
     """Return how far the far field of the patches agrees with the normal of each: -1 to 1."""
     low, high = patches.centres.min(axis=0), patches.centres.max(axis=0)
     extent = max(float((high - low).max()), CELL * spacing)  # of one patch, its own
+    # A cube of nodes with the cloud in its middle, wider than that on all sides.
     step = _PADDING * extent / _NODES
     origin = 0.5 * (low + high) - 0.5 * step * _NODES
     places = (patches.centres - origin) / step
+    # (p,): in squares of the grid's step, the unit that `places` are in.
     areas = areas_of(patches) * (CELL * spacing / step) ** 2
+    # (2, 2): the planes and rows that are sampled below; no others are computed.
     held = _held_rows((low - origin) / step, (high - origin) / step)
     values = np.zeros((_NODES,) * 3, np.float32)
     values[tuple(slice(*bounds) for bounds in held)] = integrate_normals(
         places, patches.normals * (sides * areas)[:, None], 1.0, held, _NODES
     )
+    # (p,): the field one step before each patch less the field one step behind it. It rises along
+    # normals that fit in with the others.
     rise = sample_grid(values, places + patches.normals)
     rise -= sample_grid(values, places - patches.normals)
+    # (p,): in median rises, as the field has no unit of its own.
     agreement: FloatArray = np.clip(rise / max(float(np.median(np.abs(rise))), 1e-300), -1.0, 1.0)
     return agreement
 

@@ -174,9 +174,12 @@ def find_patches(
     """
     grouped = _group_points(positions, vectors, low, spacing)
     links = Links(*link_groups(positions, own.astype(np.uint8), grouped.patch_of, low, spacing))
+    # (g,): patches with a point of the region, or linked to one of these; what lies in the margin
+    # alone is another region's to find.
     wanted = np.zeros(len(grouped.patches), np.bool_)
     for rows in (grouped.patch_of[own], links.first, links.second):
         wanted[rows] = True
+    # (g,): the row of each among those that are wanted.
     row_of = np.cumsum(wanted) - 1
     kept = Links(row_of[links.first], row_of[links.second], links.contacts)
     return grouped.patches.take(np.flatnonzero(wanted)), kept
@@ -199,15 +202,18 @@ def merge_patches(found: Sequence[tuple[Patches, Links]]) -> tuple[Patches, Link
     """
     parts = [patches for patches, _ in found]
     keys = np.concatenate([part.keys for part in parts])
+    # (m,): cell and rank as one number, by which a patch that several regions found is known.
     names = number_keys(keys)[1] * SHEETS + np.concatenate([part.ranks for part in parts])
     kept, first_rows = find_first(names)
     row_of = np.searchsorted(kept, names)
+    # A row of a part, shifted by the parts before it, is a row of `names`.
     starts = np.cumsum([0, *(len(part) for part in parts[:-1])])
     ends = []
     for side in ("first", "second"):
         rows = zip((getattr(links, side) for _, links in found), starts, strict=True)
         ends.append(row_of[np.concatenate([local + start for local, start in rows])])
     contacts = np.concatenate([links.contacts for _, links in found])
+    # A link across a border comes from both regions, each with the contacts of its own points.
     every, sums = merge_counts(ends[0] * len(kept) + ends[1], contacts)
     columns = [
         np.concatenate([getattr(part, field.name) for part in parts])[first_rows]
@@ -231,9 +237,11 @@ def quarter_patches(patches: Patches, reach: float) -> FloatArray:
     """
     rows = np.arange(len(patches))
     axes = np.zeros((len(patches), 3))
+    # (p, 3): the axis that is farthest from each normal, so that their product is not near 0.
     axes[rows, np.argmin(np.abs(patches.normals), axis=1)] = 1.0
     one = np.cross(patches.normals, axes)
     one /= np.sqrt(np.einsum("ij,ij->i", one, one))[:, None]
+    # (p, 3): with `one`, two unit vectors along the plane of each patch.
     other = np.cross(patches.normals, one)
     return np.concatenate(
         [patches.centres + reach * (along * one + across * other) for along, across in _QUARTERS]
@@ -273,7 +281,9 @@ def turn_points(
     """
     grouped = _group_points(positions, vectors, low, spacing)
     rows = _find_names(sides, grouped.patches)
+    # (n,): the side of each point's patch; 0, appended last, where that has none.
     values = np.append(sides.values, np.float32(0.0))[rows][grouped.patch_of]
+    # A normal that opposes its patch stays where the patch is turned: the two signs cancel.
     is_turned = (values < 0.0) != grouped.is_opposed
     _, normals = _split(vectors)
     turned = np.where(is_turned[:, None], -normals, normals).astype(np.float32)
@@ -287,8 +297,10 @@ def _group_points(
     refuse_wide(positions, low, CELL * spacing)
     single = vectors.astype(np.float32, copy=False)
     keys, ranks, patch_of, sides = group_sheets(positions, single, low, CELL * spacing, spacing)
+    # (n,), (n, 3): the vectors are as long as the noise of their points.
     noise, normals = _split(vectors)
     opposed = sides.view(np.bool_)
+    # Normals on the side of the seed: without a common side their mean would mean nothing.
     patches = _describe(
         (keys, ranks),
         patch_of,
@@ -302,6 +314,7 @@ def _group_points(
 def _find_names(sides: Sides, wanted: Patches) -> IntArray:
     """Return where patches stand among those with sides; beyond the last where they do not."""
     keys = unique_keys(sides.keys)
+    # (p,): cell and rank as one number, rising; a cell that is not there comes after all others.
     names = find_keys(keys, sides.keys) * SHEETS + sides.ranks
     return find_keys(names, find_keys(keys, wanted.keys) * SHEETS + wanted.ranks)
 

@@ -50,6 +50,7 @@ def turned_region(points: StoredBlocks, *_: Any) -> Declared:
 def grouped_region(points: StoredBlocks, low: FloatArray, spacing: float) -> Declared:
     """Return the pattern of what `tasks.group_region` finds."""
     own, reach = AssignedPoints.of(points), 1.01 * MARGIN * spacing
+    # Patches that the region's are linked to lie in its margin.
     box = own.box[0] - reach, own.box[1] + reach
     patches = Record(
         Patches,

@@ -106,6 +106,7 @@ class Reading:
         """Return the share of what is seen that is seen from behind, and all else it costs."""
         views = self.views
         areas = areas_of(patches)
+        # The area that shows its inner side, were the reading true, by how much of it is seen.
         behind = (areas * np.where(is_turned, views.front, views.back)).sum()
         seen = (areas * (views.front + views.back)).sum()
         return float(behind / max(seen, 1e-300)) + self.unseen + self.rare
@@ -162,6 +163,8 @@ def weigh_readings(
     ]
     found: list[Followed] = []
     for row in np.argsort(bounds, kind="stable"):
+        # The bounds rise: once one exceeds the least cost by so much, what follows can neither be
+        # the best reading nor cast doubt on it.
         least = min((other.cost + (other.reading.habit or 0.0) for other in found), default=np.inf)
         if bounds[row] > least + CERTAIN or len(found) == _TRIED:
             break
@@ -181,6 +184,7 @@ def choose(costs: Sequence[float], habits: Sequence[float | None]) -> int:
         See `Reading`.
     """
     aside = [row for row, habit in enumerate(habits) if habit is not None]
+    # Habit tells which side is the best one; that competes with the rest by its cost alone.
     aside.sort(key=lambda row: costs[row] + (habits[row] or 0.0))
     others = [row for row, habit in enumerate(habits) if habit is None]
     return min(aside[:1] + others, key=lambda row: costs[row])
@@ -198,6 +202,7 @@ def find_readings(
     """Return all readings of a cloud; as for `weigh_readings`."""
     outside = look_outside(patches, linked.components(), spacing)
     places = find_inside(patches, spacing, AMPLE)
+    # Whoever stood inside has scanned neither from outside nor from one side.
     aside = STAND if len(places) and has_stand(patches, spacing) else 0.0
     toggled = outside.toggled.evidence("from outside")
     found = [
@@ -207,6 +212,7 @@ def find_readings(
         views = Views.inside(patches, places, spacing)
         unseen = share_of(patches, views.is_hidden)
         found.append(Reading("inside", views, views.evidence("from inside"), unseen, RARE))
+    # (p, 3): a camera at zero looks along z, and sees what is not too far aside.
     away = np.abs(patches.centres - zero)
     if (away[:, :2].max(axis=1) < _SIGHT * away[:, 2]).all():
         places = zero + np.median(away[:, 2]) * _SWAY
@@ -224,9 +230,11 @@ def _look_from_sides(patches: Patches, outside: Outside, rare: float) -> list[Re
     ground = GROUND * lies_level(patches)
     middle = 0.5 * (patches.centres.min(axis=0) + patches.centres.max(axis=0))
     for side in _SIDES:
+        # Such viewpoints of those all around as lie about on this side.
         rows = np.flatnonzero(outside.directions @ side > _AROUND)
         views = Views.sum((outside.seen[row] for row in rows), len(patches), len(rows))
         name = _name_side(side)
+        # 0 from above, 1 from below.
         downwards = 0.5 * (1.0 - float(side[2]))
         habit, cost = HABIT * downwards, rare + ground * downwards
         unseen = share_of(patches, views.is_hidden)
@@ -237,6 +245,7 @@ def _look_from_sides(patches: Patches, outside: Outside, rare: float) -> list[Re
         reading.cost(patches, reading.views.front < reading.views.back) + (reading.habit or 0.0)
         for reading in found
     ]
+    # The best sides first; one that is near a better one is no reading of its own.
     kept: list[int] = []
     for row in np.argsort(bounds, kind="stable"):
         if all(_SIDES[row] @ _SIDES[other] < _ALONE for other in kept):
@@ -248,6 +257,7 @@ def lies_level(patches: Patches) -> bool:
     """Tell whether a cloud is wide in x and y, and thin in z."""
     areas = areas_of(patches)
     arms = patches.centres - np.average(patches.centres, axis=0, weights=areas)
+    # (3,), (3, 3): squared spreads along the principal axes, and these; the thinnest one first.
     spreads, axes = np.linalg.eigh(np.einsum("n,ni,nj->ij", areas, arms, arms))
     is_thin = spreads[0] < _THIN**2 * spreads[1]
     return bool(is_thin and abs(axes[2, 0]) > _LEVEL)

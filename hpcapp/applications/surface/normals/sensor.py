@@ -73,9 +73,11 @@ class Sensor:
         is_camera = self.axes.any(axis=1)
         places, axes = self.places[is_camera] + zero, self.axes[is_camera]
         low, high = points.min(axis=0), points.max(axis=0)
+        # (c, 3): from each camera to the box of the points; 0 along an axis where it is within.
         gaps = np.maximum(np.maximum(low - places, places - high), 0.0)
         nearest = float(np.sqrt(np.einsum("ni,ni->n", gaps, gaps).min()))
         size = float(np.linalg.norm(high - low) + np.linalg.norm(np.ptp(places, axis=0)))
+        # (n,): whether any of the cameras looks towards the point.
         is_before = np.zeros(len(points), np.bool_)
         for place, axis in zip(places, axes, strict=True):
             is_before |= (points - place) @ axis > 0.0

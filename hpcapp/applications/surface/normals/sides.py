@@ -199,6 +199,7 @@ def orient_cloud(
 def judge_normals(cloud_pass: CloudPass, spacing: float) -> Judgement:
     """Tell whether normals agree on their side, by the points in a sample of boxes."""
     edge, points = patches.CELL * spacing, len(cloud_pass.cloud)
+    # All points of a few boxes: pairs need neighbours, which a sample of points has not.
     positions, normals = draw_boxes(cloud_pass, edge, points // _SAMPLE + 1)
     corner = lay_lattice(cloud_pass.cloud.low, edge)
     if share_opposed(positions, normals, corner, edge, spacing) > _CONTRADICTING:

@@ -55,21 +55,27 @@ def has_stand(patches: Patches, spacing: float) -> bool:
     near = cKDTree(patches.centres)
     every = slice(None, None, -(-len(patches) // _SAMPLE))
     centres, sampled = patches.centres[every], counts[every]
+    # (s, 9): each patch of the sample with its nearest ones, and their distances.
     far, rows = near.query(centres, _NEAREST + 1)
+    # (s,): points per area, up to a factor: what lies within a distance by the square of that.
     density = counts[rows].sum(axis=1) / np.maximum(far[:, -1] ** 2, 1e-300)
+    # Quantiles over the points, of which some patches have many more than others.
     order = np.argsort(density)
     below = np.cumsum(sampled[order]) / sampled.sum()
     low, high = (density[order[np.searchsorted(below, share)]] for share in (_LOW, _HIGH))
     uneven = float(np.log(high / low))
     if uneven < _UNEVEN:
         return False
+    # (4 s, 3): quarters of the patches, as a near patch spans several directions.
     parts = quarter_patches(patches.take(np.arange(len(patches))[every]), 0.25 * CELL * spacing)
     shares, cells = np.tile(0.25 * sampled, 4), 2 * _BANDS * _BANDS
     for place in _fill_box(patches.centres.min(axis=0), patches.centres.max(axis=0)):
+        # (288,): points in each direction; all have one solid angle.
         points = np.bincount(_find_directions(parts - place), shares, cells)
         seen = points[points > 0.0]
         if len(seen) < _AROUND * cells:
             continue
+        # From where a scanner turned they are spread more evenly than over the surface.
         fewest, most = np.quantile(seen, (_LOW, _HIGH))
         if np.log(most / fewest) < _EVEN * uneven:
             return True
@@ -106,6 +112,8 @@ def _are_columns(image: FloatArray, across: FloatArray) -> bool:
     """Tell whether coordinates are those of columns in an image, and not in space."""
     few, most = _COLUMNS
     strengths = _find_strengths(image)
+    # The strongest frequency: so many columns the image has. In space, a lattice with half to twice
+    # as many would explain it as well.
     columns = few + int(np.argmax(strengths[few:most]))
     in_space = _find_strengths(across)[columns // 2 : 2 * columns]
     sharp = strengths[columns]
@@ -115,6 +123,7 @@ def _are_columns(image: FloatArray, across: FloatArray) -> bool:
 def _find_strengths(places: FloatArray) -> FloatArray:
     """Return how far coordinates take so many even steps from end to end: 0 to 1, by number."""
     width = max(float(np.ptp(places)), np.finfo(np.float64).tiny)
+    # (n,): even steps from end to end are a peak in the spectrum of the histogram.
     bins = np.minimum((places - places.min()) / width * _BINS, _BINS - 1.0).astype(np.int64)
     strengths: FloatArray = np.abs(np.fft.rfft(np.bincount(bins, minlength=_BINS))) / len(places)
     return strengths
@@ -130,6 +139,7 @@ def _fill_box(low: FloatArray, high: FloatArray) -> FloatArray:
 def _find_directions(arms: FloatArray) -> IntArray:
     """Return for each arm the number of the direction that it points in."""
     lengths = np.maximum(np.sqrt(np.einsum("ij,ij->i", arms, arms)), 1e-300)
+    # Bands of equal height on a sphere have equal areas.
     rows = np.floor((arms[:, 2] / lengths + 1.0) * (0.5 * _BANDS)).astype(np.int64)
     turns = np.arctan2(arms[:, 1], arms[:, 0]) / (2.0 * np.pi) + 0.5
     columns = np.floor(turns * 2 * _BANDS).astype(np.int64)

@@ -95,6 +95,7 @@ def turn_region(
     region = points.take()
     columns = turn_points(region.positions, region.normals, low, spacing, sides)
     normals, is_turned, confidences = (column[region.own] for column in columns)
+    # (m,): the last bin holds a confidence of 1, too.
     bins = np.minimum((confidences * CONFIDENCE_BINS).astype(np.int64), CONFIDENCE_BINS - 1)
     counts = np.bincount(bins, minlength=CONFIDENCE_BINS)
     attributes = {} if attribute is None else {attribute: confidences}

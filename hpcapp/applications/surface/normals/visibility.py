@@ -46,6 +46,7 @@ def surround(patches: Patches, count: int) -> tuple[FloatArray, float, FloatArra
     """
     low, high = patches.centres.min(axis=0), patches.centres.max(axis=0)
     radius = _DISTANCE * 0.5 * float(np.sqrt(((high - low) ** 2).sum()))
+    # (count,) each: equal steps in height, each a golden angle further around: a Fibonacci sphere.
     number = np.arange(count) + 0.5
     up = 1.0 - 2.0 * number / count
     turn, level = number * np.pi * (3.0 - np.sqrt(5.0)), np.sqrt(1.0 - up**2)
@@ -109,20 +110,27 @@ def find_seen(
     # Whoever stands on a point is a little way off it, or its pixel would be endless.
     far = np.maximum(np.sqrt(np.einsum("ij,ij->i", arms, arms)), max(_NEAREST * spacing, 1e-300))
     cosines = np.einsum("ij,ij->i", arms, patches.normals) / far
+    # (p,): how far behind the patch in front one may lie and yet be of the same sheet.
     thick = np.maximum(_THICK * spacing, _NOISES * patches.noise)
     places, sides = _project(arms)
+    # Of the faces of a cube of half edge 1, whose middle is the viewpoint.
     pixel = max(_PIXEL * spacing / float(np.median(far)), _FINEST)
+    # (p,): how many pixels wide each patch looks; level l, to 3, has pixels 2^l times as wide.
     near = np.maximum(_PIXEL * spacing / far / pixel, 1e-300)
     level_of = np.clip(np.ceil(np.log2(near)), 0, _CLOSE - 1).astype(np.int64)
     is_seen = np.abs(cosines) > _LEAST_COSINE
+    # (p,): the residual beyond the usual one tells how far the surface bends off its plane, as the
+    # tangent of an angle. A view must come from higher above the plane than that.
     usual = float(np.median(patches.noise))
     bend = np.sqrt(np.maximum(patches.noise**2 - usual**2, 0.0)) / (_BENT * spacing)
     least = np.minimum(bend / np.sqrt(1.0 + bend**2), _STEEPEST)
     is_clear = np.abs(cosines) > np.maximum(least, _LEAST_COSINE)
+    # The patches of each level, drawn in its pixels, hide patches of all levels.
     for level in range(int(level_of.max(initial=0)) + 1):
         drawn = np.flatnonzero(level_of == level)
         if not len(drawn):
             continue
+        # Of several that are written to one pixel the last one stays: so the nearest one is shown.
         farthest_first = drawn[np.argsort(far[drawn], kind="stable")][::-1]
         for shift, seen in ((0.0, is_seen), (0.5, is_clear)):
             pixels = _name_pixels(places, sides, pixel * 2.0**level, shift)
@@ -146,6 +154,7 @@ def _find_hidden(
     rows = np.flatnonzero(front < len(patches))
     front = front[rows]
     arms = patches.centres[rows] - patches.centres[front]
+    # (m,): how far before the plane of the one in front each lies, as seen by the viewer.
     above = np.einsum("ij,ij->i", arms, patches.normals[front]) * np.sign(cosines[front])
     is_hidden = np.zeros(len(patches), np.bool_)
     is_hidden[rows] = (above < -thick[rows]) & (far[rows] > far[front])
@@ -154,6 +163,7 @@ def _find_hidden(
 
 def _project(arms: FloatArray) -> tuple[FloatArray, IntArray]:
     """Return where arms meet the faces of a cube of half edge 1, and which of the six faces."""
+    # (p,): the longest coordinate tells the face; the others, divided by it, the place there.
     axes = np.argmax(np.abs(arms), axis=1)
     rows = np.arange(len(arms))
     depth = arms[rows, axes]
@@ -164,6 +174,7 @@ def _project(arms: FloatArray) -> tuple[FloatArray, IntArray]:
 
 def _name_pixels(places: FloatArray, sides: IntArray, pixel: float, shift: float) -> IntArray:
     """Return a number for the pixel of each place, on a lattice that is shifted."""
+    # Pixels along the edge of a face, with one more for the shift and one for rounding.
     edge = int(np.ceil(2.0 / pixel)) + 2
     columns = np.floor((places + 1.0) / pixel + shift).astype(np.int64)
     names: IntArray = (sides * edge + columns[:, 0]) * edge + columns[:, 1]

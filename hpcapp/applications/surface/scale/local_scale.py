@@ -185,6 +185,7 @@ def count_scale(
         none = np.empty(0, np.int64)
         return ScaleCounts(none, none, np.empty((0, depth + 1), np.int64))
     boxes, offsets, _ = kernels.sort_points(positions, origin, cell_edge * 2.0**-depth)
+    # (b,): the finest cell that each of the smallest boxes lies in.
     ancestors = ancestor_keys(boxes, depth)
     keys = unique_keys(ancestors)
     cell = kernels.find_keys(keys, ancestors)
@@ -223,6 +224,7 @@ def make_scale(
         edges = cell_edge * 2.0 ** (level - np.arange(every.shape[1] - 1))
         tells = rest[:, 0] >= LEAST
         told = _tell_spacings(every[tells], edges)
+        # Points that no smaller cell speaks for have their own spacing if it is much larger.
         is_apart = _tell_spacings(rest[tells], edges, _NARROW) > _APART * told
         told[is_apart] = _tell_spacings(rest[tells][is_apart], edges)
         levels.append(np.full(len(told), level))
@@ -232,6 +234,7 @@ def make_scale(
         if len(keys) <= 1:
             break
         keys, parent = number_keys(ancestor_keys(keys))
+        # What a cell has spoken for does not count in larger ones.
         rest = np.where(tells[:, None], 0, rest)
         every, rest = (double_cells(counts, parent, len(keys)) for counts in (every, rest))
     return LocalScale(

@@ -127,6 +127,7 @@ def find_gaps(
         if len(keys) <= 1:
             break
         keys, parent = number_keys(ancestor_keys(keys))
+        # (c,): the cell of twice the edge in which each finest cell lies.
         counts, row_of = double_cells(counts, parent, len(keys)), parent[row_of]
     lines = np.flatnonzero(gaps > _ASPECT * steps)
     gaps, steps, edge = gaps[lines], steps[lines], cell_edge * 2.0**-depth
@@ -143,10 +144,13 @@ def _measure_gaps(counts: IntArray, edges: FloatArray) -> tuple[FloatArray, Floa
     gaps, steps = np.zeros((2, len(counts)))
     # (c, d): of the boxes of each edge, into how many of half the edge they part, as powers of two
     growth = np.diff(np.log2(counts[:, 1:]), axis=1)
+    # (c,): cells with enough points, which part as a surface does over both halvings.
     covers = counts[:, 0] >= LEAST
     covers &= (growth[:, _COVERED - 1 : _COVERED + 1] > _GROWTH).all(axis=1)
     is_less = growth[covers, _COVERED + 1 :] <= _GROWTH
     turned = np.flatnonzero(covers)[is_less.any(axis=1)]
+    # (t,): the first boxes that part less than a surface's. The edge at which they would just do so
+    # lies between theirs and the one before: interpolated in powers of two.
     finer = _COVERED + 1 + is_less.argmax(axis=1)[is_less.any(axis=1)]
     below, above = growth[turned, finer], growth[turned, finer - 1]
     gaps[covers] = edges[-1]  # or less: denser than is counted
@@ -200,6 +204,7 @@ def keep_lines(
     keys, row_of = boxes.keys, np.arange(len(points))
     is_line, pending = np.zeros(len(points), np.bool_), np.ones(len(points), np.bool_)
     for _ in range(BITS):
+        # A finest cell is judged by the smallest cell around it that has points enough.
         told = pending & ((points >= _AROUND) | (len(keys) <= 1))[row_of]
         is_line[told] = (narrow > share * points)[row_of[told]]
         pending &= ~told
@@ -229,6 +234,7 @@ def find_spare(positions: FloatArray, boxes: GapBoxes) -> BoolArray:
     for rows, _, box, count in _sort_boxes(positions, boxes):
         arms = _center(positions[rows], box)
         squares = arms[0] * arms[0] + arms[1] * arms[1] + arms[2] * arms[2]
+        # (b,): the least squared distance from the mean of each box; of ties the first stays.
         nearest = np.full(count, np.inf)
         np.minimum.at(nearest, box, squares)
         candidates = np.flatnonzero(squares == nearest[box])

@@ -148,6 +148,7 @@ def _positions(
     positions[own] = load(index).vertices[vertices[own]]
     owners, rows = plan.locate_foreign(index, ~vertices[~own])
     foreign = np.flatnonzero(~own)
+    # Part by part, as each may have to be read.
     for owner in unique_keys(owners).tolist():
         there = owners == owner
         positions[foreign[there]] = load(owner).vertices[rows[there]]
@@ -164,6 +165,7 @@ class _Blocks:
 
     def vertices(self) -> Iterator[PointCloud]:
         for first, last in _cut(self._plan.vertex_starts):
+            # (m, 3): the rows of a run of bricks, which several parts may give.
             start = int(self._plan.vertex_starts[first])
             block = np.empty((int(self._plan.vertex_starts[last] - start), 3))
             for index, bricks in self._plan.givers(first, last):
@@ -198,6 +200,7 @@ class _Blocks:
 
 def _cut(starts: IntArray) -> Iterator[tuple[int, int]]:
     """Cut bricks into runs of so many rows, one brick more or less, without empty ones."""
+    # (k,): the first brick at or behind every so many rows; the last edge, before empty bricks.
     marks = np.searchsorted(starts, np.arange(0, starts[-1], _ROWS_AT_ONCE))
     edges = unique_keys(np.append(marks, np.searchsorted(starts, starts[-1])))
     return zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)

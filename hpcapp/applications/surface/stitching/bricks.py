@@ -101,6 +101,7 @@ class PartBricks:
         mine = self.of_part(index)
         labels = np.repeat(self.labels[mine], self.vertex_counts[mine])
         several = labels < 0
+        # The mixed bricks of a part stand side by side in `mixed`, in the order of its vertices.
         first = int(self.mixed_starts[mine.start]) if mine.start < mine.stop else 0
         labels[several] = self.mixed[first : first + int(several.sum())]
         return labels
@@ -141,6 +142,8 @@ class PartBricks:
         """
         ranks = numbers.astype(np.int64)
         several = self.labels[bricks] < 0
+        # (m + 1,): how many vertices of mixed bricks stay before each. In other bricks all stay or
+        # none does: there, numbers are ranks already.
         before = starts_of(kept[self.mixed])
         first = self.mixed_starts[bricks[several]]
         ranks[several] = before[first + numbers[several]] - before[first]
@@ -160,13 +163,16 @@ def collect_bricks(summaries: Sequence[PartSummary]) -> PartBricks:
     vertex_counts = np.concatenate([s.vertex_counts for s in summaries])
     face_counts = np.concatenate([s.face_counts for s in summaries])
     order = np.lexsort((guests, keys))  # stable: copies of a brick come in the order of the parts
+    # Of the copies of a brick the one of its owner comes first, else the guest of the first part.
     first = np.ones(len(keys), np.bool_)
     np.not_equal(keys[order][1:], keys[order][:-1], out=first[1:])
     taken = order[first]
     place = np.empty(len(keys), np.int64)
+    # (n,): from each copy to the row of its key.
     place[order] = np.cumsum(first) - 1
     is_taken = np.zeros(len(keys), np.bool_)
     is_taken[taken] = True
+    # (n,): the copy that counts. The others must be like it, and none but guests.
     twin = taken[place]
     unlike = (vertex_counts != vertex_counts[twin]) | (face_counts != face_counts[twin])
     unlike |= ~guests & ~is_taken
@@ -225,6 +231,7 @@ def check_foreign(summaries: Sequence[PartSummary], bricks: PartBricks) -> None:
     missing = missing_bricks(summaries)
     if not len(missing):
         for summary in summaries:
+            # (g,): the copies that count, all of which are there; so must their vertices be.
             there = bricks.taken[np.searchsorted(bricks.keys, summary.foreign_bricks)]
             beyond = summary.foreign_numbers >= bricks.vertex_counts[there]
             if beyond.any():
@@ -255,15 +262,18 @@ def join_labels(summaries: Sequence[PartSummary], bricks: PartBricks) -> IntArra
     ndarray of int64
         Numbered through from 0.
     """
+    # A copy that does not count has the vertices of the one that does: their labels are joined.
     copies = np.flatnonzero(~bricks.is_taken & (bricks.vertex_counts > 0))
     copies, numbers = _representatives(bricks, copies)
     left = [bricks.labels_at(copies, numbers)]
     right = [bricks.labels_at(bricks.taken[bricks.place[copies]], numbers)]
     for start, summary in zip(bricks.label_starts, summaries, strict=False):
+        # (g,): so are the label of a foreign vertex here, and the one that it has where it is from.
         there = bricks.taken[np.searchsorted(bricks.keys, summary.foreign_bricks)]
         left.append(start + summary.foreign_labels)
         right.append(bricks.labels_at(there, summary.foreign_numbers))
     count = int(bricks.label_starts[-1])
+    # Both labels as one number, each pair once: a seam has many vertices, and few labels.
     pairs = unique_keys(np.concatenate(left) * count + np.concatenate(right))
     one, other = pairs // max(count, 1), pairs % max(count, 1)
     edges = np.stack([one, other, other], axis=1)  # edges as faces with a corner twice
@@ -273,8 +283,10 @@ def join_labels(summaries: Sequence[PartSummary], bricks: PartBricks) -> IntArra
 
 def _representatives(bricks: PartBricks, copies: IntArray) -> tuple[IntArray, IntArray]:
     """Return one vertex of each copy, and all of them where it or the taken one is mixed."""
+    # (k,): where all vertices have one label in both copies, one vertex tells it.
     several = (bricks.labels[copies] < 0) | (bricks.labels[bricks.taken[bricks.place[copies]]] < 0)
     counts = np.where(several, bricks.vertex_counts[copies], 1)
+    # (m,): where each copy's vertices begin in the row of all, to number them from 0 in each.
     first = np.repeat(np.cumsum(counts) - counts, counts)
     return np.repeat(copies, counts), np.arange(len(first)) - first
 
@@ -286,11 +298,14 @@ def _collect_labels(
     labels, kinds = [], []
     for start, summary in zip(label_starts, summaries, strict=False):
         with_vertices = summary.entry_vertices > 0
+        # (e,): the brick of each entry, which is a component that the brick has something of.
         brick = np.repeat(np.arange(len(summary.bricks)), np.diff(summary.entry_starts))
+        # (b,): the label of its vertices; of several, any, as those are looked up in `mixed`.
         of_brick = np.full(len(summary.bricks), -1, np.int64)
         of_brick[brick[with_vertices]] = start + summary.entry_labels[with_vertices]
         labels.append(of_brick)
         kinds.append(np.bincount(brick[with_vertices], minlength=len(summary.bricks)))
+    # (n,): bricks whose vertices are of several components.
     several = np.concatenate(kinds) > 1
     mixed = [start + s.mixed_labels for start, s in zip(label_starts, summaries, strict=False)]
     return (

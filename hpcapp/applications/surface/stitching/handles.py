@@ -74,12 +74,14 @@ def _search(faces: IntArray, corners: FloatArray, box: float) -> SmallHandles:
 
     `faces` are of shape (f, 3), `corners` where their vertices lie, (f, 3, 3).
     """
+    # (f, 3, 3): the sides as vectors, of whose lengths the median is the unit of the boxes.
     sides = corners - np.roll(corners, -1, axis=1)
     edge = box * float(np.median(np.sqrt(np.square(sides).sum(axis=2))))
     centres = corners.mean(axis=1)
     low, links = centres.min(axis=0), _link_sides(faces)
     best = SmallHandles(0, low, edge)
     for shift in _SHIFTS:
+        # (f, 3): boxes that part a handle in one lattice hold all of it in a shifted one.
         places = np.floor((centres - low) / edge + 0.5 * np.array(shift)).astype(np.int64)
         handles, piece = _count_handles(len(faces), links, pack_places(places))
         if int(handles.sum()) > best.count:
@@ -94,6 +96,7 @@ def _link_sides(faces: IntArray) -> tuple[IntArray, IntArray]:
     low, high = np.minimum(tails, heads), np.maximum(tails, heads)
     keys = low * (int(high.max()) + 1) + high
     order = np.argsort(keys, kind="stable")
+    # The mesh is closed and manifold: two sides with one key, side by side, are an edge.
     same = np.flatnonzero(np.diff(keys[order]) == 0)
     return order[same], order[same + 1]
 

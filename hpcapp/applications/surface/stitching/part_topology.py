@@ -132,7 +132,9 @@ def judge_parts(
     faces = entries.count(entries.faces, count)
     if not faces.any():
         return Topology(False, True, True, True, False, 0, None, (), 0, 0, 0, 0)
+    # (c,): a vertex that no face uses is a component of its own, and counts nowhere.
     vertices = np.where(faces > 0, entries.count(entries.vertices, count), 0)
+    # (B + 1,): where the vertices of each brick begin if none is dropped, as seams know only those.
     raw_starts = starts_of(bricks.vertex_counts[bricks.taken])
     seams = _collect_seams(summaries, bricks, component, kept, raw_starts)
     verdict = _judge_seams(seams, faces)
@@ -171,13 +173,17 @@ def _collect_seams(
         raw, labels = _locate(summary.piece_vertices, index, summary, bricks, raw_starts)
         units = summary.piece_units
         in_guest = units >= 0
+        # (p,): pieces that are in the mesh: of labels that stay, in no guest that another gives.
         counts = kept[labels] & (~in_guest | bricks.is_taken[first + units])
         owner = _bricks_of(summary.piece_vertices, summary)
+        # (p,): a guest's unit owns that brick's vertices; the other one, those of the own bricks.
         owns = np.where(in_guest, owner == units, (owner >= 0) & ~summary.guests[owner])
         rows, tails, heads = summary.sides.T.astype(np.int64)
         starts = starts_of(summary.face_counts)
+        # (q,): the brick of each side's face, and the number of that face in the mesh.
         brick = np.searchsorted(starts, rows // 3, side="right") - 1
         faces = face_starts[bricks.place[first + brick]] + rows // 3 - starts[brick]
+        # (q,): sides of faces in the mesh; (p,): pieces numbered through without the others.
         on = counts[tails]
         renumbered = before + np.cumsum(counts) - 1
         bare_raw, bare_labels = _locate(summary.bare, index, summary, bricks, raw_starts)
@@ -214,6 +220,7 @@ def _locate(
     numbers = np.empty(len(vertices), np.int64)
     labels = np.empty(len(vertices), np.int64)
     own, foreign = vertices >= 0, ~vertices[vertices < 0]
+    # A brick and a number in it name a vertex, whichever copy of the brick counts.
     row = _bricks_of(vertices[own], summary)
     brick = int(bricks.parts[index]) + row
     number = vertices[own] - starts_of(summary.vertex_counts)[row]
@@ -227,20 +234,26 @@ def _locate(
 
 def _judge_seams(seams: _Seams, faces: IntArray) -> _Verdict:
     """Group the sides into edges, count what is wrong, and join the pieces of corners."""
+    # (w,), (p,): open vertices, and the one that each piece of corners is at.
     vertices, piece = number_keys(seams.pieces)
     tails, heads = piece[seams.tails], piece[seams.heads]
     low, high = np.minimum(tails, heads), np.maximum(tails, heads)
+    # The sides edge by edge, those of one in the order of their faces.
     order = np.lexsort((seams.sides, low * len(vertices) + high))
     edges = (low * len(vertices) + high)[order]
+    # (e,): where the sides of each edge begin; how many there are, and how many run backwards.
     first = np.flatnonzero(np.r_[True, edges[1:] != edges[:-1]][: len(edges)])
     counts = np.diff(np.r_[first, len(edges)])
     backward = np.add.reduceat((tails > heads)[order].astype(np.int64), first) if len(first) else 0
     degenerate = (low == high)[order[first]]
     fans = _count_fans(seams, order, first[counts >= 2], piece)
+    # (w,): where the unit that owns a vertex has neither a piece there nor calls it bare, its faces
+    # make a ring around it: a fan of which no piece tells.
     is_closed_elsewhere = np.ones(len(vertices), np.bool_)
     is_closed_elsewhere[piece[seams.piece_owners]] = False
     bare = find_keys(vertices, seams.bare)
     is_closed_elsewhere[bare[bare < len(vertices)]] = False
+    # (c,): the sides that are in no seam are pairs within the parts; the others, edges from above.
     inner = 3 * faces - np.bincount(seams.components, minlength=len(faces))
     outer = np.bincount(seams.components[order[first]], minlength=len(faces))
     return _Verdict(
@@ -256,6 +269,8 @@ def _judge_seams(seams: _Seams, faces: IntArray) -> _Verdict:
 def _count_fans(seams: _Seams, order: IntArray, pairs: IntArray, vertex: IntArray) -> int:
     """Count the pieces that the pieces of corners form when joined across edges."""
     a, b = order[pairs], order[pairs + 1]
+    # (e,): most often the two sides run in opposite directions. Pieces at one end of the edge
+    # belong together, whichever way they run.
     runs_back = vertex[seams.tails[a]] == vertex[seams.heads[b]]
     left = np.concatenate([seams.tails[a], seams.heads[a]])
     right = np.concatenate(
@@ -273,6 +288,7 @@ def _genera(
 ) -> tuple[int, ...]:
     """Return the genus of each closed component, the one with the most faces first."""
     with_vertices = entries.component[entries.vertices > 0]
+    # Among components of as many faces, the one with the first vertex of the mesh comes first.
     found, first = find_first(with_vertices)
     found, first = found[faces[found] > 0], first[faces[found] > 0]
     ranked = found[np.lexsort((first, -faces[found]))]
@@ -296,6 +312,8 @@ def _signed_volume(
     raw_starts, loose = seams
     faces, numbers, places = [], [], []
     for index, summary in enumerate(summaries):
+        # (s,): the brick of each face with foreign vertices, from 1 on. No part knows where all the
+        # corners of such a face are, so that it is in no part's sum.
         brick = np.searchsorted(starts_of(summary.face_counts), summary.seam_faces[:, 0], "right")
         corners, labels = _locate(
             summary.seam_faces[:, 1:].reshape(-1), index, summary, bricks, raw_starts
@@ -304,12 +322,14 @@ def _signed_volume(
         faces.append(corners.reshape(-1, 3)[counted])
         numbers.append(_locate(summary.rim, index, summary, bricks, raw_starts)[0])
         places.append(summary.rim_places)
+    # (r,), (r, 3): the vertices of all rims, each once, and where they are.
     known, rows = find_first(np.concatenate(numbers))
     rim = np.concatenate(places)[rows]
     a, b, c = _find_rim(known, rim, np.concatenate(faces))
     tails, heads = _find_rim(
         known, rim, np.stack([loose.pieces[loose.tails], loose.pieces[loose.heads]], axis=1)
     )
+    # (3,): the point that `signed_volume` takes; of a closed mesh, any gives the same.
     mean = entries.sums[:, 1:].sum(axis=0) / entries.vertices.sum()
     total = entries.sums[:, 0].sum() + (a * np.cross(b, c)).sum()
     return float(total - mean @ np.cross(tails, heads).sum(axis=0))

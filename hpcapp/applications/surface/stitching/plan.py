@@ -104,6 +104,7 @@ class StitchingPlan:
         summary = self.summaries[index]
         wanted, numbers = summary.foreign_bricks[foreign], summary.foreign_numbers[foreign]
         copies = self.bricks.taken[np.searchsorted(self.bricks.keys, wanted)]
+        # The vertices of all copies in one row; less those of parts before, rows of their part.
         starts = starts_of(self.bricks.vertex_counts)
         owners = self.bricks.part_of(copies)
         return owners, starts[copies] - starts[self.bricks.parts[owners]] + numbers
@@ -133,6 +134,7 @@ class StitchingPlan:
         bricks, summary = self.bricks, self.summaries[index]
         mine = bricks.of_part(index)
         place = bricks.place[mine]
+        # (g,): whether foreign vertices stay, and where, tells the copy of their brick that counts.
         there = np.searchsorted(bricks.keys, summary.foreign_bricks)
         copies, foreign = bricks.taken[there], summary.foreign_numbers
         is_kept = self.kept[bricks.labels_at(copies, foreign)]
@@ -177,12 +179,14 @@ def plan_stitching(
     total = int(component.max(initial=-1)) + 1
     faces = entries.count(entries.faces, total)
     if crumb is None:
+        # As many faces as a clump of strays has, with as many a point as the whole mesh.
         fewest = 0.0 if points is None else _CLUMP * int(faces.sum()) / points
         large = find_large(faces, entries.count(entries.supports, total), fewest)
     else:
         large = faces >= max(crumb, 1)
     kept = large[component]
     components = entries.only(large[entries.component])
+    # (B + 1,) each: only what stays takes places in the mesh.
     vertex_starts, face_starts = (
         starts_of(np.bincount(components.place, counts, len(bricks.keys)).astype(np.int32))
         for counts in (components.vertices, components.faces)
@@ -206,10 +210,12 @@ def _collect_entries(
 ) -> Components:
     """Put the entries of the bricks that are taken into the order of the mesh."""
     starts = [s.entry_starts for s in summaries]
+    # (e,): the brick of each entry, as a row of those of all parts, and below its label.
     brick = np.repeat(np.arange(len(bricks.place)), np.concatenate([np.diff(s) for s in starts]))
     counts = np.array([len(s.entry_labels) for s in summaries])
     labels = np.concatenate([s.entry_labels for s in summaries])
     labels = labels + np.repeat(bricks.label_starts[:-1], counts)
+    # By the keys of the bricks, each brick once.
     order = np.argsort(bricks.place[brick], kind="stable")
     order = order[bricks.is_taken[brick[order]]]
     return Components(
@@ -252,11 +258,13 @@ def find_large(faces: IntArray, supports: IntArray, fewest: float = 0.0) -> NDAr
     too thin has few faces, and points everywhere. So the smaller a component is, the more of it
     must be supported, by what is supported of the largest one.
     """
+    # (c,): supported vertices by faces, which may be compared whatever the size.
     shares = supports / np.maximum(faces, 1.0)
     largest = int(np.argmax(faces)) if len(faces) else 0
     sizes = faces / max(int(faces.max(initial=0)), 1)
     is_large = np.zeros(len(faces), np.bool_)
     for size, support in SMALL_SIZES:
         is_large |= (sizes >= size) & (shares >= support * shares[largest : largest + 1])
+    # The largest one stays, however few faces it has.
     is_large &= (faces >= fewest) | (sizes >= 1.0)
     return is_large | bool(is_large[faces > 0].all())

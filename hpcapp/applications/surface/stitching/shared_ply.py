@@ -104,6 +104,7 @@ def write_kept(kept: tuple[str, str], places: PartPlaces, shared: SharedPly) -> 
 
 def _write_rows(file: int, part: MeshPart, places: PartPlaces, shared: SharedPly) -> None:
     """Write the vertices and faces of the bricks that are taken from a part."""
+    # Those that this part gives; few at a time, so that buffers stay in the cache.
     bricks = np.flatnonzero(places.face_starts >= 0)
     for some in cut_equal(len(bricks), -(-len(bricks) // _BRICKS_AT_ONCE)):
         vertices, runs = place_vertices(part, places, bricks[some])
@@ -122,6 +123,7 @@ def _write_runs(file: int, rows: NDArray[Any], runs: Runs, start: int) -> None:
     for first, last, number in runs:
         run, at = raw[first * size : last * size], start + number * size
         note_written(run)
+        # The system may write less than it was given.
         while run:
             done = os.pwrite(file, run, at)
             run, at = run[done:], at + done

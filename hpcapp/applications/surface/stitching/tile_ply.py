@@ -43,6 +43,7 @@ def cut_tile(
     faces : ndarray of int64, shape (f, 3)
     """
     faces, _, _ = place_faces(part, places, np.flatnonzero(places.face_starts >= 0))
+    # (v,), (3 f,): the vertices that faces use, foreign ones below 0, and the row of each corner.
     used, corners = number_keys(faces.reshape(-1))
     vertices = np.empty((len(used), 3))
     own = used >= 0
@@ -131,6 +132,7 @@ def _locate(
     """Return where foreign vertices are, from the parts that have them."""
     names, owners, rows = foreign
     found = np.empty((len(wanted), 3))
+    # Part by part, so that each is read once.
     for index in unique_keys(owners[wanted]).tolist():
         there = owners[wanted] == index
         found[there] = load(names[index]).vertices[rows[wanted[there]]]

@@ -146,6 +146,7 @@ def count_loops(tails: IntArray, heads: IntArray) -> int:
     >>> count_loops(np.array([0, 1, 2, 7, 8]), np.array([1, 2, 0, 8, 9]))
     2
     """
+    # (2 e,): the vertices that edges have, numbered through from 0.
     ends, numbers = number_keys(np.concatenate([tails, heads]))
     first, second = numbers[: len(tails)], numbers[len(tails) :]
     joined = np.stack([first, second, second], axis=1)  # edges as faces with a corner twice
@@ -156,6 +157,7 @@ def _find_boundary(faces: IntArray) -> tuple[IntArray, IntArray]:
     """Return the ends of the edges with one face."""
     tails, heads = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
     low, high = np.minimum(tails, heads), np.maximum(tails, heads)
+    # (3 f,): the edge of each side, by both ends as one number.
     edges, numbers = number_keys(low * (int(faces.max()) + 1) + high)
     lone = (np.bincount(numbers, minlength=len(edges)) == 1)[numbers]
     return low[lone], high[lone]
@@ -169,6 +171,7 @@ def _renumber(faces: IntArray) -> tuple[IntArray, int]:
     is_used[faces.ravel()] = True
     if is_used.all():
         return faces, len(is_used)
+    # (f, 3): the row of each corner among the used vertices.
     return (np.cumsum(is_used) - 1)[faces], int(is_used.sum())
 
 
@@ -179,5 +182,6 @@ def _component_genera(
     per_vertex = np.bincount(label, minlength=components)
     per_edge = np.bincount(label, survey.edges_of, components).astype(np.int64)
     per_face = np.bincount(label[faces[:, 0]], minlength=components)
+    # (c,): Euler's formula for closed surfaces, V - E + F = 2 - 2 g.
     genus = (2 - (per_vertex - per_edge + per_face)) // 2
     return tuple(int(g) for g in genus[np.argsort(-per_face, kind="stable")])

@@ -78,6 +78,7 @@ def cut_slab(grid: Grid, kinds: BrickKinds, first: int, end: int) -> BrickKinds:
     cut = kinds.kinds[low - start : high - start].copy()
     if (low, high) == (first, end):
         return BrickKinds(corner, cut)
+    # (x,): layers of other slabs. Of these only what the slab's own and open bricks ask for stays.
     is_beside = np.ones(len(cut), np.bool_)
     is_beside[first - low : end - low] = False
     is_rim = _mark_rim(grid, corner, ~is_beside[:, None, None] & ((cut == OPEN) | (cut == OWN)))
@@ -86,6 +87,7 @@ def cut_slab(grid: Grid, kinds: BrickKinds, first: int, end: int) -> BrickKinds:
     beside[beside == OWN] = FOREIGN
     beside[beside == OPEN] = BESIDE
     cut[is_beside] = beside
+    # The slab's layers, and those beside it that have something left.
     layers = np.flatnonzero(~is_beside | (cut != OUT).any(axis=(1, 2)))
     used = slice(int(layers[0]), int(layers[-1]) + 1)
     corner[0] += used.start
@@ -121,6 +123,7 @@ def plan_tile(grid: Grid, own: IntArray, earlier: IntArray, later: IntArray) -> 
     is_rim = _mark_rim(grid, first, beside)
     kinds = BrickKinds(first, np.where(is_rim, BESIDE, OUT).astype(np.uint8))
     kinds.kinds[beside] = OPEN
+    # The last mark counts: bricks with others' points are not open, the tile's own are its own.
     for foreign in (earlier, later):
         kinds.mark(foreign[kinds.at(foreign) != OUT], FOREIGN)
     kinds.kinds[mask] = OWN
@@ -148,10 +151,12 @@ def plan_gap(
     edge = BRICK * grid.step
     # (x, y, z) of the grid: bricks of which every point that matters is known here.
     known_all = np.ones(grid.bricks, np.bool_)
+    # (c, 3): from which brick to before which the points of each missing cell matter.
     low = np.floor((missing - reach - grid.origin) / edge).astype(np.int64)
     high = np.floor((missing + size + reach - grid.origin) / edge).astype(np.int64) + 1
     for first, end in zip(np.maximum(low, 0), high, strict=True):
         known_all[first[0] : end[0], first[1] : end[1], first[2] : end[2]] = False
+    # (x, y, z): where the rim is known as well, the surface may grow.
     inner = ~_mark_rim(grid, np.zeros(3, np.int64), ~known_all)
     kinds = np.where(inner, OPEN, np.where(known_all, BESIDE, OUT)).astype(np.uint8)
     gap = BrickKinds(np.zeros(3, np.int64), kinds)
@@ -187,6 +192,7 @@ def near_bricks(
     edge = BRICK * grid.step
     wanted = kinds.kinds != OUT
     far = int(np.ceil(max(0.0, reach / edge - 0.5)))  # bricks, beyond what two lookups see
+    # Room for the bricks that are added, and for one more to look up.
     wanted = np.pad(wanted, far + 1)
     for _ in range(far):
         wanted = dilate(wanted)

@@ -102,6 +102,7 @@ def summed_tile(
     def agrees(found: tuple[CoarseLattice, Samples, int]) -> bool:
         lattice, samples, patches = found
         sampled = samples.sums[:, 0]
+        # (c,): samples lie in just those coarse cells that the lattice has.
         parents = unique_keys(ancestor_keys(samples.cells, plan.coarse - plan.far))
         return (
             np.array_equal(parents, lattice.cells)
@@ -133,6 +134,7 @@ def coarse_lattice(plan: Plan, own: tuple[IntArray, IntArray] | None) -> Declare
 
     def agrees(lattice: CoarseLattice) -> bool:
         counts, corners = lattice.moments[:, 0], lattice.vertices
+        # The corners of the cells are there, and none but theirs and their neighbours'.
         inner, outer = (kernels.spread_keys(lattice.cells, *far) for far in ((0, 1), (-1, 2)))
         return (
             (own is None or all(map(np.array_equal, own, (lattice.cells, counts))))
@@ -178,6 +180,7 @@ def surface_bytes(
     coarse cell there may be a sheet for every finest one. What spans gaps may be as large as the
     grid's sides besides.
     """
+    # In a coarse cell, half as many as it has layers of finest ones.
     sheets = 2.0 ** (plan.coarse - 1)
     squares = sheets * len(coarse.parents.keys) * (plan.coarse_size / plan.step) ** 2
     if spans_gaps:
@@ -318,6 +321,7 @@ def _are_entries(part: PartSummary) -> bool:
     starts, own = part.entry_starts, part.entry_vertices
     if not (starts[0] == 0 and starts[-1] == len(own) and (starts[1:] >= starts[:-1]).all()):
         return False
+    # (b,) each: sums over the entries of each brick, and how many of them have vertices.
     vertices, faces, kinds = (
         np.diff(starts_of(values)[starts]) for values in (own, part.entry_faces, own > 0)
     )

@@ -116,6 +116,7 @@ def take_points(points: CellPoints, plan: Plan) -> TilePoints:
     if isinstance(points, PointsThere):
         cloud, cells = open_place(points.cloud), list(points.groups)
         wanted, numbers = _number_cells(cells)
+        # Whole blocks: `sort_tile` leaves out what lies in no wanted cell.
         packed = _take_overlapping(cloud, wanted, plan.origin, plan.coarse_size)
     else:
         cells = [_find_cells(group, plan) for group in points]
@@ -196,6 +197,7 @@ def _find_blocks(
 ) -> IntArray:
     """Return the blocks that overlap some cells."""
     corner = origin + size * unpack_keys(cells) - arrangement.origin
+    # (c, 3): the first and the last block that each cell overlaps; all steps between are taken.
     first = np.floor(corner / arrangement.edge).astype(np.int64)
     last = np.floor((corner + size) / arrangement.edge).astype(np.int64)
     blocks = []

@@ -124,10 +124,12 @@ def lay_corners(plan: Plan, cells: IntArray, kinds: BrickKinds) -> Generator[str
     )
     yield "near bricks"
     near = kernels.spread_keys(base[is_near], -1, 2)
+    # From the finest level to the base: corners, and the parents of those of the level before.
     *laid, near = plan.refinement.lay(near_finer, near)
     yield "corners"
     if height == 1:
         return [*laid, near]
+    # Cells farther off lay no corners of the base, but the ancestors that coarser levels ask for.
     rest = kernels.spread_keys(base[is_wide & ~is_near], -1, 2)
     wide = kernels.unite_keys(kernels.parent_keys(near), kernels.parent_keys(rest))
     return [*laid, near, *lay_vertices(wide, height - 1)]

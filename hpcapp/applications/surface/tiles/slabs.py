@@ -55,6 +55,7 @@ def grow_slabs(
     while len(reached):
         for first, end in pairwise(bounds):
             slab = cut_slab(fields.grid, untaken, first, end)
+            # Open bricks that the surface has entered become the slab's own: it goes on from there.
             slab.mark(reached[slab.at(reached) == OPEN], OWN)
             if not (slab.kinds == OWN).any():
                 continue
@@ -65,6 +66,7 @@ def grow_slabs(
             goes_on = kinds.at(exits) == OPEN
             reached = np.concatenate([reached, exits[goes_on]])
             yield part, exits[~goes_on]
+        # What no part has by now is left to the next round.
         reached = reached[untaken.at(reached) == OPEN]
 
 
@@ -78,9 +80,11 @@ def _grow_slab(fields: SlabFields, slab: BrickKinds) -> BrickMesh:
     of_mesh = mesh.vertices, mesh.faces
     of_faces, steps = None, np.broadcast_to(grid.step, len(mesh.vertices))
     if grid.strides is not None:
+        # (b,): how often the step is doubled in each brick; then of its faces and vertices.
         exponents = grid.strides.at(mesh.bricks)
         of_faces = np.repeat(exponents, mesh.face_counts)
         steps = grid.step * 2.0 ** np.repeat(exponents, mesh.vertex_counts)
+    # (v, 3): evened out, and then, level by level, put on the edges that the fits have found.
     moved = kernels.balance_vertices(*of_mesh, grid.step, of_faces)
     for depth, features in enumerate(of_levels):
         lattice = origin, cell_size * 2.0**depth

@@ -121,9 +121,11 @@ def sum_tile(
         TILES.put(ticket, prepared)
         worker_background.add(partial(TILES.advance, ticket))
     finest, coarse = prepared.levels[0], prepared.levels[-1]
+    # (h,): the finest cells of the tile, without those of its halo.
     held = finest.cells[prepared.groups == 0]
     below = plan.refinement.levels
     of_base = unique_keys(ancestor_keys(held, below)) if below else held
+    # (c,): in which of 27 ways the tile's cells lie in each coarse one, a bit each.
     marks = mark_ancestors(of_base, plan.coarse - below, coarse.cells)
     at, vertices = np.flatnonzero(marks), corners_at(coarse.cells, marks)
     moments = coarse.points.sum(slice(0, len(coarse.cells)))[at]
@@ -150,6 +152,7 @@ def sample_cells(level: Level, rows: IntArray | None = None) -> Samples:
         Of the level's cells; by default all.
     """
     moments = level.points.sum(slice(0, len(level.cells)))
+    # (c, 7): the columns of the points, of their positions and of their normals.
     sums = np.concatenate([moments[:, :4], moments[:, 35:38]], axis=1)
     return Samples(level.cells, sums) if rows is None else Samples(level.cells[rows], sums[rows])
 
@@ -167,6 +170,7 @@ def find_far(plan: Plan, samples: Samples, threads: int) -> FarField:
     """
     size = plan.cell_size * 2.0**plan.far
     sums = samples.sums
+    # (c, 3): in cells, as sums of positions are, which count from the middle of each.
     places = unpack_keys(samples.cells) + 0.5 + sums[:, 1:4] / sums[:, :1]
     centroids, normals = plan.origin + size * places, sums[:, 4:] / sums[:, :1]
     return solve_far_field(centroids, normals, plan.grid.box, size, plan.far_nodes, threads)
@@ -325,6 +329,7 @@ def _fit_fields(
     """
     far = restore_far_field(coarse.far)
     in_field = plan.refinement.levels + FIELD_LEVELS
+    # Where there are no points all around, the fine levels have no vertices.
     fine = tuple(_NO_LEVEL for _ in range(1, min(plan.coarse, in_field)))
     features: tuple[Features, ...] = ()
     parents = None

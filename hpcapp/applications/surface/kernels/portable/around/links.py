@@ -55,11 +55,13 @@ def link_groups(
     for start in range(0, len(rows), _ROWS_AT_ONCE):
         some = rows[start : start + _ROWS_AT_ONCE]
         nearest = Nearest(tree, some, most, _REACH)
+        # (s, 9): which neighbours are nearer than the first that is left out.
         is_near = np.arange(most) < nearest.count(most)[:, None]
         first = np.broadcast_to(group_of[some, None], is_near.shape)[is_near]
         second = group_of[nearest.rows[is_near]]
         differ = first != second
         first, second = first[differ], second[differ]
+        # Both groups as one number, the lower one first, so that a pair has one name.
         found.append(np.minimum(first, second) * len(positions) + np.maximum(first, second))
     names = np.concatenate(found)
     names, contacts = merge_counts(names, np.ones(len(names), np.int64))

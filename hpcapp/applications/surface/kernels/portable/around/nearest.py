@@ -59,6 +59,7 @@ class Nearest:
         bound = float(reach * UNITS)
         far, near = tree.query(units[rows], most + 1, distance_upper_bound=bound)
         self._far = far
+        # Where there are fewer, the point itself stands in; `count` does not count it there.
         self.rows: IntArray = np.where(np.isfinite(far), near, rows[:, None])[:, :-1]  # (m, most)
         self.arms: FloatArray = units[self.rows] - units[rows, None]  # (m, most, 3)
 

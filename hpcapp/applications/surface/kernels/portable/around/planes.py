@@ -86,6 +86,7 @@ def fit_planes(
     is_asked = asked != 0
     wanted = np.zeros(int(cell_of.max(initial=-1)) + 1, np.bool_)
     wanted[cell_of[is_asked]] = True
+    # (r,): all points of the cells in which one is asked for, as these share a noise.
     rows = np.flatnonzero(wanted[cell_of])
     tree = cKDTree(units)
     vectors = np.zeros((len(rows), 3))
@@ -93,6 +94,7 @@ def fit_planes(
     planes = [_fit(tree, rows[some], _COUNTS) for some in _cut(len(rows))]
     for some, fitted in zip(_cut(len(rows)), planes, strict=True):
         told = np.isfinite(fitted.sheets[:, 3])
+        # (r,): by what the noise is told. On a thin wall, one plane leaves its thickness as well.
         residuals[some] = np.where(told, fitted.sheets[:, 3], fitted.squares[:, _NOISE_COUNT])
     noise = _find_noise(residuals, cell_of[rows])
     is_last = np.zeros(len(rows), np.bool_)
@@ -100,6 +102,7 @@ def fit_planes(
         chosen = _choose(fitted, noise[some])
         told = np.isfinite(fitted.sheets[:, 3])
         vectors[some] = fitted.take(chosen, spacing)
+        # The largest neighbourhood is the best so far: still larger ones may be better.
         is_last[some] = (chosen == len(_COUNTS) - 1) & ~told
     last = np.flatnonzero(is_last & is_asked[rows])
     for some in _cut(len(last)):
@@ -159,11 +162,14 @@ def _fit(tree: cKDTree, rows: IntArray, counts: tuple[int, ...]) -> _Planes:
             products = (arms[..., i] * arms[..., j]).sum(axis=1)
             spread[row, :, column] = products / held[:, column] - mean[:, i] * mean[:, j]
     least = _least_eigenvalues(spread)
+    # (n, k): the trace less the variance across are those along the plane.
     extent = spread[0] + spread[1] + spread[2] - least
     extent[held < _LEAST] = 0.0
+    # (n, k): a plane takes three degrees of freedom from what its points leave over.
     squares = least * (held / np.maximum(held - 3.0, 1.0))
     sheets = np.full((len(rows), 4), np.nan)
     if counts == _COUNTS:
+        # (t,): points where that is too much for one sheet; then those with neighbours for two.
         thick = np.flatnonzero(squares[:, _SHEET_COUNT] > (_THICK * UNITS) * (_THICK * UNITS))
         number = nearest.count(_COUNTS[_SHEET_COUNT])[thick]
         thick, number = thick[number >= 2 * _SHEET_LEAST], number[number >= 2 * _SHEET_LEAST]
@@ -189,11 +195,13 @@ def _find_sheets(
     """
     is_held = np.arange(arms.shape[1]) < number[:, None]
     arms = arms * is_held[..., None]
+    # (6, n): sums of products about the point; less those of both sides' means they are pooled.
     products = np.stack([(arms[..., i] * arms[..., j]).sum(axis=1) for i, j in _PAIRS])
     normals = first = _least_eigenvectors(spread)
     is_split, least = np.ones(len(arms), np.bool_), np.zeros(len(arms))
     for _ in range(_SHEET_ROUNDS):
         x, y, z = np.moveaxis(arms * normals[:, None], 2, 0)
+        # (n, k): along the normal as it is so far; what is no neighbour is above all.
         heights = np.where(is_held, x + y + z, np.inf)
         upper = (heights > _cut_heights(heights, number)[:, None]) & is_held
         pooled = products.copy()
@@ -205,6 +213,7 @@ def _find_sheets(
                 pooled[row] -= sums[:, i] * sums[:, j] / np.maximum(held, 1)
         pooled /= number
         least, normals = _least_eigenvalues(pooled), _least_eigenvectors(pooled)
+    # (n,): two parallel planes take four degrees of freedom.
     squares = np.maximum(least, 0.0) * (number / (number - 4.0))
     along = normals[:, 0] * first[:, 0] + normals[:, 1] * first[:, 1] + normals[:, 2] * first[:, 2]
     told = is_split & (squares < _APART * _APART * alone) & (np.abs(along) >= _ALIKE)
@@ -218,6 +227,7 @@ def _cut_heights(heights: FloatArray, number: IntArray) -> FloatArray:
     is_held = lower <= number[:, None]
     below = np.cumsum(np.where(is_held, ordered, 0.0), axis=1)
     above = below[:, -1:] - below
+    # (n, k): the sum of squares between both groups, but for a constant.
     between = below * below / lower + above * above / np.maximum(number[:, None] - lower, 1)
     between[:, : _SHEET_LEAST - 1] = -1.0
     between[lower > number[:, None] - _SHEET_LEAST] = -1.0
@@ -280,6 +290,7 @@ def _choose(planes: _Planes, noise: FloatArray) -> IntArray:
     square = noise[:, None]
     beyond = np.maximum(planes.squares - square, 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
+        # (n, k): its expected error, squared; see `fit_planes`.
         error = (4.0 * square / planes.held + _BIAS * beyond) / planes.extent
     best: IntArray = np.argmin(np.where(planes.extent > 0.0, error, np.inf), axis=1)
     return best
@@ -290,6 +301,7 @@ def _find_noise(squares: FloatArray, cell_of: IntArray) -> FloatArray:
     order = np.lexsort((squares, cell_of))
     ends = np.cumsum(np.bincount(cell_of))
     starts = np.append(0, ends[:-1])
+    # (c,): the middle row of each cell; one past the end belongs to a cell that has no points.
     middles = np.minimum((starts + ends) // 2, len(order) - 1)
     of_cell: FloatArray = squares[order[middles]]
     return of_cell[cell_of]

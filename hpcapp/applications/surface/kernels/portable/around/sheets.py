@@ -68,6 +68,7 @@ def group_sheets(
     thick = np.maximum(_THICK * spacing, _NOISES * noise)
     ranks = np.zeros(len(positions), np.int64)
     opposed = np.zeros(len(positions), np.uint8)
+    # (l,): points that have no group yet, cell by cell.
     left = np.argsort(cell_of, kind="stable")
     for rank in range(SHEETS):
         seeds = _find_seeds(positions, left, cell_of)
@@ -76,6 +77,7 @@ def group_sheets(
         is_on = np.abs(_dot(arms, normals[seeds])) <= thick[left]
         is_on &= np.abs(_dot(arms, normals[left])) <= thick[left]
         is_on &= np.abs(cosines) >= _AGREE
+        # A seed lies on its own plane, whatever is rounded; the last group takes all that is left.
         is_on |= (left == seeds) | (rank == SHEETS - 1)
         ranks[left[is_on]] = rank
         opposed[left[is_on]] = cosines[is_on] < 0.0
@@ -101,6 +103,7 @@ def _find_seeds(positions: FloatArray, rows: IntArray, cell_of: IntArray) -> Int
     arms = positions[rows] - middles[group_of]
     squares = _dot(arms, arms)
     nearest = np.minimum.reduceat(squares, starts)
+    # As near as the nearest but for rounding: the first of these is taken, on any processor.
     candidates = np.flatnonzero(squares <= _TIED * nearest[group_of])
     _, first = find_first(group_of[candidates])
     return rows[candidates[first]][group_of]

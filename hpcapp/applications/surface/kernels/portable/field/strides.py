@@ -39,6 +39,7 @@ def line_shifts(grid: Grid, places: IntArray) -> ByteArray:
     shifts = np.where(is_there, grid.strides.at(pack_places(around)), np.uint8(MOST_SHIFT))
     inside = shifts[:, 1, 1, 1].copy()
     for axis in range(1, 4):
+        # Axis by axis the least of two bricks at either end: faces have two, and edges four.
         below, own, above = np.moveaxis(shifts, axis, 0)
         ends = [np.minimum(below, own), own, np.minimum(own, above)]
         shifts = np.stack(ends, axis=axis)

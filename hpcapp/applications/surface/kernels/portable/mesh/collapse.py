@@ -143,6 +143,7 @@ def _find_least(m: _Planes, slope: _Vector) -> _Vector:
     xx, xy, xz, yy, yz, zz = m
     if not xx > 0.0:
         return 0.0, 0.0, 0.0
+    # Elimination without roots; where a pivot is not positive, there is no least place.
     left, down = xy / xx, xz / xx
     second, mixed = yy - left * xy, yz - left * xz
     if not second > 0.0:
@@ -223,11 +224,13 @@ class _Mesh:
         corners = self.corners[v]
         if not corners:
             return
+        # Around the vertex each face leads from one neighbour to the next.
         sides = [(self._head(c), self._tail(c)) for c in corners]
         after = dict(sides)
         tails = {tail for _, tail in sides}
         fans = [head for head, _ in sides if head not in tails]
         start = at = fans[-1] if fans else sides[0][0]
+        # Once around: along the ring, or along the fan from its open end on.
         steps = 0
         while steps < len(sides) and at in after and (not steps or at != start):
             at, steps = after[at], steps + 1
@@ -263,6 +266,7 @@ class _Mesh:
         for v, w in zip(corners, corners[1:] + corners[:1], strict=True):
             if not (self.is_border[v] and self.is_border[w]) or self._count_sides(v, w) != 1:
                 continue
+            # An open side is held by a plane through it, at a right angle to its face.
             wall = _cross(_subtract(self.place[w], self.place[v]), normal)
             size = _dot(wall, wall)
             if not size > _TINY:
@@ -279,6 +283,7 @@ class _Mesh:
 
     def _find_place(self, a: int, b: int) -> tuple[float, _Vector]:
         """Return what the vertex of a collapsed edge costs, and where it belongs."""
+        # Both ends' quadrics are added as the middle of the edge sees them.
         half = _scale(0.5, _subtract(self.place[b], self.place[a]))
         back = _scale(-1.0, half)
         total = _add_quadrics(
@@ -288,6 +293,7 @@ class _Mesh:
         weight = xx + yy + zz
         soft = _SOFT * weight
         is_a, is_b = self.is_fixed[a], self.is_fixed[b]
+        # A fixed end stays; of two that are not, the one on a border, if the other is on none.
         if not is_a and not is_b:
             is_a, is_b = (
                 self.is_border[a] > self.is_border[b],
@@ -301,6 +307,7 @@ class _Mesh:
             offset = _find_least((xx + soft, xy, xz, yy + soft, yz, zz + soft), total[1])
             place = _add(_add(self.place[a], half), offset)
         error = max(_evaluate(total, offset), 0.0)
+        # So of edges that cost nothing else the shortest is the first.
         error += soft * (_dot(offset, offset) + _dot(half, half))
         is_plain = self.is_bounded or not error > 0.0
         return error if is_plain else error * sqrt(error / weight), place
@@ -418,12 +425,14 @@ class _Mesh:
             for c in self.corners[b]:
                 if c // 3 not in of_a:
                     self._count_face(c // 3, -1.0)
+        # The planes that both stand for, as the new place sees them.
         self.history[a] = _add_quadrics(
             _see_from(self.history[a], _subtract(place, self.place[a])),
             _see_from(self.history[b], _subtract(place, self.place[b])),
         )
         self.place[a] = place
         for c in self.corners[b]:
+            # Faces at both ends vanish; the others get the new vertex as their corner.
             if c // 3 in of_a:
                 for k in range(3 * (c // 3), 3 * (c // 3) + 3):
                     if self.vertex[k] != b:
@@ -434,6 +443,7 @@ class _Mesh:
                 self.vertex[c] = a
                 self.corners[a].append(c)
         self.corners[b] = []
+        # What was proposed of either before has another stamp.
         self.stamp[a] += self.stamp[b] + 1
         self.is_border[a] |= self.is_border[b]
         self.is_fixed[a] |= self.is_fixed[b]

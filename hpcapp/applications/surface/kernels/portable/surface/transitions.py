@@ -107,6 +107,7 @@ def trace_loops(inside: BoolArray, shifts: ByteArray, cell: IntArray, size: int)
     following: dict[_Edge, _Edge] = {}
     quads: dict[_Edge, int] = {}
     for quad, corners in enumerate(_cut_faces(shifts, low, size)):
+        # The surface crosses the border of a quad between nodes on different sides of it.
         nodes = _walk_around(shifts, corners)
         crossings = [
             (_edge_between(one, other), bool(inside[other]))
@@ -241,6 +242,7 @@ def _measure_pairs(places: FloatArray) -> tuple[FloatArray, FloatArray]:
     x, y, z = (places - places[0]).T
     dx, dy, dz = (axis[:, None] - axis for axis in (x, y, z))
     crosses = [a[:, None] * b - b[:, None] * a for a, b in ((y, z), (z, x), (x, y))]
+    # Twice the area of the loop as a vector: the sum of the cross products along its sides.
     normal = [0.0, 0.0, 0.0]
     for i in range(len(places)):
         j = (i + 1) % len(places)
