@@ -13,7 +13,7 @@ from pathlib import Path
 import click
 
 from hpcapp.cli import hpcapp as command_line
-from hpccomponent.verb import COMMON, Verb
+from hpccomponent.cli.verb import COMMON, Verb
 
 MAN_PAGE = Path(__file__).parents[1] / "share" / "man" / "man1" / "hpcapp.1"
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from hpccomponent.cli.option_names import name_option
 from hpccomponent.errors import UsageError
 from hpccomponent.limits import (
     address_space_limit,
@@ -17,7 +18,6 @@ from hpccomponent.limits import (
     available_tasks,
     raise_descriptor_limit,
 )
-from hpccomponent.option_names import name_option
 
 OWN_DESCRIPTORS = 40
 """What a master opens beside its workers' ends: sockets, the log, the points, files of tiles."""

@@ -16,12 +16,12 @@ from typing import NoReturn
 import click
 
 from hpcapp.interrupts import EXIT_INTERRUPTED, obey_signals
+from hpccomponent.cli.option_names import speaking_flags
+from hpccomponent.cli.terminal import echo, write_block
+from hpccomponent.cli.verb import COMMON
+from hpccomponent.cli.verbosity import Verbosity, set_verbosity
 from hpccomponent.errors import ConfigError, HpcError
-from hpccomponent.option_names import speaking_flags
 from hpccomponent.runtime.garbage_collection import rare_collections
-from hpccomponent.terminal import echo, write_block
-from hpccomponent.verb import COMMON
-from hpccomponent.verbosity import Verbosity, set_verbosity
 
 # The verbs that ship; named here so that finding them costs no search through installed packages.
 SHIPPED = {

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from hpcapp.progress import ProgressObserver
+from hpccomponent.cli.verbosity import is_quiet
 from hpccomponent.errors import OutputError
-from hpccomponent.verbosity import is_quiet
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bars
@@ -65,7 +65,7 @@ def _foresee(done: int, total: int, elapsed_s: float) -> str:
     """Say how fast a stage is and how long it will take, once something is done."""
     if not done:
         return ""
-    from hpccomponent.bars import say_rate, say_seconds
+    from hpccomponent.cli.bars import say_rate, say_seconds
 
     left_s = elapsed_s / done * (total - done)
     return f", {say_rate(done / elapsed_s)}, {say_seconds(left_s)} left"
@@ -176,7 +176,7 @@ def open_progress(stream: TextIO) -> Iterator[ProgressObserver]:
     if not stream.isatty():
         yield ProgressLines(stream)
         return
-    from hpccomponent.bars import make_bars
+    from hpccomponent.cli.bars import make_bars
 
     with make_bars(stream) as bars:
         yield ProgressBars(bars)

@@ -15,12 +15,12 @@ from typing import TypeVar
 
 from hpcapp.cancellation import Cancellation
 from hpcapp.timeline import find_worker
+from hpccomponent.cli.option_names import name_option
+from hpccomponent.cli.terminal import visible_text
 from hpccomponent.cutting import cut_equal
 from hpccomponent.errors import HpcError, TaskError, WorkerLostError
-from hpccomponent.option_names import name_option
 from hpccomponent.runtime.background import Background, Deferred
 from hpccomponent.runtime.visible_files import sees_files
-from hpccomponent.terminal import visible_text
 
 Result = TypeVar("Result")
 

@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 
+from hpccomponent.cli.terminal import VisibleFormatter, visible_text
 from hpccomponent.errors import HpcError
 from hpccomponent.protocol.connection import read_connection
 from hpccomponent.ranges import check_range
@@ -15,7 +16,6 @@ from hpccomponent.runtime.component import ComponentOptions, run_component
 from hpccomponent.runtime.garbage_collection import rare_collections
 from hpccomponent.runtime.lifetime import die_with_parent
 from hpccomponent.runtime.tasks import TaskRegistry
-from hpccomponent.terminal import VisibleFormatter, visible_text
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import settings
 from standing import StandingCluster, StartCluster
 
-from hpccomponent.verbosity import FOREIGN, OURS
+from hpccomponent.cli.verbosity import FOREIGN, OURS
 
 # They are imported by their names: to look for doctests there would import them once more.
 collect_ignore = ["helpers"]

@@ -19,8 +19,8 @@ from hpcapp.backends.factory import find_factory, is_factory, open_factory
 from hpcapp.backends.mpi import check_mpi, open_mpi
 from hpcapp.backends.ray import check_ray, open_ray
 from hpcapp.backends.retrying import RetryingExecutor
+from hpccomponent.cli.option_names import name_option
 from hpccomponent.errors import UsageError
-from hpccomponent.option_names import name_option
 
 DASK = re.compile(r"dask=((?:tcp|tls)://.+:\d+)")
 RAY = re.compile(r"ray(?:=(auto|(?:ray://)?[^/]+:\d+))?")

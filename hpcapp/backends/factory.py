@@ -10,8 +10,8 @@ from contextlib import contextmanager
 from importlib import import_module
 
 from hpcapp.backends.retrying import RetryingExecutor
+from hpccomponent.cli.option_names import name_option
 from hpccomponent.errors import UsageError
-from hpccomponent.option_names import name_option
 
 _NAME = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")
 

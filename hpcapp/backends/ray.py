@@ -39,6 +39,7 @@ from typing import Any, TypeVar
 from hpcapp.backends.ray_watcher import watched
 from hpcapp.backends.retrying import RetryingExecutor
 from hpcapp.extras import how_to_install
+from hpccomponent.cli.option_names import name_option
 from hpccomponent.errors import (
     HpcError,
     JobError,
@@ -50,7 +51,6 @@ from hpccomponent.errors import (
 )
 from hpccomponent.files.held_folders import create_held, temporary_folder
 from hpccomponent.limits import available_cores
-from hpccomponent.option_names import name_option
 from hpccomponent.runtime.process import THREAD_VARIABLES
 
 T = TypeVar("T")

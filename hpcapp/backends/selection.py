@@ -40,9 +40,9 @@ from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY, POLICIES
 from hpcapp.communicator.scheduling.verification import LEAST_MACHINES, Verification
 from hpcapp.timeline import Timeline
 from hpcapp.workforce import Workforce
+from hpccomponent.cli.option_names import name_option
 from hpccomponent.errors import UsageError
 from hpccomponent.limits import available_cores
-from hpccomponent.option_names import name_option
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -34,7 +34,7 @@ from hpcapp.dashboard.news import Reader
 from hpcapp.dashboard.parts import pack_part
 from hpcapp.dashboard.unauthenticated import UnauthenticatedConnections
 from hpcapp.dashboard.watched_job import WatchedJob
-from hpccomponent.terminal import visible_line
+from hpccomponent.cli.terminal import visible_line
 
 log = logging.getLogger(__name__)  # not the job's: the page shows that one
 

@@ -133,6 +133,7 @@ def vertex_rows(vertices: FloatArray, origin: FloatArray, is_double: bool) -> ND
     with np.errstate(over="ignore"):  # what float cannot hold becomes infinite
         if not origin.any():
             return vertices.astype(kind, copy=False)
+        # Axis by axis straight into the type of the file: all at once would be a copy in float64.
         rows = np.empty((len(vertices), 3), kind)
         for axis, shift in enumerate(origin):
             column = vertices[:, axis]
@@ -152,6 +153,7 @@ def face_rows(faces: IntArray) -> NDArray[Any]:
     structured ndarray, shape (f,)
     """
     rows = np.empty(len(faces), _FACE)
+    # 13 bytes each: how many corners, and these.
     rows["n"] = 3
     rows["corners"] = np.ascontiguousarray(faces, "<i4").view(_CORNERS)[:, 0]
     return rows

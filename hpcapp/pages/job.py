@@ -10,8 +10,8 @@ from hpcapp.pages.page import Section, make_list, make_table
 from hpcapp.pages.report import TaskSpan
 from hpcapp.pages.timeline import MASTER, draw_timeline
 from hpcapp.wording import say_name, say_number, say_share
+from hpccomponent.cli.terminal import visible_text
 from hpccomponent.foreign_json import convert
-from hpccomponent.terminal import visible_text
 
 _LENGTHS = {"cell_size", "coarsest_step", "farthest", "fill_holes", "noise", "reach", "spacing",
             "spacing_range", "step", "trim"}  # fmt: skip

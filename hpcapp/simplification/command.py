@@ -7,8 +7,8 @@ from pathlib import Path
 
 import click
 
+from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import UsageError
-from hpccomponent.verb import Verb
 
 log = logging.getLogger("hpcapp")
 

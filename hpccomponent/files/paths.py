@@ -7,8 +7,8 @@ import os
 import stat
 from pathlib import Path
 
+from hpccomponent.cli.terminal import visible_line
 from hpccomponent.errors import OutputError, UsageError
-from hpccomponent.terminal import visible_line
 
 _KINDS = (
     (stat.S_ISFIFO, "it is a pipe, not a regular file"),

@@ -11,9 +11,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from hpccomponent.cli.terminal import VisibleFormatter, visible_text
 from hpccomponent.errors import ConfigError, HpcError
 from hpccomponent.runtime.garbage_collection import rare_collections
-from hpccomponent.terminal import VisibleFormatter, visible_text
 from hpcloader.builds import BUILD_VARIABLE, BUILDS, Choice, choose_build
 from hpcloader.daemon import Daemon
 from hpcloader.machine import Machine, read_machine

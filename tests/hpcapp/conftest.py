@@ -22,7 +22,7 @@ from stopping import SITECUSTOMIZE
 from hpcapp.cli import _run
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import write_points
-from hpccomponent.verbosity import Verbosity, set_verbosity
+from hpccomponent.cli.verbosity import Verbosity, set_verbosity
 
 WriteCloud = Callable[..., Path]
 StartCommand = Callable[..., "subprocess.Popen[str]"]

@@ -21,8 +21,8 @@ from hpcapp import cli
 from hpcapp.cli import main
 from hpcapp.geometry.points import PointCloud
 from hpcapp.io import read_mesh
+from hpccomponent.cli.terminal import echo
 from hpccomponent.errors import CloudError, ConfigError, TaskError
-from hpccomponent.terminal import echo
 
 StartCommand = Callable[..., "subprocess.Popen[str]"]
 WriteCloud = Callable[..., Path]

@@ -13,7 +13,7 @@ import pytest
 
 from hpcapp import cli
 from hpcapp.cli import OTHERS, SECTIONS, hpcapp
-from hpccomponent.verb import COMMON, Verb
+from hpccomponent.cli.verb import COMMON, Verb
 
 Run = Callable[..., tuple[int, str, str]]
 

@@ -19,8 +19,8 @@ from hpcapp.applications.surface.job.settings import Settings
 from hpcapp.applications.surface.paper.settings import Paper
 from hpcapp.cli import hpcapp as command
 from hpcapp.lab.simulate.raw.scan import RawSettings
+from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import UsageError
-from hpccomponent.verb import Verb
 
 Run = Callable[..., tuple[int, str, str]]
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import HpcError, OutdatedError
-from hpccomponent.verb import Verb
 from hpcdeploy.cli.arguments import FILE
 from hpcdeploy.cli.asking import ask_name, say
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, TypeVar
 
 import click
 
+from hpccomponent.cli.terminal import echo
+from hpccomponent.cli.verbosity import is_quiet
 from hpccomponent.errors import CloudError, UsageError
-from hpccomponent.terminal import echo
-from hpccomponent.verbosity import is_quiet
 
 if TYPE_CHECKING:
     from hpcdeploy.provider import Observed

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from hpccomponent.cli.terminal import echo
+from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import CloudError
-from hpccomponent.terminal import echo
-from hpccomponent.verb import Verb
 from hpcdeploy.cli.arguments import FILE
 
 if TYPE_CHECKING:

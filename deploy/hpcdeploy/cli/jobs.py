@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hpccomponent.terminal import align_rows, echo, echo_json
+from hpccomponent.cli.terminal import align_rows, echo, echo_json
+from hpccomponent.cli.verb import Verb
 from hpccomponent.units import write_duration
-from hpccomponent.verb import Verb
 from hpcdeploy.cli.arguments import FILE, JOB, PATH
 
 if TYPE_CHECKING:

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
-from hpccomponent.terminal import echo
-from hpccomponent.verb import Verb
+from hpccomponent.cli.terminal import echo
+from hpccomponent.cli.verb import Verb
 from hpcdeploy.cli.arguments import FILES
 from hpcdeploy.cli.asking import say
 

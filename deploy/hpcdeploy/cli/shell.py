@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, NoReturn
 
 import click
 
+from hpccomponent.cli.terminal import echo, echo_output
+from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import CloudError, HpcError, UsageError
 from hpccomponent.files.paths import check_regular
-from hpccomponent.terminal import echo, echo_output
-from hpccomponent.verb import Verb
 from hpcdeploy.cli.arguments import FILE
 from hpcdeploy.cli.asking import say
 

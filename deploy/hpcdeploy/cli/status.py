@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hpccomponent.terminal import echo, echo_json
-from hpccomponent.verb import Verb
+from hpccomponent.cli.terminal import echo, echo_json
+from hpccomponent.cli.verb import Verb
 from hpcdeploy.cli.arguments import FILE, FILES
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import OutdatedError
-from hpccomponent.verb import Verb
 from hpcdeploy.cli.arguments import FILE
 from hpcdeploy.cli.asking import ask_to_go_on, name_foreign, say
 from hpcdeploy.spec.names import MOST_WORKERS

@@ -19,11 +19,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TypeVar
 
+from hpccomponent.cli.terminal import write_block
 from hpccomponent.errors import CloudError, HpcError
 from hpccomponent.inventory import Inventory, InventoryWorker, dump_inventory
 from hpccomponent.protocol.connection import Connection
 from hpccomponent.runtime.numerics import package_version
-from hpccomponent.terminal import write_block
 from hpcdeploy.install.installing import install, install_here, prepare, stamp_of, write_text
 from hpcdeploy.install.loader_service import start_loader, stop_command
 from hpcdeploy.install.probe import (

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, TextIO
 
 from msgspec import Meta
 
-from hpccomponent.verbosity import is_quiet
+from hpccomponent.cli.verbosity import is_quiet
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
@@ -137,7 +137,7 @@ def open_display(stream: TextIO) -> Iterator[JobDisplay]:
     if is_quiet() or not stream.isatty():
         yield JobDisplay()
         return
-    from hpccomponent.bars import make_bars
+    from hpccomponent.cli.bars import make_bars
 
     with make_bars(stream, is_transient=True) as bars:
         yield BarDisplay(bars)

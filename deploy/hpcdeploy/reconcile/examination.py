@@ -7,9 +7,9 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
+from hpccomponent.cli.terminal import write_block
 from hpccomponent.errors import CloudError
 from hpccomponent.runtime.numerics import package_version
-from hpccomponent.terminal import write_block
 from hpcdeploy.install.bootstrap import MIN_FREE
 from hpcdeploy.install.probe import DAMAGED, Probed, no_python, probe
 from hpcdeploy.install.wheels.requirements import check_wheels, missing_wheels

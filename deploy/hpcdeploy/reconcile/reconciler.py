@@ -11,8 +11,8 @@ from dataclasses import replace
 from datetime import timedelta
 from typing import TYPE_CHECKING
 
+from hpccomponent.cli.terminal import write_block
 from hpccomponent.errors import CapacityError, CloudError
-from hpccomponent.terminal import write_block
 from hpcdeploy.ownership.journal import Journal
 from hpcdeploy.ownership.ownership import ours
 from hpcdeploy.provider import MachineSeen, Observed, Prerequisites, State, Step, Tags

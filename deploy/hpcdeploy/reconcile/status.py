@@ -7,8 +7,8 @@ from collections.abc import Iterable, Sequence
 from datetime import datetime
 from typing import TYPE_CHECKING, TypedDict
 
+from hpccomponent.cli.terminal import align_rows
 from hpccomponent.errors import CloudError, HpcError
-from hpccomponent.terminal import align_rows
 from hpccomponent.units import write_duration
 from hpcdeploy.install.loader_service import is_running_command
 from hpcdeploy.install.probe import RELEASE_COMMAND

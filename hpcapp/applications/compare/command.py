@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 import click
 
 from hpcapp.applications.view.command import check_page
+from hpccomponent.cli.terminal import echo, echo_json
+from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import InputError
-from hpccomponent.terminal import echo, echo_json
-from hpccomponent.verb import Verb
 
 if TYPE_CHECKING:
     from hpcapp.applications.compare.metrics import Measures

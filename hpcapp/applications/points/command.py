@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from hpccomponent.cli.terminal import echo, echo_json, visible_line
+from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import UsageError
-from hpccomponent.terminal import echo, echo_json, visible_line
-from hpccomponent.verb import Verb
 
 if TYPE_CHECKING:
     from hpcapp.io import PointSource

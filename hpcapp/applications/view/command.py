@@ -10,9 +10,9 @@ from pathlib import Path
 
 import click
 
+from hpccomponent.cli.terminal import echo_output
+from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import UsageError
-from hpccomponent.terminal import echo_output
-from hpccomponent.verb import Verb
 
 log = logging.getLogger("hpcapp")
 

@@ -22,8 +22,8 @@ from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io.columns import Numbers
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.staging import replacing
+from hpccomponent.cli.option_names import name_option
 from hpccomponent.errors import OutputError
-from hpccomponent.option_names import name_option
 
 _MAGIC, _VERSION = b"glTF", 2
 _JSON, _BINARY = b"JSON", b"BIN\0"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import click
 
-from hpccomponent.terminal import echo
-from hpccomponent.verb import Verb
+from hpccomponent.cli.terminal import echo
+from hpccomponent.cli.verb import Verb
 
 
 @click.command(

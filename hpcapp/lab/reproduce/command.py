@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 import click
 from click.core import ParameterSource
 
+from hpccomponent.cli.terminal import echo
+from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import OutputError, UsageError
-from hpccomponent.terminal import echo
-from hpccomponent.verb import Verb
 
 if TYPE_CHECKING:
     from hpcapp.lab.reproduce.finding import Finding

@@ -12,8 +12,8 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
+from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import UsageError
-from hpccomponent.verb import Verb
 
 log = logging.getLogger("hpcapp")
 

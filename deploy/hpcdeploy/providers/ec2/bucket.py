@@ -17,9 +17,9 @@ from pathlib import Path
 from boto3.exceptions import Boto3Error
 from botocore.exceptions import BotoCoreError, ClientError
 
+from hpccomponent.cli.terminal import visible_line
 from hpccomponent.errors import CloudError
 from hpccomponent.files.paths import expand_home
-from hpccomponent.terminal import visible_line
 from hpcdeploy.login.shell import part_of, sha256_of
 from hpcdeploy.providers.ec2.client import Client, open_client
 from hpcdeploy.spec.cluster import ClusterSpec

@@ -24,9 +24,9 @@ from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, find_runs
 from hpcapp.applications.surface.cloud.arrangement import snap_points
 from hpcapp.geometry.lattice import find_keys
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray, PointCloud
+from hpccomponent.cli.option_names import name_option
 from hpccomponent.errors import JobError, OutputError
 from hpccomponent.files.whole_files import write_whole
-from hpccomponent.option_names import name_option
 
 
 @dataclass(frozen=True, slots=True, eq=False)

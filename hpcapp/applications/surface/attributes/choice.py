@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from hpccomponent.cli.option_names import name_option
 from hpccomponent.errors import UsageError
-from hpccomponent.option_names import name_option
 
 if TYPE_CHECKING:
     from hpcapp.geometry.points import PointCloud

@@ -45,8 +45,8 @@ from hpcapp.applications.surface.types.grid import BRICK
 from hpcapp.geometry.lattice import unpack_keys
 from hpcapp.geometry.points import BoolArray, IntArray
 from hpcapp.workforce import Workforce, stream_batches
+from hpccomponent.cli.option_names import name_option
 from hpccomponent.errors import InputError
-from hpccomponent.option_names import name_option
 
 log = logging.getLogger("hpcapp")
 

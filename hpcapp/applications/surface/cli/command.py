@@ -32,9 +32,9 @@ from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY, POLICIES
 from hpcapp.dashboard import DEFAULT_ADDRESS
 from hpcapp.progress import Progress
 from hpcapp.timeline import Timeline
+from hpccomponent.cli.terminal import echo_json
+from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import UsageError
-from hpccomponent.terminal import echo_json
-from hpccomponent.verb import Verb
 
 log = logging.getLogger("hpcapp")
 

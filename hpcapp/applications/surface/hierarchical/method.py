@@ -50,8 +50,8 @@ from hpcapp.applications.surface.tiles.plan import CoarseLattice, Plan, Samples
 from hpcapp.applications.surface.tiles.tasks import sum_tile
 from hpcapp.geometry.points import IntArray, PointCloud
 from hpcapp.workforce import Workforce, stream_batches
+from hpccomponent.cli.option_names import name_option
 from hpccomponent.errors import InputError, UsageError
-from hpccomponent.option_names import name_option
 
 _LEAST_GRID = 16
 _POINTS_AT_ONCE = 2_000_000

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from hpcapp.applications.surface.boundary.lengths import parse_length
 from hpcapp.applications.surface.methods.options import check_options, option
+from hpccomponent.cli.option_names import name_option
 from hpccomponent.errors import UsageError
-from hpccomponent.option_names import name_option
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.cloud.arranged import ArrangedCloud

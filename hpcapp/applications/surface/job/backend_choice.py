@@ -22,9 +22,9 @@ from hpcapp.applications.surface.job.settings import Settings, choose_local, nam
 from hpcapp.backends.selection import Backend, open_backend, open_executor, wrap_communicator
 from hpcapp.capacity import count_carried
 from hpcapp.communicator.scheduling.verification import Verification
+from hpccomponent.cli.option_names import name_option
 from hpccomponent.errors import NoWorkersError
 from hpccomponent.limits import available_cores
-from hpccomponent.option_names import name_option
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -11,7 +11,7 @@ from hpcapp.applications.surface.job.folder import choose_tile
 from hpcapp.applications.surface.job.scan import Loaded
 from hpcapp.applications.surface.job.settings import Settings, choose_threads
 from hpcapp.progress import StageClock
-from hpccomponent.option_names import name_option
+from hpccomponent.cli.option_names import name_option
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.job.outcome import Outcome

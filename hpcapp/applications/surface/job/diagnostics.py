@@ -21,7 +21,7 @@ from hpcapp.applications.surface.stitching.surface import Surface
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.wording import say_count
-from hpccomponent.option_names import name_option
+from hpccomponent.cli.option_names import name_option
 
 log = logging.getLogger("hpcapp")
 

@@ -20,8 +20,8 @@ from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
 from hpcapp.backends.selection import Backend
 from hpcapp.cancellation import Cancellation
 from hpcapp.progress import StageClock
+from hpccomponent.cli.option_names import name_option
 from hpccomponent.errors import UsageError
-from hpccomponent.option_names import name_option
 
 if TYPE_CHECKING:
     from distributed import Client

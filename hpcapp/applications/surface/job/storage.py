@@ -29,6 +29,7 @@ from hpcapp.applications.surface.kernels.build import kernel_id
 from hpcapp.applications.surface.resolution.memory import fits_memory
 from hpcapp.applications.surface.tiles.checkpoint import SUMS, Checkpoint, digest
 from hpcapp.backends import BACKENDS
+from hpccomponent.cli.terminal import visible_text
 from hpccomponent.errors import DistrustError, HpcError, InputError, OutputError, UsageError
 from hpccomponent.files.held_folders import (
     HeldFolder,
@@ -40,7 +41,6 @@ from hpccomponent.files.held_folders import (
 )
 from hpccomponent.files.private_files import remove_path
 from hpccomponent.store.places import open_store
-from hpccomponent.terminal import visible_text
 
 log = logging.getLogger("hpcapp")
 

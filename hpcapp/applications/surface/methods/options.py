@@ -14,8 +14,8 @@ from typing import Any, ClassVar, Protocol, get_args, get_type_hints
 
 import click
 
+from hpccomponent.cli.option_names import name_option
 from hpccomponent.errors import UsageError
-from hpccomponent.option_names import name_option
 from hpccomponent.ranges import check_range
 
 _KEY = "option"

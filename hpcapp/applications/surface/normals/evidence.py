@@ -18,8 +18,8 @@ from hpcapp.applications.surface.normals.patches import CELL, Patches
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.normals.visibility import WHOLE, look, surround
 from hpcapp.geometry.points import BoolArray, FloatArray, Int8Array, IntArray
+from hpccomponent.cli.option_names import name_option
 from hpccomponent.errors import InputError
-from hpccomponent.option_names import name_option
 
 VIEWS = 64
 """Viewpoints around an object."""

@@ -9,8 +9,8 @@ import numpy as np
 
 from hpcapp.applications.surface.normals.viewpoint import Viewpoint
 from hpcapp.geometry.points import FloatArray
+from hpccomponent.cli.option_names import name_option
 from hpccomponent.errors import InputError
-from hpccomponent.option_names import name_option
 
 SensorKind = Literal["unknown", "above", "below", "inside", "outside", "places"]
 

@@ -16,7 +16,7 @@ from hpcapp.applications.surface.normals.consistency import share_opposed, weigh
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.geometry.lattice import lay_lattice
 from hpcapp.progress import StageClock
-from hpccomponent.option_names import name_option
+from hpccomponent.cli.option_names import name_option
 
 log = logging.getLogger("hpcapp")
 

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal, cast, get_args
 
+from hpccomponent.cli.option_names import name_option
 from hpccomponent.errors import UsageError
-from hpccomponent.option_names import name_option
 from hpccomponent.ranges import FARTHEST, is_place
 
 Direction = Literal["above", "below", "inside", "outside"]

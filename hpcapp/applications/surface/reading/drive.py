@@ -44,8 +44,8 @@ from hpcapp.io.points.usable import (
     refuse_line,
     refuse_too_few,
 )
+from hpccomponent.cli.terminal import visible_text
 from hpccomponent.errors import InputError
-from hpccomponent.terminal import visible_text
 
 Task = Callable[..., Any]
 

@@ -12,8 +12,8 @@ from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.methods.method import MARGIN, MAX_GRID, MIN_GRID, MethodSettings
 from hpcapp.applications.surface.resolution.memory import check_memory, fit_memory
 from hpcapp.geometry.points import FloatArray
+from hpccomponent.cli.option_names import name_option
 from hpccomponent.errors import UsageError
-from hpccomponent.option_names import name_option
 
 log = logging.getLogger("hpcapp")
 

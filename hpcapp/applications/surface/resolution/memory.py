@@ -10,9 +10,9 @@ from hpcapp.applications.surface.methods.method import TILE_POINTS, MethodSettin
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.points import PointCloud
 from hpcapp.io.registry import find_point_reader
+from hpccomponent.cli.option_names import name_option
 from hpccomponent.errors import HpcError, UsageError
 from hpccomponent.limits import available_memory
-from hpccomponent.option_names import name_option
 from hpccomponent.units import parse_size
 
 #: The default method holds the points, sorted too, and bricks along the surface; measured from

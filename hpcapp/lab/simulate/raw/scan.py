@@ -26,8 +26,8 @@ from hpcapp.lab.simulate.raw.scanners import Pulses, Scanner, find_scanner
 from hpcapp.lab.simulate.raw.scenes import SCENES, Scene
 from hpcapp.lab.simulate.rays import cross_rays
 from hpcapp.lab.simulate.settings import check_ranges
+from hpccomponent.cli.option_names import name_option
 from hpccomponent.errors import UsageError
-from hpccomponent.option_names import name_option
 
 _LOST = 0.02  # share of the pulses of which nothing comes back
 _FADING = 20.0  # degrees before the grazing angle over which returns become fewer

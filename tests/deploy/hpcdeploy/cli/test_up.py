@@ -13,9 +13,9 @@ from simulated import FILE, START, SetUp, key_pairs_of
 from simulated.memory import MemoryProvider
 
 from hpcapp.cli import hpcapp
+from hpccomponent.cli.terminal import write_block
+from hpccomponent.cli.verbosity import Verbosity, set_verbosity
 from hpccomponent.errors import CloudError, LeftoverError, OutdatedError, UsageError
-from hpccomponent.terminal import write_block
-from hpccomponent.verbosity import Verbosity, set_verbosity
 from hpcdeploy.cli.asking import say
 from hpcdeploy.provider import Launch, Observed, State, Tags
 from hpcdeploy.spec.names import NOBODY, NodeName, Owner

@@ -10,7 +10,7 @@ import enum
 import logging
 import sys
 
-from hpccomponent.terminal import VisibleFormatter, visible_line, visible_text
+from hpccomponent.cli.terminal import VisibleFormatter, visible_line, visible_text
 
 OURS = ("hpcapp", "hpccomponent", "hpcloader", "hpcdeploy")
 # What these log is raised too, and said in our words: a user sees it with --debug only.

@@ -9,8 +9,8 @@ import unicodedata
 
 import pytest
 
-from hpccomponent.bars import make_bars
-from hpccomponent.terminal import (
+from hpccomponent.cli.bars import make_bars
+from hpccomponent.cli.terminal import (
     VisibleFormatter,
     echo_json,
     visible_line,

@@ -10,8 +10,8 @@ from typing import Any
 
 import click
 
+from hpccomponent.cli.verbosity import Verbosity, set_verbosity
 from hpccomponent.ranges import is_finite
-from hpccomponent.verbosity import Verbosity, set_verbosity
 
 
 def _obey(ctx: click.Context, param: click.Parameter, value: bool) -> None:

@@ -7,7 +7,7 @@ import io
 import pytest
 from rich.progress import Progress
 
-from hpccomponent.bars import make_bars
+from hpccomponent.cli.bars import make_bars
 from hpccomponent.clock import ManualClock
 
 

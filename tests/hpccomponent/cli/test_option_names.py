@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import threading
 
-from hpccomponent.option_names import name_option, speaking_flags
+from hpccomponent.cli.option_names import name_option, speaking_flags
 
 
 def test_python_is_spoken_unless_the_command_says_otherwise() -> None:
