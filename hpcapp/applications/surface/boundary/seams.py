@@ -25,7 +25,7 @@ from hpccomponent.errors import JobError
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatchedSeams:
-    """What is decided for each part; see `extraction.opening.cut_opening`.
+    """What is decided for each part; see `opening.cut_opening`.
 
     Parameters
     ----------

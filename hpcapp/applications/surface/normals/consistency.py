@@ -43,7 +43,7 @@ _STEPS = 400  # of the search
 _HOPELESS = 60  # after which one that has found little is given up
 _ACROSS = 0.08  # cosine between normals that are across the line of sight and that
 _FEWEST_TORN = 30  # pairs of these that tell
-_INWARD = -0.1  # mean of n.(x - c) / |x - c|; a sphere seen from outside has 1, from inside -1
+_INWARD = -0.1  # sum of n.(x - c) by that of |x - c|; a sphere seen from outside has 1, from inside -1
 
 MARGIN = _EDGE * (2.0**_ROUNDS - 1.0)
 """Spacings: as far as what decides over a normal lies, all rounds together."""
@@ -198,7 +198,10 @@ def weigh_torn(
 
 
 def _find_place(planes: FloatArray) -> FloatArray:
-    """Return the vector with most of the planes on its side: a perceptron's, from the best axis."""
+    """Return the vector with most of the planes on its side: a perceptron's, from their mean.
+
+    The best axis, where it finds no better.
+    """
     # (8, 4): what is returned at worst, as the search does not always come to an end.
     axes = np.concatenate([np.eye(4), -np.eye(4)])
     shares = (planes @ axes.T > 0.0).mean(axis=0)
@@ -253,8 +256,8 @@ def faces_inwards(cloud: PointCloud) -> bool:
 
     Notes
     -----
-    The mean of n . (x - c) / |x - c| is taken over boxes, each with the mean of its normals, so
-    that what is scanned more densely does not decide.
+    The sum of n . (x - c) by that of |x - c| is taken over boxes, each with the mean of its
+    normals, so that what is scanned more densely does not decide.
     """
     if cloud.normals is None or len(cloud) < _FEWEST_JUDGED:
         return False

@@ -98,7 +98,7 @@ class Links:
     first, second : ndarray of int64, shape (l,)
         Rows of patches, the lower one first.
     contacts : ndarray of int64, shape (l,)
-        In how many points.
+        Of how many neighbours of points.
     """
 
     first: IntArray

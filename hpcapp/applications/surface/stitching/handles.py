@@ -39,7 +39,7 @@ class SmallHandles:
     count : int
         At least so many there are.
     place : ndarray of float64, shape (3,)
-        The middle of the box with the most of them, in the frame of the mesh.
+        The middle of the piece with the most of them, in the frame of the mesh.
     width : float
         They are no wider, in length units of the input.
     """
