@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ from hpcapp.applications.surface.boundary.clearance import SupportRule
 from hpcapp.applications.surface.boundary.lengths import Length
 from hpcapp.applications.surface.boundary.opening import OpeningSeams, OpeningSurvey
 from hpcapp.applications.surface.boundary.rim_shape import draws_together
-from hpcapp.applications.surface.boundary.seams import match_seams, place_foreign
+from hpcapp.applications.surface.boundary.seams import MatchedSeams, match_seams, place_foreign
 from hpcapp.applications.surface.boundary.support import Support, measure_support
 from hpcapp.applications.surface.boundary.tasks import (
     Near,
@@ -33,6 +33,7 @@ from hpcapp.applications.surface.boundary.tasks import (
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.cloud.measured import Measured
 from hpcapp.applications.surface.extraction.parts import MeshPart
+from hpcapp.applications.surface.extraction.summary import PartSummary
 from hpcapp.applications.surface.extraction.taken_bricks import TakenBricks
 from hpcapp.applications.surface.methods.method import Advance
 from hpcapp.applications.surface.normals.consistency import faces_inwards
@@ -253,41 +254,47 @@ def close_surface(
         shared = None  # a cloud that is one tile is made into a mesh here
     parts = _Parts(surface, cloud, plan, workforce, shared, threads)
     scale = cloud.measure().scale
-    chosen = SupportRule(max(_NOISES * plan.noise, _STEPS * plan.step), _SPACINGS, scale)
-    reason, is_room = "open, as asked", False
-    if not asked.is_asked:
-        share, support = _judge_support(parts, chosen)
-        is_telling = share > TELLING_SHARE  # else nobody asks what the normals tell
-        is_one_way = is_telling and _faces_one_way(cloud.measure())
-        is_room = is_telling and not is_one_way and faces_inwards(cloud.measure().sample)
-        if share <= (TELLING_SHARE if is_one_way or is_room else BARE_SHARE):
-            reason = f"closed: points support {_percent(1.0 - share)} of it"
-            return surface, Closure(False, reason, support=support())
-        if not (is_one_way or is_room) and _stood_on_table(cloud.measure()):
-            reason = (
-                f"closed: of something that stood on a side nobody saw, {_percent(share)} of it"
-            )
-            return surface, Closure(False, reason, support=support())
-        seen = "from inside, as a room" if is_room else "in part"
-        seen = "from one side, as a view or a terrain" if is_one_way else seen
-        reason = f"open: seen {seen}; no point supports {_percent(share)} of the closed surface"
-    rule = chosen if asked.trim is None else _support_by(asked.trim, scale)
+    usual = SupportRule(max(_NOISES * plan.noise, _STEPS * plan.step), _SPACINGS, scale)
+    closure = Closure(True, "open, as asked") if asked.is_asked else _decide(parts, usual)
+    if not closure.is_open:
+        return surface, closure
+    rule = usual if asked.trim is None else _support_by(asked.trim, scale)
     fill = (
         _multiply(rule, _FILL) if asked.fill_holes is None else _support_by(asked.fill_holes, scale)
     )
-    radius = rule.typical
-    opened, holes = _cut(parts, rule, fill, advance)
+    opened, holes = _cut_parts(parts, rule, fill, advance)
     if not opened.plan.face_count:
         raise InputError(
-            f"no piece of the surface within {radius:g} of the points is larger than a crumb",
+            f"no piece of the surface within {rule.typical:g} of the points is larger than a crumb",
             f"give a longer {name_option('trim')}: some spacings of the points, as 3s",
         )
-    closure = Closure(True, reason, radius, fill.typical, holes, opened.plan.dropped, is_room)
+    crumbs = opened.plan.dropped
     log.info(
         "%s; trim distance %g, %d hole(s) up to %g filled, %d crumb(s) dropped",
-        reason, radius, holes, fill.typical, closure.crumbs,
+        closure.reason, rule.typical, holes, fill.typical, crumbs,
     )  # fmt: skip
-    return opened, closure
+    closure = replace(closure, trim=rule.typical, fill_holes=fill.typical)
+    return opened, replace(closure, holes=holes, crumbs=crumbs)
+
+
+def _decide(parts: _Parts, rule: SupportRule) -> Closure:
+    """Tell whether a surface stays closed, by its share without points and by what was scanned."""
+    measured = parts.cloud.measure()
+    share, support = _judge_support(parts, rule)
+    # Of a surface that is whole, nobody asks what the normals tell.
+    is_telling = share > TELLING_SHARE
+    is_one_way = is_telling and _faces_one_way(measured)
+    is_room = is_telling and not is_one_way and faces_inwards(measured.sample)
+    if share <= (TELLING_SHARE if is_one_way or is_room else BARE_SHARE):
+        reason = f"closed: points support {_percent(1.0 - share)} of it"
+        return Closure(False, reason, support=support())
+    if not (is_one_way or is_room) and _stood_on_table(measured):
+        reason = f"closed: of something that stood on a side nobody saw, {_percent(share)} of it"
+        return Closure(False, reason, support=support())
+    seen = "from inside, as a room" if is_room else "in part"
+    seen = "from one side, as a view or a terrain" if is_one_way else seen
+    reason = f"open: seen {seen}; no point supports {_percent(share)} of the closed surface"
+    return Closure(True, reason, is_room=is_room)
 
 
 def _judge_support(parts: _Parts, rule: SupportRule) -> tuple[float, Callable[[], Support]]:
@@ -303,39 +310,63 @@ def _judge_support(parts: _Parts, rule: SupportRule) -> tuple[float, Callable[[]
     return share, lambda: measure_support(1.0 - share, np.concatenate(places), parts.cloud, rule)
 
 
-def _cut(
+def _cut_parts(
     parts: _Parts, rule: SupportRule, fill: SupportRule, advance: Advance
 ) -> tuple[PartSurface, int]:
     """Cut all parts; return the open surface, and how many holes of it are filled."""
-    surface, checkpoint = parts.surface, parts.surface.checkpoint
-    places = place_foreign(surface.plan)
-    surveys: dict[int, OpeningSurvey | None] = {}
+    surface, whole = parts.surface, 2 * len(parts)
+    # Workers finish in any order.
+    surveys: dict[int, OpeningSurvey] = {}
     seams: dict[int, OpeningSeams] = {}
+    for index, found in _survey_parts(parts, rule):
+        surveys[index], seams[index] = found
+        advance(len(seams), whole)
+    matched = match_seams(surface.plan, [seams[index] for index in range(len(parts))], fill.radii)
+    opened: dict[int, tuple[MeshPart | str, PartSummary]] = {}
+    for index, part in _open_parts(parts, surveys, matched):
+        opened[index] = part
+        advance(len(parts) + len(opened), whole)
+    cuts, summaries = zip(*(opened[index] for index in range(len(parts))), strict=True)
+    # As many faces as a square of that size has at the usual step.
+    crumb = int(_FACES * (_CRUMB * rule.typical / parts.plan.usual_step) ** 2)
+    opened_surface = PartSurface(
+        [*cuts], [*summaries], surface.origin, surface.checkpoint, surface.workers, crumb
+    )
+    return opened_surface, matched.holes
+
+
+def _survey_parts(
+    parts: _Parts, rule: SupportRule
+) -> Iterator[tuple[int, tuple[OpeningSurvey, OpeningSeams]]]:
+    """Find out part by part where the border is, and what it has at the seams."""
+    surface = parts.surface
+    places = place_foreign(surface.plan)
     threads = 1 if parts.shared is not None else parts.threads
 
-    def survey(index: int) -> tuple[Any, ...]:
+    def batch(index: int) -> tuple[Any, ...]:
         rim, near = surface.summaries[index].rim, parts.near(index, rule.reach)
         given = parts.part(index), parts.taken(index), places[index], rim, near, rule
         return *given, threads
 
-    for index, found in parts.run(survey_support, survey):
-        surveys[index], seams[index] = found
-        advance(len(seams), 2 * len(parts))
-    matched = match_seams(surface.plan, [seams[index] for index in range(len(parts))], fill.radii)
+    return parts.run(survey_support, batch)
 
-    def cut(index: int) -> tuple[Any, ...]:
+
+def _open_parts(
+    parts: _Parts, surveys: dict[int, OpeningSurvey], matched: MatchedSeams
+) -> Iterator[tuple[int, tuple[MeshPart | str, PartSummary]]]:
+    """Cut part by part, and keep each where its closed one was kept."""
+    surface, checkpoint = parts.surface, parts.surface.checkpoint
+
+    def batch(index: int) -> tuple[Any, ...]:
         decided = matched.stays[index], matched.foreign_numbers[index], matched.seam_cuts[index]
-        name = surface.parts[index]
         keep = None
         if parts.shared is not None:
-            keep = parts.shared.place, f"{name}-open"
+            keep = parts.shared.place, f"{surface.parts[index]}-open"
         return parts.part(index), parts.taken(index), surveys[index], decided, keep
 
-    opened: dict[int, Any] = {}
-    for index, (part, summary, exits) in parts.run(open_part, cut):
-        # A survey is of no more use, and large.
-        kept, surveys[index] = part, None
-        name = surface.parts[index]
+    for index, (part, summary, exits) in parts.run(open_part, batch):
+        del surveys[index]  # it is of no more use, and large
+        name, kept = surface.parts[index], part
         if isinstance(name, str):
             kept = f"{name}-open"
             if part is not None and checkpoint is not None:
@@ -343,15 +374,7 @@ def _cut(
         else:
             # So that the closed and the open surface are not both in memory.
             surface.parts[index] = MeshPart.empty()
-        opened[index] = kept, summary
-        advance(len(parts) + len(opened), 2 * len(parts))
-    cuts, summaries = zip(*(opened[index] for index in range(len(parts))), strict=True)
-    # As many faces as a square of that size has at the usual step.
-    crumb = int(_FACES * (_CRUMB * rule.typical / parts.plan.usual_step) ** 2)
-    opened_surface = PartSurface(
-        [*cuts], [*summaries], surface.origin, checkpoint, surface.workers, crumb
-    )
-    return opened_surface, matched.holes
+        yield index, (kept, summary)
 
 
 def _support_by(length: Length, scale: LocalScale) -> SupportRule:

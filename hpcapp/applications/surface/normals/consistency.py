@@ -43,7 +43,7 @@ _STEPS = 400  # of the search
 _HOPELESS = 60  # after which one that has found little is given up
 _ACROSS = 0.08  # cosine between normals that are across the line of sight and that
 _FEWEST_TORN = 30  # pairs of these that tell
-_INWARD = -0.1  # sum of n.(x - c) by that of |x - c|; a sphere seen from outside has 1, from inside -1
+_INWARD = -0.1  # sum of n.(x - c) by that of |x - c|: a sphere has 1 seen from outside
 
 MARGIN = _EDGE * (2.0**_ROUNDS - 1.0)
 """Spacings: as far as what decides over a normal lies, all rounds together."""

@@ -177,8 +177,8 @@ def surface_bytes(
     """Return how large what a tile's surface comes to may be, in bytes.
 
     The master knows the coarse corners around the tile, and these lie along the surface; in each
-    coarse cell there may be a sheet for every other finest one. What spans gaps may be as large as the
-    grid's sides besides.
+    coarse cell there may be a sheet for every other finest one. What spans gaps may be as large as
+    the grid's sides besides.
     """
     # In a coarse cell, half as many as it has layers of finest ones.
     sheets = 2.0 ** (plan.coarse - 1)
