@@ -8,7 +8,8 @@ these vertices, which are joined across the edges.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,7 +93,7 @@ class _Seams:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Verdict:
-    """What the seams say: see `Survey`, and how often a vertex has one fan too many."""
+    """What the seams say: see `Survey`, and how many more fans there are than vertices."""
 
     boundary: int
     loops: int
@@ -134,9 +135,14 @@ def judge_parts(
         return Topology(False, True, True, True, False, 0, None, (), 0, 0, 0, 0)
     # (c,): a vertex that no face uses is a component of its own, and counts nowhere.
     vertices = np.where(faces > 0, entries.count(entries.vertices, count), 0)
-    # (B + 1,): where the vertices of each brick begin if none is dropped, as seams know only those.
-    raw_starts = starts_of(bricks.vertex_counts[bricks.taken])
-    seams = _collect_seams(summaries, bricks, component, kept, raw_starts)
+    # (B + 1,): where the vertices and the faces of each brick begin if none is dropped.
+    starts = starts_of(bricks.vertex_counts[bricks.taken])
+    face_starts = starts_of(bricks.face_counts[bricks.taken])
+    parts = [
+        _PlacedPart(index, summary, bricks, starts, face_starts)
+        for index, summary in enumerate(summaries)
+    ]
+    seams = _join_seams([_take_seams(part, component, kept) for part in parts])
     verdict = _judge_seams(seams, faces)
     is_vertex_manifold = verdict.surplus_fans == 0
     watertight = verdict.is_edge_manifold and is_vertex_manifold and not verdict.boundary
@@ -146,7 +152,7 @@ def judge_parts(
         verdict.is_edge_manifold,
         is_vertex_manifold,
         verdict.is_oriented,
-        _signed_volume(summaries, bricks, kept, entries, (raw_starts, seams)) > 0.0,
+        _signed_volume(parts, kept, entries, seams) > 0.0,
         int((faces > 0).sum()),
         sum(genera) if watertight else None,
         genera,
@@ -157,79 +163,92 @@ def judge_parts(
     )
 
 
-def _collect_seams(
-    summaries: Sequence[PartSummary],
-    bricks: PartBricks,
-    component: IntArray,
-    kept: NDArray[np.bool_],
-    raw_starts: IntArray,
-) -> _Seams:
-    """Put the seams of all parts together, without what is dropped or not taken."""
-    face_starts = starts_of(bricks.face_counts[bricks.taken])
-    found = []
-    before = 0
-    for index, summary in enumerate(summaries):
-        first = int(bricks.parts[index])
-        raw, labels = _locate(summary.piece_vertices, index, summary, bricks, raw_starts)
-        units = summary.piece_units
-        in_guest = units >= 0
-        # (p,): pieces that are in the mesh: of labels that stay, in no guest that another gives.
-        counts = kept[labels] & (~in_guest | bricks.is_taken[first + units])
-        owner = _bricks_of(summary.piece_vertices, summary)
-        # (p,): a guest's unit owns that brick's vertices; the other one, those of the own bricks.
-        owns = np.where(in_guest, owner == units, (owner >= 0) & ~summary.guests[owner])
-        rows, tails, heads = summary.sides.T.astype(np.int64)
-        starts = starts_of(summary.face_counts)
-        # (q,): the brick of each side's face, and the number of that face in the mesh.
-        brick = np.searchsorted(starts, rows // 3, side="right") - 1
-        faces = face_starts[bricks.place[first + brick]] + rows // 3 - starts[brick]
-        # (q,): sides of faces in the mesh; (p,): pieces numbered through without the others.
-        on = counts[tails]
-        renumbered = before + np.cumsum(counts) - 1
-        bare_raw, bare_labels = _locate(summary.bare, index, summary, bricks, raw_starts)
-        bare_taken = bricks.is_taken[first + _bricks_of(summary.bare, summary)]
-        found.append(
-            (
-                raw[counts],
-                owns[counts],
-                bare_raw[bare_taken & kept[bare_labels]],
-                (3 * faces + rows % 3)[on],
-                renumbered[tails[on]],
-                renumbered[heads[on]],
-                component[labels[tails[on]]],
-            )
-        )
-        before += int(counts.sum())
-    return _Seams(*(np.concatenate(column) for column in zip(*found, strict=True)))
+@dataclass(frozen=True, slots=True, eq=False)
+class _PlacedPart:
+    """A part, and where its vertices and faces come in the mesh, dropped ones counted too."""
+
+    index: int
+    summary: PartSummary
+    bricks: PartBricks
+    starts: IntArray
+    face_starts: IntArray
+
+    @property
+    def first(self) -> int:
+        """The row of its first brick among those of all parts."""
+        return int(self.bricks.parts[self.index])
+
+    def bricks_of(self, vertices: NDArray[np.int32]) -> IntArray:
+        """Return the bricks of vertices as rows in the part, -1 for foreign ones."""
+        starts = starts_of(self.summary.vertex_counts)
+        return np.where(vertices < 0, -1, np.searchsorted(starts, vertices, side="right") - 1)
+
+    def bricks_of_faces(self, faces: NDArray[np.integer[Any]]) -> IntArray:
+        """Return the bricks of faces as rows in the part."""
+        return np.searchsorted(starts_of(self.summary.face_counts), faces, side="right") - 1
+
+    def place(self, vertices: NDArray[np.int32]) -> tuple[IntArray, IntArray]:
+        """Return the numbers of vertices in the mesh, and their labels."""
+        summary, bricks = self.summary, self.bricks
+        numbers = np.empty(len(vertices), np.int64)
+        labels = np.empty(len(vertices), np.int64)
+        own, foreign = vertices >= 0, ~vertices[vertices < 0]
+        # A brick and a number in it name a vertex, whichever copy of the brick counts.
+        row = self.bricks_of(vertices[own])
+        number = vertices[own] - starts_of(summary.vertex_counts)[row]
+        numbers[own] = self.starts[bricks.place[self.first + row]] + number
+        labels[own] = bricks.labels_at(self.first + row, number)
+        there = np.searchsorted(bricks.keys, summary.foreign_bricks[foreign])
+        numbers[~own] = self.starts[there] + summary.foreign_numbers[foreign]
+        labels[~own] = bricks.label_starts[self.index] + summary.foreign_labels[foreign]
+        return numbers, labels
+
+    def place_faces(self, faces: IntArray) -> IntArray:
+        """Return the numbers of faces in the mesh."""
+        row = self.bricks_of_faces(faces)
+        within = faces - starts_of(self.summary.face_counts)[row]
+        return self.face_starts[self.bricks.place[self.first + row]] + within
 
 
-def _bricks_of(vertices: NDArray[np.int32], summary: PartSummary) -> IntArray:
-    """Return the bricks of vertices as rows in the part, -1 for foreign ones."""
-    starts = starts_of(summary.vertex_counts)
-    return np.where(vertices < 0, -1, np.searchsorted(starts, vertices, side="right") - 1)
+def _take_seams(part: _PlacedPart, component: IntArray, kept: NDArray[np.bool_]) -> _Seams:
+    """Return the seams of a part, without what is dropped or not taken."""
+    summary, is_taken = part.summary, part.bricks.is_taken
+    numbers, labels = part.place(summary.piece_vertices)
+    units = summary.piece_units
+    in_guest = units >= 0
+    # (p,): pieces that are in the mesh: of labels that stay, in no guest that another gives.
+    is_in_mesh = kept[labels] & (~in_guest | is_taken[part.first + units])
+    owner = part.bricks_of(summary.piece_vertices)
+    # (p,): a guest's unit owns that brick's vertices; the other one, those of the own bricks.
+    owns = np.where(in_guest, owner == units, (owner >= 0) & ~summary.guests[owner])
+    rows, tails, heads = summary.sides.T.astype(np.int64)
+    # (q,): sides of faces in the mesh; (p,): pieces renumbered without those that are not.
+    is_counted = is_in_mesh[tails]
+    rows, tails, heads = rows[is_counted], tails[is_counted], heads[is_counted]
+    renumbered = np.cumsum(is_in_mesh) - 1
+    bare, bare_labels = part.place(summary.bare)
+    bare_taken = is_taken[part.first + part.bricks_of(summary.bare)]
+    return _Seams(
+        pieces=numbers[is_in_mesh],
+        piece_owners=owns[is_in_mesh],
+        bare=bare[bare_taken & kept[bare_labels]],
+        sides=3 * part.place_faces(rows // 3) + rows % 3,
+        tails=renumbered[tails],
+        heads=renumbered[heads],
+        components=component[labels[tails]],
+    )
 
 
-def _locate(
-    vertices: NDArray[np.int32],
-    index: int,
-    summary: PartSummary,
-    bricks: PartBricks,
-    raw_starts: IntArray,
-) -> tuple[IntArray, IntArray]:
-    """Return the numbers of a part's vertices, counted over all bricks, and their labels."""
-    numbers = np.empty(len(vertices), np.int64)
-    labels = np.empty(len(vertices), np.int64)
-    own, foreign = vertices >= 0, ~vertices[vertices < 0]
-    # A brick and a number in it name a vertex, whichever copy of the brick counts.
-    row = _bricks_of(vertices[own], summary)
-    brick = int(bricks.parts[index]) + row
-    number = vertices[own] - starts_of(summary.vertex_counts)[row]
-    numbers[own] = raw_starts[bricks.place[brick]] + number
-    labels[own] = bricks.labels_at(brick, number)
-    there = np.searchsorted(bricks.keys, summary.foreign_bricks[foreign])
-    numbers[~own] = raw_starts[there] + summary.foreign_numbers[foreign]
-    labels[~own] = bricks.label_starts[index] + summary.foreign_labels[foreign]
-    return numbers, labels
+def _join_seams(parts: Sequence[_Seams]) -> _Seams:
+    """Put the seams of all parts together; their pieces are numbered through."""
+    before = starts_of(np.array([len(part.pieces) for part in parts], np.int64))
+    moved = [
+        replace(part, tails=part.tails + start, heads=part.heads + start)
+        for part, start in zip(parts, before, strict=False)
+    ]
+    return _Seams(
+        *(np.concatenate([getattr(part, one.name) for part in moved]) for one in fields(_Seams))
+    )
 
 
 def _judge_seams(seams: _Seams, faces: IntArray) -> _Verdict:
@@ -245,25 +264,35 @@ def _judge_seams(seams: _Seams, faces: IntArray) -> _Verdict:
     first = np.flatnonzero(np.r_[True, edges[1:] != edges[:-1]][: len(edges)])
     counts = np.diff(np.r_[first, len(edges)])
     backward = np.add.reduceat((tails > heads)[order].astype(np.int64), first) if len(first) else 0
-    degenerate = (low == high)[order[first]]
+    # (e,): a side of each edge.
+    side = order[first]
+    bare = side[counts == 1]
     fans = _count_fans(seams, order, first[counts >= 2], piece)
-    # (w,): where the unit that owns a vertex has neither a piece there nor calls it bare, its faces
-    # make a ring around it: a fan of which no piece tells.
-    is_closed_elsewhere = np.ones(len(vertices), np.bool_)
-    is_closed_elsewhere[piece[seams.piece_owners]] = False
-    bare = find_keys(vertices, seams.bare)
-    is_closed_elsewhere[bare[bare < len(vertices)]] = False
+    fans += _count_closed_elsewhere(seams, vertices, piece)
     # (c,): the sides that are in no seam are pairs within the parts; the others, edges from above.
     inner = 3 * faces - np.bincount(seams.components, minlength=len(faces))
-    outer = np.bincount(seams.components[order[first]], minlength=len(faces))
+    outer = np.bincount(seams.components[side], minlength=len(faces))
     return _Verdict(
-        int((counts == 1).sum()),
-        count_loops(low[order[first[counts == 1]]], high[order[first[counts == 1]]]),
-        not (counts > 2).any() and not degenerate.any(),
-        not ((backward > 1) | (counts - backward > 1)).any(),
-        fans + int(is_closed_elsewhere.sum()) - len(vertices),
-        inner // 2 + outer,
+        boundary=len(bare),
+        loops=count_loops(low[bare], high[bare]),
+        is_edge_manifold=not ((counts > 2).any() or (low == high)[side].any()),
+        is_oriented=not ((backward > 1) | (counts - backward > 1)).any(),
+        surplus_fans=fans - len(vertices),
+        edges=inner // 2 + outer,
     )
+
+
+def _count_closed_elsewhere(seams: _Seams, vertices: IntArray, piece: IntArray) -> int:
+    """Count the open vertices around which the unit that owns them has a ring of faces.
+
+    That unit has no piece of corners there, and does not call them bare: the ring is a fan of which
+    no piece tells.
+    """
+    is_closed = np.ones(len(vertices), np.bool_)
+    is_closed[piece[seams.piece_owners]] = False
+    bare = find_keys(vertices, seams.bare)
+    is_closed[bare[bare < len(vertices)]] = False
+    return int(is_closed.sum())
 
 
 def _count_fans(seams: _Seams, order: IntArray, pairs: IntArray, vertex: IntArray) -> int:
@@ -297,11 +326,7 @@ def _genera(
 
 
 def _signed_volume(
-    summaries: Sequence[PartSummary],
-    bricks: PartBricks,
-    kept: NDArray[np.bool_],
-    entries: Components,
-    seams: tuple[IntArray, _Seams],
+    parts: Sequence[_PlacedPart], kept: NDArray[np.bool_], entries: Components, seams: _Seams
 ) -> float:
     """Return six times the volume relative to the mean of the vertices (see `signed_volume`).
 
@@ -309,25 +334,23 @@ def _signed_volume(
     area; over all faces these areas add up to the cross products along the boundary, because
     sides that run in opposite directions cancel.
     """
-    raw_starts, loose = seams
     faces, numbers, places = [], [], []
-    for index, summary in enumerate(summaries):
-        # (s,): the brick of each face with foreign vertices, from 1 on. No part knows where all the
-        # corners of such a face are, so that it is in no part's sum.
-        brick = np.searchsorted(starts_of(summary.face_counts), summary.seam_faces[:, 0], "right")
-        corners, labels = _locate(
-            summary.seam_faces[:, 1:].reshape(-1), index, summary, bricks, raw_starts
-        )
-        counted = bricks.is_taken[bricks.parts[index] + brick - 1] & kept[labels[::3]]
-        faces.append(corners.reshape(-1, 3)[counted])
-        numbers.append(_locate(summary.rim, index, summary, bricks, raw_starts)[0])
+    for part in parts:
+        summary = part.summary
+        # (s,): faces with foreign vertices. No part knows where all their corners are, so that they
+        # are in no part's sum.
+        row = part.bricks_of_faces(summary.seam_faces[:, 0])
+        corners, labels = part.place(summary.seam_faces[:, 1:].reshape(-1))
+        is_counted = part.bricks.is_taken[part.first + row] & kept[labels[::3]]
+        faces.append(corners.reshape(-1, 3)[is_counted])
+        numbers.append(part.place(summary.rim)[0])
         places.append(summary.rim_places)
     # (r,), (r, 3): the vertices of all rims, each once, and where they are.
     known, rows = find_first(np.concatenate(numbers))
     rim = np.concatenate(places)[rows]
     a, b, c = _find_rim(known, rim, np.concatenate(faces))
     tails, heads = _find_rim(
-        known, rim, np.stack([loose.pieces[loose.tails], loose.pieces[loose.heads]], axis=1)
+        known, rim, np.stack([seams.pieces[seams.tails], seams.pieces[seams.heads]], axis=1)
     )
     # (3,): the point that `signed_volume` takes; of a closed mesh, any gives the same.
     mean = entries.sums[:, 1:].sum(axis=0) / entries.vertices.sum()
