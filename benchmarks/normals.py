@@ -20,7 +20,7 @@ import numpy as np
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
 from hpcapp.applications.surface.cloud.measure import measure_spacing
-from hpcapp.applications.surface.normals.drive import turn_normals
+from hpcapp.applications.surface.normals.drive import orient_normals
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import open_points, read_whole
@@ -45,16 +45,16 @@ def measure(path: Path, with_peer: bool) -> list[str | int | float]:
     start = time.process_time()
     bare = MemoryPass(replace(arranged, points=PointCloud(scan.positions, origin=scan.origin)))
     given = measure_spacing(bare), Sensor()
-    turned, told = turn_normals(bare, *given, keeps=False, attribute="confidence")
+    oriented, side = orient_normals(bare, *given, keeps=False, attribute="confidence")
     spent = time.process_time() - start
-    found = turned.cloud.points
+    found = oriented.cloud.points
     assert found.normals is not None
     is_sure = found.attributes["confidence"] >= np.float32(0.3)
     row: list[str | int | float] = [
         path.stem,
         len(scan),
         round(share_right(found.normals, scan.normals), 2),
-        round(100.0 * told.sure, 1),
+        round(100.0 * side.sure, 1),
         round(share_right(found.normals[is_sure], scan.normals[is_sure]), 2),
         round(spent, 2),
     ]

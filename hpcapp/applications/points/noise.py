@@ -7,7 +7,7 @@ from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
 from hpcapp.applications.surface.cloud.measured import SAMPLED_BOX, Measured, first_share
 from hpcapp.applications.surface.field.local_noise import LocalNoise
-from hpcapp.applications.surface.normals.drive import turn_normals
+from hpcapp.applications.surface.normals.drive import orient_normals
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.resolution.estimates import choose_scale
 from hpcapp.applications.surface.scale.local_scale import LocalScale
@@ -38,5 +38,5 @@ def find_noise(cloud: PointCloud, scale: LocalScale) -> LocalNoise:
     )
     if sample.normals is None:
         given = MemoryPass(arrange_cloud(sample)), scale.spacing, Sensor()
-        sample = turn_normals(*given, keeps=False)[0].cloud.points
+        sample = orient_normals(*given, keeps=False)[0].cloud.points
     return choose_scale(Measured(scale, sample), 0.0, 1.0, 1.0).noise

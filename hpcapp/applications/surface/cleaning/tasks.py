@@ -28,7 +28,7 @@ from hpcapp.applications.surface.cleaning.repeated import find_repeated
 from hpcapp.applications.surface.cleaning.strays import find_strays
 from hpcapp.applications.surface.cloud.patterns import region_bytes
 from hpcapp.applications.surface.cloud.regions import RegionPoints, Replaced
-from hpcapp.applications.surface.normals.consistency import find_turned
+from hpcapp.applications.surface.normals.consistency import find_flipped
 from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.applications.surface.scale.scan_lines import GapBoxes, count_narrow, find_spare
 from hpcapp.geometry.points import FloatArray, IntArray
@@ -142,8 +142,8 @@ def mend_region(
     points : RegionPoints
         With a margin of `consistency.MARGIN` spacings.
     low, spacing
-        As for `consistency.find_turned`.
+        As for `consistency.find_flipped`.
     """
     region = points.take()
-    turned = find_turned(region.positions, region.normals, low, spacing)[region.own]
-    return region.flip(turned), int(np.count_nonzero(turned))
+    is_flipped = find_flipped(region.positions, region.normals, low, spacing)[region.own]
+    return region.flip(is_flipped), int(np.count_nonzero(is_flipped))

@@ -123,7 +123,7 @@ def run_on_cluster(ctx: click.Context) -> dict[str, Any]:
         report: dict[str, Any] = run(cluster, "reconstruct", points, target, words, typed)
         report["command"] = shlex.join([program, *typed])  # the head has typed its own
         _show(ctx, report, target, points)
-    return {name: told for name, told in report.items() if is_detailed or name not in DETAILS}
+    return {name: value for name, value in report.items() if is_detailed or name not in DETAILS}
 
 
 def _check_shown(ctx: click.Context) -> None:

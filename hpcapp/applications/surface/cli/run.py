@@ -196,5 +196,5 @@ def _show(
     if settings.png is not None:
         write_picture(settings.png, shown.mesh, unit=report["input"]["unit"])
     if settings.report is not None:
-        told = {**report, "stages": clock.seconds, "timeline": clock.timeline.to_json()}
-        write_job_page(settings.report, shown, told, Path(settings.output).name)
+        whole = {**report, "stages": clock.seconds, "timeline": clock.timeline.to_json()}
+        write_job_page(settings.report, shown, whole, Path(settings.output).name)

@@ -364,7 +364,7 @@ def write_index(
     OutputError
         The disk is full, or the folder cannot be written.
     """
-    told = {
+    index = {
         "edge": float(arrangement.edge),
         "corner": arrangement.origin,
         "origin": origin,
@@ -374,9 +374,9 @@ def write_index(
     }
     if measured is not None:
         columns = (measured.sample.positions, measured.sample.normals)
-        told["measured"] = (astuple(measured.scale), *columns)
+        index["measured"] = (astuple(measured.scale), *columns)
     with _translated(folder):
-        write_whole(folder / _INDEX, to_buffers(told, folder.name))
+        write_whole(folder / _INDEX, to_buffers(index, folder.name))
     return _put_together(folder, arrangement, origin, box, parts, measured)
 
 
@@ -422,14 +422,14 @@ def open_place(place: Place) -> ArrangedCloud:
 @lru_cache(maxsize=2)
 def _open(folder: Path, *_version: int) -> DiskCloud:
     with open(folder / _INDEX, "rb", opener=open_at_once) as file:
-        told = from_bytes(memoryview(file.read()), folder.name)
-    parts = [Part(*part) for part in told["parts"]]
+        index = from_bytes(memoryview(file.read()), folder.name)
+    parts = [Part(*part) for part in index["parts"]]
     measured = None
-    if told["measured"] is not None:
-        scale, positions, normals = told["measured"]
+    if index["measured"] is not None:
+        scale, positions, normals = index["measured"]
         measured = Measured(LocalScale(*scale), PointCloud(positions, normals))
-    arrangement = Arrangement(told["corner"], told["edge"])
-    return _put_together(folder, arrangement, told["origin"], told["box"], parts, measured)
+    arrangement = Arrangement(index["corner"], index["edge"])
+    return _put_together(folder, arrangement, index["origin"], index["box"], parts, measured)
 
 
 def _put_together(

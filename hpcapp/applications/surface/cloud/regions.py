@@ -67,7 +67,7 @@ class Region(Protocol):
     def drop(self, dropped: BoolArray) -> Replaced | None:
         """Leave out some of its own points, of shape (m,); None where there are none."""
 
-    def flip(self, turned: BoolArray) -> Replaced | None:
+    def flip(self, is_flipped: BoolArray) -> Replaced | None:
         """Turn round the normals of some of its own points, of shape (m,); None where of none."""
 
     def replace_normals(
@@ -119,12 +119,12 @@ class MemoryRegion:
         """See `Region`."""
         return ReplacedRows(self.rows, kept=~dropped) if dropped.any() else None
 
-    def flip(self, turned: BoolArray) -> Replaced | None:
+    def flip(self, is_flipped: BoolArray) -> Replaced | None:
         """See `Region`."""
-        if not turned.any():
+        if not is_flipped.any():
             return None
         own = self.normals if self.own.all() else self.normals[self.own]
-        return ReplacedRows(self.rows, normals=np.where(turned[:, None], -own, own))
+        return ReplacedRows(self.rows, normals=np.where(is_flipped[:, None], -own, own))
 
     def replace_normals(
         self, normals: FloatArray | Float32Array, attributes: Mapping[str, NDArray[Any]]
@@ -210,12 +210,12 @@ class _StoredRegion:
     def drop(self, dropped: BoolArray) -> Replaced | None:
         return self._put(self._take_own(), dropped, ~dropped) if dropped.any() else None
 
-    def flip(self, turned: BoolArray) -> Replaced | None:
-        if not turned.any():
+    def flip(self, is_flipped: BoolArray) -> Replaced | None:
+        if not is_flipped.any():
             return None
         records = self._take_own()
-        records[turned, 3:] *= -1.0
-        return self._put(records, turned)
+        records[is_flipped, 3:] *= -1.0
+        return self._put(records, is_flipped)
 
     def replace_normals(
         self, normals: FloatArray | Float32Array, attributes: Mapping[str, NDArray[Any]]

@@ -134,11 +134,11 @@ def map_noise(
         members = ancestor_keys(residuals[0].keys, pool)
         cells = unique_keys(members)
         variances = _pool_variances(cells, pool, cell_size, residuals[: pool + 1])
-        told = np.flatnonzero(variances > 0.0)  # all of it is detail: nothing is told
-        levels.append(np.full(len(told), pool - _SMALLEST))
-        keys.append(cells[told])
-        counts.append(np.bincount(kernels.find_keys(cells, members), minlength=len(cells))[told])
-        deviations.append(np.sqrt(variances[told]))
+        noisy = np.flatnonzero(variances > 0.0)  # where all of it is detail, nothing is told
+        levels.append(np.full(len(noisy), pool - _SMALLEST))
+        keys.append(cells[noisy])
+        counts.append(np.bincount(kernels.find_keys(cells, members), minlength=len(cells))[noisy])
+        deviations.append(np.sqrt(variances[noisy]))
     edge = cell_size * 2.0**_SMALLEST
     columns = map(np.concatenate, (levels, keys, counts, deviations))
     return LocalNoise(whole, _UNTOLD * spacing, LocalScale(whole, origin, edge, *columns))

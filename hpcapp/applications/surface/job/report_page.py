@@ -198,8 +198,8 @@ def _find_reach(report: Mapping[str, Any], spacing: float) -> float:
 def _find_up(report: Mapping[str, Any]) -> str:
     """Return the axis that points up, as the input tells; else z."""
     given = report.get("input")
-    told = str(given.get("up", "")) if isinstance(given, Mapping) else ""
-    return told[:1] if told[:1] in ("x", "y", "z") else "z"
+    axis = str(given.get("up", "")) if isinstance(given, Mapping) else ""
+    return axis[:1] if axis[:1] in ("x", "y", "z") else "z"
 
 
 def find_guesses(

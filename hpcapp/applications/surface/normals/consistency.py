@@ -49,7 +49,7 @@ MARGIN = _EDGE * (2.0**_ROUNDS - 1.0)
 """Spacings: as far as what decides over a normal lies, all rounds together."""
 
 
-def find_turned(
+def find_flipped(
     positions: FloatArray, normals: FloatArray | Float32Array, low: FloatArray, spacing: float
 ) -> BoolArray:
     """Find the normals that their neighbours on the same sheet contradict.
@@ -83,9 +83,9 @@ def find_turned(
     say and none has the majority. What remains open is asked again at twice and at four times
     the size, where the opponents' mean offset must stay below 0.5 spacings.
     """
-    turned = np.zeros(len(positions), np.bool_)
+    is_flipped = np.zeros(len(positions), np.bool_)
     if len(positions) < _FEW:
-        return turned
+        return is_flipped
     asked = np.ones(len(positions), np.uint8)
     mended = normals
     # One side of a plate may hold ten times the other's points: opponents must lie on the sheet
@@ -101,13 +101,13 @@ def find_turned(
         wrong = verdicts == WRONG
         if wrong.any():
             # The next round votes with what is mended; what is wrong once more was right at first.
-            turned ^= wrong
-            mended = np.where(turned[:, None], -normals, normals)
+            is_flipped ^= wrong
+            mended = np.where(is_flipped[:, None], -normals, normals)
         # (n,): 1 where neither side has the majority; the next round asks neighbours farther away.
         asked = (verdicts == UNSURE).astype(np.uint8)
         if not asked.any():
             break
-    return turned
+    return is_flipped
 
 
 def share_opposed(
@@ -129,7 +129,7 @@ def share_opposed(
     Returns
     -------
     float
-        Of pairs: 0.5 where signs are random, 2 f (1 - f) where a share f is turned round.
+        Of pairs: 0.5 where signs are random, 2 f (1 - f) where a share f is flipped.
     """
     cosines = _pair_up(positions, normals, low, edge, spacing)[2]
     return float(np.count_nonzero(cosines < 0.0) / max(len(cosines), 1))
@@ -192,9 +192,9 @@ def weigh_torn(
     sights /= np.maximum(np.sqrt(np.einsum("ij,ij->i", sights, sights)), 1e-300)[:, None]
     is_across = np.abs(np.einsum("ij,ij->i", sights, normals)) < _ACROSS
     one, other, cosines = _pair_up(positions, normals, low, edge, spacing)
-    # Only these pairs tell: elsewhere the normals of a surface, turned to a place, agree as well.
-    told = cosines[is_across[one] & is_across[other]]
-    return Torn(following, len(told), float(np.count_nonzero(told < 0.0) / max(len(told), 1)))
+    # Only these pairs tell: elsewhere normals of a surface that are turned to a place agree, too.
+    across = cosines[is_across[one] & is_across[other]]
+    return Torn(following, len(across), float(np.count_nonzero(across < 0.0) / max(len(across), 1)))
 
 
 def _find_place(planes: FloatArray) -> FloatArray:

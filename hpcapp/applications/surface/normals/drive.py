@@ -29,14 +29,14 @@ _SAMPLE = 20_000  # points that are looked at for the pixels of a camera
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Turned:
+class OrientedNormals:
     """How normals were turned to their side.
 
     Parameters
     ----------
     sure : float
         Share of the points whose side is sure, 0 to 1.
-    turned : int
+    flipped : int
         How many normals are the opposites of what they were.
     how : str
         Where the evidence comes from, for people.
@@ -45,19 +45,19 @@ class Turned:
     """
 
     sure: float
-    turned: int
+    flipped: int
     how: str
     doubt: Unsure | None
 
 
-def turn_normals(
+def orient_normals(
     cloud_pass: PassT,
     spacing: float,
     sensor: Sensor,
     *,
     keeps: bool,
     attribute: str | None = None,
-) -> tuple[PassT, Turned]:
+) -> tuple[PassT, OrientedNormals]:
     """Give points normals that are on one side.
 
     Parameters
@@ -76,7 +76,7 @@ def turn_normals(
     -------
     cloud_pass : CloudPass
         Through points with unit normals.
-    turned : Turned
+    found : OrientedNormals
 
     Raises
     ------
@@ -104,12 +104,12 @@ def turn_normals(
     cloud_pass, results = cloud_pass.rewrite(
         turn_region, *given, oriented.sides, attribute, margin=margin
     )
-    turned = sum(opposite for opposite, _ in results)
+    flipped = sum(opposite for opposite, _ in results)
     # (100,): points of all regions by the bin of their confidence.
     confidences = np.sum([binned for _, binned in results], axis=0)
     sure = float(confidences[round(SURE * CONFIDENCE_BINS) :].sum()) / len(cloud)
     doubt = None if oriented.doubt is None else _tell_doubt(oriented.doubt, cloud.origin)
-    return cloud_pass, Turned(sure, turned, oriented.how, doubt)
+    return cloud_pass, OrientedNormals(sure, flipped, oriented.how, doubt)
 
 
 def _tell_doubt(doubt: Doubt, origin: FloatArray) -> Unsure:

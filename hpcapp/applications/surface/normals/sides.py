@@ -66,7 +66,7 @@ class Oriented:
         ``file`` or ``estimated``.
     sure : float
         Share of the points whose side is sure, 0 to 1.
-    turned : int
+    flipped : int
         How many normals of the file were turned round, patch by patch.
     judgement : str
         Whether those of a file agree on a side.
@@ -78,7 +78,7 @@ class Oriented:
 
     source: str
     sure: float
-    turned: int = 0
+    flipped: int = 0
     judgement: Judgement = "agree"
     how: str = ""
     doubt: Unsure | None = None
@@ -98,10 +98,10 @@ class Oriented:
             "surface",
         }.get(self.judgement)
         given = name_option("normals", "file")
-        if self.turned:
+        if self.flipped:
             what = what or "the normals have no side"
             found.append(
-                f"{what}: {self.turned} were turned round, so that all are on one side; {given} "
+                f"{what}: {self.flipped} were turned round, so that all are on one side; {given} "
                 "takes them as they are"
             )
         elif what and not self.how:
@@ -136,7 +136,7 @@ class Oriented:
 
     def to_json(self) -> dict[str, Any]:
         """Return the same for the job's report."""
-        facts = {"source": self.source, "sure": round(self.sure, 4), "turned": self.turned}
+        facts = {"source": self.source, "sure": round(self.sure, 4), "turned": self.flipped}
         seen = {"seen": self.how} if self.how else {}
         unsure = {"unsure": asdict(self.doubt)} if self.doubt else {}
         return facts | seen | unsure
@@ -180,20 +180,17 @@ def orient_cloud(
         judgement = judge_normals(cloud_pass, spacing)
         if wanted == "file" or (is_oriented and judgement == "agree"):
             return cloud_pass, Oriented("file", 1.0, judgement=judgement)
-    from hpcapp.applications.surface.normals.drive import turn_normals  # scipy takes its time
+    from hpcapp.applications.surface.normals.drive import orient_normals  # scipy takes its time
 
     with clock.stage("normals"):
-        turned_pass, turned = turn_normals(
-            cloud_pass,
-            spacing,
-            sensor,
-            keeps=has_normals,
-            attribute=attribute,
+        cloud_pass, found = orient_normals(
+            cloud_pass, spacing, sensor, keeps=has_normals, attribute=attribute
         )
     if has_normals:
-        told = turned.sure, turned.turned, judgement, turned.how, turned.doubt
-        return turned_pass, Oriented("file", *told)
-    return turned_pass, Oriented("estimated", turned.sure, how=turned.how, doubt=turned.doubt)
+        return cloud_pass, Oriented(
+            "file", found.sure, found.flipped, judgement, found.how, found.doubt
+        )
+    return cloud_pass, Oriented("estimated", found.sure, how=found.how, doubt=found.doubt)
 
 
 def judge_normals(cloud_pass: CloudPass, spacing: float) -> Judgement:

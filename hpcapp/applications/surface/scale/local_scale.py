@@ -223,14 +223,14 @@ def make_scale(
     for level in range(BITS):
         edges = cell_edge * 2.0 ** (level - np.arange(every.shape[1] - 1))
         tells = rest[:, 0] >= LEAST
-        told = _tell_spacings(every[tells], edges)
+        found = _tell_spacings(every[tells], edges)
         # Points that no smaller cell speaks for have their own spacing if it is much larger.
-        is_apart = _tell_spacings(rest[tells], edges, _NARROW) > _APART * told
-        told[is_apart] = _tell_spacings(rest[tells][is_apart], edges)
-        levels.append(np.full(len(told), level))
+        is_apart = _tell_spacings(rest[tells], edges, _NARROW) > _APART * found
+        found[is_apart] = _tell_spacings(rest[tells][is_apart], edges)
+        levels.append(np.full(len(found), level))
         cells.append(keys[tells])
         spoken.append(rest[tells, 0])
-        spacings.append(told)
+        spacings.append(found)
         if len(keys) <= 1:
             break
         keys, parent = number_keys(ancestor_keys(keys))

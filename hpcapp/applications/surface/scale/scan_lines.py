@@ -148,13 +148,13 @@ def _measure_gaps(counts: IntArray, edges: FloatArray) -> tuple[FloatArray, Floa
     covers = counts[:, 0] >= LEAST
     covers &= (growth[:, _COVERED - 1 : _COVERED + 1] > _GROWTH).all(axis=1)
     is_less = growth[covers, _COVERED + 1 :] <= _GROWTH
-    turned = np.flatnonzero(covers)[is_less.any(axis=1)]
+    bending = np.flatnonzero(covers)[is_less.any(axis=1)]
     # (t,): the first boxes that part less than a surface's. The edge at which they would just do so
     # lies between theirs and the one before: interpolated in powers of two.
     finer = _COVERED + 1 + is_less.argmax(axis=1)[is_less.any(axis=1)]
-    below, above = growth[turned, finer], growth[turned, finer - 1]
+    below, above = growth[bending, finer], growth[bending, finer - 1]
     gaps[covers] = edges[-1]  # or less: denser than is counted
-    gaps[turned] = edges[finer] * 2.0 ** ((_GROWTH - below) / (above - below)) / _ACROSS
+    gaps[bending] = edges[finer] * 2.0 ** ((_GROWTH - below) / (above - below)) / _ACROSS
     # n points in b boxes that a surface fills: each has H^2 b / n of it, a gap wide
     held = counts[covers, 0] / counts[covers, 1 + _COVERED]
     steps[covers] = edges[_COVERED] ** 2 / (held * gaps[covers])
@@ -205,9 +205,9 @@ def keep_lines(
     is_line, pending = np.zeros(len(points), np.bool_), np.ones(len(points), np.bool_)
     for _ in range(BITS):
         # A finest cell is judged by the smallest cell around it that has points enough.
-        told = pending & ((points >= _AROUND) | (len(keys) <= 1))[row_of]
-        is_line[told] = (narrow > share * points)[row_of[told]]
-        pending &= ~told
+        is_judged = pending & ((points >= _AROUND) | (len(keys) <= 1))[row_of]
+        is_line[is_judged] = (narrow > share * points)[row_of[is_judged]]
+        pending &= ~is_judged
         if not pending.any():
             break
         keys, parent = number_keys(ancestor_keys(keys))

@@ -19,7 +19,7 @@ from hpcapp.applications.surface.cloud.regions import (
     pack_region,
 )
 from hpcapp.applications.surface.cloud.spacing import estimate_spacing
-from hpcapp.applications.surface.normals.consistency import MARGIN, find_turned
+from hpcapp.applications.surface.normals.consistency import MARGIN, find_flipped
 from hpcapp.geometry.points import FloatArray, PointCloud
 
 
@@ -61,13 +61,13 @@ def test_turned_normals_of_regions_are_those_of_the_whole(tmp_path: Path, is_sen
     spacing = estimate_spacing(positions)
     assert arranged.points.normals is not None
     whole = (arranged.points.positions, arranged.points.normals)
-    expected = find_turned(*whole, arranged.low, spacing)
+    expected = find_flipped(*whole, arranged.low, spacing)
     turned = np.zeros(len(positions), np.bool_)
     rows = np.repeat(arranged.keys, arranged.counts)
     for blocks in _cut(cloud, 8):
         r = _take(cloud, blocks, MARGIN * spacing, is_sent)
         own = np.isin(rows, blocks)
-        found = find_turned(r.positions, r.normals, arranged.low, spacing)
+        found = find_flipped(r.positions, r.normals, arranged.low, spacing)
         turned[own] = found[r.own]
         packed = r.flip(found[r.own])
         changed = np.unique(rows[own & turned])

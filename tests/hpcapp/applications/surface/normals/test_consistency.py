@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.surface.cloud.spacing import estimate_spacing
-from hpcapp.applications.surface.normals.consistency import find_turned
+from hpcapp.applications.surface.normals.consistency import find_flipped
 from hpcapp.geometry.points import FloatArray
 
 Oriented = tuple[FloatArray, FloatArray]
@@ -38,7 +38,7 @@ def box(count: int) -> Oriented:
 
 
 def mend(points: FloatArray, normals: FloatArray) -> tuple[FloatArray, int]:
-    turned = find_turned(points, normals, points.min(axis=0), estimate_spacing(points))
+    turned = find_flipped(points, normals, points.min(axis=0), estimate_spacing(points))
     return np.where(turned[:, None], -normals, normals), int(np.count_nonzero(turned))
 
 
@@ -89,4 +89,4 @@ def test_noise_wider_than_the_spacing_is_no_obstacle() -> None:
 
 def test_a_handful_of_points_is_left_alone() -> None:
     points, normals = sphere(7)
-    assert not find_turned(points, normals, points.min(axis=0), 1.0).any()
+    assert not find_flipped(points, normals, points.min(axis=0), 1.0).any()

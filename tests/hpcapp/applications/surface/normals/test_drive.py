@@ -12,7 +12,7 @@ from hpcapp.applications.surface.cloud import cloud_pass
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
 from hpcapp.applications.surface.cloud.measure import measure_spacing
-from hpcapp.applications.surface.normals.drive import turn_normals
+from hpcapp.applications.surface.normals.drive import orient_normals
 from hpcapp.applications.surface.normals.orientation import SURE
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.normals.sides import Oriented, judge_normals, orient_cloud
@@ -145,9 +145,9 @@ def test_regions_give_the_normals_of_the_whole(
     memory = MemoryPass(arrange_cloud(points))
     spacing = measure_spacing(memory)
     keeps = what == "given"
-    whole, told = turn_normals(memory, spacing, UNKNOWN, keeps=keeps)
+    whole, wanted = orient_normals(memory, spacing, UNKNOWN, keeps=keeps)
     there = in_folder(points, tmp_path, alone(1_500, sees=workers_see))
-    found, same = turn_normals(there, spacing, UNKNOWN, keeps=keeps)
+    found, same = orient_normals(there, spacing, UNKNOWN, keeps=keeps)
     assert len(found.cloud.parts) > 3
     assert found.cloud.take_blocks(found.cloud.keys)[0].tobytes() == (
         memory.cloud.points.positions.tobytes()
@@ -155,8 +155,8 @@ def test_regions_give_the_normals_of_the_whole(
     assert whole.cloud.points.normals is not None
     normals = whole.cloud.points.normals
     assert found.cloud.take_blocks(found.cloud.keys)[1].tobytes() == normals.tobytes()
-    assert (same.sure, same.turned, same.how) == (told.sure, told.turned, told.how)
-    assert told.turned > 0
+    assert (same.sure, same.flipped, same.how) == (wanted.sure, wanted.flipped, wanted.how)
+    assert wanted.flipped > 0
 
 
 def test_large_clouds_in_memory_are_turned_in_boxes(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -193,7 +193,7 @@ def test_random_sides_are_mended_and_good_ones_left() -> None:
     found, oriented = orient(mixed)
     assert _share_right(found, scan) >= 0.99
     assert oriented.source == "file"
-    assert abs(oriented.turned - np.count_nonzero(signs < 0.0)) < 0.02 * len(scan)
+    assert abs(oriented.flipped - np.count_nonzero(signs < 0.0)) < 0.02 * len(scan)
     assert "were turned round" in oriented.warnings[0]
     assert found.normals is not None
     unsigned = np.abs(np.einsum("ij,ij->i", found.normals, scan.normals))
@@ -267,10 +267,10 @@ def test_the_options_that_a_doubt_names_decide(moved: tuple[float, float, float]
     faces = []
     for option in oriented.doubt.options:
         place = np.array([[float(number) for number in option.split(",")]])
-        told, sure = orient(PointCloud(sheet, origin=np.array(moved)), Sensor("places", place))
+        wanted, sure = orient(PointCloud(sheet, origin=np.array(moved)), Sensor("places", place))
         assert sure.sure > 0.99
-        assert told.normals is not None
-        faces.append(told.normals[:, 1].mean())
+        assert wanted.normals is not None
+        faces.append(wanted.normals[:, 1].mean())
     assert found.normals is not None
     assert faces[0] * found.normals[:, 1].mean() > 0.9
     assert faces[0] * faces[1] < -0.9

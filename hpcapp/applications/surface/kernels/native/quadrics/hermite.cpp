@@ -209,12 +209,12 @@ HPC_INLINE void weigh_priors(const Block& rows, const Vector& prior, const doubl
   }
   EACH_LANE {
     const double count = rows[0][lane];
-    const double told = (left[lane] * count + TOLD_POINTS * noise[lane]) / (count - BASIS + TOLD_POINTS);
+    const double own_noise = (left[lane] * count + TOLD_POINTS * noise[lane]) / (count - BASIS + TOLD_POINTS);
     const bool own = count >= LEAST_POINTS;
-    const double gain = missed[lane] - left[lane] - told * (CHANCE_GAIN / count);
+    const double gain = missed[lane] - left[lane] - own_noise * (CHANCE_GAIN / count);
     const double beyond = missed[lane] - noise[lane] * (1.0 + std::sqrt(2.0 / count));
     const double excess = own ? gain : beyond;
-    const double scale = own ? OWN_WEIGHT * told : noise[lane];
+    const double scale = own ? OWN_WEIGHT * own_noise : noise[lane];
     const double weight = scale / (excess > LEAST_EXCESS ? excess : LEAST_EXCESS);
     const double bounded = weight < fits.most_mu ? weight : fits.most_mu;
     mu[lane] = bounded > fits.least_mu ? bounded : fits.least_mu;

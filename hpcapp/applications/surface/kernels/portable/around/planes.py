@@ -93,17 +93,17 @@ def fit_planes(
     residuals = np.zeros(len(rows))
     planes = [_fit(tree, rows[some], _COUNTS) for some in _cut(len(rows))]
     for some, fitted in zip(_cut(len(rows)), planes, strict=True):
-        told = np.isfinite(fitted.sheets[:, 3])
+        has_sheet = np.isfinite(fitted.sheets[:, 3])
         # (r,): by what the noise is told. On a thin wall, one plane leaves its thickness as well.
-        residuals[some] = np.where(told, fitted.sheets[:, 3], fitted.squares[:, _NOISE_COUNT])
+        residuals[some] = np.where(has_sheet, fitted.sheets[:, 3], fitted.squares[:, _NOISE_COUNT])
     noise = _find_noise(residuals, cell_of[rows])
     is_last = np.zeros(len(rows), np.bool_)
     for some, fitted in zip(_cut(len(rows)), planes, strict=True):
         chosen = _choose(fitted, noise[some])
-        told = np.isfinite(fitted.sheets[:, 3])
+        has_sheet = np.isfinite(fitted.sheets[:, 3])
         vectors[some] = fitted.take(chosen, spacing)
         # The largest neighbourhood is the best so far: still larger ones may be better.
-        is_last[some] = (chosen == len(_COUNTS) - 1) & ~told
+        is_last[some] = (chosen == len(_COUNTS) - 1) & ~has_sheet
     last = np.flatnonzero(is_last & is_asked[rows])
     for some in _cut(len(last)):
         fitted = _fit(tree, rows[last[some]], _MORE_COUNTS)
@@ -141,8 +141,11 @@ class _Planes:
         at = np.arange(len(chosen)), chosen
         normals = _least_eigenvectors(self.spread[:, at[0], at[1]])
         squares = self.squares[at]
-        told = np.isfinite(self.sheets[:, 3])
-        normals[told], squares[told] = self.sheets[told, :3], self.sheets[told, 3]
+        has_sheet = np.isfinite(self.sheets[:, 3])
+        normals[has_sheet], squares[has_sheet] = (
+            self.sheets[has_sheet, :3],
+            self.sheets[has_sheet, 3],
+        )
         lengths = np.maximum(np.sqrt(squares), _TINY * UNITS) * (spacing / UNITS)
         return normals * lengths[:, None]
 
@@ -216,8 +219,8 @@ def _find_sheets(
     # (n,): two parallel planes take four degrees of freedom.
     squares = np.maximum(least, 0.0) * (number / (number - 4.0))
     along = normals[:, 0] * first[:, 0] + normals[:, 1] * first[:, 1] + normals[:, 2] * first[:, 2]
-    told = is_split & (squares < _APART * _APART * alone) & (np.abs(along) >= _ALIKE)
-    return np.where(told[:, None], np.column_stack([normals, squares]), np.nan)
+    has_sheet = is_split & (squares < _APART * _APART * alone) & (np.abs(along) >= _ALIKE)
+    return np.where(has_sheet[:, None], np.column_stack([normals, squares]), np.nan)
 
 
 def _cut_heights(heights: FloatArray, number: IntArray) -> FloatArray:

@@ -341,9 +341,9 @@ def _fit_pieces(around: _Around, of: IntArray, axes: FloatArray, noise: float) -
         nx, ny, along = (np.einsum("mpi,mi->mp", around.normals, a) for a in (t, u, axis))
         one, none = np.ones_like(x), np.zeros_like(x)
         # Slopes of the height that normals tell, but for those that are nearly in the plane.
-        told = along > _CONE
-        along = np.where(told, along, 1.0)
-        slope_weight = lam * w * np.where(told, (along - _CONE) / (1.0 - _CONE), 0.0)
+        has_slope = along > _CONE
+        along = np.where(has_slope, along, 1.0)
+        slope_weight = lam * w * np.where(has_slope, (along - _CONE) / (1.0 - _CONE), 0.0)
         # (m, 6, 6) and (m, 6): the height and both slopes, in 1, x, y, xx, xy, yy.
         left, right = np.zeros((len(axis), 6, 6)), np.zeros((len(axis), 6))
         for row, weight, value in (

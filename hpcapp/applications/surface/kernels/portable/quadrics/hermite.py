@@ -285,9 +285,11 @@ def weigh_priors(
         # to what is known from further up as by so many points more.
         fitted = fit_vertices(moments[rich], prior[rich], lam[rich], least)
         missed_by_fit = _mean_squares(moments[rich], fitted)
-        told = (missed_by_fit * many + _TOLD_POINTS * noise[rich]) / (many - BASIS + _TOLD_POINTS)
-        excess[rich] = missed[rich] - missed_by_fit - told * (_CHANCE_GAIN / many)
-        scale[rich] = _OWN_WEIGHT * told
+        own_noise = (missed_by_fit * many + _TOLD_POINTS * noise[rich]) / (
+            many - BASIS + _TOLD_POINTS
+        )
+        excess[rich] = missed[rich] - missed_by_fit - own_noise * (_CHANCE_GAIN / many)
+        scale[rich] = _OWN_WEIGHT * own_noise
     weights: FloatArray = np.clip(scale / np.maximum(excess, _LEAST_EXCESS), least, most)
     return weights
 
