@@ -89,6 +89,9 @@ class ArrangedCloud(Protocol):
             See `Points`.
         """
 
+    def take_columns(self, keys: IntArray) -> PointCloud:
+        """Return the same points as `take_blocks`, with the attributes that lie beside them."""
+
     def take_packed(self, keys: IntArray) -> PackedPoints:
         """Return the same points as `take_blocks`, packed."""
 
@@ -199,11 +202,22 @@ class MemoryCloud:
     def take_blocks(self, keys: IntArray) -> Points:
         """See `ArrangedCloud`; views where the blocks lie side by side."""
         assert self.points.normals is not None  # noqa: S101 - checked when it was arranged
-        rows = find_keys(self.keys, keys)
-        runs = find_runs(rows[rows < len(self.keys)])
-        slices = [slice(self.offsets[run.start], self.offsets[run.stop]) for run in runs]
+        slices = self._find_rows(keys)
         positions = _join([self.points.positions[some] for some in slices])
         return positions, _join([self.points.normals[some] for some in slices])
+
+    def take_columns(self, keys: IntArray) -> PointCloud:
+        """See `ArrangedCloud`; a view where the blocks lie side by side. Colours come too."""
+        slices = self._find_rows(keys)
+        if len(slices) < 2:
+            return self.points.view(*slices or [slice(0)])
+        return self.points.take(np.concatenate([np.arange(run.start, run.stop) for run in slices]))
+
+    def _find_rows(self, keys: IntArray) -> list[slice]:
+        """Return where the points of some blocks are."""
+        rows = find_keys(self.keys, keys)
+        runs = find_runs(rows[rows < len(self.keys)])
+        return [slice(int(self.offsets[run.start]), int(self.offsets[run.stop])) for run in runs]
 
     def take_packed(self, keys: IntArray) -> PackedPoints:
         """See `ArrangedCloud`."""

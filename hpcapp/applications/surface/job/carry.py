@@ -26,9 +26,10 @@ def carry_columns(
     settings: Settings, loaded: Loaded, outcome: Outcome, clock: StageClock
 ) -> Carrying:
     """Return what the vertices of a job's mesh carry."""
-    cloud, choice, layout = loaded.cloud, settings.attributes, loaded.columns.layout
+    cloud, choice = loaded.cloud, settings.attributes
+    layout = loaded.columns.with_found(cloud)
     if choice.has_confidence and CONFIDENCE not in layout.attributes:
-        reason = loaded.columns.why_no_confidence
+        reason = "the normals are those of the input as they are"
         log.warning("warning: %s: left out: %s", name_option("attributes", CONFIDENCE), reason)
     if layout.colours is None and not layout.attributes and not choice.has_support:
         return Carrying(layout, has_normals=choice.has_normals, crs=loaded.crs)

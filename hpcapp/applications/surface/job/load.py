@@ -34,7 +34,7 @@ from hpcapp.applications.surface.cloud.measure import (
     measure_spacing,
 )
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
-from hpcapp.applications.surface.job.columns import Columns, FileColumns, MemoryColumns
+from hpcapp.applications.surface.job.columns import Columns
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.normals.sides import Oriented, orient_cloud
 from hpcapp.applications.surface.reading.drive import ingest_file
@@ -182,7 +182,7 @@ def load(settings: JobSettings, clock: StageClock, folder: PointFolder | None = 
     """
     source = open_points(settings.points).isotropic()
     if folder is not None and settings.resume:
-        loaded = _find_loaded(folder.path, FileColumns.of(settings, source), source.frame)
+        loaded = _find_loaded(folder.path, Columns.of_file(settings, source), source.frame)
         if loaded is not None:
             return loaded
     if settings.normals == "estimate":
@@ -241,7 +241,7 @@ def arrange_points(
             cloud = arrange_cloud(near)
         cloud_pass, repeated = drop_repeated(MemoryPass(cloud))
     cleaned = Cleaned(len(points) - len(near), repeated=repeated)
-    columns = MemoryColumns(points.view(slice(0)), labels)
+    columns = Columns(points.view(slice(0)), labels)
     return Read(cloud_pass, Dropped(0, 0), cleaned, columns, points.normals is not None)
 
 
@@ -262,7 +262,7 @@ def _read_into_folder(
         cloud_pass,
         ingested.dropped,
         Cleaned(ingested.far, repeated=repeated),
-        FileColumns.of(settings, source),
+        Columns.of_file(settings, source),
         source.has_normals,
         source.oriented,
         _find_sensor(settings, source),
@@ -352,8 +352,7 @@ def prepare(settings: Settings, read: Read, clock: StageClock) -> Loaded:
     if not method.needs_whole_cloud:
         cloud_pass = measure_cloud(cloud_pass, scale)
     cloud = cloud_pass.cloud
-    columns = read.columns.of_cloud(cloud)
-    return Loaded(cloud, read.dropped, cleaned, columns, oriented, Findings(), read.crs)
+    return Loaded(cloud, read.dropped, cleaned, read.columns, oriented, Findings(), read.crs)
 
 
 def _check_surface(read: Read, cloud_pass: CloudPass, spacing: float) -> None:
