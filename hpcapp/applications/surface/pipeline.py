@@ -14,7 +14,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, replace_points
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
+from hpcapp.applications.surface.cloud.measure import replace_points
 from hpcapp.applications.surface.method import Method
 from hpcapp.applications.surface.surface import Surface
 from hpcapp.geometry.points import PointCloud

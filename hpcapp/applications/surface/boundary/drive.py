@@ -31,8 +31,7 @@ from hpcapp.applications.surface.boundary.tasks import (
     survey_support,
 )
 from hpcapp.applications.surface.checkpoint import Checkpoint
-from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
-from hpcapp.applications.surface.cloud.measured import Measured
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, Measured
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.extraction.taken_bricks import TakenBricks
 from hpcapp.applications.surface.method import Advance
@@ -249,18 +248,18 @@ def close_surface(
     if not all(isinstance(part, str) for part in surface.parts):
         shared = None  # a cloud that is one tile is made into a mesh here
     parts = _Parts(surface, cloud, plan, workforce, shared, threads)
-    scale = cloud.measure().scale
+    scale = cloud.measured.scale
     chosen = SupportRule(max(_NOISES * plan.noise, _STEPS * plan.step), _SPACINGS, scale)
     reason, is_room = "open, as asked", False
     if not asked.is_asked:
         share, support = _judge_support(parts, chosen)
         is_telling = share > TELLING_SHARE  # else nobody asks what the normals tell
-        is_one_way = is_telling and _faces_one_way(cloud.measure())
-        is_room = is_telling and not is_one_way and faces_inwards(cloud.measure().sample)
+        is_one_way = is_telling and _faces_one_way(cloud.measured)
+        is_room = is_telling and not is_one_way and faces_inwards(cloud.measured.sample)
         if share <= (TELLING_SHARE if is_one_way or is_room else BARE_SHARE):
             reason = f"closed: points support {_percent(1.0 - share)} of it"
             return surface, Closure(False, reason, support=support())
-        if not (is_one_way or is_room) and _stood_on_table(cloud.measure()):
+        if not (is_one_way or is_room) and _stood_on_table(cloud.measured):
             reason = (
                 f"closed: of something that stood on a side nobody saw, {_percent(share)} of it"
             )

@@ -22,13 +22,36 @@ from hpcapp.applications.surface.cloud.arrangement import (
     pack_points,
     snap_points,
 )
-from hpcapp.applications.surface.cloud.measured import Measured, Points, measure_points
+from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.lattice import find_keys
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray, PointCloud
 
+Points = tuple[FloatArray, FloatArray]
+"""Positions in length units of the input and unit normals, each of shape (n, 3)."""
+
 _ROWS_AT_ONCE = 1 << 14  # what is made of them stays in the cache
 _ENDLESS = Arrangement(np.zeros(3), np.inf)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """What a method asks of a cloud before it chooses its cells.
+
+    Parameters
+    ----------
+    scale : LocalScale
+    sample : PointCloud
+        Points by which the noise is judged, in the cloud's order.
+    """
+
+    scale: LocalScale
+    sample: PointCloud
+
+    @property
+    def spacing(self) -> float:
+        """Of the whole cloud, in length units of the input."""
+        return self.scale.spacing
 
 
 class ArrangedCloud(Protocol):
@@ -47,6 +70,8 @@ class ArrangedCloud(Protocol):
         All of them, where they are in memory.
     place : Place
         From where tasks can read it, see `disk.open_place`.
+    measured : Measured
+        What `measure.measure_cloud` has noted.
     """
 
     @property
@@ -72,6 +97,9 @@ class ArrangedCloud(Protocol):
 
     @property
     def place(self) -> Place: ...  # noqa: D102 - see the class
+
+    @property
+    def measured(self) -> Measured: ...  # noqa: D102 - see the class
 
     def __len__(self) -> int: ...
 
@@ -115,15 +143,6 @@ class ArrangedCloud(Protocol):
             Sorted by key.
         """
 
-    def measure(self) -> Measured:
-        """Return the spacing and a sample: what has been found before, or by a pass through all.
-
-        Raises
-        ------
-        InputError
-            There are no normals, or all points are the same.
-        """
-
     def sample(self, points: int) -> PointCloud:
         """Return points evenly from all of the cloud.
 
@@ -152,8 +171,8 @@ class MemoryCloud:
         Block i holds the points offsets[i] to offsets[i + 1].
     low, high : ndarray of float64, shape (3,)
         Corners of the box around all points.
-    measured : Measured or None
-        What was found out about it before.
+    noted : Measured or None
+        What was measured of it.
     """
 
     points: PointCloud
@@ -162,7 +181,7 @@ class MemoryCloud:
     offsets: IntArray
     low: FloatArray
     high: FloatArray
-    measured: Measured | None = None
+    noted: Measured | None = None
 
     @classmethod
     def as_they_are(cls, points: PointCloud) -> MemoryCloud:
@@ -234,9 +253,11 @@ class MemoryCloud:
         cells, offsets, _ = kernels.sort_points(self.take_blocks(keys)[0], origin, size)
         return cells, np.diff(offsets)
 
-    def measure(self) -> Measured:
+    @property
+    def measured(self) -> Measured:
         """See `ArrangedCloud`."""
-        return measure_points(self.points) if self.measured is None else self.measured
+        assert self.noted is not None  # noqa: S101 - or there is nothing to ask
+        return self.noted
 
     def sample(self, points: int) -> PointCloud:
         """See `ArrangedCloud`."""
@@ -289,24 +310,6 @@ def arrange_cloud(cloud: PointCloud) -> MemoryCloud:
     # Rounding leaves the least the least.
     low, high = snap_points(arrangement, np.stack(box))
     return MemoryCloud(arranged, arrangement, keys, offsets, low, high)
-
-
-def replace_points(cloud: ArrangedCloud, points: PointCloud) -> MemoryCloud:
-    """Hold other points as those of a cloud are held: arranged, or as they are.
-
-    Parameters
-    ----------
-    cloud : ArrangedCloud
-    points : PointCloud
-        Finite positions.
-
-    Raises
-    ------
-    InputError
-        All points are the same, and would be arranged.
-    """
-    is_endless = np.isinf(cloud.arrangement.edge)
-    return MemoryCloud.as_they_are(points) if is_endless else arrange_cloud(points)
 
 
 def _take_singles(vectors: FloatArray, rows: NDArray[np.uint32]) -> FloatArray:

@@ -18,8 +18,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, MemoryCloud
-from hpcapp.applications.surface.cloud.measured import Measured
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, Measured, MemoryCloud
 from hpcapp.applications.surface.cloud.regions import MemoryRegion, ReplacedRows
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.lattice import find_keys
@@ -124,7 +123,7 @@ class MemoryPass:
 
     def note(self, measured: Measured) -> MemoryPass:
         """See `CloudPass`."""
-        return MemoryPass(replace(self.cloud, measured=measured))
+        return MemoryPass(replace(self.cloud, noted=measured))
 
     def _cut(self, margin: float) -> Iterator[MemoryRegion]:
         """Yield the regions: all points at once where they are few, or no margin is asked for."""

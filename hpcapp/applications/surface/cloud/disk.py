@@ -32,7 +32,7 @@ from typing import Any
 import numpy as np
 
 from hpcapp.applications.surface import kernels
-from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, Place
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, Measured, Place, Points
 from hpcapp.applications.surface.cloud.arrangement import (
     Arrangement,
     PackedPoints,
@@ -40,7 +40,6 @@ from hpcapp.applications.surface.cloud.arrangement import (
     unpack_points,
     unpacking_arguments,
 )
-from hpcapp.applications.surface.cloud.measured import Measured, Points, measure_points
 from hpcapp.applications.surface.cloud.part_check import check_part, with_check
 from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.geometry.lattice import find_keys, merge_counts
@@ -119,8 +118,8 @@ class DiskCloud:
     origin, low, high : ndarray of float64, shape (3,)
     keys, counts : ndarray of int64, shape (b,)
     parts : list of Part
-    measured : Measured or None
-        What was found out about it before.
+    noted : Measured or None
+        What was measured of it.
     attributes : dict of str to sequence of Part
         Those that passes have added.
     """
@@ -133,7 +132,7 @@ class DiskCloud:
     keys: IntArray
     counts: IntArray
     parts: list[Part]
-    measured: Measured | None = None
+    noted: Measured | None = None
     attributes: Mapping[str, Sequence[Part]] = field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -267,11 +266,11 @@ class DiskCloud:
         packed = unpacking_arguments(self.arrangement, self.take_packed(keys))
         return kernels.count_packed(*packed, origin, size)
 
-    def measure(self) -> Measured:
+    @property
+    def measured(self) -> Measured:
         """See `ArrangedCloud`."""
-        if self.measured is not None:
-            return self.measured
-        return measure_points(PointCloud(*self.take_blocks(self.keys)))
+        assert self.noted is not None  # noqa: S101 - or there is nothing to ask
+        return self.noted
 
     def _read(self, part: Part, runs: Iterable[tuple[int, int, list[memoryview]]]) -> None:
         """Fill buffers from a part: those of a run one after the other, from its first byte on.

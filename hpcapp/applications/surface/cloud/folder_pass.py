@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from hpcapp.applications.surface.cloud.arranged import Measured
 from hpcapp.applications.surface.cloud.disk import (
     DiskCloud,
     Part,
@@ -20,7 +21,6 @@ from hpcapp.applications.surface.cloud.disk import (
     write_index,
     write_part,
 )
-from hpcapp.applications.surface.cloud.measured import Measured
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.cloud.tasks import bound_region
 from hpcapp.geometry.points import FloatArray

@@ -162,7 +162,7 @@ class HierarchicalMethod:
         InputError
             There are no normals, or all points are the same.
         """
-        low, high, measured = cloud.low, cloud.high, cloud.measure()
+        low, high, measured = cloud.low, cloud.high, cloud.measured
         grid = plan_grid(low, high, self.grid)
         scale = choose_scale(measured, grid.step, self.smoothness, self.detail, self.threads)
         below = scale.levels

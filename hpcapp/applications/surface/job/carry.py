@@ -38,7 +38,7 @@ def carry_columns(
     with clock.stage("attributes"):
         spacing = float(outcome.result.facts.get("spacing", 0.0))
         if not spacing and choice.has_support:
-            spacing = cloud.measure().spacing
+            spacing = cloud.measured.spacing
         evaluate = loaded.columns.open(cloud, spacing, threads, at_once)
     support = spacing if choice.has_support else None
     return Carrying(layout, evaluate, support, choice.has_normals, loaded.crs)

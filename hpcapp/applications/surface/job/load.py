@@ -28,12 +28,12 @@ from hpcapp.applications.surface.cloud.cloud_pass import CloudPass, MemoryPass
 from hpcapp.applications.surface.cloud.disk import open_disk_cloud
 from hpcapp.applications.surface.cloud.folder_pass import FolderPass, make_cloud_folder
 from hpcapp.applications.surface.cloud.measure import (
-    check_surface,
     measure_cloud,
     measure_scale,
     measure_spacing,
 )
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
+from hpcapp.applications.surface.cloud.surface_check import check_surface
 from hpcapp.applications.surface.job.columns import Columns
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.normals.sides import Oriented, orient_cloud
@@ -312,7 +312,7 @@ def prepare(settings: Settings, read: Read, clock: StageClock) -> Loaded:
     Returns
     -------
     Loaded
-        Measured, where its method does not cut it up by itself.
+        Measured.
 
     Raises
     ------
@@ -349,9 +349,7 @@ def prepare(settings: Settings, read: Read, clock: StageClock) -> Loaded:
         with clock.stage("mend normals"):
             cloud_pass, flipped = mend_normals(cloud_pass, scale.spacing)
         cleaned = replace(cleaned, flipped=flipped)
-    if not method.needs_whole_cloud:
-        cloud_pass = measure_cloud(cloud_pass, scale)
-    cloud = cloud_pass.cloud
+    cloud = measure_cloud(cloud_pass, scale).cloud
     return Loaded(cloud, read.dropped, cleaned, read.columns, oriented, Findings(), read.crs)
 
 
