@@ -241,7 +241,7 @@ def arrange_points(
             cloud = arrange_cloud(near)
         cloud_pass, repeated = drop_repeated(MemoryPass(cloud))
     cleaned = Cleaned(len(points) - len(near), repeated=repeated)
-    columns = Columns(points.view(slice(0)), labels)
+    columns = Columns(points.take(np.empty(0, np.int64)), labels)  # a view would hold the points
     return Read(cloud_pass, Dropped(0, 0), cleaned, columns, points.normals is not None)
 
 
