@@ -86,7 +86,7 @@ def run(path: Path, folder: Path, backend_name: str, workers: int | None) -> Non
         kept, cleaned, scale = take("clean", lambda: drop_strays(kept, scale))
         kept, _ = take("mend", lambda: mend_normals(kept, scale.spacing))
         cloud = take("sample", lambda: measure_cloud(kept, scale)).cloud
-        cells_of = take("noise", lambda: choose_scale(cloud.measure(), 0.0, 1.0, 1.0))
+        cells_of = take("noise", lambda: choose_scale(cloud.measured, 0.0, 1.0, 1.0))
         coarse = 16.0 * cells_of.cell_size
         cells, _ = take("cells", lambda: those.count_cells(cloud, cloud.low, coarse))
         tell("all", totals)

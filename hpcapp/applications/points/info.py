@@ -9,7 +9,10 @@ import numpy as np
 from hpcapp.applications.points.noise import find_noise
 from hpcapp.applications.points.rejected import reject_points
 from hpcapp.applications.surface.cleaning.repeated import find_repeated
-from hpcapp.applications.surface.cloud.surface_check import find_no_surface_in
+from hpcapp.applications.surface.cloud.arranged import MemoryCloud
+from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
+from hpcapp.applications.surface.cloud.spacing import estimate_spacing
+from hpcapp.applications.surface.cloud.surface_check import check_surface
 from hpcapp.applications.surface.reading.reach import drop_far
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.points import FloatArray, PointCloud
@@ -81,7 +84,9 @@ def _tell_no_surface(cloud: PointCloud) -> list[str]:
     try:
         usable, _ = drop_unusable(cloud, "the cloud")
         positions = drop_far(usable).positions
-        problem = find_no_surface_in(positions[~find_repeated(positions)])
+        distinct = PointCloud(positions[~find_repeated(positions)])
+        cloud_pass = MemoryPass(MemoryCloud.as_they_are(distinct))
+        problem = check_surface(cloud_pass, estimate_spacing(distinct.positions))
     except InputError:  # they are too few, or too far
         return []
     return [] if problem is None else [str(problem)]

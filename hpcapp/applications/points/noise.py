@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from hpcapp.applications.surface import kernels
-from hpcapp.applications.surface.cloud.arranged import arrange_cloud
+from hpcapp.applications.surface.cloud.arranged import Measured, arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
-from hpcapp.applications.surface.cloud.measured import SAMPLED_BOX, Measured, first_share
+from hpcapp.applications.surface.cloud.measure import SAMPLED_BOX, first_share
 from hpcapp.applications.surface.field.local_noise import LocalNoise
 from hpcapp.applications.surface.normals.drive import orient_normals
 from hpcapp.applications.surface.normals.sensor import Sensor

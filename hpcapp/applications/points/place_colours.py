@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from hpcapp.applications.points.noise import find_noise
-from hpcapp.applications.surface.cloud.measured import find_scale
+from hpcapp.applications.surface.cloud.measure import find_scale
 from hpcapp.geometry.points import FloatArray, PointCloud
 
 _DOUBLINGS = 3.0  # of what is usual, up and down, from end to end of the colours

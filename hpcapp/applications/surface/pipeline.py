@@ -72,10 +72,12 @@ def prepare(settings: Settings, scan: Scan, clock: StageClock) -> Loaded:
         They are too few, or have no normals and lie on no surface.
     """
     method, has_normals = settings.method, scan.has_normals
-    in_cells = not method.needs_whole_cloud
     with clock.stage("clean") if method.cleans else nullcontext():
         cloud_pass, cleaned, scale = clean(
-            scan.cloud_pass, drops=method.cleans, in_cells=in_cells, has_normals=has_normals
+            scan.cloud_pass,
+            drops=method.cleans,
+            in_cells=not method.needs_whole_cloud,
+            has_normals=has_normals,
         )
     cloud_pass, oriented = orient_cloud(
         cloud_pass, scale.spacing, settings.normals, scan.sensor, clock,
@@ -86,9 +88,8 @@ def prepare(settings: Settings, scan: Scan, clock: StageClock) -> Loaded:
         with clock.stage("mend normals"):
             cloud_pass, flipped = mend_normals(cloud_pass, scale.spacing)
         cleaned = replace(cleaned, flipped=flipped)
-    if in_cells:
-        cloud_pass = measure_cloud(cloud_pass, scale)
-    return scan.loaded(cloud_pass.cloud, cleaned, oriented)
+    cloud = measure_cloud(cloud_pass, scale).cloud
+    return scan.loaded(cloud, cleaned, oriented)
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Colours and attributes of a cloud in a folder, block by block as its points.
+"""Colours and attributes of a file for a cloud in a folder, block by block as its points.
 
 ::
 
@@ -12,7 +12,7 @@ of the input where it has fewer.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +50,7 @@ class ColumnBlocks:
     cloud : ArrangedCloud
         Whose points they belong to.
     layout : PointCloud
-        Without points: which colours and attributes there are.
+        Without points: which colours and attributes the file has.
     """
 
     folder: Path
@@ -99,7 +99,7 @@ class ColumnBlocks:
         self._parts.append(_Part(path, keys, starts))
 
     def take_blocks(self, keys: IntArray) -> PointCloud:
-        """Return the points in some blocks, with their columns.
+        """Return the points in some blocks, with their columns and those beside the cloud.
 
         Parameters
         ----------
@@ -109,19 +109,19 @@ class ColumnBlocks:
         Returns
         -------
         PointCloud
-            In the order of the cloud, without normals.
+            In the order of the cloud.
 
         Raises
         ------
         JobError
             The folder is not whole, or the input was not the same when it was read again.
         """
-        records, blocks = self._read(keys)
+        points, (records, blocks) = self.cloud.take_columns(keys), self._read(keys)
         counts = np.append(self.cloud.counts, 0)[find_keys(self.cloud.keys, keys)]
         differ = np.bincount(blocks, minlength=len(keys)) != counts
         if differ.any():
-            own, kept = self.cloud.take_blocks(keys[differ])[0], ~differ[blocks]
-            kept[~kept] = _find_own(own, records["place"][~kept])
+            own, kept = np.repeat(differ, counts), ~differ[blocks]
+            kept[~kept] = _find_own(points.positions[own], records["place"][~kept])
             records = records[kept]
         if len(records) != counts.sum():
             raise JobError(
@@ -130,7 +130,7 @@ class ColumnBlocks:
             )
         colours = None if self.layout.colours is None else records["colour"]
         attributes = {name: records[f"a{i}"] for i, name in enumerate(self.layout.attributes)}
-        return PointCloud(np.ascontiguousarray(records["place"]), None, colours, attributes)
+        return replace(points, colours=colours, attributes={**points.attributes, **attributes})
 
     def _read(self, keys: IntArray) -> tuple[NDArray[Any], IntArray]:
         """Return the records of some blocks, and to which of these each belongs."""

@@ -30,8 +30,7 @@ from hpcapp.applications.surface.boundary.tasks import (
     open_part,
     survey_support,
 )
-from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
-from hpcapp.applications.surface.cloud.measured import Measured
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, Measured
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.extraction.summary import PartSummary
 from hpcapp.applications.surface.extraction.taken_bricks import TakenBricks
@@ -253,7 +252,7 @@ def close_surface(
     if not all(isinstance(part, str) for part in surface.parts):
         shared = None  # a cloud that is one tile is made into a mesh here
     parts = _Parts(surface, cloud, plan, workforce, shared, threads)
-    scale = cloud.measure().scale
+    scale = cloud.measured.scale
     usual = SupportRule(max(_NOISES * plan.noise, _STEPS * plan.step), _SPACINGS, scale)
     closure = Closure(True, "open, as asked") if asked.is_asked else _decide(parts, usual)
     if not closure.is_open:
@@ -279,7 +278,7 @@ def close_surface(
 
 def _decide(parts: _Parts, rule: SupportRule) -> Closure:
     """Tell whether a surface stays closed, by its share without points and by what was scanned."""
-    measured = parts.cloud.measure()
+    measured = parts.cloud.measured
     share, support = _judge_support(parts, rule)
     # Of a surface that is whole, nobody asks what the normals tell.
     is_telling = share > TELLING_SHARE

@@ -21,11 +21,8 @@ from hpcapp.applications.surface.cleaning import tasks as tasks
 from hpcapp.applications.surface.cleaning.outlier_regions import DroppedCells
 from hpcapp.applications.surface.cleaning.strays import MARGIN, ROUNDS
 from hpcapp.applications.surface.cloud.cloud_pass import CloudPass, PassT
-from hpcapp.applications.surface.cloud.measure import (
-    check_surface,
-    measure_scale,
-    measure_spacing,
-)
+from hpcapp.applications.surface.cloud.measure import measure_scale, measure_spacing
+from hpcapp.applications.surface.cloud.surface_check import check_surface
 from hpcapp.applications.surface.normals import consistency
 from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.applications.surface.scale.scan_lines import keep_lines

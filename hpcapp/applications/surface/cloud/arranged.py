@@ -22,13 +22,36 @@ from hpcapp.applications.surface.cloud.arrangement import (
     pack_points,
     snap_points,
 )
-from hpcapp.applications.surface.cloud.measured import Measured, Points, measure_points
+from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.lattice import find_keys
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray, PointCloud
 
+Points = tuple[FloatArray, FloatArray]
+"""Positions in length units of the input and unit normals, each of shape (n, 3)."""
+
 _ROWS_AT_ONCE = 1 << 14  # what is made of them stays in the cache
 _ENDLESS = Arrangement(np.zeros(3), np.inf)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """What a method asks of a cloud before it chooses its cells.
+
+    Parameters
+    ----------
+    scale : LocalScale
+    sample : PointCloud
+        Points by which the noise is judged, in the cloud's order.
+    """
+
+    scale: LocalScale
+    sample: PointCloud
+
+    @property
+    def spacing(self) -> float:
+        """Of the whole cloud, in length units of the input."""
+        return self.scale.spacing
 
 
 class ArrangedCloud(Protocol):
@@ -47,6 +70,8 @@ class ArrangedCloud(Protocol):
         All of them, where they are in memory.
     place : Place
         From where tasks can read it, see `disk.open_place`.
+    measured : Measured
+        What `measure.measure_cloud` has noted.
     """
 
     @property
@@ -73,6 +98,9 @@ class ArrangedCloud(Protocol):
     @property
     def place(self) -> Place: ...  # noqa: D102 - see the class
 
+    @property
+    def measured(self) -> Measured: ...  # noqa: D102 - see the class
+
     def __len__(self) -> int: ...
 
     def take_blocks(self, keys: IntArray) -> Points:
@@ -88,6 +116,9 @@ class ArrangedCloud(Protocol):
         positions, normals : ndarray of float64, shape (m, 3)
             See `Points`.
         """
+
+    def take_columns(self, keys: IntArray) -> PointCloud:
+        """Return the same points as `take_blocks`, with the attributes that lie beside them."""
 
     def take_packed(self, keys: IntArray) -> PackedPoints:
         """Return the same points as `take_blocks`, packed."""
@@ -110,15 +141,6 @@ class ArrangedCloud(Protocol):
         -------
         keys, counts : ndarray of int64, shape (c,)
             Sorted by key.
-        """
-
-    def measure(self) -> Measured:
-        """Return the spacing and a sample: what has been found before, or by a pass through all.
-
-        Raises
-        ------
-        InputError
-            There are no normals, or all points are the same.
         """
 
     def sample(self, points: int) -> PointCloud:
@@ -149,8 +171,8 @@ class MemoryCloud:
         Block i holds the points offsets[i] to offsets[i + 1].
     low, high : ndarray of float64, shape (3,)
         Corners of the box around all points.
-    measured : Measured or None
-        What was found out about it before.
+    noted : Measured or None
+        What was measured of it.
     """
 
     points: PointCloud
@@ -159,7 +181,7 @@ class MemoryCloud:
     offsets: IntArray
     low: FloatArray
     high: FloatArray
-    measured: Measured | None = None
+    noted: Measured | None = None
 
     @classmethod
     def as_they_are(cls, points: PointCloud) -> MemoryCloud:
@@ -199,11 +221,22 @@ class MemoryCloud:
     def take_blocks(self, keys: IntArray) -> Points:
         """See `ArrangedCloud`; views where the blocks lie side by side."""
         assert self.points.normals is not None  # noqa: S101 - checked when it was arranged
-        rows = find_keys(self.keys, keys)
-        runs = find_runs(rows[rows < len(self.keys)])
-        slices = [slice(self.offsets[run.start], self.offsets[run.stop]) for run in runs]
+        slices = self._find_rows(keys)
         positions = _join([self.points.positions[some] for some in slices])
         return positions, _join([self.points.normals[some] for some in slices])
+
+    def take_columns(self, keys: IntArray) -> PointCloud:
+        """See `ArrangedCloud`; a view where the blocks lie side by side. Colours come too."""
+        slices = self._find_rows(keys)
+        if len(slices) < 2:
+            return self.points.view(*slices or [slice(0)])
+        return self.points.take(np.concatenate([np.arange(run.start, run.stop) for run in slices]))
+
+    def _find_rows(self, keys: IntArray) -> list[slice]:
+        """Return where the points of some blocks are."""
+        rows = find_keys(self.keys, keys)
+        runs = find_runs(rows[rows < len(self.keys)])
+        return [slice(int(self.offsets[run.start]), int(self.offsets[run.stop])) for run in runs]
 
     def take_packed(self, keys: IntArray) -> PackedPoints:
         """See `ArrangedCloud`."""
@@ -220,9 +253,11 @@ class MemoryCloud:
         cells, offsets, _ = kernels.sort_points(self.take_blocks(keys)[0], origin, size)
         return cells, np.diff(offsets)
 
-    def measure(self) -> Measured:
+    @property
+    def measured(self) -> Measured:
         """See `ArrangedCloud`."""
-        return measure_points(self.points) if self.measured is None else self.measured
+        assert self.noted is not None  # noqa: S101 - or there is nothing to ask
+        return self.noted
 
     def sample(self, points: int) -> PointCloud:
         """See `ArrangedCloud`."""
@@ -276,24 +311,6 @@ def arrange_cloud(cloud: PointCloud) -> MemoryCloud:
     # Rounding leaves the least the least.
     low, high = snap_points(arrangement, np.stack(box))
     return MemoryCloud(arranged, arrangement, keys, offsets, low, high)
-
-
-def replace_points(cloud: ArrangedCloud, points: PointCloud) -> MemoryCloud:
-    """Hold other points as those of a cloud are held: arranged, or as they are.
-
-    Parameters
-    ----------
-    cloud : ArrangedCloud
-    points : PointCloud
-        Finite positions.
-
-    Raises
-    ------
-    InputError
-        All points are the same, and would be arranged.
-    """
-    is_endless = np.isinf(cloud.arrangement.edge)
-    return MemoryCloud.as_they_are(points) if is_endless else arrange_cloud(points)
 
 
 def _take_singles(vectors: FloatArray, rows: NDArray[np.uint32]) -> FloatArray:

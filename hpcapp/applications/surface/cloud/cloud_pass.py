@@ -11,19 +11,18 @@ all points at once; in a folder workers run it, region by region.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, MemoryCloud
-from hpcapp.applications.surface.cloud.measured import Measured
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, Measured, MemoryCloud
 from hpcapp.applications.surface.cloud.regions import MemoryRegion, ReplacedRows
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.lattice import find_keys
-from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
+from hpcapp.geometry.points import BoolArray, Float32Array, FloatArray, IntArray
 
 Rows = IntArray | slice
 Result = TypeVar("Result")
@@ -64,6 +63,7 @@ class CloudPass(Protocol):
         *given: Any,
         margin: float = 0.0,
         accepts: Callable[[list[Any]], bool] = lambda _: True,
+        attribute: str | None = None,
     ) -> tuple[PassT, list[Any]]:
         """Replace the points by what a task makes of them, region by region.
 
@@ -76,6 +76,9 @@ class CloudPass(Protocol):
             As for `each`.
         accepts : callable
             Told the results: whether the points are replaced; else they stay.
+        attribute : str, optional
+            Of the points, which the task replaces all: so the last value of its tuple, float32 of
+            shape (m,), is kept beside its region's own points. None of these is dropped later.
 
         Returns
         -------
@@ -105,16 +108,22 @@ class MemoryPass:
         *given: Any,
         margin: float = 0.0,
         accepts: Callable[[list[Any]], bool] = lambda _: True,
+        attribute: str | None = None,
     ) -> tuple[MemoryPass, list[Any]]:
         """See `CloudPass`."""
         results = self.each(task, *given, margin=margin)
         changes = [replaced for replaced, *_ in results if replaced is not None]
         others = [tuple(rest) for _, *rest in results]
-        return self._replace(changes) if accepts(others) else self, others
+        added = {}
+        if attribute is not None:
+            values = [(some.rows, rest[-1]) for some, rest in zip(changes, others, strict=True)]
+            added = {attribute: _place(values, np.empty(len(self.cloud), np.float32))}
+            others = [rest[:-1] for rest in others]
+        return self._replace(changes, added) if accepts(others) else self, others
 
     def note(self, measured: Measured) -> MemoryPass:
         """See `CloudPass`."""
-        return MemoryPass(replace(self.cloud, measured=measured))
+        return MemoryPass(replace(self.cloud, noted=measured))
 
     def _cut(self, margin: float) -> Iterator[MemoryRegion]:
         """Yield the regions: all points at once where they are few, or no margin is asked for."""
@@ -132,18 +141,16 @@ class MemoryPass:
                 positions[near], None if normals is None else normals[near], own, rows
             )
 
-    def _replace(self, changes: list[ReplacedRows]) -> MemoryPass:
+    def _replace(
+        self, changes: list[ReplacedRows], added: Mapping[str, Float32Array]
+    ) -> MemoryPass:
         """Return the pass through what some changes leave of the points."""
         if not changes:
             return self
         points, count = self.cloud.points, len(self.cloud)
         kept = [(some.rows, some.kept) for some in changes if some.kept is not None]
         normals = [(some.rows, some.normals) for some in changes if some.normals is not None]
-        attributes = {}
-        for name in changes[0].attributes:  # what is added comes first
-            columns = [(some.rows, some.attributes[name]) for some in changes]
-            attributes[name] = _place(columns, np.zeros(count, columns[0][1].dtype))
-        attributes |= points.attributes
+        attributes = {**added, **points.attributes}
         if normals:
             points = replace(points, normals=_place(normals, points.normals))
         cloud = replace(self.cloud, points=replace(points, attributes=attributes))

@@ -5,6 +5,8 @@
     points.0   points.1   points.2 ...       packed points of one part of the input each,
     └ blocks in the order of their keys      offsets and normals side by side (float32),
                                              and a last record with their checksum
+    confidence.0   confidence.1 ...          an attribute that a pass has added: float32, in the
+                                             order of the blocks that it stands for
     index                                    arrangement, box, the blocks of each part, estimates
 
 Each part may be written by another machine that sees the folder; who has all of them writes the
@@ -19,9 +21,9 @@ Reading some blocks takes a run of each part and puts these together in the orde
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, field, replace
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -30,7 +32,7 @@ from typing import Any
 import numpy as np
 
 from hpcapp.applications.surface import kernels
-from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, Place
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, Measured, Place, Points
 from hpcapp.applications.surface.cloud.arrangement import (
     Arrangement,
     PackedPoints,
@@ -38,11 +40,10 @@ from hpcapp.applications.surface.cloud.arrangement import (
     unpack_points,
     unpacking_arguments,
 )
-from hpcapp.applications.surface.cloud.measured import Measured, Points, measure_points
 from hpcapp.applications.surface.cloud.part_check import check_part, with_check
 from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.geometry.lattice import find_keys, merge_counts
-from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
+from hpcapp.geometry.points import Float32Array, FloatArray, IntArray, PointCloud
 from hpccomponent.errors import JobError, OutputError
 from hpccomponent.files.private_files import open_at_once
 from hpccomponent.files.whole_files import write_whole
@@ -117,8 +118,10 @@ class DiskCloud:
     origin, low, high : ndarray of float64, shape (3,)
     keys, counts : ndarray of int64, shape (b,)
     parts : list of Part
-    measured : Measured or None
-        What was found out about it before.
+    noted : Measured or None
+        What was measured of it.
+    attributes : dict of str to sequence of Part
+        Those that passes have added.
     """
 
     folder: Path
@@ -129,7 +132,8 @@ class DiskCloud:
     keys: IntArray
     counts: IntArray
     parts: list[Part]
-    measured: Measured | None = None
+    noted: Measured | None = None
+    attributes: Mapping[str, Sequence[Part]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return int(self.counts.sum())
@@ -146,7 +150,8 @@ class DiskCloud:
 
     def uses(self, folder: Path) -> bool:
         """Tell whether parts of it lie in some folder."""
-        names = {os.path.normpath((self.folder / part.file).parent) for part in self.parts}
+        every = (part for parts, _ in self._columns() for part in parts)
+        names = {os.path.normpath((self.folder / part.file).parent) for part in every}
         return os.path.normpath(folder) in names
 
     def check(self) -> None:
@@ -157,13 +162,26 @@ class DiskCloud:
         DamagedError
             One is not; the message names it.
         """
-        for file in sorted({part.file for part in self.parts}):
-            most = max(_count_records(part) for part in self.parts if part.file == file)
-            check_part(Path(os.path.normpath(self.folder / file)), _POINT_BYTES * most)
+        for parts, columns in self._columns():
+            for file in sorted({part.file for part in parts}):
+                most = max(_count_records(part) for part in parts if part.file == file)
+                check_part(Path(os.path.normpath(self.folder / file)), 4 * columns * most)
+
+    def _columns(self) -> Iterator[tuple[Sequence[Part], int]]:
+        """Yield the parts of the points and of each attribute, and how wide their records are."""
+        yield self.parts, _COLUMNS
+        yield from ((parts, 1) for parts in self.attributes.values())
 
     def take_blocks(self, keys: IntArray) -> Points:
         """See `ArrangedCloud` and `take_packed`."""
         return unpack_points(self.arrangement, self.take_packed(keys))
+
+    def take_columns(self, keys: IntArray) -> PointCloud:
+        """See `ArrangedCloud`."""
+        attributes = {
+            name: self._take(parts, keys, 1)[1][:, 0] for name, parts in self.attributes.items()
+        }
+        return PointCloud(*self.take_blocks(keys), None, attributes, self.origin)
 
     def take_packed(self, keys: IntArray) -> PackedPoints:
         """Return the points in some blocks as they lie there; see `take_blocks`.
@@ -178,31 +196,38 @@ class DiskCloud:
         JobError
             The folder is not there any more, or not whole.
         """
+        rows, records = self._take(self.parts, keys, _COLUMNS)
+        return PackedPoints.from_records(self.keys[rows], self.counts[rows], records)
+
+    def _take(
+        self, parts: Sequence[Part], keys: IntArray, columns: int
+    ) -> tuple[IntArray, Float32Array]:
+        """Return which blocks there are of some, and their records of so many columns."""
         rows = find_keys(self.keys, keys)
         rows = rows[rows < len(self.keys)]
-        counts = self.counts[rows]
-        records = np.empty((int(counts.sum()), _COLUMNS), np.float32)
+        counts, size = self.counts[rows], 4 * columns
+        records = np.empty((int(counts.sum()), columns), np.float32)
         view = records.reshape(-1).view(np.uint8).data
-        filled = _POINT_BYTES * (np.cumsum(counts) - counts)  # where each block goes on
-        for part in self.parts:
+        filled = size * (np.cumsum(counts) - counts)  # where each block goes on
+        for part in parts:
             own = find_keys(part.keys, self.keys[rows])
             held = np.flatnonzero(own < len(part.keys))
             if not len(held):
                 continue
             own = own[held]
             begins, sizes = part.starts[own], part.counts[own]
-            first, last = filled[held], filled[held] + _POINT_BYTES * sizes
+            first, last = filled[held], filled[held] + size * sizes
             filled[held] = last
             # The place of each block in the result; the parts fill it one after the other.
             targets = [view[a:b] for a, b in zip(first.tolist(), last.tolist(), strict=True)]
             # Blocks that stand side by side in the file are read at once, into several places.
             breaks = np.flatnonzero(begins[1:] != begins[:-1] + sizes[:-1]) + 1
             bounds = [0, *breaks.tolist(), len(held)]
-            starts = (_POINT_BYTES * begins[bounds[:-1]]).tolist()
-            lengths = (_POINT_BYTES * np.add.reduceat(sizes, bounds[:-1])).tolist()
+            starts = (size * begins[bounds[:-1]]).tolist()
+            lengths = (size * np.add.reduceat(sizes, bounds[:-1])).tolist()
             runs = [targets[a:b] for a, b in pairwise(bounds)]
             self._read(part, zip(starts, lengths, runs, strict=True))
-        return PackedPoints.from_records(self.keys[rows], counts, records)
+        return rows, records
 
     def sample(self, points: int) -> PointCloud:
         """Return every so many-th point of each part, in the order of the parts.
@@ -244,11 +269,11 @@ class DiskCloud:
         packed = unpacking_arguments(self.arrangement, self.take_packed(keys))
         return kernels.count_packed(*packed, origin, size)
 
-    def measure(self) -> Measured:
+    @property
+    def measured(self) -> Measured:
         """See `ArrangedCloud`."""
-        if self.measured is not None:
-            return self.measured
-        return measure_points(PointCloud(*self.take_blocks(self.keys)))
+        assert self.noted is not None  # noqa: S101 - or there is nothing to ask
+        return self.noted
 
     def _read(self, part: Part, runs: Iterable[tuple[int, int, list[memoryview]]]) -> None:
         """Fill buffers from a part: those of a run one after the other, from its first byte on.
@@ -328,6 +353,32 @@ def write_part(
     return merge_counts(keys, np.concatenate([piece.counts for piece in pieces]))
 
 
+def write_attribute(folder: Path, name: str, part: Part, number: int, values: Float32Array) -> Part:
+    """Write one part of an attribute of an arranged cloud.
+
+    Parameters
+    ----------
+    folder : Path
+    name : str
+    part : Part
+        Whose points it belongs to, as `write_part` has written them.
+    number : int
+        Of this part.
+    values : ndarray of float32, shape (n,)
+        In the order of its points.
+
+    Raises
+    ------
+    OutputError
+        The disk is full, or the folder cannot be written.
+    """
+    file = f"{name}.{number}"
+    piece = np.ascontiguousarray(values).view(np.uint8).data
+    with _translated(folder):
+        write_whole(folder / file, with_check([piece], folder / file))
+    return replace(part, file=file)
+
+
 def _count_records(part: Part) -> int:
     """Return how many points a file must hold for what is taken of it."""
     return int((part.starts + part.counts).max(initial=0))
@@ -344,6 +395,7 @@ def write_index(
     box: tuple[FloatArray, FloatArray],
     parts: Sequence[Part],
     measured: Measured | None = None,
+    attributes: Mapping[str, Sequence[Part]] | None = None,
 ) -> DiskCloud:
     """Make a cloud of the parts that have been written.
 
@@ -358,6 +410,7 @@ def write_index(
     parts : sequence of Part
     measured : Measured, optional
         What is known of the cloud.
+    attributes : dict of str to sequence of Part, optional
 
     Raises
     ------
@@ -369,7 +422,10 @@ def write_index(
         "corner": arrangement.origin,
         "origin": origin,
         "box": np.stack(box),
-        "parts": [(part.file, part.keys, part.counts, part.starts) for part in parts],
+        "parts": [_tell(part) for part in parts],
+        "attributes": {
+            name: [_tell(part) for part in some] for name, some in (attributes or {}).items()
+        },
         "measured": None,
     }
     if measured is not None:
@@ -377,7 +433,11 @@ def write_index(
         index["measured"] = (astuple(measured.scale), *columns)
     with _translated(folder):
         write_whole(folder / _INDEX, to_buffers(index, folder.name))
-    return _put_together(folder, arrangement, origin, box, parts, measured)
+    return _put_together(folder, arrangement, origin, box, parts, measured, attributes or {})
+
+
+def _tell(part: Part) -> tuple[str, IntArray, IntArray, IntArray]:
+    return part.file, part.keys, part.counts, part.starts
 
 
 def open_disk_cloud(folder: Path) -> DiskCloud:
@@ -429,7 +489,12 @@ def _open(folder: Path, *_version: int) -> DiskCloud:
         scale, positions, normals = index["measured"]
         measured = Measured(LocalScale(*scale), PointCloud(positions, normals))
     arrangement = Arrangement(index["corner"], index["edge"])
-    return _put_together(folder, arrangement, index["origin"], index["box"], parts, measured)
+    attributes = {
+        name: [Part(*part) for part in some] for name, some in index["attributes"].items()
+    }
+    return _put_together(
+        folder, arrangement, index["origin"], index["box"], parts, measured, attributes
+    )
 
 
 def _put_together(
@@ -439,11 +504,14 @@ def _put_together(
     box: tuple[FloatArray, FloatArray] | FloatArray,
     parts: Sequence[Part],
     measured: Measured | None,
+    attributes: Mapping[str, Sequence[Part]],
 ) -> DiskCloud:
     """Return the cloud of some parts."""
     keys = np.concatenate([part.keys for part in parts])
     merged = merge_counts(keys, np.concatenate([part.counts for part in parts]))
-    return DiskCloud(folder, arrangement, origin, box[0], box[1], *merged, list(parts), measured)
+    return DiskCloud(
+        folder, arrangement, origin, box[0], box[1], *merged, list(parts), measured, attributes
+    )
 
 
 @contextmanager

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import secrets
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import itemgetter
 from pathlib import Path
@@ -13,8 +13,14 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from hpcapp.applications.surface.cloud.disk import DiskCloud, Part, write_index, write_part
-from hpcapp.applications.surface.cloud.measured import Measured
+from hpcapp.applications.surface.cloud.arranged import Measured
+from hpcapp.applications.surface.cloud.disk import (
+    DiskCloud,
+    Part,
+    write_attribute,
+    write_index,
+    write_part,
+)
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.cloud.tasks import bound_region
 from hpcapp.geometry.points import FloatArray
@@ -53,32 +59,40 @@ class FolderPass:
         *given: Any,
         margin: float = 0.0,
         accepts: Callable[[list[Any]], bool] = lambda _: True,
+        attribute: str | None = None,
     ) -> tuple[FolderPass, list[Any]]:
         """See `CloudPass`."""
         folder = make_cloud_folder(self.place)
         parts: dict[int, Part] = {}
+        columns: dict[int, Part] = {}
         others: dict[int, tuple[Any, ...]] = {}
         for index, is_written, (replaced, *rest) in self.workers.run(
             task, self.cloud, margin, given, folder
         ):
-            others[index] = tuple(rest)
             if replaced is not None:
                 # Whoever does not see the folder has sent the blocks, and they are written here.
                 blocks = replaced if is_written else write_part(folder, index, [replaced])
-                parts[index] = Part.whole(index, *blocks)
+                parts[index] = part = Part.whole(index, *blocks)
+                if attribute is not None:
+                    columns[index] = write_attribute(folder, attribute, part, index, rest.pop())
+            others[index] = tuple(rest)
         results = [others[index] for index in sorted(others)]
         cloud_pass = self
         if parts and accepts(results):
-            cloud_pass = self._replace(folder, [parts[i] for i in sorted(parts)])
+            added = {} if attribute is None else {attribute: [columns[i] for i in sorted(columns)]}
+            cloud_pass = self._replace(folder, [parts[i] for i in sorted(parts)], added)
         cloud_pass._remove_others()
         return cloud_pass, results
 
     def note(self, measured: Measured) -> FolderPass:
         """See `CloudPass`."""
         cloud = self.cloud
-        return self._index(cloud.folder, (cloud.low, cloud.high), cloud.parts, measured)
+        box = cloud.low, cloud.high
+        return self._index(cloud.folder, box, cloud.parts, cloud.attributes, measured)
 
-    def _replace(self, folder: Path, parts: list[Part]) -> FolderPass:
+    def _replace(
+        self, folder: Path, parts: list[Part], added: Mapping[str, list[Part]]
+    ) -> FolderPass:
         """Return the pass through a cloud some of whose blocks are in new parts."""
         cloud = self.cloud
         changed = np.sort(np.concatenate([part.keys for part in parts]))
@@ -86,23 +100,29 @@ class FolderPass:
         # Blocks that have not changed stay in the files that they are in.
         kept = [part.without(changed, there) for part in cloud.parts]
         written = [part for part in (*kept, *(part.filled() for part in parts)) if len(part.keys)]
-        replaced = self._index(folder, (cloud.low, cloud.high), written)
+        columns = {
+            name: [part.without(changed[:0], there) for part in some]
+            for name, some in cloud.attributes.items()
+        }
+        replaced = self._index(folder, (cloud.low, cloud.high), written, {**added, **columns})
         if len(replaced.cloud) == len(cloud):
             return replaced
         # Points are gone, and with them what may have bounded the box.
+        assert not replaced.cloud.attributes  # noqa: S101 - see `CloudPass.rewrite`
         boxes = np.stack(replaced.each(bound_region))
         box = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
-        return replaced._index(folder, box, written)
+        return replaced._index(folder, box, written, {})
 
     def _index(
         self,
         folder: Path,
         box: tuple[FloatArray, FloatArray],
         parts: list[Part],
+        attributes: Mapping[str, Sequence[Part]],
         measured: Measured | None = None,
     ) -> FolderPass:
-        cloud = self.cloud
-        indexed = write_index(folder, cloud.arrangement, cloud.origin, box, parts, measured)
+        known = self.cloud.arrangement, self.cloud.origin
+        indexed = write_index(folder, *known, box, parts, measured, attributes)
         return replace(self, cloud=indexed)
 
     def _remove_others(self) -> None:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 
-from hpcapp.applications.surface.cloud.cloud_pass import CloudPass, PassT
-from hpcapp.applications.surface.cloud.measured import SAMPLED_BOX, Measured, Points, draw_sample
+from hpcapp.applications.surface.cloud.arranged import (
+    ArrangedCloud,
+    Measured,
+    MemoryCloud,
+    Points,
+    arrange_cloud,
+)
+from hpcapp.applications.surface.cloud.cloud_pass import CloudPass, MemoryPass, PassT
 from hpcapp.applications.surface.cloud.spacing import search_spacing
-from hpcapp.applications.surface.cloud.surface_check import find_no_surface
 from hpcapp.applications.surface.cloud.tasks import (
     count_boxes,
     count_region_scale,
@@ -25,7 +28,11 @@ from hpcapp.applications.surface.scale.local_scale import (
 from hpcapp.applications.surface.scale.scan_lines import GapBoxes, find_gaps
 from hpcapp.geometry.lattice import lay_lattice, unique_keys
 from hpcapp.geometry.points import FloatArray, PointCloud
-from hpccomponent.errors import InputError
+
+SAMPLED_BOX = 24.0
+"""Spacings: large against the cells of a probe."""
+
+_SAMPLED_POINTS = 15_000
 
 
 def measure_spacing(cloud_pass: CloudPass) -> float:
@@ -47,21 +54,6 @@ def measure_spacing(cloud_pass: CloudPass) -> float:
     return search_spacing(count, len(cloud), cloud.low, cloud.high)
 
 
-def check_surface(cloud_pass: CloudPass, spacing: float) -> InputError | None:
-    """Tell why a cloud's points lie on no surface; see `find_no_surface`."""
-    cloud = cloud_pass.cloud
-
-    return find_no_surface(
-        partial(draw_places, cloud_pass), len(cloud), cloud.low, cloud.high, spacing
-    )
-
-
-def draw_places(cloud_pass: CloudPass, edge: float, one_in: int) -> FloatArray:
-    """Return where the points in a sample of boxes lie, as `draw_boxes` does."""
-    corner = lay_lattice(cloud_pass.cloud.low, edge)
-    return np.concatenate(cloud_pass.each(sample_places, corner, edge, one_in))
-
-
 def measure_scale(cloud_pass: CloudPass) -> tuple[LocalScale, GapBoxes]:
     """Find how the spacing of an arranged cloud changes from place to place, and where lines are.
 
@@ -78,14 +70,79 @@ def measure_scale(cloud_pass: CloudPass) -> tuple[LocalScale, GapBoxes]:
     return scale, find_gaps(lattice.origin, edge, depth, counted)
 
 
+def find_scale(positions: FloatArray) -> LocalScale:
+    """Find how the spacing of points in memory changes from place to place.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+        In length units of the input.
+
+    Raises
+    ------
+    InputError
+        All points are the same.
+    """
+    return measure_scale(MemoryPass(arrange_cloud(PointCloud(positions))))[0]
+
+
 def measure_cloud(cloud_pass: PassT, scale: LocalScale) -> PassT:
-    """Keep with a cloud what methods ask of it: its scale, which is given, and a sample."""
+    """Keep with a cloud what methods ask of it: its scale, which is given, and a sample.
 
-    def draw(one_in: int) -> Points:
-        return draw_boxes(cloud_pass, SAMPLED_BOX * scale.spacing, one_in)
+    The sample has about 15,000 points; of a cloud in few boxes more, and all of a small one.
+    """
+    one_in = first_share(len(cloud_pass.cloud))
+    while True:
+        sample = draw_boxes(cloud_pass, SAMPLED_BOX * scale.spacing, one_in)
+        if one_in == 1 or len(sample[0]) > _SAMPLED_POINTS // 4:
+            return cloud_pass.note(Measured(scale, PointCloud(*sample)))
+        one_in = max(one_in // 8, 1)
 
-    sample = draw_sample(draw, len(cloud_pass.cloud))
-    return cloud_pass.note(Measured(scale, PointCloud(*sample)))
+
+def measure_points(points: PointCloud) -> MemoryCloud:
+    """Arrange points with normals in memory, and measure them.
+
+    Raises
+    ------
+    InputError
+        All points are the same.
+    """
+    cloud_pass = MemoryPass(arrange_cloud(points))
+    return measure_cloud(cloud_pass, measure_scale(cloud_pass)[0]).cloud
+
+
+def replace_points(cloud: ArrangedCloud, points: PointCloud) -> MemoryCloud:
+    """Hold other points as those of a cloud are held: arranged and measured, or as they are.
+
+    Parameters
+    ----------
+    cloud : ArrangedCloud
+    points : PointCloud
+        Finite positions.
+
+    Raises
+    ------
+    InputError
+        All points are the same, and would be arranged.
+    """
+    is_endless = np.isinf(cloud.arrangement.edge)
+    return MemoryCloud.as_they_are(points) if is_endless else measure_points(points)
+
+
+def first_share(points: int) -> int:
+    """Return how many boxes make one sampled, to begin with; of a small cloud all points are.
+
+    Parameters
+    ----------
+    points : int
+        Of the cloud.
+
+    Returns
+    -------
+    int
+        At least 1.
+    """
+    return max(points // _SAMPLED_POINTS, 1)
 
 
 def draw_boxes(cloud_pass: CloudPass, edge: float, one_in: int) -> Points:
@@ -103,3 +160,9 @@ def draw_boxes(cloud_pass: CloudPass, edge: float, one_in: int) -> Points:
     samples = cloud_pass.each(sample_region, corner, edge, one_in)
     positions, normals = (np.concatenate(column) for column in zip(*samples, strict=True))
     return positions, normals
+
+
+def draw_places(cloud_pass: CloudPass, edge: float, one_in: int) -> FloatArray:
+    """Return where the points in a sample of boxes lie, as `draw_boxes` does."""
+    corner = lay_lattice(cloud_pass.cloud.low, edge)
+    return np.concatenate(cloud_pass.each(sample_places, corner, edge, one_in))

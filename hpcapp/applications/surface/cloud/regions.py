@@ -6,8 +6,7 @@ terms of the region. So it is written once, for points in memory and for blocks 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -33,14 +32,11 @@ class ReplacedRows:
         Those that stay; all by default.
     normals : ndarray of float64 or float32, shape (m, 3), or None
         In place of those that they had.
-    attributes : dict of str to ndarray, shape (m,)
-        To be added.
     """
 
     rows: IntArray | slice
     kept: BoolArray | None = None
     normals: NDArray[Any] | None = None
-    attributes: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
 
 Replaced = ReplacedRows | PackedPoints | tuple[IntArray, IntArray]
@@ -70,13 +66,8 @@ class Region(Protocol):
     def flip(self, is_flipped: BoolArray) -> Replaced | None:
         """Turn round the normals of some of its own points, of shape (m,); None where of none."""
 
-    def replace_normals(
-        self, normals: FloatArray | Float32Array, attributes: Mapping[str, NDArray[Any]]
-    ) -> Replaced:
-        """Give its own points other normals, of shape (m, 3).
-
-        Attributes are added as well, where the points lie in memory: in a folder they have none.
-        """
+    def replace_normals(self, normals: FloatArray | Float32Array) -> Replaced:
+        """Give its own points other normals, of shape (m, 3)."""
 
 
 class RegionPoints(Protocol):
@@ -126,11 +117,9 @@ class MemoryRegion:
         own = self.normals if self.own.all() else self.normals[self.own]
         return ReplacedRows(self.rows, normals=np.where(is_flipped[:, None], -own, own))
 
-    def replace_normals(
-        self, normals: FloatArray | Float32Array, attributes: Mapping[str, NDArray[Any]]
-    ) -> Replaced:
+    def replace_normals(self, normals: FloatArray | Float32Array) -> Replaced:
         """See `Region`."""
-        return ReplacedRows(self.rows, normals=normals, attributes=attributes)
+        return ReplacedRows(self.rows, normals=normals)
 
 
 @record("surface.sent_blocks")
@@ -217,10 +206,7 @@ class _StoredRegion:
         records[is_flipped, 3:] *= -1.0
         return self._put(records, is_flipped)
 
-    def replace_normals(
-        self, normals: FloatArray | Float32Array, attributes: Mapping[str, NDArray[Any]]
-    ) -> Replaced:
-        del attributes
+    def replace_normals(self, normals: FloatArray | Float32Array) -> Replaced:
         records = self._take_own()
         records[:, 3:] = normals
         return self._put(records, np.ones(len(records), np.bool_))

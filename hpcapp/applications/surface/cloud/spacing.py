@@ -10,9 +10,11 @@ import numpy as np
 from hpcapp.applications.surface import kernels
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.lattice import (
+    are_sampled,
     cells_of,
     lay_lattice,
     pack_places,
+    shuffle_keys,
     unique_keys,
 )
 from hpcapp.geometry.points import FloatArray, IntArray
@@ -125,6 +127,27 @@ def sample_box_keys(
     chosen = positions[kernels.sample_boxes(positions, low, edge, one_in)]
     places = np.floor(cells_of(chosen, low, edge)).astype(np.int64)
     return len(chosen), unique_keys(pack_places(places))
+
+
+def sample_positions(
+    positions: FloatArray, low: FloatArray, edge: float, one_in: int
+) -> FloatArray:
+    """Return the points in a sample of boxes, in their order.
+
+    Unlike those of `kernels.sample_boxes` the boxes make no pattern, whichever the points make.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+    low : ndarray of float64, shape (3,)
+        Corner of a box.
+    edge : float
+        Of a box, in length units of the input.
+    one_in : int
+        About one box in so many is in the sample.
+    """
+    places = np.floor(cells_of(positions, low, edge)).astype(np.int64)
+    return positions[are_sampled(shuffle_keys(pack_places(places)), one_in)]
 
 
 def _search_edge(

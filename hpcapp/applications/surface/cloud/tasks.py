@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from hpcapp.applications.surface import kernels
-from hpcapp.applications.surface.cloud.arranged import Place
+from hpcapp.applications.surface.cloud.arranged import Place, Points
 from hpcapp.applications.surface.cloud.disk import open_place
-from hpcapp.applications.surface.cloud.measured import Points
 from hpcapp.applications.surface.cloud.patterns import (
     bounded_region,
     counted_boxes,
@@ -19,8 +18,7 @@ from hpcapp.applications.surface.cloud.patterns import (
     sampled_region,
 )
 from hpcapp.applications.surface.cloud.regions import RegionPoints
-from hpcapp.applications.surface.cloud.spacing import sample_box_keys
-from hpcapp.applications.surface.cloud.surface_check import sample_positions
+from hpcapp.applications.surface.cloud.spacing import sample_box_keys, sample_positions
 from hpcapp.applications.surface.scale.local_scale import ScaleCounts, count_scale
 from hpcapp.applications.surface.types.result_patterns import SMALL_BYTES
 from hpcapp.geometry.bounds import bound_points

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hpcapp.applications.surface.cloud.measured import SAMPLED_BOX, Measured
+from hpcapp.applications.surface.cloud.arranged import Measured
+from hpcapp.applications.surface.cloud.measure import SAMPLED_BOX
 from hpcapp.applications.surface.field.cell_points import PartMoments
 from hpcapp.applications.surface.field.far_field import (
     FEWEST_NODES,

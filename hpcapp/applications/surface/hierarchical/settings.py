@@ -123,7 +123,7 @@ class Hierarchical:
         from hpcapp.applications.surface.resolution.estimates import suggest_grid
 
         longest = float((cloud.high - cloud.low).max())
-        return suggest_grid(cloud.measure(), longest, self.smoothness, self.detail)
+        return suggest_grid(cloud.measured, longest, self.smoothness, self.detail)
 
     def open(self, grid: int, resources: Resources) -> Method[Any, Any, Any]:
         """Return the strategy.

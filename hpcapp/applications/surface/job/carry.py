@@ -26,9 +26,10 @@ def carry_columns(
     settings: Settings, loaded: Loaded, outcome: Outcome, clock: StageClock
 ) -> Carrying:
     """Return what the vertices of a job's mesh carry."""
-    cloud, choice, layout = loaded.cloud, settings.attributes, loaded.columns.layout
+    cloud, choice = loaded.cloud, settings.attributes
+    layout = loaded.columns.with_found(cloud)
     if choice.has_confidence and CONFIDENCE not in layout.attributes:
-        reason = loaded.columns.why_no_confidence
+        reason = "the normals are those of the input as they are"
         log.warning("warning: %s: left out: %s", name_option("attributes", CONFIDENCE), reason)
     if layout.colours is None and not layout.attributes and not choice.has_support:
         return Carrying(layout, has_normals=choice.has_normals, crs=loaded.crs)
@@ -37,7 +38,7 @@ def carry_columns(
     with clock.stage("attributes"):
         spacing = float(outcome.result.facts.get("spacing", 0.0))
         if not spacing and choice.has_support:
-            spacing = cloud.measure().spacing
+            spacing = cloud.measured.spacing
         evaluate = loaded.columns.open(cloud, spacing, threads, at_once)
     support = spacing if choice.has_support else None
     return Carrying(layout, evaluate, support, choice.has_normals, loaded.crs)

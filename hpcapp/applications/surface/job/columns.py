@@ -1,16 +1,15 @@
 """Where the columns of points are that a mesh is to carry: beside the points, or in their file.
 
-Points that lie in a folder have no columns there: these are put beside them when the surface is
-done, in one more pass over the input, here.
+Beside points that lie in a folder is only what was found out about them. The columns of their file
+are put there when the surface is done, in one more pass over the input, here.
 """
 
 from __future__ import annotations
 
 import secrets
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Protocol
 
 from hpcapp.applications.surface.attributes.carrying import Evaluate
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
@@ -20,19 +19,34 @@ from hpcapp.io import PointSource, open_points
 from hpccomponent.files.private_files import make_private_folder
 
 
-class Columns(Protocol):
-    """The colours and attributes of points that a mesh is to carry."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Columns:
+    """The colours and attributes of points that a mesh is to carry.
 
-    @property
-    def layout(self) -> PointCloud:
-        """Without points: which colours and attributes there are."""
+    Parameters
+    ----------
+    layout : PointCloud
+        Without points: those of the input.
+    labels : frozenset of str
+        Attributes of which no mean is to be taken; of a file they are found as it is read again.
+    file : JobSettings or None
+        Of the job whose input has the columns; None where they lie beside the points.
+    """
 
-    @property
-    def why_no_confidence(self) -> str:
-        """Why it is not known how sure the sides of the normals are, where it is not."""
+    layout: PointCloud
+    labels: frozenset[str] = frozenset()
+    file: JobSettings | None = None
 
-    def of_cloud(self, cloud: ArrangedCloud) -> Columns:
-        """Return those that the points have in the end: normals may have brought another one."""
+    @classmethod
+    def of_file(cls, settings: JobSettings, source: PointSource) -> Columns:
+        """Return those of a file that are to be carried to the mesh."""
+        first = settings.attributes.select(next(source.chunks(1)), settings.shown)
+        return cls(first.view(slice(0)), file=settings)
+
+    def with_found(self, cloud: ArrangedCloud) -> PointCloud:
+        """Return the layout of all, also of what was found out about the points."""
+        beside = cloud.take_columns(cloud.keys[:0]).attributes
+        return replace(self.layout, attributes={**beside, **self.layout.attributes})
 
     def open(self, cloud: ArrangedCloud, spacing: float, threads: int, at_once: int) -> Evaluate:
         """Return what tells what places take from the points near them.
@@ -47,66 +61,12 @@ class Columns(Protocol):
         at_once : int
             So many points may be in memory at once, about, if they are not there.
         """
+        if self.file is None:
+            from hpcapp.applications.surface.attributes.carry import (
+                AttributeField,  # scipy takes its time
+            )
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MemoryColumns:
-    """The columns of points in memory; see `Columns`.
-
-    Parameters
-    ----------
-    layout : PointCloud
-    labels : frozenset of str
-        Attributes of which no mean is to be taken.
-    """
-
-    layout: PointCloud
-    labels: frozenset[str]
-
-    @property
-    def why_no_confidence(self) -> str:
-        """See `Columns`."""
-        return "the normals are those of the input as they are"
-
-    def of_cloud(self, cloud: ArrangedCloud) -> Columns:
-        """See `Columns`."""
-        return MemoryColumns(cloud.sample(len(cloud)).view(slice(0)), self.labels)
-
-    def open(self, cloud: ArrangedCloud, spacing: float, threads: int, at_once: int) -> Evaluate:
-        """See `Columns`."""
-        del spacing, at_once  # the points are here
-        from hpcapp.applications.surface.attributes.carry import (
-            AttributeField,  # scipy takes its time
-        )
-
-        return AttributeField(cloud.sample(len(cloud)), self.labels, threads).evaluate
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FileColumns:
-    """The columns of points in a folder, which are read from their file again; see `Columns`."""
-
-    settings: JobSettings
-    layout: PointCloud
-
-    @classmethod
-    def of(cls, settings: JobSettings, source: PointSource) -> FileColumns:
-        """Return those of a file that are to be carried to the mesh."""
-        first = next(source.chunks(1))
-        return cls(settings, settings.attributes.select(first, settings.shown).view(slice(0)))
-
-    @property
-    def why_no_confidence(self) -> str:
-        """See `Columns`."""
-        return "it is known only where the points are in memory"
-
-    def of_cloud(self, cloud: ArrangedCloud) -> Columns:
-        """See `Columns`."""
-        del cloud
-        return self
-
-    def open(self, cloud: ArrangedCloud, spacing: float, threads: int, at_once: int) -> Evaluate:
-        """See `Columns`."""
+            return AttributeField(cloud.take_columns(cloud.keys), self.labels, threads).evaluate
         from hpcapp.applications.surface.attributes.blocks import ColumnBlocks
         from hpcapp.applications.surface.attributes.labels import LabelSearch
         from hpcapp.applications.surface.attributes.search import evaluate_blocks
@@ -114,8 +74,8 @@ class FileColumns:
         folder = Path(str(cloud.place)).parent / f"columns-{secrets.token_hex(4)}"
         make_private_folder(folder)
         columns, search = ColumnBlocks(folder, cloud, self.layout), LabelSearch()
-        for part in open_points(self.settings.points).isotropic().chunks(at_once):
-            chosen = self.settings.attributes.select(part, self.settings.shown)
+        for part in open_points(self.file.points).isotropic().chunks(at_once):
+            chosen = self.file.attributes.select(part, self.file.shown)
             search.add(chosen.attributes)
             local = chosen.positions - cloud.origin if cloud.origin.any() else chosen.positions
             columns.add(PointCloud(local, None, chosen.colours, chosen.attributes))

@@ -16,7 +16,7 @@ from hpcapp.applications.surface.cleaning.drive import (
 from hpcapp.applications.surface.cloud.arranged import MemoryCloud, arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
 from hpcapp.applications.surface.cloud.folder_pass import FolderPass, make_cloud_folder
-from hpcapp.applications.surface.job.columns import FileColumns, MemoryColumns
+from hpcapp.applications.surface.job.columns import Columns
 from hpcapp.applications.surface.job.scan import PointFolder, Scan
 from hpcapp.applications.surface.job.settings import JobSettings, Settings
 from hpcapp.applications.surface.normals.sensor import Sensor, sensor_of
@@ -99,7 +99,7 @@ def arrange_points(
             cloud = arrange_cloud(near)
         cloud_pass, repeated = drop_repeated(MemoryPass(cloud))
     cleaned = Cleaned(len(points) - len(near), repeated=repeated)
-    columns = MemoryColumns(points.view(slice(0)), labels)
+    columns = Columns(points.take(np.empty(0, np.int64)), labels)  # a view would hold the points
     return Scan(cloud_pass, Dropped(0, 0), cleaned, columns, points.normals is not None)
 
 
@@ -118,7 +118,7 @@ def _read_into_folder(
         cloud_pass,
         ingested.dropped,
         Cleaned(ingested.far, repeated=repeated),
-        FileColumns.of(settings, source),
+        Columns.of_file(settings, source),
         source.has_normals,
         source.oriented,
         _find_sensor(settings, source),

@@ -11,7 +11,7 @@ from hpcapp.applications.surface.cleaning.drive import (
     Cleaned,
 )
 from hpcapp.applications.surface.cloud.disk import open_disk_cloud
-from hpcapp.applications.surface.job.columns import FileColumns
+from hpcapp.applications.surface.job.columns import Columns
 from hpcapp.applications.surface.job.scan import Loaded, PointFolder
 from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.normals.sides import Oriented
@@ -61,7 +61,7 @@ def find_loaded(settings: JobSettings, source: PointSource, folder: PointFolder)
         cloud,
         Dropped(**known["dropped"]),
         Cleaned(**known["cleaned"]),
-        FileColumns.of(settings, source),
+        Columns.of_file(settings, source),
         Oriented(**known["oriented"]),
         Findings(**known["findings"]),
         source.frame,

@@ -79,8 +79,8 @@ class Scan:
             What was found since it was read.
         oriented : Oriented
         """
-        cleaned, columns = self.cleaned.plus(cleaned), self.columns.of_cloud(cloud)
-        return Loaded(cloud, self.dropped, cleaned, columns, oriented, self.findings, self.crs)
+        cleaned = self.cleaned.plus(cleaned)
+        return Loaded(cloud, self.dropped, cleaned, self.columns, oriented, self.findings, self.crs)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

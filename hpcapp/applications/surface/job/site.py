@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, replace_points
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
+from hpcapp.applications.surface.cloud.measure import replace_points
 from hpcapp.applications.surface.job.backend_choice import Choice, Job, Opener
 from hpcapp.applications.surface.job.folder import all_see_folder, choose_tile
 from hpcapp.applications.surface.job.settings import Settings, choose_steps, choose_threads

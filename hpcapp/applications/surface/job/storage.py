@@ -135,7 +135,8 @@ def _name_job(settings: JobSettings) -> str:
     return digest(
         *map(_identify, settings.files), settings.points.stat().st_size, settings.grid,
         settings.depth, settings.voxel_size, repr(settings.method), settings.outliers,
-        settings.denoise, settings.resample, settings.normals, settings.viewpoint, kernel_id(),
+        settings.denoise, settings.resample, settings.normals, settings.viewpoint,
+        settings.attributes.has_confidence, kernel_id(),
     )  # fmt: skip
 
 

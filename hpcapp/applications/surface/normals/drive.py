@@ -70,7 +70,7 @@ def orient_normals(
     keeps : bool
         Whether the normals that are there count, but for their side; else they are estimated.
     attribute : str, optional
-        By which name points in memory keep how sure their side is, 0 to 1.
+        By which name the points keep how sure their side is, 0 to 1.
 
     Returns
     -------
@@ -102,11 +102,16 @@ def orient_normals(
     del found
     del grouped
     cloud_pass, results = cloud_pass.rewrite(
-        turn_region, *given, oriented.sides, attribute, margin=margin
+        turn_region,
+        *given,
+        oriented.sides,
+        attribute is not None,
+        margin=margin,
+        attribute=attribute,
     )
-    flipped = sum(opposite for opposite, _ in results)
+    flipped = sum(opposite for opposite, *_ in results)
     # (100,): points of all regions by the bin of their confidence.
-    confidences = np.sum([binned for _, binned in results], axis=0)
+    confidences = np.sum([binned for _, binned, *_ in results], axis=0)
     sure = float(confidences[round(SURE * CONFIDENCE_BINS) :].sum()) / len(cloud)
     doubt = None if oriented.doubt is None else _tell_doubt(oriented.doubt, cloud.origin)
     return cloud_pass, OrientedNormals(sure, flipped, oriented.how, doubt)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from hpcapp.applications.surface.cloud.patterns import UNIT, AssignedPoints
 from hpcapp.applications.surface.cloud.regions import StoredBlocks
 from hpcapp.applications.surface.kernels import SHEETS
@@ -13,6 +11,7 @@ from hpcapp.applications.surface.normals.patches import (
     MARGIN,
     Links,
     Patches,
+    Sides,
 )
 from hpcapp.applications.surface.types.result_patterns import (
     are_units,
@@ -39,12 +38,15 @@ def estimated_region(
     return Fixed(own.replaced(points.target, _MOST_NOISE * spacing, is_all=True))
 
 
-def turned_region(points: StoredBlocks, *_: Any) -> Declared:
+def turned_region(
+    points: StoredBlocks, _low: FloatArray, _spacing: float, _sides: Sides, tells: bool
+) -> Declared:
     """Return the pattern of what `tasks.turn_region` returns."""
     own = AssignedPoints.of(points)
     replaced = own.replaced(points.target, UNIT, are_units, is_all=True)
     bins = Array("<i8", CONFIDENCE_BINS, low=0, total=own.total)
-    return Fixed(replaced, Whole(0, own.points), bins)
+    told = Array("<f4", own.points if tells else 0, low=0.0, high=1.0)
+    return Fixed(replaced, Whole(0, own.points), bins, told)
 
 
 def grouped_region(points: StoredBlocks, low: FloatArray, spacing: float) -> Declared:

@@ -168,7 +168,7 @@ def orient_cloud(
     has_normals, is_oriented : bool
         Whether the points have normals, and whether the file says that these have a side.
     attribute : str, optional
-        By which name points in memory keep how sure their side is, 0 to 1.
+        By which name the points keep how sure their side is, 0 to 1.
 
     Returns
     -------

@@ -27,7 +27,7 @@ from hpcapp.applications.surface.normals.patterns import (
     grouped_region,
     turned_region,
 )
-from hpcapp.geometry.points import FloatArray, IntArray
+from hpcapp.geometry.points import Float32Array, FloatArray, IntArray
 from hpccomponent.runtime.tasks import declare
 
 
@@ -50,7 +50,7 @@ def estimate_region(
     vectors = estimate_normals(region.positions, region.own, low, spacing)
     if keeps:
         vectors = keep_directions(vectors, region.normals[region.own])
-    return (region.replace_normals(vectors, {}),)
+    return (region.replace_normals(vectors),)
 
 
 @declare(result=grouped_region, limit=region_bytes(1024))
@@ -70,8 +70,8 @@ def group_region(points: RegionPoints, low: FloatArray, spacing: float) -> tuple
 
 @declare(result=turned_region, limit=region_bytes(40))
 def turn_region(
-    points: RegionPoints, low: FloatArray, spacing: float, sides: Sides, attribute: str | None
-) -> tuple[Replaced, int, IntArray]:
+    points: RegionPoints, low: FloatArray, spacing: float, sides: Sides, tells: bool
+) -> tuple[Replaced, int, IntArray, Float32Array]:
     """Turn the normals of a region to their side (a task).
 
     Parameters
@@ -80,8 +80,8 @@ def turn_region(
         With a margin of `patches.MARGIN` spacings, of a cloud with estimated normals.
     low, spacing, sides
         As for `patches.turn_points`; the sides of all patches.
-    attribute : str or None
-        By which name points in memory keep how sure their side is, 0 to 1.
+    tells : bool
+        Whether the confidence of each point is wanted.
 
     Returns
     -------
@@ -89,15 +89,21 @@ def turn_region(
         With unit normals.
     turned : int
         How many of these are the opposites of what they were.
-    confidences : ndarray of int64, shape (100,)
+    counts : ndarray of int64, shape (100,)
         How many points have a confidence of 0 to 0.01, 0.01 to 0.02 ...
+    confidences : ndarray of float32, shape (m,) or (0,)
+        How sure the sides of the region's own points are, 0 to 1.
     """
     region = points.take()
-    columns = turn_points(region.positions, region.normals, low, spacing, sides)
-    normals, is_turned, confidences = (column[region.own] for column in columns)
+    found = turn_points(region.positions, region.normals, low, spacing, sides)
+    normals, is_turned, confidences = (
+        found[0][region.own],
+        found[1][region.own],
+        found[2][region.own],
+    )
     # (m,): the last bin holds a confidence of 1, too.
     bins = np.minimum((confidences * CONFIDENCE_BINS).astype(np.int64), CONFIDENCE_BINS - 1)
     counts = np.bincount(bins, minlength=CONFIDENCE_BINS)
-    attributes = {} if attribute is None else {attribute: confidences}
-    replaced = region.replace_normals(normals.astype(np.float64), attributes)
-    return replaced, int(np.count_nonzero(is_turned)), counts
+    replaced = region.replace_normals(normals.astype(np.float64))
+    told = confidences if tells else np.empty(0, np.float32)
+    return replaced, int(np.count_nonzero(is_turned)), counts, told

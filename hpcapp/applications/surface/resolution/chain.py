@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
-from hpcapp.applications.surface.cloud.measured import Measured
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, Measured
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.field.refinement import Refinement
 from hpcapp.applications.surface.methods.method import MARGIN
@@ -80,7 +79,7 @@ def resolve(
     InputError
         There are no normals, or all points are the same.
     """
-    low, high, measured = cloud.low, cloud.high, cloud.measure()
+    low, high, measured = cloud.low, cloud.high, cloud.measured
     grid = plan_grid(low, high, cells)
     scale = choose_scale(measured, grid.step, smoothness, detail, threads)
     origin, noise = lay_lattice(low, scale.finest), scale.noise.scaled(smoothness)

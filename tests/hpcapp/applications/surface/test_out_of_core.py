@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 
 from hpcapp.api.reconstruction import reconstruct
+from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.cli import run
 from hpcapp.applications.surface.cli.run import run_job
 from hpcapp.applications.surface.extraction.parts import MeshPart
@@ -100,6 +102,31 @@ def test_a_cloud_on_disk_gives_the_bytes_of_one_in_memory(
     assert report["tiles"] > 1
     assert report["dropped"]["outliers"] > 0
     assert list(room.rglob("*")) == []  # what was kept is taken away
+
+
+@pytest.mark.slow
+@pytest.mark.leaks_allowed  # loky keeps its resource tracker
+@pytest.mark.parametrize("backend", ["serial", "processes", "zmq", "loky:ProcessPoolExecutor"])
+def test_how_sure_the_sides_of_normals_are_is_known_on_disk_too(
+    backend: str, scan: Path, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    """Whether workers see the folder or not, as those of loky."""
+    is_foreign = ":" in backend
+    if is_foreign:
+        pytest.importorskip("loky", reason="loky is not installed")
+    whole, output = tmp_path / "whole.ply", tmp_path / "mesh.ply"
+    choice = parse_attributes("confidence")
+    settings = JobSettings(scan, str(whole), grid=96, normals="estimate", attributes=choice)
+    run_job(settings, SILENT)
+    request.getfixturevalue("small")
+    workers = None if is_foreign or backend == "serial" else 2
+    report = run_job(
+        replace(settings, output=str(output), backend=backend, workers=workers), SILENT
+    )
+    assert report["tiles"] > 1
+    assert report["attributes"] == ["confidence"]
+    assert b"property float confidence" in output.read_bytes()
+    assert output.read_bytes() == whole.read_bytes()
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ import pytest
 
 from hpcapp.applications.surface.boundary.drive import OpeningSettings
 from hpcapp.applications.surface.boundary.lengths import Length
-from hpcapp.applications.surface.cloud.arranged import arrange_cloud
+from hpcapp.applications.surface.cloud.measure import measure_points
 from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
 from hpcapp.applications.surface.job.outcome import Reconstruction
 from hpcapp.applications.surface.pipeline import make_surface
@@ -52,7 +52,7 @@ def run(
         method = HierarchicalMethod(GRID, tile_points=tile_points, opening=opening)
         clock = StageClock(Progress())
         workforce = Workforce(executor, in_process=True)
-        return make_surface(arrange_cloud(cloud), method, workforce, clock)
+        return make_surface(measure_points(cloud), method, workforce, clock)
 
 
 def open_mesh(

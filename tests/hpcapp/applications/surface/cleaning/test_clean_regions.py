@@ -21,8 +21,8 @@ from hpcapp.applications.surface.cleaning.drive import (
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass, PassT
 from hpcapp.applications.surface.cloud.measure import measure_cloud
-from hpcapp.applications.surface.cloud.measured import measure_points
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
+from hpcapp.applications.surface.cloud.spacing import estimate_spacing
 from hpcapp.applications.surface.resolution.estimates import choose_scale
 from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.geometry.points import FloatArray, PointCloud
@@ -139,7 +139,7 @@ def _clean(cloud_pass: PassT) -> tuple[PassT, Cleaned, LocalScale]:
 
 
 def _measure(cloud: ArrangedCloud) -> tuple[object, ...]:
-    scale = choose_scale(cloud.measure(), 0.0, 1.0, 1.0)
+    scale = choose_scale(cloud.measured, 0.0, 1.0, 1.0)
     noise = scale.noise.whole, scale.noise.places.spacings.tobytes()
     return scale.cell_size, scale.tolerance, scale.finer, scale.coarser, *noise
 
@@ -154,8 +154,7 @@ def _assert_cleaned_alike(scan: PointCloud, folder: Path, workers: PointWorkers)
     assert same.spacings.tobytes() == scale.spacings.tobytes()
     found = measure_cloud(there, scale).cloud
     assert _measure(found) == _measure(kept.cloud)
-    # By themselves the points have other blocks, and so other cells of their scale.
-    assert measure_points(expected).spacing == kept.cloud.measure().spacing
+    assert estimate_spacing(expected.positions) == kept.cloud.measured.spacing
     assert found.low.tolist() == expected.positions.min(axis=0).tolist()
     assert found.high.tolist() == expected.positions.max(axis=0).tolist()
     assert len(found) == len(expected)

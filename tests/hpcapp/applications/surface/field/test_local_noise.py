@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from shared_data import shared
 
-from hpcapp.applications.surface.cloud.measured import find_scale, measure_points
+from hpcapp.applications.surface.cloud.measure import find_scale, measure_points
 from hpcapp.applications.surface.field.local_noise import LocalNoise
 from hpcapp.applications.surface.resolution.estimates import choose_scale
 from hpcapp.geometry.points import FloatArray, PointCloud
@@ -56,7 +56,7 @@ def cube() -> PointCloud:
 
 
 def find_noise(cloud: PointCloud) -> LocalNoise:
-    return choose_scale(measure_points(cloud), 0.0, 1.0, 1.0).noise
+    return choose_scale(measure_points(cloud).measured, 0.0, 1.0, 1.0).noise
 
 
 @pytest.mark.parametrize("bad", [0.3, 0.6])

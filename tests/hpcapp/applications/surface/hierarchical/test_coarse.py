@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.cloud.measured import measure_points
+from hpcapp.applications.surface.cloud.measure import measure_points
 from hpcapp.applications.surface.hierarchical.coarse import choose_nodes
 from hpcapp.geometry.points import FloatArray, PointCloud
 
@@ -30,7 +30,7 @@ def shell(thickness: float, points: int = POINTS) -> tuple[FloatArray, FloatArra
 
 def nodes(points: tuple[FloatArray, FloatArray], noise: float = 0.0) -> int:
     """Choose for cells that are smaller than the coarser field's step."""
-    return choose_nodes(BOX, 0.5 * STEP, noise, measure_points(PointCloud(*points)))
+    return choose_nodes(BOX, 0.5 * STEP, noise, measure_points(PointCloud(*points)).measured)
 
 
 @pytest.mark.parametrize("points", [POINTS, 20 * POINTS])

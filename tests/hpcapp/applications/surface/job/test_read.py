@@ -67,7 +67,7 @@ def test_the_first_at_each_place_stays(
     folder = load(settings, StageClock(Progress()), there)
     assert points_of(folder) == points_of(memory)
     assert folder.cleaned == memory.cleaned
-    assert folder.cloud.measure().spacing == memory.cloud.measure().spacing
+    assert folder.cloud.measured.spacing == memory.cloud.measured.spacing
     assert len(folder.cloud) == len(sphere)
     kept = JobSettings(path, "m.ply", method=Hierarchical(clean=clean), resume=True)
     again = load(kept, StageClock(Progress()), there)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from passes import alone, in_folder, in_memory
 
+from hpcapp.applications.surface.cleaning.drive import mend_normals
 from hpcapp.applications.surface.cloud import cloud_pass
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
@@ -145,10 +146,17 @@ def test_regions_give_the_normals_of_the_whole(
     memory = MemoryPass(arrange_cloud(points))
     spacing = measure_spacing(memory)
     keeps = what == "given"
-    whole, wanted = orient_normals(memory, spacing, UNKNOWN, keeps=keeps)
+    whole, wanted = orient_normals(memory, spacing, UNKNOWN, keeps=keeps, attribute="sure")
     there = in_folder(points, tmp_path, alone(1_500, sees=workers_see))
-    found, same = orient_normals(there, spacing, UNKNOWN, keeps=keeps)
+    found, same = orient_normals(there, spacing, UNKNOWN, keeps=keeps, attribute="sure")
     assert len(found.cloud.parts) > 3
+    found, _ = mend_normals(found, spacing)  # which leaves them beside other points
+    whole, _ = mend_normals(whole, spacing)
+    found.cloud.check()
+    for keys in (found.cloud.keys, found.cloud.keys[1::2]):
+        sure = whole.cloud.take_columns(keys).attributes["sure"]
+        assert found.cloud.take_columns(keys).attributes["sure"].tobytes() == sure.tobytes()
+    assert np.ptp(sure) > 0.0
     assert found.cloud.take_blocks(found.cloud.keys)[0].tobytes() == (
         memory.cloud.points.positions.tobytes()
     )

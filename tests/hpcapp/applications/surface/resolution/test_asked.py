@@ -5,7 +5,8 @@ import logging
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.cloud.arranged import MemoryCloud, arrange_cloud
+from hpcapp.applications.surface.cloud.arranged import MemoryCloud
+from hpcapp.applications.surface.cloud.measure import measure_points
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
 from hpcapp.applications.surface.job.settings import Settings
 from hpcapp.applications.surface.paper.settings import Paper
@@ -21,7 +22,7 @@ def sphere(points: int, noise: float = 0.0) -> MemoryCloud:
     normals = rng.normal(size=(points, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     radii = 1.0 + noise * rng.normal(size=points)
-    return arrange_cloud(PointCloud(radii[:, None] * normals, normals))
+    return measure_points(PointCloud(radii[:, None] * normals, normals))
 
 
 def test_a_dense_clean_scan_gets_steps_as_far_apart_as_its_points() -> None:

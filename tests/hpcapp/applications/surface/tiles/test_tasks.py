@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.cloud.arranged import MemoryCloud, arrange_cloud
+from hpcapp.applications.surface.cloud.arranged import MemoryCloud
 from hpcapp.applications.surface.cloud.arrangement import PackedPoints
+from hpcapp.applications.surface.cloud.measure import measure_points
 from hpcapp.applications.surface.extraction.parts import MeshPart, join_parts
 from hpcapp.applications.surface.field.cell_points import SortedPoints
 from hpcapp.applications.surface.hierarchical.coarse import Coarse, fit_coarse
@@ -36,7 +37,7 @@ from hpccomponent.store.base import FolderStore
 def ball(count: int) -> MemoryCloud:
     points = np.random.default_rng(5).normal(size=(count, 3))
     normals = points / np.linalg.norm(points, axis=1)[:, None]
-    return arrange_cloud(PointCloud(normals, normals))
+    return measure_points(PointCloud(normals, normals))
 
 
 def assert_same(found: Any, wanted: Any) -> None:
