@@ -14,7 +14,7 @@ from hpcapp.applications.surface.cloud.disk import open_disk_cloud
 from hpcapp.applications.surface.job.columns import Columns
 from hpcapp.applications.surface.job.scan import Loaded, PointFolder
 from hpcapp.applications.surface.job.settings import JobSettings
-from hpcapp.applications.surface.normals.sides import Oriented
+from hpcapp.applications.surface.normals.oriented import Oriented
 from hpcapp.applications.surface.tiles.checkpoint import POINTS_NOTE
 from hpcapp.geometry.validity import Dropped
 from hpcapp.io import PointSource

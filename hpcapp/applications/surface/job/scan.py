@@ -11,8 +11,8 @@ from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.cloud.cloud_pass import CloudPass
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.job.columns import Columns
+from hpcapp.applications.surface.normals.oriented import Oriented
 from hpcapp.applications.surface.normals.sensor import Sensor
-from hpcapp.applications.surface.normals.sides import Oriented
 from hpcapp.geometry.validity import Dropped
 from hpcapp.io.crs import UNKNOWN, Crs
 from hpcapp.io.points.point_source import Findings

@@ -17,9 +17,9 @@ from hpcapp.applications.surface.cloud.cloud_pass import PassT
 from hpcapp.applications.surface.cloud.measure import draw_places
 from hpcapp.applications.surface.normals import estimation, patches
 from hpcapp.applications.surface.normals.orientation import SURE, Doubt, orient_patches
+from hpcapp.applications.surface.normals.oriented import Unsure
 from hpcapp.applications.surface.normals.patterns import CONFIDENCE_BINS
 from hpcapp.applications.surface.normals.sensor import Sensor
-from hpcapp.applications.surface.normals.sides import Unsure
 from hpcapp.applications.surface.normals.stand import has_pixels
 from hpcapp.applications.surface.normals.tasks import estimate_region, group_region, turn_region
 from hpcapp.geometry.lattice import lay_lattice

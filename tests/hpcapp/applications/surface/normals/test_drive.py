@@ -15,8 +15,9 @@ from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
 from hpcapp.applications.surface.cloud.measure import measure_spacing
 from hpcapp.applications.surface.normals.drive import orient_normals
 from hpcapp.applications.surface.normals.orientation import SURE
+from hpcapp.applications.surface.normals.oriented import Oriented
 from hpcapp.applications.surface.normals.sensor import Sensor
-from hpcapp.applications.surface.normals.sides import Oriented, judge_normals, orient_cloud
+from hpcapp.applications.surface.normals.sides import judge_normals, orient_cloud
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.lab.simulate.scanner import simulate_scan
 from hpcapp.lab.simulate.settings import ScanSettings

@@ -1,0 +1,131 @@
+"""How the normals of a cloud came about, and what is unsure of their sides."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+from hpccomponent.cli.option_names import name_option
+
+log = logging.getLogger("hpcapp")
+
+Judgement = Literal["agree", "contradict", "follow a place"]
+"""What normals of neighbouring points say of each other's side."""
+
+
+_DOUBTFUL = 0.9  # share of points whose side is sure, below which somebody should look
+
+
+@dataclass(frozen=True, slots=True)
+class Unsure:
+    """What is unsure of the sides of normals.
+
+    Parameters
+    ----------
+    place : tuple of float
+        The middle of the largest piece whose side is, in the file's coordinates.
+    seen, options : tuple of str
+        Where it is taken to be seen from, and where else it may be: ``from above``; and what tells
+        so (``--viewpoint``). Empty where nothing explains it.
+    """
+
+    place: tuple[float, ...]
+    seen: tuple[str, ...] = ()
+    options: tuple[str, ...] = ()
+
+    @property
+    def advice(self) -> str:
+        """What a user can do."""
+        if not self.options:
+            words = name_option("viewpoint")
+            return f"say where it was scanned from ({words}: above, outside, inside, or X,Y,Z)"
+        taken, other = self.seen
+        asked = " or ".join(name_option("viewpoint", option) for option in self.options)
+        return f"it is taken as seen {taken}, and may be seen {other}: decide by {asked}"
+
+
+@dataclass(frozen=True, slots=True)
+class Oriented:
+    """How the normals of a cloud came about.
+
+    Parameters
+    ----------
+    source : str
+        ``file`` or ``estimated``.
+    sure : float
+        Share of the points whose side is sure, 0 to 1.
+    flipped : int
+        How many normals of the file were turned round, patch by patch.
+    judgement : str
+        Whether those of a file agree on a side.
+    how : str
+        What tells their side, where it was looked for: ``from above``.
+    doubt : Unsure or None
+        What is unsure of them.
+    """
+
+    source: str
+    sure: float
+    flipped: int = 0
+    judgement: Judgement = "agree"
+    how: str = ""
+    doubt: Unsure | None = None
+
+    @property
+    def is_believed(self) -> bool:
+        """Whether their side is that of the file, and they agree on it."""
+        return self.source == "file" and self.judgement == "agree" and not self.how
+
+    @property
+    def warnings(self) -> list[str]:
+        """What should make the user doubt them."""
+        found = []
+        what = {
+            "contradict": "the normals contradict each other",
+            "follow a place": "the sides of the normals follow one direction or place, not a "
+            "surface",
+        }.get(self.judgement)
+        given = name_option("normals", "file")
+        if self.flipped:
+            what = what or "the normals have no side"
+            found.append(
+                f"{what}: {self.flipped} were turned round, so that all are on one side; {given} "
+                "takes them as they are"
+            )
+        elif what and not self.how:
+            found.append(
+                f"{what}, the mesh means little: orient them consistently (e.g. in CloudCompare "
+                f"or MeshLab), or leave {given} out"
+            )
+        if self.sure < _DOUBTFUL and self.doubt is not None:
+            place = ", ".join(f"{value:.6g}" for value in self.doubt.place)
+            found.append(
+                f"the side of {100.0 * (1.0 - self.sure):.1f} % of the normals is unsure, most of "
+                f"it around ({place}): {self.doubt.advice}"
+            )
+        return found
+
+    def report(self, shown: str) -> None:
+        """Log how they came about.
+
+        Parameters
+        ----------
+        shown : str
+            The input, for the messages.
+        """
+        if self.source != "file":
+            sure = 100.0 * self.sure
+            log.info(
+                "%s: normals: estimated; seen %s; %.1f %% of the points surely oriented",
+                shown, self.how, sure,
+            )  # fmt: skip
+        for warning in self.warnings:
+            log.warning("warning: %s: %s", shown, warning)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the same for the job's report."""
+        facts = {"source": self.source, "sure": round(self.sure, 4), "turned": self.flipped}
+        seen = {"seen": self.how} if self.how else {}
+        unsure = {"unsure": asdict(self.doubt)} if self.doubt else {}
+        return facts | seen | unsure
