@@ -25,6 +25,7 @@ from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.field.pyramid import count_levels
 from hpcapp.applications.surface.field.refinement import Refinement
+from hpcapp.applications.surface.hierarchical.all_tiles import mesh_all_tiles
 from hpcapp.applications.surface.hierarchical.coarse import (
     FEWEST_NODES,
     Coarse,
@@ -33,8 +34,7 @@ from hpcapp.applications.surface.hierarchical.coarse import (
     fit_coarse,
 )
 from hpcapp.applications.surface.hierarchical.estimates import Scale, choose_scale
-from hpcapp.applications.surface.hierarchical.growth import mesh_regions
-from hpcapp.applications.surface.hierarchical.slabs import mesh_slabs
+from hpcapp.applications.surface.hierarchical.one_tile import mesh_one_tile
 from hpcapp.applications.surface.hierarchical.strides import choose_strides
 from hpcapp.applications.surface.hierarchical.tiles import Tiling
 from hpcapp.applications.surface.method import (
@@ -275,12 +275,12 @@ class HierarchicalMethod:
         origin = partition.cloud.origin
         if partition.tiling is None:
             points = self._read_points(partition.cloud)
-            surface, partition.patches = mesh_slabs(
+            surface, partition.patches = mesh_one_tile(
                 points, partition.plan, self.threads, advance, self.show_part
             )
         else:
             assert quadrics is not None  # noqa: S101 - tiles have coarse quadrics
-            surface = mesh_regions(
+            surface = mesh_all_tiles(
                 partition.tiling,
                 quadrics,
                 workforce,
