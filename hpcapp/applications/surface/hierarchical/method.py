@@ -24,14 +24,14 @@ from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.field.far_field import FEWEST_NODES
 from hpcapp.applications.surface.field.pyramid import count_levels
+from hpcapp.applications.surface.hierarchical.all_tiles import mesh_all_tiles
 from hpcapp.applications.surface.hierarchical.coarse import (
     Coarse,
     choose_nodes,
     far_level,
     fit_coarse,
 )
-from hpcapp.applications.surface.hierarchical.growth import mesh_regions
-from hpcapp.applications.surface.hierarchical.slabs import mesh_slabs
+from hpcapp.applications.surface.hierarchical.one_tile import mesh_one_tile
 from hpcapp.applications.surface.hierarchical.tiles import Tiling
 from hpcapp.applications.surface.methods.method import (
     LARGE_TILE,
@@ -275,12 +275,12 @@ class HierarchicalMethod:
         origin = partition.cloud.origin
         if partition.tiling is None:
             points = self._read_points(partition.cloud)
-            surface, partition.patches = mesh_slabs(
+            surface, partition.patches = mesh_one_tile(
                 points, partition.plan, self.threads, advance, self.show_part
             )
         else:
             assert quadrics is not None  # noqa: S101 - tiles have coarse quadrics
-            surface = mesh_regions(
+            surface = mesh_all_tiles(
                 partition.tiling,
                 quadrics,
                 workforce,

@@ -20,7 +20,7 @@ from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.cli import run
 from hpcapp.applications.surface.cli.run import run_job
 from hpcapp.applications.surface.extraction.parts import MeshPart
-from hpcapp.applications.surface.hierarchical import growth as regions
+from hpcapp.applications.surface.hierarchical import all_tiles
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
 from hpcapp.applications.surface.job import folder, read, site, storage
 from hpcapp.applications.surface.job.settings import JobSettings
@@ -280,13 +280,13 @@ def _count_tiles(monkeypatch: pytest.MonkeyPatch, fail_at: int | None = None) ->
         calls.append(1)
         return region.mesh_tile(*arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(regions, "mesh_tile", mesh_tile)
+    monkeypatch.setattr(all_tiles, "mesh_tile", mesh_tile)
     return calls
 
 
 KILLED = """
 import os, signal
-from hpcapp.applications.surface.hierarchical import growth as regions
+from hpcapp.applications.surface.hierarchical import all_tiles
 from hpcapp.cli import main
 
 def stream_some(*arguments):
@@ -295,7 +295,7 @@ def stream_some(*arguments):
             os.kill(os.getpid(), signal.SIGKILL)
         yield result
 
-stream_batches, regions.stream_batches = regions.stream_batches, stream_some
+stream_batches, all_tiles.stream_batches = all_tiles.stream_batches, stream_some
 main()
 """
 

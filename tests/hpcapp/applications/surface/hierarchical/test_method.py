@@ -18,7 +18,7 @@ from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.field import levels as field_levels
 from hpcapp.applications.surface.field.levels import SlabFields
 from hpcapp.applications.surface.field.robust import find_tolerance
-from hpcapp.applications.surface.hierarchical import slabs
+from hpcapp.applications.surface.hierarchical import one_tile
 from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
 from hpcapp.applications.surface.hierarchical.tiles import Tiling
 from hpcapp.applications.surface.resolution import estimates
@@ -386,7 +386,7 @@ def test_the_surface_is_followed_into_slabs_without_points(monkeypatch: pytest.M
             done.add(slab)
             yield part, exits
 
-    monkeypatch.setattr(slabs, "grow_slabs", grow)
+    monkeypatch.setattr(one_tile, "grow_slabs", grow)
     monkeypatch.setattr(field_levels, "_LEAST_LAYERS", 1)
     monkeypatch.setattr(slab_growth, "SLAB_QUADRICS", 1)
     mesh, _ = reconstruct(cloud, HierarchicalMethod(64))

@@ -19,7 +19,7 @@ import pytest
 
 from hpcapp.applications.surface.cli import run
 from hpcapp.applications.surface.cli.run import run_job
-from hpcapp.applications.surface.hierarchical import growth as regions
+from hpcapp.applications.surface.hierarchical import all_tiles
 from hpcapp.applications.surface.job import site, storage
 from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.tiles import tasks as region
@@ -37,7 +37,7 @@ OPTIONS = ("--grid", "64", "--backend", "zmq", "--workers", "2")
 
 PAUSED = """
 import os, sys
-from hpcapp.applications.surface.hierarchical import growth as regions
+from hpcapp.applications.surface.hierarchical import all_tiles
 from hpcapp.cli import main
 
 def stream_some(*arguments):
@@ -50,7 +50,7 @@ def stream_some(*arguments):
                 raise WorkerLostError("the last worker is gone")
 
 os.umask(0)
-stream_batches, regions.stream_batches = regions.stream_batches, stream_some
+stream_batches, all_tiles.stream_batches = all_tiles.stream_batches, stream_some
 main()
 """
 
@@ -311,7 +311,7 @@ def _count_tiles(patch: pytest.MonkeyPatch, fail_at: int | None = None) -> list[
         made.append(1)
         return region.mesh_tile(*arguments)  # type: ignore[arg-type]
 
-    patch.setattr(regions, "mesh_tile", mesh_tile)
+    patch.setattr(all_tiles, "mesh_tile", mesh_tile)
     return made
 
 

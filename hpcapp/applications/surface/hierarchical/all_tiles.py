@@ -1,9 +1,11 @@
-"""The surface, tile by tile on the workers, and over the gaps between them until it is quiet.
+"""The surface of a cloud of several tiles: each by a task, and over the gaps between them.
 
 ::
 
     tiles ── mesh_tile ──> parts, exits ──┐
                exits that no part has ──> mesh_gap ──> parts, exits ──> ... none left
+
+Of a cloud that is one tile see `one_tile`.
 """
 
 from __future__ import annotations
@@ -40,7 +42,7 @@ _MOST_ROUNDS = 1000  # each goes on by a coarse cell at least; a grid has no mor
 Found = tuple[MeshPart | None, PartSummary, IntArray]
 
 
-class _Regions:
+class _Growth:
     """Runs the tasks of a job, and gathers what they give."""
 
     def __init__(
@@ -139,7 +141,7 @@ class _Regions:
         self._exits.append(exits)
 
 
-def mesh_regions(
+def mesh_all_tiles(
     tiling: Tiling,
     coarse: Coarse,
     workforce: Workforce,
@@ -149,7 +151,7 @@ def mesh_regions(
     checkpoint: Checkpoint | None = None,
     show_part: ShowPart = show_nothing,
 ) -> PartSurface:
-    """Reconstruct the surface inside all tiles.
+    """Reconstruct the surface tile by tile on the workers, and between the tiles.
 
     Parameters
     ----------
@@ -178,7 +180,7 @@ def mesh_regions(
         The surface still grows after more rounds than any needs.
     """
     plan = coarse.plan
-    regions = _Regions(workforce, origin, checkpoint, show_part, points)
+    growth = _Growth(workforce, origin, checkpoint, show_part, points)
 
     def tiles() -> Iterator[tuple[str, tuple[Any, ...]]]:
         for index in range(len(tiling)):
@@ -187,17 +189,17 @@ def mesh_regions(
             held = tiling.tile(index)
             yield name, (plan, held, tiling.tickets[index], around)
 
-    regions.run(mesh_tile, tiles(), len(tiling), advance)
+    growth.run(mesh_tile, tiles(), len(tiling), advance)
     for _ in range(_MOST_ROUNDS):
-        left = regions.left()
+        left = growth.left()
         if not len(left):
-            return regions.surface
+            return growth.surface
         near = tiling.near(_cells_around(plan, left))
         missing = tiling.cells[~near]
         name = "" if checkpoint is None else checkpoint.name(plan, left, missing)
         nearby = tiling.around(tiling.cells[near])
         gap = (plan, left, nearby, missing, coarse.whole())
-        regions.run(mesh_gap, [(name, gap)], 1, lambda _done, _all: None)
+        growth.run(mesh_gap, [(name, gap)], 1, lambda _done, _all: None)
     raise JobError("the surface does not come to an end", "report this, with the point cloud")
 
 

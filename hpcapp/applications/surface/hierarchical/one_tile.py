@@ -1,8 +1,12 @@
-"""The surface of a cloud in memory, made right here: its finest level in slabs, one at a time.
+"""The surface of a cloud that is one tile, made right here: its finest level slab by slab.
 
 ::
 
     points ─> coarser levels, far field ─> slabs, one after the other ─> MeshParts
+
+No task of a tile does this. Each slab is a part as it comes, where a tile joins its slabs to one,
+which takes more memory; and a cloud of one level has no coarse cells to make tiles of.
+`all_tiles` gives the same surface, bit for bit.
 """
 
 from __future__ import annotations
@@ -21,14 +25,14 @@ from hpcapp.applications.surface.tiles.tasks import find_far, sample_cells
 from hpcapp.geometry.points import PointCloud
 
 
-def mesh_slabs(
+def mesh_one_tile(
     cloud: PointCloud,
     plan: Plan,
     threads: int,
     advance: Advance,
     show_part: ShowPart = show_nothing,
 ) -> tuple[PartSurface, int]:
-    """Reconstruct the surface of a cloud.
+    """Reconstruct the surface of a cloud as one tile, in this process.
 
     Parameters
     ----------
