@@ -79,7 +79,7 @@ def decode_large(content: bytes, kind: type[T]) -> T:
         raise ValueError(_PATTERN.sub("a text that does not fit", str(error))) from None
 
 
-def convert(told: object, kind: type[T]) -> T:
+def convert(value: object, kind: type[T]) -> T:
     """Return a JSON value as one of a type.
 
     Raises
@@ -94,7 +94,7 @@ def convert(told: object, kind: type[T]) -> T:
     ValueError: Expected `int`, got `str` - at `$[1]`
     """
     try:
-        return msgspec.convert(told, kind)
+        return msgspec.convert(value, kind)
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
     except msgspec.ValidationError as error:

@@ -130,7 +130,7 @@ class _WorkerQueue:
     asked_bytes: int = 0
     heard: int = 0  # the number of the last results that it has sent or announced,
     taken: int = 0  # of the last that are wanted no more,
-    told: int = 0  # and of the last of which it knows that
+    said: int = 0  # and of the last of which it knows that
     untold_bytes: int = 0
 
     def note_taken(self, number: int, size_bytes: int) -> None:
@@ -232,15 +232,15 @@ class Fetcher:
         waiting = [item.number for item in queue.items if item.number is not None]
         queue.note_taken(waiting[0] - 1 if waiting else message.last_results, 0)
         if message.released < queue.taken:
-            queue.told, queue.untold_bytes = message.released, RELEASE_BYTES
+            queue.said, queue.untold_bytes = message.released, RELEASE_BYTES
 
     def requests(self, worker: bytes) -> Iterator[Fetch | Release]:
         """Return what the worker is to be told now; it counts as told."""
         queue = self._queues.get(worker)
         if queue is None:
             return
-        if queue.told < queue.taken and queue.untold_bytes >= RELEASE_BYTES:
-            queue.told, queue.untold_bytes = queue.taken, 0
+        if queue.said < queue.taken and queue.untold_bytes >= RELEASE_BYTES:
+            queue.said, queue.untold_bytes = queue.taken, 0
             yield Release(self._session, queue.taken)
         for item in queue.items:
             while isinstance(item, _Parcel) and self._has_room(queue):

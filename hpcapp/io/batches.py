@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hpcapp.geometry.points import PointCloud
+
+T = TypeVar("T", bound=np.generic)
 
 
 def batch_points(parts: Iterable[PointCloud], rows: int) -> Iterator[PointCloud]:
@@ -43,15 +47,19 @@ def join_points(parts: Sequence[PointCloud]) -> PointCloud:
     parts = [part for part in parts if len(part)] or parts[:1]
     if len(parts) == 1:
         return parts[0]
-    normals = [part.normals for part in parts if part.normals is not None]
-    colours = [part.colours for part in parts if part.colours is not None]
     return PointCloud(
         np.concatenate([part.positions for part in parts]),
-        np.concatenate(normals) if normals else None,
-        np.concatenate(colours) if colours else None,
+        join_arrays(part.normals for part in parts),
+        join_arrays(part.colours for part in parts),
         {
             name: np.concatenate([part.attributes[name] for part in parts])
             for name in parts[0].attributes
         },
         parts[0].origin,
     )
+
+
+def join_arrays(arrays: Iterable[NDArray[T] | None]) -> NDArray[T] | None:
+    """Join those arrays that are there, end to end; None where none is."""
+    present = [array for array in arrays if array is not None]
+    return np.concatenate(present) if present else None

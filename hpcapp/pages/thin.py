@@ -13,7 +13,8 @@ import numpy as np
 from hpcapp.geometry.lattice import pack_places
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
-from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
+from hpcapp.io.batches import join_points
+from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream, make_mesh
 
 MOST_FACES = 2_000_000
 """Faces that a page shows; of a larger mesh it shows a copy with about as many at most."""
@@ -48,21 +49,9 @@ def thin_mesh(mesh: Mesh | MeshStream, most: int = MOST_FACES) -> Mesh:
 
 def gather_mesh(stream: MeshStream) -> Mesh:
     """Return a mesh that comes in blocks as one in memory."""
-    blocks = list(stream.vertices())
-    normals = [block.normals for block in blocks if block.normals is not None]
-    colours = [block.colours for block in blocks if block.colours is not None]
-    faces = list(stream.faces())
-    return Mesh(
-        np.concatenate([block.positions for block in blocks]) if blocks else np.empty((0, 3)),
-        np.concatenate(faces).astype(np.int64) if faces else np.empty((0, 3), np.int64),
-        stream.origin,
-        np.concatenate(normals) if normals else None,
-        np.concatenate(colours) if colours else None,
-        {
-            name: np.concatenate([block.attributes[name] for block in blocks])
-            for name in (stream.layout.attributes if blocks else ())
-        },
-    )
+    vertices = join_points(list(stream.vertices()) or [stream.layout])
+    faces = [np.empty((0, 3), np.int64), *stream.faces()]
+    return make_mesh(vertices, np.concatenate(faces).astype(np.int64), stream.origin)
 
 
 def _mean_edge(stream: MeshStream) -> float:

@@ -9,6 +9,7 @@ one. Among the arguments of a task a blob stands by its key.
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
@@ -22,7 +23,7 @@ from hpccomponent.errors import ProtocolError, UsageError
 from hpccomponent.protocol.blobs import Blob
 from hpccomponent.protocol.containers import check_containers
 from hpccomponent.protocol.frames import Buffer
-from hpccomponent.protocol.records import RecordType, find_record, make_record
+from hpccomponent.protocol.records import find_record, make_record
 
 TUPLE, LIST, ARRAY, SCALAR, TEXT, BYTES, BIG, BLOB, RECORD = range(9)
 EMBEDDED_BYTES = 4096  # below this an own frame costs more than a copy into the header
@@ -31,26 +32,16 @@ MAX_DEPTH = 50
 MAX_AXES = 32
 MAX_INTEGER_BYTES = 1024  # of an int: its digits can still be printed
 DTYPES = frozenset(
-    [
-        "|b1",
-        "|i1",
-        "|u1",
-        "<i2",
-        "<u2",
-        "<i4",
-        "<u4",
-        "<i8",
-        "<u8",
-        "<f2",
-        "<f4",
-        "<f8",
-        "<c8",
-        "<c16",
-    ]
+    ["|b1", "|i1", "|u1", "<i2", "<u2", "<i4", "<u4", "<i8", "<u8", "<f2", "<f4", "<f8",
+     "<c8", "<c16"]
+)  # fmt: skip
+PLAIN = frozenset([type(None), bool, float])
+NUMBERS = frozenset([bool, float, int])
+SIMPLE = PLAIN | {int, bytes, str}  # as MessagePack has them
+_ALLOWED = (
+    "pass ndarrays of numbers, int, float, bool, str, bytes, None, "
+    "or tuples, lists, string-keyed dicts and records of these"
 )
-PLAIN = (type(None), bool, float)
-NUMBERS, NOTHING = frozenset([bool, float, int]), frozenset([type(None)])
-SIMPLE = frozenset([type(None), bool, float, int, bytes, str])  # as MessagePack has them
 NO_BLOBS: Mapping[bytes, object] = MappingProxyType({})
 
 Packed: TypeAlias = "bool | int | float | str | bytes | list[Packed] | dict[str, Packed] | None"
@@ -200,26 +191,13 @@ def _pack(value: Any, parts: _Parts, depth: int) -> Packed:
     kind = type(value)
     if kind in PLAIN or (kind is int and -(2**63) <= value < 2**63):
         return value  # type: ignore[no-any-return]
-    if kind is int:
-        return _pack_big(value)
-    packer = _PACKERS.get(kind)
-    if packer is None and isinstance(value, np.generic):
-        packer = _pack_scalar
-    entry = find_record(kind) if packer is None else None
-    if entry is not None and depth <= MAX_DEPTH:
-        return _pack_record(entry, value, parts, depth)
-    if packer is None or depth > MAX_DEPTH:
-        raise UsageError(
-            f"a value of type {kind.__module__}.{kind.__qualname__} cannot travel to a worker"
-            if packer is None and entry is None
-            else f"values are nested more than {MAX_DEPTH} deep",
-            "pass ndarrays of numbers, int, float, bool, str, bytes, None, "
-            "or tuples, lists, string-keyed dicts and records of these",
-        )
+    if depth > MAX_DEPTH:
+        raise UsageError(f"values are nested more than {MAX_DEPTH} deep", _ALLOWED)
+    packer = _PACKERS.get(kind) or (_pack_scalar if isinstance(value, np.generic) else _pack_record)
     return packer(value, parts, depth)
 
 
-def _pack_big(value: int) -> list[Packed]:
+def _pack_big(value: int, _parts: _Parts, _depth: int) -> list[Packed]:
     length = value.bit_length() // 8 + 1
     if length > MAX_INTEGER_BYTES:
         raise UsageError(
@@ -229,8 +207,7 @@ def _pack_big(value: int) -> list[Packed]:
     return [BIG, value.to_bytes(length, "little", signed=True)]
 
 
-def _pack_array(value: NDArray[np.generic], parts: _Parts, depth: int) -> list[Packed]:
-    del depth
+def _pack_array(value: NDArray[np.generic], parts: _Parts, _depth: int) -> list[Packed]:
     code = value.dtype.newbyteorder("<").str
     if code not in DTYPES:
         raise UsageError(
@@ -248,16 +225,14 @@ def _pack_scalar(value: np.generic, parts: _Parts, depth: int) -> list[Packed]:
     return [SCALAR, *_pack_array(np.asarray(value), parts, depth)[1:]]
 
 
-def _pack_text(value: str, parts: _Parts, depth: int) -> Packed:
-    del depth
+def _pack_text(value: str, parts: _Parts, _depth: int) -> Packed:
     if len(value) <= EMBEDDED_BYTES // 4:
         return value
     parts.buffers.append(value.encode())
     return [TEXT]
 
 
-def _pack_bytes(value: bytes, parts: _Parts, depth: int) -> Packed:
-    del depth
+def _pack_bytes(value: bytes, parts: _Parts, _depth: int) -> Packed:
     if len(value) <= EMBEDDED_BYTES:
         return value
     parts.buffers.append(value)
@@ -270,9 +245,7 @@ def _pack_tuple(value: tuple[object, ...], parts: _Parts, depth: int) -> list[Pa
 
 def _pack_list(value: list[Any], parts: _Parts, depth: int) -> list[Packed]:
     kinds = set(map(type, value))  # long lists of numbers are common
-    if kinds <= NUMBERS and (int not in kinds or (min(value) >= -(2**63) and max(value) < 2**63)):
-        return [LIST, *value]
-    if kinds <= NOTHING:
+    if kinds <= PLAIN or (kinds <= NUMBERS and min(value) >= -(2**63) and max(value) < 2**63):
         return [LIST, *value]
     return [LIST, *[_pack(entry, parts, depth + 1) for entry in value]]
 
@@ -284,18 +257,23 @@ def _pack_dict(value: dict[Any, Any], parts: _Parts, depth: int) -> dict[str, Pa
     return {key: _pack(entry, parts, depth + 1) for key, entry in value.items()}
 
 
-def _pack_record(entry: RecordType, value: object, parts: _Parts, depth: int) -> list[Packed]:
+def _pack_record(value: object, parts: _Parts, depth: int) -> list[Packed]:
+    kind = type(value)
+    entry = find_record(kind)
+    if entry is None:
+        name = f"{kind.__module__}.{kind.__qualname__}"
+        raise UsageError(f"a value of type {name} cannot travel to a worker", _ALLOWED)
     fields = {name: _pack(getattr(value, name), parts, depth + 1) for name in entry.fields}
     return [RECORD, entry.name, fields]
 
 
-def _pack_blob(value: Blob, parts: _Parts, depth: int) -> list[Packed]:
-    del depth
+def _pack_blob(value: Blob, parts: _Parts, _depth: int) -> list[Packed]:
     parts.blobs[value.key] = value
     return [BLOB, value.key]
 
 
 _PACKERS: dict[type, Callable[[Any, _Parts, int], Packed]] = {
+    int: _pack_big,
     np.ndarray: _pack_array,
     np.memmap: _pack_array,
     str: _pack_text,
@@ -307,64 +285,49 @@ _PACKERS: dict[type, Callable[[Any, _Parts, int], Packed]] = {
 }
 
 
-def _unpack(packed: object, supply: _Supply, depth: int) -> Any:
+def _unpack(packed: Any, supply: _Supply, depth: int) -> Any:
     kind = type(packed)
-    if kind in PLAIN or kind is int or kind is str or kind is bytes:
+    if kind in SIMPLE:
         return packed
     if depth > MAX_DEPTH:
         raise ProtocolError(f"received values are nested more than {MAX_DEPTH} deep")
-    if type(packed) is dict:
-        if any(type(key) is not str for key in packed):
-            raise ProtocolError("a received dict has a key that is not a string")
-        return {key: _unpack(entry, supply, depth + 1) for key, entry in packed.items()}
-    if type(packed) is not list or not packed or type(packed[0]) is not int:
+    if kind is dict:
+        return _unpack_dict(packed, supply, depth)
+    if kind is not list or not packed or type(packed[0]) is not int:
         raise ProtocolError(f"a header holds a {kind.__name__} without a tag")
-    tag = packed[0]
-    if tag == TUPLE:
-        return tuple([_unpack(entry, supply, depth + 1) for entry in packed[1:]])
-    if tag == LIST:
-        entries = packed[1:]
-        if SIMPLE.issuperset(map(type, entries)):
-            return entries
-        return [_unpack(entry, supply, depth + 1) for entry in entries]
-    if tag in (ARRAY, SCALAR):
-        array = _unpack_array(packed, supply)
-        return array if tag == ARRAY else array[()]
-    if tag == BIG and len(packed) == 2 and type(packed[1]) is bytes:
-        if len(packed[1]) > MAX_INTEGER_BYTES:
-            raise ProtocolError(f"a received int has more than {MAX_INTEGER_BYTES} bytes")
-        return int.from_bytes(packed[1], "little", signed=True)
-    if tag == RECORD and len(packed) == 3 and type(packed[1]) is str and type(packed[2]) is dict:
-        return make_record(packed[1], _unpack(packed[2], supply, depth + 1))
-    if tag == BLOB and len(packed) == 2 and type(packed[1]) is bytes:
-        return supply.look_up(packed[1])
-    if tag in (TEXT, BYTES) and len(packed) == 1:
-        blob = bytes(supply.take())
-        return blob if tag == BYTES else blob.decode()
-    raise ProtocolError(f"a header holds an entry with the unknown tag {tag}")
+    tag, *entries = packed
+    unpacker, kinds = _UNPACKERS.get(tag, (None, None))
+    if unpacker is None or (kinds is not None and kinds != list(map(type, entries))):
+        raise ProtocolError(f"a header holds an entry with the unknown tag {tag}")
+    return unpacker(entries, supply, depth)
 
 
-def _unpack_array(packed: list[Any], supply: _Supply) -> NDArray[np.generic]:
-    if len(packed) != 4:
+def _unpack_dict(packed: dict[Any, Any], supply: _Supply, depth: int) -> dict[str, Any]:
+    if any(type(key) is not str for key in packed):
+        raise ProtocolError("a received dict has a key that is not a string")
+    return {key: _unpack(entry, supply, depth + 1) for key, entry in packed.items()}
+
+
+def _unpack_tuple(entries: list[Any], supply: _Supply, depth: int) -> tuple[Any, ...]:
+    return tuple(_unpack_list(entries, supply, depth))
+
+
+def _unpack_list(entries: list[Any], supply: _Supply, depth: int) -> list[Any]:
+    if SIMPLE.issuperset(map(type, entries)):
+        return entries
+    return [_unpack(entry, supply, depth + 1) for entry in entries]
+
+
+def _unpack_array(entries: list[Any], supply: _Supply, _depth: int) -> NDArray[np.generic]:
+    if len(entries) != 3:
         raise ProtocolError("an array is not described by dtype, shape and bytes")
-    _, code, shape, blob = packed
-    if type(code) is not str or code not in DTYPES:
-        shown = code[:20] if type(code) is str else type(code).__name__
-        raise ProtocolError(f"an array has the dtype {shown!r}, which may not travel")
-    if type(shape) is not list or len(shape) > MAX_AXES:
-        raise ProtocolError(f"an array has no shape, or one of more than {MAX_AXES} axes")
-    if not all(type(n) is int and n >= 0 for n in shape):
-        raise ProtocolError("an array has a shape with entries that are no extents")
-    if packed[0] == SCALAR and shape:
-        raise ProtocolError(f"a number has the shape {shape!r}")
-    buffer = supply.take() if blob is None else blob
+    code, shape, embedded = entries
+    _check_array(code, shape)
+    buffer = supply.take() if embedded is None else embedded
     if type(buffer) not in (bytes, bytearray, memoryview):
         raise ProtocolError("the bytes of an array are not bytes")
     dtype = np.dtype(code)
-    count = 1
-    for extent in shape:
-        count *= extent
-    if count * dtype.itemsize != memoryview(buffer).nbytes:
+    if math.prod(shape) * dtype.itemsize != memoryview(buffer).nbytes:
         raise ProtocolError(f"an array of shape {shape} and dtype {code} has the wrong size")
     try:
         array = np.frombuffer(buffer, dtype=dtype).reshape(shape)
@@ -376,3 +339,45 @@ def _unpack_array(packed: list[Any], supply: _Supply) -> NDArray[np.generic]:
         array = array.astype(dtype.newbyteorder("="))
     array.flags.writeable = False
     return array
+
+
+def _check_array(code: object, shape: object) -> None:
+    if type(code) is not str or code not in DTYPES:
+        shown = code[:20] if type(code) is str else type(code).__name__
+        raise ProtocolError(f"an array has the dtype {shown!r}, which may not travel")
+    if type(shape) is not list or len(shape) > MAX_AXES:
+        raise ProtocolError(f"an array has no shape, or one of more than {MAX_AXES} axes")
+    if not all(type(n) is int and n >= 0 for n in shape):
+        raise ProtocolError("an array has a shape with entries that are no extents")
+
+
+def _unpack_scalar(entries: list[Any], supply: _Supply, depth: int) -> Any:
+    array = _unpack_array(entries, supply, depth)
+    if array.shape:
+        raise ProtocolError(f"a number has the shape {list(array.shape)!r}")
+    return array[()]
+
+
+def _unpack_big(entries: list[bytes], _supply: _Supply, _depth: int) -> int:
+    if len(entries[0]) > MAX_INTEGER_BYTES:
+        raise ProtocolError(f"a received int has more than {MAX_INTEGER_BYTES} bytes")
+    return int.from_bytes(entries[0], "little", signed=True)
+
+
+def _unpack_record(entries: list[Any], supply: _Supply, depth: int) -> Any:
+    name, fields = entries
+    return make_record(name, _unpack(fields, supply, depth + 1))
+
+
+_UNPACKERS: dict[int, tuple[Callable[[Any, _Supply, int], Any], list[type] | None]] = {
+    TUPLE: (_unpack_tuple, None),
+    LIST: (_unpack_list, None),
+    ARRAY: (_unpack_array, None),
+    SCALAR: (_unpack_scalar, None),
+    TEXT: (lambda _, supply, __: bytes(supply.take()).decode(), []),
+    BYTES: (lambda _, supply, __: bytes(supply.take()), []),
+    BIG: (_unpack_big, [bytes]),
+    BLOB: (lambda entries, supply, _: supply.look_up(entries[0]), [bytes]),
+    RECORD: (_unpack_record, [str, dict]),
+}
+"""By its tag, what reads an entry, and the types of what follows the tag; None where it looks."""

@@ -62,7 +62,7 @@ class ExitCode(IntEnum):
     MASTER_SILENT = 5  # the master has been silent for too long
 
 
-class State(Enum):
+class SessionState(Enum):
     """Where a session stands."""
 
     JOINING = "joining"
@@ -156,7 +156,7 @@ class WorkerSession:
     """
 
     def __init__(self, register: Register, now: float, silence_s: float = 60.0) -> None:
-        self.state = State.JOINING
+        self.state = SessionState.JOINING
         self.session = ""
         self.largest_frame = SMALLEST_FRAME
         self.progress = 0
@@ -181,41 +181,48 @@ class WorkerSession:
 
     def receive(self, message: MasterMessage, frames: Sequence[Buffer], now: float) -> list[Action]:
         """Take a message of the master; one of another session is dropped and counted."""
-        if self.state is State.STOPPED:
+        if self.state is SessionState.STOPPED:
             return []
-        if isinstance(message, Registered):
-            self._join(message, now)
-            return []
-        if isinstance(message, Refused):
-            return self._stop(ExitCode.REFUSED, f"the master refused this worker: {message.reason}")
-        if isinstance(message, RegisterAgain):
-            self._heard = self._said = now
-            if self.state is State.WORKING:
-                self.state = State.JOINING
-            return [Send(self._register)]
+        match message:
+            case Registered():
+                self._join(message, now)
+                return []
+            case Refused():
+                reason = f"the master refused this worker: {message.reason}"
+                return self._stop(ExitCode.REFUSED, reason)
+            case RegisterAgain():
+                self._heard = self._said = now
+                if self.state is SessionState.WORKING:
+                    self.state = SessionState.JOINING
+                return [Send(self._register)]
         if message.session != self.session:
             self.dropped += 1
             return []
         self._heard = now
-        if isinstance(message, Farewell):
-            return self._stop(ExitCode.DONE, "the master said farewell")
-        if isinstance(message, Drain):
-            self.state = State.DRAINING
-            return self._leave_if_drained()
-        if isinstance(message, Batch):
-            return self._take(message, frames)
-        if isinstance(message, Share):
-            return [Keep(message, frames)] if self._cache.put(message) else []
-        if isinstance(message, Forget):
-            self._cache.forget(message.keys)
-            return self._tidy() if not self._running() else []  # a busy worker does not listen
-        if isinstance(message, Fetch):
-            return self._answer(message)
-        if isinstance(message, Release):
-            self._parcels.release(message.number)
-            return [*self._say_of_batches(), *self._leave_if_drained()]
-        if isinstance(message, Ping):
-            self._last_batch, self._last_fetch = message.last_batch, message.last_fetch
+        return self._obey(message, frames)
+
+    def _obey(self, message: MasterMessage, frames: Sequence[Buffer]) -> list[Action]:
+        """Take a message of this session."""
+        match message:
+            case Farewell():
+                return self._stop(ExitCode.DONE, "the master said farewell")
+            case Drain():
+                self.state = SessionState.DRAINING
+                return self._leave_if_drained()
+            case Batch():
+                return self._take(message, frames)
+            case Share():
+                return [Keep(message, frames)] if self._cache.put(message) else []
+            case Forget():
+                self._cache.forget(message.keys)
+                return self._tidy() if not self._running() else []  # a busy worker does not listen
+            case Fetch():
+                return self._answer(message)
+            case Release():
+                self._parcels.release(message.number)
+                return [*self._say_of_batches(), *self._leave_if_drained()]
+            case Ping():
+                self._last_batch, self._last_fetch = message.last_batch, message.last_fetch
         return []
 
     def worker_started(self) -> list[Action]:
@@ -287,7 +294,7 @@ class WorkerSession:
         """
         self._worker_is_up = False
         self._cache.worker_has.clear()
-        if self.state is State.STOPPED:
+        if self.state is SessionState.STOPPED:
             return []
         self._crashes += 1
         actions: list[Action] = []
@@ -300,14 +307,14 @@ class WorkerSession:
         if self._crashes >= MAX_CRASHES:
             why = f"the worker process died {self._crashes} times in a row, last: {reason}"
             return [*actions, *self._depart(ExitCode.WORKER_CRASHES, why)]
-        if self.state is State.DRAINING and not self._batches:
+        if self.state is SessionState.DRAINING and not self._batches:
             return actions + self._leave_if_drained()
         delay_s = 0.0 if self._crashes == 1 else 0.25 * 2.0 ** (self._crashes - 1)
         return [*actions, StartWorker(min(delay_s, LONGEST_BACKOFF_S))]
 
     def tick(self, now: float) -> list[Action]:
         """Take the time: heartbeats, registration anew, and an end to a silent master."""
-        if self.state is State.STOPPED:
+        if self.state is SessionState.STOPPED:
             return []
         if now - self._heard > self._silence_s:
             silence = f"the master has been silent for {self._silence_s:g} s"
@@ -315,7 +322,7 @@ class WorkerSession:
         if now < self.next_tick():
             return []
         self._said = now
-        if self.state is State.JOINING:
+        if self.state is SessionState.JOINING:
             return [Send(self._register)]
         waiting = [outgoing.message.batch for outgoing in self._outgoing]
         heartbeat = Heartbeat(
@@ -331,7 +338,7 @@ class WorkerSession:
 
     def next_tick(self) -> float:
         """Return when `tick` has something to do next, in seconds of the clock."""
-        interval = REGISTER_S if self.state is State.JOINING else self._heartbeat_s
+        interval = REGISTER_S if self.state is SessionState.JOINING else self._heartbeat_s
         return min(self._said + interval, self._heard + self._silence_s + 0.001)
 
     def terminate(self, reason: str) -> list[Action]:
@@ -360,8 +367,8 @@ class WorkerSession:
         self._heartbeat_s = message.heartbeat_s
         self._silence_s = message.silence_s
         self._heard = self._said = now
-        if self.state is State.JOINING:
-            self.state = State.WORKING
+        if self.state is SessionState.JOINING:
+            self.state = SessionState.WORKING
 
     def _take(self, batch: Batch, frames: Sequence[Buffer]) -> list[Action]:
         if batch.batch in self._batches:
@@ -387,7 +394,7 @@ class WorkerSession:
         return [number for number, batch in self._batches.items() if batch.is_running]
 
     def _feed(self) -> list[Action]:
-        if not self._worker_is_up or self.state is State.STOPPED:
+        if not self._worker_is_up or self.state is SessionState.STOPPED:
             return []
         running = len(self._running())
         waiting = [batch for batch in self._batches.values() if not batch.is_running]
@@ -400,18 +407,18 @@ class WorkerSession:
 
     def _leave_if_drained(self) -> list[Action]:
         is_busy = self._batches or self._parcels or self._outgoing
-        if self.state is State.DRAINING and not is_busy:
+        if self.state is SessionState.DRAINING and not is_busy:
             return self._depart(ExitCode.DONE, "drained")
         return []
 
     def _depart(self, code: ExitCode, reason: str) -> list[Action]:
-        if self.state is State.STOPPED:
+        if self.state is SessionState.STOPPED:
             return []
         goodbye: list[Action] = [Send(Goodbye(self.session, reason[:1000]))] if self.session else []
         return goodbye + self._stop(code, reason)
 
     def _stop(self, code: ExitCode, reason: str) -> list[Action]:
-        if self.state is State.STOPPED:
+        if self.state is SessionState.STOPPED:
             return []
-        self.state = State.STOPPED
+        self.state = SessionState.STOPPED
         return [Stop(code, reason)]

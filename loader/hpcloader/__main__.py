@@ -51,9 +51,9 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser("hpcloader", description="Starts the worker build that fits.")
     verbs = parser.add_subparsers(required=True, metavar="VERB")
     run = verbs.add_parser("run", help="start a component and watch over it")
-    told = run.add_mutually_exclusive_group(required=True)
-    told.add_argument("--config", type=Path, metavar="FILE", help="loader.yaml")
-    told.add_argument(
+    source = run.add_mutually_exclusive_group(required=True)
+    source.add_argument("--config", type=Path, metavar="FILE", help="loader.yaml")
+    source.add_argument(
         "--connection", type=Path, metavar="FILE", help="instead: the connection file alone"
     )
     run.add_argument(

@@ -23,7 +23,7 @@ EXIT_FAILED = 1
 EXIT_CONFIG = 2
 
 
-class State(Enum):
+class ComponentState(Enum):
     """Where the component's life stands."""
 
     IDLE = auto()
@@ -130,7 +130,7 @@ class Supervisor:
 
     def __init__(self, rule: RestartRule) -> None:
         self.rule = rule
-        self.state = State.IDLE
+        self.state = ComponentState.IDLE
         self.deadline: float | None = None
         self._started = 0.0
         self._quick_ends = 0
@@ -138,7 +138,7 @@ class Supervisor:
 
     def start(self, now: float) -> list[Action]:
         """Take note that the component is wanted; only the first call counts."""
-        return self._run(now) if self.state is State.IDLE else []
+        return self._run(now) if self.state is ComponentState.IDLE else []
 
     def exited(self, now: float, code: int) -> list[Action]:
         """Take note that the component has ended with exit code `code` (-N: by signal N).
@@ -148,9 +148,9 @@ class Supervisor:
         list of Action
             `End`, or nothing: a further start comes by `tick`.
         """
-        if self.state in (State.STOPPING, State.KILLING):
+        if self.state in (ComponentState.STOPPING, ComponentState.KILLING):
             return self._end()
-        if self.state is not State.RUNNING:
+        if self.state is not ComponentState.RUNNING:
             return []
         self._count(now - self._started, code)
         if code == EXIT_CONFIG:
@@ -164,7 +164,7 @@ class Supervisor:
                 f"within {self.rule.quick_s:g} s of its start, last {_cause(code)}",
                 EXIT_FAILED,
             )
-        self.state = State.WAITING
+        self.state = ComponentState.WAITING
         self.deadline = now + self.rule.delay(self._quick_ends)
         return []
 
@@ -172,9 +172,9 @@ class Supervisor:
         """Act on a deadline that has passed; `Start`, `Kill`, or nothing."""
         if self.deadline is None or now < self.deadline:
             return []
-        if self.state is State.WAITING:
+        if self.state is ComponentState.WAITING:
             return self._run(now)
-        self.state = State.KILLING
+        self.state = ComponentState.KILLING
         self.deadline = None
         return [Kill()]
 
@@ -193,17 +193,17 @@ class Supervisor:
             `Terminate`, `End`, or nothing.
         """
         deadline = now + (self.rule.grace_s if grace_s is None else grace_s)
-        if self.state is State.RUNNING:
-            self.state = State.STOPPING
+        if self.state is ComponentState.RUNNING:
+            self.state = ComponentState.STOPPING
             self.deadline = deadline
             return [Terminate()]
-        if self.state is State.STOPPING and self.deadline is not None:
+        if self.state is ComponentState.STOPPING and self.deadline is not None:
             self.deadline = min(self.deadline, deadline)
             return []
-        return self._end() if self.state in (State.IDLE, State.WAITING) else []
+        return self._end() if self.state in (ComponentState.IDLE, ComponentState.WAITING) else []
 
     def _run(self, now: float) -> list[Action]:
-        self.state = State.RUNNING
+        self.state = ComponentState.RUNNING
         self.deadline = None
         self._started = now
         return [Start()]
@@ -217,7 +217,7 @@ class Supervisor:
         self._quick_failures = 0 if code == 0 else self._quick_failures + 1
 
     def _end(self, complaint: str = "", exit_code: int = 0) -> list[Action]:
-        self.state = State.ENDED
+        self.state = ComponentState.ENDED
         self.deadline = None
         return [End(complaint, exit_code)]
 

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 
 from hpcloader.supervisor import (
     Action,
+    ComponentState,
     End,
     Kill,
     RestartRule,
     Start,
-    State,
     Supervisor,
     Terminate,
 )
@@ -57,10 +57,10 @@ class World:
 
     def check(self) -> None:
         state = self.supervisor.state
-        living = (State.RUNNING, State.STOPPING, State.KILLING)
+        living = (ComponentState.RUNNING, ComponentState.STOPPING, ComponentState.KILLING)
         assert self.is_alive == (state in living)
-        assert (self.end is not None) == (state is State.ENDED)
-        waiting = (State.WAITING, State.STOPPING)
+        assert (self.end is not None) == (state is ComponentState.ENDED)
+        waiting = (ComponentState.WAITING, ComponentState.STOPPING)
         assert (self.supervisor.deadline is not None) == (state in waiting)
         assert self.signals in ([], [Terminate()], [Terminate(), Kill()])
 

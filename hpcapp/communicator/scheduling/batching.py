@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Container, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from itertools import islice
 
 from hpcapp.communicator.scheduling.forecast import Forecast
 from hpcapp.communicator.scheduling.state import Task, Worker
+from hpccomponent.protocol.blobs import Blob
 
 MAX_TASKS = 64
 MAX_BATCH_BYTES = 1_000_000  # a larger task travels alone
@@ -50,27 +51,25 @@ class BatchCutter:
         """
         batch: list[Task] = []
         size, seconds = 0, 0.0
-        added: dict[bytes, int] = {}
+        added: set[bytes] = set()
         while source and len(batch) < limit:
-            task = next(iter(source.values()))
-            if task.blobs:
-                task = find_closest(source, worker, added)
-            number = task.number
-            for blob in task.blobs:
-                if blob.key not in worker.blobs and blob.key not in added:
-                    added[blob.key] = blob.size_bytes
-                    size += blob.size_bytes
-            size += task.size_bytes
+            task = find_closest(source, worker, added)
+            lacking = task.lacking_blobs(worker, added)
+            added.update(lacking)
+            size += task.size_bytes + _size(lacking)
             seconds += self._forecast.expect(worker.identity, task)
             is_full = size > MAX_BATCH_BYTES or seconds > MAX_BATCH_S or len(added) > MAX_BLOBS
             if batch and is_full:
                 break
-            del source[number]
-            if not task.is_claimed and not self._claim(number):
-                continue
-            task.is_claimed = True
-            batch.append(task)
+            del source[task.number]
+            if task.is_claimed or self._claim(task.number):
+                task.is_claimed = True
+                batch.append(task)
         return batch
+
+
+def _size(blobs: Mapping[bytes, Blob]) -> int:
+    return sum([blob.size_bytes for blob in blobs.values()])
 
 
 def find_closest(
@@ -85,11 +84,7 @@ def find_closest(
     """
     best, least = None, -1
     for task in islice(source.values(), AFFINITY_WINDOW):
-        lacking = sum(
-            blob.size_bytes
-            for blob in task.blobs
-            if blob.key not in worker.blobs and blob.key not in added
-        )
+        lacking = _size(task.lacking_blobs(worker, added))
         if best is None or lacking < least:
             best, least = task, lacking
         if not least:
@@ -113,6 +108,6 @@ def find_holder(
         for worker in workers
         if (worker is chosen or not worker.batches)
         and worker.next_s <= MOST_DETOUR * chosen.next_s
-        and not task.lacking_bytes(worker)
+        and not task.lacking_blobs(worker)
     ]
     return min(holders, key=lambda worker: len(worker.blobs), default=chosen)

@@ -24,6 +24,7 @@ from hpcapp.communicator.scheduling.policy import Policy
 from hpcapp.communicator.scheduling.speculation import choose_to_speculate, choose_to_split
 from hpcapp.communicator.scheduling.state import Assign, OpenBatch, Task, Worker
 from hpccomponent.clock import Clock
+from hpccomponent.protocol.blobs import Blob
 
 CREDIT = 2  # batches in flight per worker
 
@@ -88,52 +89,66 @@ class Dispatcher:
 
     def dispatch(self, everyone: Iterable[Worker]) -> list[Assign]:
         """Place what waits, and send what the credit windows allow."""
-        actions: list[Assign] = []
         everyone = list(everyone)
         workers = [worker for worker in everyone if worker.is_open]
-        for task in list(self.lost.values()) if workers else ():
-            actions += self._place_lost(task, workers)
+        if not workers:
+            return []
+        actions = self._place_lost(workers)
         if self._policy.is_speculative:
             self._split_last(workers)
-        if self.queue:
-            self._estimate(workers)
-        while self.queue and workers:
+        actions += self._place_queue(workers)
+        actions += self._send_backlogs(workers)
+        if self._policy.is_speculative and not self.queue and not self.lost:
+            actions += self._speculate(everyone, workers)
+        return actions
+
+    def _place_lost(self, workers: Sequence[Worker]) -> list[Assign]:
+        """Send lost tasks, each alone, so that no other is blamed with it, to who is free first."""
+        actions: list[Assign] = []
+        for task in list(self.lost.values()):
+            now = self._clock.now()
+            worker = min(
+                self._losses.find_candidates(task, workers),
+                key=lambda worker: (self.forecast.remaining_s(worker, now), len(worker.batches)),
+            )
+            if len(worker.batches) < CREDIT:
+                del self.lost[task.number]
+                worker.placed += 1
+                actions += self._send(worker, [task])
+        return actions
+
+    def _place_queue(self, workers: Sequence[Worker]) -> list[Assign]:
+        """Send what waits to whom the policy names, or have it wait for them."""
+        actions: list[Assign] = []
+        estimated = None  # the name of the tasks of which the workers' times are known
+        while self.queue:
             name = next(iter(self.queue.values())).name
+            if name != estimated:
+                self._estimate(workers, name)
+                estimated = name
             placement = self._policy.place(len(self.queue), workers)
             if placement is None:
                 break
             worker = workers[placement.worker]
-            if not placement.is_fixed:
-                worker = find_holder(self.queue, workers, worker)
             if placement.is_fixed:
                 number, task = self.queue.popitem(last=False)
                 task.holders[worker.identity] = -1
                 worker.backlog[number] = task
                 worker.placed += 1
-            else:
-                batch = self._cutter.cut(self.queue, min(placement.tasks, MAX_TASKS), worker)
-                worker.placed += len(batch)
-                actions += self._send(worker, batch)
-                if self.queue:
-                    is_same = next(iter(self.queue.values())).name == name
-                    self._estimate([worker] if is_same else workers)
+                continue
+            worker = find_holder(self.queue, workers, worker)
+            batch = self._cutter.cut(self.queue, min(placement.tasks, MAX_TASKS), worker)
+            worker.placed += len(batch)
+            actions += self._send(worker, batch)
+            self._estimate([worker], name)
+        return actions
+
+    def _send_backlogs(self, workers: Sequence[Worker]) -> list[Assign]:
+        actions: list[Assign] = []
         for worker in workers:
             while worker.backlog and len(worker.batches) < CREDIT:
                 actions += self._send(worker, self._cutter.cut(worker.backlog, MAX_TASKS, worker))
-        if self._policy.is_speculative and not self.queue and not self.lost:
-            actions += self._speculate(everyone, workers)
         return actions
-
-    def _place_lost(self, task: Task, workers: Sequence[Worker]) -> list[Assign]:
-        """Send a lost task, alone, so that no other is blamed with it, to who is free first."""
-        now = self._clock.now()
-        candidates = self._losses.find_candidates(task, workers)
-        worker = min(candidates, key=lambda w: (self.forecast.remaining_s(w, now), len(w.batches)))
-        if len(worker.batches) >= CREDIT:
-            return []
-        del self.lost[task.number]
-        worker.placed += 1
-        return self._send(worker, [task])
 
     def _split_last(self, workers: Sequence[Worker]) -> None:
         now = self._clock.now()
@@ -144,8 +159,7 @@ class Dispatcher:
                 del self.queue[task.number]
                 self.queue.update(parts)
 
-    def _estimate(self, workers: Sequence[Worker]) -> None:
-        name = next(iter(self.queue.values())).name
+    def _estimate(self, workers: Sequence[Worker], name: str) -> None:
         for worker in workers:
             self.forecast.estimate(worker, name, self._clock.now())
 
@@ -167,9 +181,9 @@ class Dispatcher:
         open_batch = worker.batches[number] = OpenBatch({task.number: task for task in batch})
         for task in batch:
             task.holders[worker.identity] = number
-        lacking = {
-            blob.key: blob for task in batch for blob in task.blobs if blob.key not in worker.blobs
-        }
+        lacking: dict[bytes, Blob] = {}
+        for task in batch:
+            lacking |= task.lacking_blobs(worker)
         worker.blobs.update(lacking)
         open_batch.shared_bytes = sum([blob.size_bytes for blob in lacking.values()])
         numbers = tuple([task.number for task in batch])

@@ -18,7 +18,7 @@ class Recording:
     def answered(
         self,
         worker: Worker,
-        open_batch: OpenBatch | None,
+        open_batch: OpenBatch,
         task: Task,
         result: Result,
         later_s: float,
@@ -27,8 +27,8 @@ class Recording:
 
         Parameters
         ----------
-        open_batch : OpenBatch or None
-            The batch that the task is of, if the worker still has it.
+        open_batch : OpenBatch
+            The batch that the task is of; an empty one if the worker has it no more.
         task : Task
             Which it answers; one that is done was answered before.
         later_s : float
@@ -44,7 +44,7 @@ class Recording:
             outcome,
             ago=later_s,
             bytes_in=len(result.header) + sum(result.sizes),
-            bytes_out=task.size_bytes + (open_batch.take_shared() if open_batch is not None else 0),
+            bytes_out=task.size_bytes + open_batch.take_shared(),
         )
 
     def taken_back(self, worker: Worker, open_batch: OpenBatch, at_work_s: float) -> None:

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 
 from hpcapp.communicator.scheduling.admission import Admission
@@ -44,6 +45,17 @@ from hpccomponent.clock import Clock
 from hpccomponent.errors import DistrustError, HpcError
 from hpccomponent.protocol.frames import LARGEST_FRAME
 from hpccomponent.protocol.messages import Failure, Register, Result
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Answer:
+    """What a worker says of a task; `index` is its place among the results that came together."""
+
+    task: Task
+    worker: Worker
+    result: Result
+    index: int
+    digest: Callable[[], bytes]
 
 
 class Scheduler:
@@ -195,35 +207,22 @@ class Scheduler:
         worker.seen = self._clock.now()
         actions: list[Action] = []
         liars: dict[str, str] = {}
-        open_batch = worker.batches.get(batch)
+        open_batch = worker.batches.get(batch, OpenBatch({}))
         later_s = sum([result.seconds for result in results])
         transit_s = max(0.0, worker.seen - worker.since - later_s) / max(1, len(results))
         for index, result in enumerate(results):
-            batch_task = open_batch.pop(result.task) if open_batch is not None else None
-            task = self.tasks.get(result.task)
             later_s -= result.seconds
-            answered = task or batch_task
-            if answered is not None:
+            batch_task = open_batch.pop(result.task)
+            task = self.tasks.get(result.task)
+            if answered := task or batch_task:
                 self.recording.answered(worker, open_batch, answered, result, later_s)
             if batch_task is not None and result.failure is None:
                 self.dispatcher.forecast.learn(identity, batch_task, result.seconds, transit_s)
             if task is None:
                 self.counts["dropped" if batch_task is None else "duplicates"] += 1
-                continue
-            failure = result.failure
-            if failure and self._losses.can_ask_another(task, worker, self._open_workers()):
-                actions += self._ask_another(task, worker, failure)
-                continue
-            if failure is None:
-                judged = self._judge(task, worker, result, partial(digest, index), liars)
-                if judged is not None:
-                    actions += judged
-                    continue
-            del self.tasks[task.number]
-            self._withdraw(task)
-            actions.append(Deliver(task.number, index, result))
-            for machine in self._losses.credit(task, worker) if result.failure is None else ():
-                actions += self._retire(machine)
+            else:
+                answer = _Answer(task, worker, result, index, partial(digest, index))
+                actions += self._take(answer, liars)
         worker.since = worker.seen
         if is_finished:
             actions += self._take_back(worker, batch, "it left out a result", is_blamed=True)
@@ -345,20 +344,30 @@ class Scheduler:
 
     # -- lying and losing ---------------------------------------------------------------------
 
-    def _judge(
-        self,
-        task: Task,
-        worker: Worker,
-        result: Result,
-        digest: Callable[[], bytes],
-        liars: dict[str, str],
-    ) -> list[Action] | None:
+    def _take(self, answer: _Answer, liars: dict[str, str]) -> list[Action]:
+        """Deliver an answer, unless another machine is to be asked before."""
+        task, worker, failure = answer.task, answer.worker, answer.result.failure
+        if failure is not None:
+            if self._losses.can_ask_another(task, worker, self._open_workers()):
+                return self._ask_another(task, worker, failure)
+        elif (consequences := self._judge(answer, liars)) is not None:
+            return consequences
+        del self.tasks[task.number]
+        self._withdraw(task)
+        actions: list[Action] = [Deliver(task.number, answer.index, answer.result)]
+        if failure is None:
+            for machine in self._losses.credit(task, worker):
+                actions += self._retire(machine)
+        return actions
+
+    def _judge(self, answer: _Answer, liars: dict[str, str]) -> list[Action] | None:
         """Judge an answer; None where it is believed, else what is to be done about it."""
+        task, worker, result = answer.task, answer.worker, answer.result
         machine = worker.machine
         others = {w.machine for w in self._open_workers()} - {machine, *task.answers, *task.losses}
         task.has_written |= bool(result.written)
         self.verification.seconds += result.seconds if task.answers else 0.0
-        verdict, lying = self.verification.judge(task, machine, others, digest)
+        verdict, lying = self.verification.judge(task, machine, others, answer.digest)
         if lying and result.written:  # what a liar has written may be what others read
             self.verification.note_written(lying)
         liars |= dict.fromkeys(lying, f"its answer to {task.name!r} is not that of the others")

@@ -51,10 +51,7 @@ def choose_to_speculate(
             name = task.name
             if name not in least_s:
                 least_s[name] = min(forecast.unit_s(w.identity, name) for w in idle)
-            # A task that was lost with a worker may be what kills them: one at a time. One that is
-            # verified must not go to who has answered it.
-            is_apart = task.is_done or task.losses or task.answers or len(task.holders) > 1
-            if not is_apart and is_straggler(task, left_s, least_s[name]):
+            if task.may_run_twice and is_straggler(task, left_s, least_s[name]):
                 stragglers.append((left_s, task))
     stragglers.sort(key=lambda pair: -pair[0])
     chosen = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, OrderedDict
+from collections.abc import Container
 from dataclasses import dataclass, field
 
 from hpccomponent.errors import HpcError
@@ -40,9 +41,28 @@ class Task:
     answers: dict[str, bytes] = field(default_factory=dict)
     has_written: bool = False
 
-    def lacking_bytes(self, worker: Worker) -> int:
-        """Return the size of those of its blobs that are not known to be on `worker`."""
-        return sum(blob.size_bytes for blob in self.blobs if blob.key not in worker.blobs)
+    def lacking_blobs(self, worker: Worker, added: Container[bytes] = ()) -> dict[bytes, Blob]:
+        """Return its blobs that are not known to be on `worker`, but for those `added` before it.
+
+        Returns
+        -------
+        dict of bytes to Blob
+            By their keys.
+        """
+        return {
+            blob.key: blob
+            for blob in self.blobs
+            if blob.key not in worker.blobs and blob.key not in added
+        }
+
+    @property
+    def may_run_twice(self) -> bool:
+        """Whether it can be run a second time while it runs.
+
+        A task that was lost with a worker may be what kills them: one at a time. One that is
+        verified must not go to who has answered it.
+        """
+        return not (self.is_done or self.losses or self.answers or len(self.holders) > 1)
 
 
 @dataclass(slots=True, eq=False)

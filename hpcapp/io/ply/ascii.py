@@ -40,11 +40,11 @@ def scan_ascii(
                 for _ in taken:
                     pass
                 continue
-            parse = _parse_uneven if element.has_lists else _parse_even
+            parse = _parse_uneven if element.lists else _parse_even
             for first in range(0, max(element.count, 1), at_once):
                 yield element.name, parse(islice(taken, at_once), element, path, first)
         for line in islice(lines, 1):
-            last = [element for element in header.elements if element.count][-1:]
+            last = header.filled[-1:]
             if warn is None or not last or not _is_more_of(line, last[0], wanted):
                 problem = "lines follow after the last element"
                 advice = "a count in the header is too small: export the file again"
@@ -56,7 +56,7 @@ def scan_ascii(
 
 def _is_more_of(line: Line, element: Element, wanted: Container[str]) -> bool:
     columns = len(element.properties)
-    return element.name in wanted and not element.has_lists and len(line[1].split()) == columns
+    return element.name in wanted and not element.lists and len(line[1].split()) == columns
 
 
 def _parse_even(lines: Iterator[Line], element: Element, path: Path, first: int) -> Rows:

@@ -54,21 +54,25 @@ def scan_binary(
                 yield element.name, _gather(body, start, element, lengths, header.byte_order)
             _give_back(body, start, at - start)
     if body[at : at + 3].tobytes() not in (b"", b"\n", b"\r\n"):
-        last = [element for element in header.elements if element.count][-1:]
-        if warn is None or not last or not _is_more_of(body.size - at, last[0]):
-            raise InputError(
-                f"{path}: {body.size - at} bytes follow after the last element",
-                "a count in the header is too small: export the file again",
-            )
-        warn(
-            f"{body.size - at} bytes follow after the {last[0].count} vertices that the header "
-            "announces: they are left out"
+        _pass_over(path, header, body.size - at, warn)
+
+
+def _pass_over(path: Path, header: Header, size: int, warn: Callable[[str], None] | None) -> None:
+    """Leave out so many bytes behind the last element; they are refused if they are no points."""
+    if warn is None or not header.filled or not _is_more_of(size, header.filled[-1]):
+        raise InputError(
+            f"{path}: {size} bytes follow after the last element",
+            "a count in the header is too small: export the file again",
         )
+    warn(
+        f"{size} bytes follow after the {header.filled[-1].count} vertices that the header "
+        "announces: they are left out"
+    )
 
 
 def _is_more_of(size: int, element: Element) -> bool:
     """Tell whether so many bytes can be further points."""
-    is_whole = not element.has_lists and size % _row_bytes(element.properties) == 0
+    is_whole = not element.lists and size % _row_bytes(element.properties) == 0
     return element.name == "vertex" and is_whole
 
 
@@ -147,22 +151,9 @@ def _view_even(
     least = _row_bytes(element.properties) * element.count
     if least > body.size - at:
         raise _truncated(path, element, f"needs {least} bytes or more, {body.size - at} follow")
-    lengths: list[int] = []
+    lengths = [0] * len(element.lists)
     if element.count:
-        cursor = at
-        for p in element.properties:
-            if p.count_dtype is None:
-                cursor += np.dtype(p.dtype).itemsize
-                continue
-            count = np.dtype(byte_order + p.count_dtype)
-            if cursor + count.itemsize > body.size:
-                return None
-            lengths.append(int(np.ndarray((), count, body, cursor)))
-            cursor += count.itemsize + lengths[-1] * np.dtype(p.dtype).itemsize
-            if lengths[-1] < 0 or cursor > body.size:
-                return None
-    else:
-        lengths = [0] * len(element.properties)
+        lengths = _walk(body, at, element, range(1), byte_order, path)[0][0].tolist()
     dtype = _row_dtype(element, lengths, byte_order)
     if at + dtype.itemsize * element.count > body.size:
         return None
@@ -231,8 +222,7 @@ def _gather(
     body: NDArray[np.uint8], start: int, element: Element, lengths: IntArray, byte_order: str
 ) -> Rows:
     """Read rows of uneven lists, whose lengths are known."""
-    lists = [p for p in element.properties if p.count_dtype is not None]
-    sizes = np.array([np.dtype(p.dtype).itemsize for p in lists])
+    sizes = np.array([np.dtype(p.dtype).itemsize for p in element.lists])
     row_bytes = _row_bytes(element.properties) + lengths @ sizes
     at = start + np.cumsum(row_bytes) - row_bytes
     result = Rows({}, {})

@@ -21,11 +21,9 @@ def find_polygons(header: Header) -> str | None:
 
     None where there is no such element or list, or its numbers are not whole.
     """
-    for element in header.elements:
-        if element.name == "face":
-            lists = {p.name: p.dtype for p in element.properties if p.count_dtype is not None}
-            return next((name for name in _FACE_LISTS if lists.get(name, "f")[0] in "iu"), None)
-    return None
+    face = header.find("face")
+    lists = {} if face is None else {p.name: p.dtype for p in face.lists}
+    return next((name for name in _FACE_LISTS if lists.get(name, "f")[0] in "iu"), None)
 
 
 def vertex_normals(

@@ -49,9 +49,8 @@ _MOST_VERTICES = 2**31 - 1
 def holds_ply_faces(path: Path) -> bool:
     """Tell whether a PLY file has faces; InputError where its header is damaged."""
     header = read_header(path)
-    if find_polygons(header) is None:
-        return False
-    return any(one.name == "face" and one.count > 0 for one in header.elements)
+    face = header.find("face")
+    return face is not None and face.count > 0 and find_polygons(header) is not None
 
 
 def find_ply_crs(path: Path) -> Crs:

@@ -64,9 +64,14 @@ class Element:
     properties: tuple[Property, ...]
 
     @property
-    def has_lists(self) -> bool:
-        """Whether its rows may differ in length."""
-        return any(p.count_dtype is not None for p in self.properties)
+    def scalars(self) -> tuple[Property, ...]:
+        """Its properties of one value in each row."""
+        return tuple(p for p in self.properties if p.count_dtype is None)
+
+    @property
+    def lists(self) -> tuple[Property, ...]:
+        """Its other properties: with these its rows may differ in length."""
+        return tuple(p for p in self.properties if p.count_dtype is not None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +104,15 @@ class Header:
     comments: tuple[tuple[str, ...], ...] = ()
     remarks: Mapping[str, str] = field(default_factory=dict)
 
+    def find(self, name: str) -> Element | None:
+        """Return the element of a name."""
+        return next((element for element in self.elements if element.name == name), None)
+
+    @property
+    def filled(self) -> tuple[Element, ...]:
+        """The elements that have rows."""
+        return tuple(element for element in self.elements if element.count)
+
 
 def read_header(path: Path) -> Header:
     """Read the header of a PLY file.
@@ -128,15 +142,7 @@ def read_header(path: Path) -> Header:
     parser = _HeaderParser(path)
     for number, line in enumerate(lines[1:-1], start=2):
         parser.line(number, [word.decode("utf-8", "backslashreplace") for word in line.split()])
-    byte_order = parser.byte_order
-    if byte_order is None:
-        raise InputError(f"{path}: the PLY header has no 'format' line", _EXPORT_AGAIN)
-    for name, count, properties in parser.elements:
-        if count and not properties:
-            raise InputError(f"{path}: PLY element {name!r} has no properties", _EXPORT_AGAIN)
-    elements = tuple(Element(n, c, tuple(p)) for n, c, p in parser.elements)
-    found = tuple(parser.warnings), tuple(parser.comments), parser.remarks
-    return Header(byte_order, elements, end.end(), len(lines) + 1, *found)
+    return parser.make_header(end.end(), len(lines) + 1)
 
 
 class _HeaderParser:
@@ -174,6 +180,18 @@ class _HeaderParser:
                 self.warnings.append(f"line {number} of the header has no keyword: {text!r}")
             case _:
                 raise self._wrong(number, f"cannot make sense of {' '.join(words)[:60]!r}")
+
+    def make_header(self, body_start: int, body_line: int) -> Header:
+        """Return the header, whose last line was taken."""
+        if self.byte_order is None:
+            raise InputError(f"{self.path}: the PLY header has no 'format' line", _EXPORT_AGAIN)
+        elements = tuple(Element(name, count, tuple(p)) for name, count, p in self.elements)
+        for element in elements:
+            if element.count and not element.properties:
+                problem = f"PLY element {element.name!r} has no properties"
+                raise InputError(f"{self.path}: {problem}", _EXPORT_AGAIN)
+        found = tuple(self.warnings), tuple(self.comments), self.remarks
+        return Header(self.byte_order, elements, body_start, body_line, *found)
 
     def _element(self, number: int, name: str, count: int) -> None:
         if any(name == known for known, _, _ in self.elements):

@@ -11,6 +11,7 @@ import numpy as np
 
 from hpcapp.geometry.ply_rows import coordinate_lines, ply_header
 from hpcapp.geometry.points import PointCloud
+from hpcapp.io.batches import join_arrays
 from hpcapp.io.crs import Crs
 from hpcapp.io.ply.columns import VertexProperties
 from hpcapp.io.ply.comments import keep
@@ -76,14 +77,11 @@ def _find_common(sources: Sequence[PointSource]) -> PointCloud:
     """Return the columns that all sources have, and colours where one has some, without points."""
     layouts = [next(source.chunks(1)).view(slice(0)) for source in sources]
     if len(sources) > 1:
-        number = np.empty(0, np.int32)
-        layouts = [
-            replace(layout, attributes={SCAN: number} | dict(layout.attributes))
-            for layout in layouts
-        ]
+        number = {SCAN: np.empty(0, np.int32)}
+        layouts = [replace(one, attributes=number | dict(one.attributes)) for one in layouts]
     names = [name_columns(replace(layout, colours=None)) for layout in layouts]
-    common = [name for name in names[0] if all(name in others for others in names)]
-    colours = [layout.colours for layout in layouts if layout.colours is not None]
+    common = set(names[0]).intersection(*names)
+    colours = join_arrays(layout.colours for layout in layouts)
     for columns, layout, source in zip(names, layouts, sources, strict=True):
         if lost := [name for name in columns if name not in common]:
             shown = name_some(lost)
@@ -91,13 +89,12 @@ def _find_common(sources: Sequence[PointSource]) -> PointCloud:
                 "warning: %s: all points stay; left out of each, as not all files have it: %s",
                 source.path, shown,
             )  # fmt: skip
-        if colours and layout.colours is None:
+        if colours is not None and layout.colours is None:
             log.warning("warning: %s: no colours, as other files have: white there", source.path)
-    normals = [layout.normals for layout in layouts if layout.normals is not None]
     return PointCloud(
         np.empty((0, 3)),
-        normals[0] if len(normals) == len(layouts) else None,
-        np.concatenate(colours) if colours else None,
+        layouts[0].normals if all(one.normals is not None for one in layouts) else None,
+        colours,
         {
             name: np.concatenate([layout.attributes[name] for layout in layouts])
             for name in layouts[0].attributes

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -53,50 +54,43 @@ def open_ply(path: Path) -> PointSource:
     findings = Findings(list(header.warnings))
     header = _without_absent_lists(path, header, findings)
     header = _with_byte_colours(path, header)
-    vertex, plan = plan_vertex(header, path)
-    types = {p.name: p.dtype for p in vertex.properties if p.count_dtype is None}
-    is_double = not header.byte_order or any(
-        types[name] not in _EXACT_IN_SINGLE for name in plan.positions
-    )
-    body = _Body(path, header, plan, findings)
-    splats = are_splats(types)
-    faces = next((e.count for e in header.elements if e.name == "face"), 0)
-    polygons = None if plan.normals or splats or not faces else find_polygons(header)
-    is_mesh = polygons is not None
-    records, check_rest = None, None
-    if splats:
-        body = replace(body, plan=plan_splats(plan), build=build_splats)
-        findings.warn("splats: their shortest axes are taken for normals, whose sign is not known")
-        scan: Callable[[int], Iterator[PointCloud]] = _SplatScan(body)
-    elif polygons is not None:
-        scan = _MeshScan(body, polygons)
-    else:
-        records = _find_points(path, header, vertex, plan) if header.byte_order else None
-        body = replace(body, records=records)
-        scan, check_rest = body.scan, body.check_rest
+    vertices = _choose_vertices(path, header, findings)
     kept = parse_comments(header.comments)
-    grid = None if is_mesh else find_range_grid(header)
-    if grid is not None:
-        records, check_rest, scan = None, None, _GridScan(body, vertex.count, grid[0])
+    columns = tuple(p.name for p in vertices.element.properties)
     return PointSource(
         path,
-        vertex.count,
-        is_double,
-        bool(plan.normals) or splats or is_mesh,
-        scan,
-        records,
-        check_rest,
-        kept.joined
-        or f"PLY, {_ENCODINGS[header.byte_order]}{', splats' * splats}{', a mesh' * is_mesh}",
-        tuple(p.name for p in vertex.properties),
-        _find_scans(path, header, vertex.count, kept, grid),
+        vertices.element.count,
+        vertices.is_double,
+        bool(vertices.plan.normals) or vertices.makes_normals,
+        vertices.scan,
+        vertices.records,
+        vertices.check_rest,
+        kept.joined or f"PLY, {_ENCODINGS[header.byte_order]}{vertices.kind}",
+        columns,
+        _find_scans(path, header, vertices.element.count, kept, vertices.grid),
         kept.crs,
         kept.unit,
         findings,
-        "file" if polygons is None else "faces",
-        oriented=not splats,
+        vertices.normals_from,
+        oriented=vertices.oriented,
         height_unit=kept.height_unit,
     )
+
+
+def _choose_vertices(path: Path, header: Header, findings: Findings) -> _Vertices:
+    """Tell by the header what the vertices are."""
+    vertex, plan = plan_vertex(header, path)
+    if are_splats([p.name for p in vertex.scalars]):
+        findings.warn("splats: their shortest axes are taken for normals, whose sign is not known")
+        return _Splats(path, header, vertex, plan_splats(plan), findings)
+    face = header.find("face")
+    polygons = find_polygons(header) if face is not None and face.count else None
+    if polygons is not None and not plan.normals:
+        return _MeshVertices(path, header, vertex, plan, findings, polygons)
+    if grid := find_range_grid(header):
+        return _GridVertices(path, header, vertex, plan, findings, grid=grid)
+    records = _find_points(path, header, vertex, plan) if header.byte_order else None
+    return _Vertices(path, header, vertex, plan, findings, records=records)
 
 
 def plan_vertex(header: Header, path: Path) -> tuple[Element, ColumnPlan]:
@@ -107,35 +101,47 @@ def plan_vertex(header: Header, path: Path) -> tuple[Element, ColumnPlan]:
     InputError
         There is no such element, or it lacks coordinates or some components of normals.
     """
-    vertex = next((e for e in header.elements if e.name == "vertex"), None)
+    vertex = header.find("vertex")
     if vertex is None:
         raise InputError(f"{path}: no element 'vertex'", "export the file as a point cloud or mesh")
-    scalars = [p.name for p in vertex.properties if p.count_dtype is None]
-    return vertex, plan_columns(scalars, f"{path}: element 'vertex'")
+    return vertex, plan_columns([p.name for p in vertex.scalars], f"{path}: element 'vertex'")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Body:
-    """The elements of a file, read in parts."""
+class _Vertices:
+    """The vertices of a file, read in parts: here as they are."""
 
     path: Path
     header: Header
+    element: Element
     plan: ColumnPlan
     findings: Findings
-    build: Callable[..., PointCloud] = build_cloud
-    records: PointRecords | None = None
+    records: PointRecords | None = field(default=None, kw_only=True)
+    grid: tuple[int, int] | None = field(default=None, kw_only=True)
+    kind: ClassVar[str] = ""
+    makes_normals: ClassVar[bool] = False
+    normals_from: ClassVar[Literal["file", "faces"]] = "file"
+    oriented: ClassVar[bool] = True
+
+    @property
+    def is_double(self) -> bool:
+        types = {p.name: p.dtype for p in self.element.scalars}
+        is_single = all(types[name] in _EXACT_IN_SINGLE for name in self.plan.positions)
+        return not (self.header.byte_order and is_single)
 
     def parts(self, element: str, rows: int) -> Iterator[Rows]:
         parts = scan_body(self.path, self.header, {element}, rows, self.findings.warn)
         return (part for _, part in parts)
 
+    def clouds(self, rows: int) -> Iterator[PointCloud]:
+        return (build_cloud(part.scalars, self.plan) for part in self.parts("vertex", rows))
+
     def scan(self, rows: int) -> Iterator[PointCloud]:
-        if self.records is not None:
-            yield from self.records.scan(rows)
-            self.check_rest()
+        if self.records is None:
+            yield from self.clouds(rows)
             return
-        for part in self.parts("vertex", rows):
-            yield self.build(part.scalars, self.plan)
+        yield from self.records.scan(rows)
+        self.check_rest()
 
     def check_rest(self) -> None:
         for _ in scan_body(self.path, self.header, (), 1, self.findings.warn):
@@ -143,57 +149,58 @@ class _Body:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _MeshScan:
+class _MeshVertices(_Vertices):
     """Vertices with the normals of their faces; they are in memory all at once."""
 
-    body: _Body
     polygons: str
+    kind = ", a mesh"
+    makes_normals = True
+    normals_from = "faces"
 
-    def __call__(self, rows: int) -> Iterator[PointCloud]:
-        cloud = join_points(list(self.body.scan(_ROWS_AT_ONCE)))
-        normals, has_face = vertex_normals(cloud.positions, self._polygons(), self.body.path)
+    def scan(self, rows: int) -> Iterator[PointCloud]:
+        cloud = join_points(list(self.clouds(_ROWS_AT_ONCE)))
+        normals, has_face = vertex_normals(cloud.positions, self._polygons(), self.path)
         cloud = replace(cloud, normals=normals)
         left_out = len(cloud) - int(has_face.sum())
-        self.body.findings.dropped.pop(_FACELESS, None)  # a file may be scanned more than once
-        self.body.findings.drop(_FACELESS, left_out)
+        self.findings.dropped.pop(_FACELESS, None)  # a file may be scanned more than once
+        self.findings.drop(_FACELESS, left_out)
         return cut_points(cloud.take(has_face) if left_out else cloud, rows)
 
     def _polygons(self) -> Iterator[Ragged]:
-        for faces in self.body.parts("face", _ROWS_AT_ONCE):
+        for faces in self.parts("face", _ROWS_AT_ONCE):
             yield faces.lists[self.polygons]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _SplatScan:
+class _Splats(_Vertices):
     """Splats without the floaters."""
 
-    body: _Body
+    kind = ", splats"
+    makes_normals = True
+    oriented = False
 
-    def __call__(self, rows: int) -> Iterator[PointCloud]:
-        self.body.findings.dropped.pop(FLOATERS, None)  # they are counted anew
+    def scan(self, rows: int) -> Iterator[PointCloud]:
+        self.findings.dropped.pop(FLOATERS, None)  # they are counted anew
         return batch_points(self._without_floaters(rows), rows)
 
     def _without_floaters(self, rows: int) -> Iterator[PointCloud]:
-        for part in self.body.scan(rows):
-            is_floater = find_floaters(part)
-            self.body.findings.drop(FLOATERS, int(is_floater.sum()))
-            yield part.take(~is_floater) if is_floater.any() else part
+        for part in self.parts("vertex", rows):
+            splats = build_splats(part.scalars, self.plan)
+            is_floater = find_floaters(splats)
+            self.findings.drop(FLOATERS, int(is_floater.sum()))
+            yield splats.take(~is_floater) if is_floater.any() else splats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _GridScan:
-    """Vertices with their places in a grid."""
+class _GridVertices(_Vertices):
+    """Vertices with their places in the grid of a range scan."""
 
-    body: _Body
-    vertices: int
-    width: int
-
-    def __call__(self, rows: int) -> Iterator[PointCloud]:
-        parts = self.body.parts("range_grid", _ROWS_AT_ONCE)
-        lists = (part.lists[GRID_LIST] for part in parts)
-        cells, first = find_cells(lists, self.vertices, self.body.path), 0
-        for part in self.body.scan(rows):
-            yield add_grid(part, cells[first : first + len(part)], self.width)
+    def scan(self, rows: int) -> Iterator[PointCloud]:
+        assert self.grid is not None  # noqa: S101 - it is of these
+        lists = (part.lists[GRID_LIST] for part in self.parts("range_grid", _ROWS_AT_ONCE))
+        cells, first = find_cells(lists, self.element.count, self.path), 0
+        for part in self.clouds(rows):
+            yield add_grid(part, cells[first : first + len(part)], self.grid[0])
             first += len(part)
 
 
@@ -210,7 +217,7 @@ def _find_points(
     start, dtype = located
     columns: dict[str, Column] = {}
     for number, p in enumerate(vertex.properties):
-        if p.count_dtype is None:
+        if p in vertex.scalars:
             assert dtype.fields is not None  # noqa: S101 - it has these
             kind, offset = dtype.fields[f"v{number}"][:2]
             columns[p.name] = (int(offset), kind.str)
@@ -235,14 +242,12 @@ def _with_byte_colours(path: Path, header: Header) -> Header:
 def _without_absent_lists(path: Path, header: Header, findings: Findings) -> Header:
     """Pass over lists of the vertices that the header declares and no row holds."""
     vertex, _ = plan_vertex(header, path)
-    lists = [p for p in vertex.properties if p.count_dtype is not None]
-    scalars = [p for p in vertex.properties if p.count_dtype is None]
-    if not lists or not vertex.count:
+    if not vertex.lists or not vertex.count:
         return header
-    bare = _with_properties(header, vertex, scalars)
+    bare = _with_properties(header, vertex, vertex.scalars)
     if not (_is_of_size(path, bare) if header.byte_order else _starts_with(path, bare, vertex)):
         return header
-    for p in lists:
+    for p in vertex.lists:
         findings.warn(
             f"line {p.line} of the header declares the list {p.name!r}, which no vertex has"
         )
@@ -252,8 +257,8 @@ def _without_absent_lists(path: Path, header: Header, findings: Findings) -> Hea
 def _is_of_size(path: Path, header: Header) -> bool:
     """Tell whether a binary body is as long as rows without lists make it."""
     size = header.body_start
-    for element in header.elements:
-        if element.count and element.has_lists:
+    for element in header.filled:
+        if element.lists:
             return False
         size += element.count * sum(np.dtype(p.dtype).itemsize for p in element.properties)
     return size == path.stat().st_size
@@ -261,7 +266,7 @@ def _is_of_size(path: Path, header: Header) -> bool:
 
 def _starts_with(path: Path, header: Header, vertex: Element) -> bool:
     """Tell whether an ascii body starts with a vertex that has no more numbers than scalars."""
-    first = next(e for e in header.elements if e.count)
+    first = header.filled[0]
     with path.open("rb") as file:
         file.seek(header.body_start)
         words = file.readline(_LONGEST_LINE).split()
@@ -285,8 +290,8 @@ def _find_scans(
 
 def _find_scanner(path: Path, header: Header) -> FloatArray | None:
     """Return where the camera stood, as PCL writes it; at the origin it says nothing."""
-    camera = next((e for e in header.elements if e.name == "camera" and e.count == 1), None)
-    if camera is None or not set(_VIEW) <= {p.name for p in camera.properties}:
+    camera = header.find("camera")
+    if camera is None or camera.count != 1 or not set(_VIEW) <= {p.name for p in camera.properties}:
         return None
     place = stack(read_body(path, header, {"camera"})["camera"].scalars, _VIEW)[0]
     return place if place.any() and np.isfinite(place).all() else None

@@ -27,7 +27,7 @@ GRID_LIST = "vertex_indices"
 
 def find_range_grid(header: Header) -> tuple[int, int] | None:
     """Return width and height of the grid; None without one of the size that is named."""
-    element = next((e for e in header.elements if e.name == "range_grid"), None)
+    element = header.find("range_grid")
     size = [header.remarks.get(name, "") for name in ("num_cols", "num_rows")]
     if element is None or not all(is_count(word) for word in size):
         return None

@@ -72,8 +72,8 @@ from hpccomponent.protocol.session import (
     Keep,
     Run,
     Send,
+    SessionState,
     StartWorker,
-    State,
     WorkerSession,
 )
 
@@ -232,7 +232,7 @@ class Cluster:
         for _ in range(0 if component.is_frozen else min(count, len(component.down))):
             message = component.down.popleft()
             component.carry_out(component.session.receive(message, (), self.clock.now()))
-        if component.session.state is State.STOPPED:
+        if component.session.state is SessionState.STOPPED:
             component.work.clear()
 
     def judge(
@@ -354,7 +354,7 @@ class Cluster:
         )
 
     def crash_worker(self, component: Component) -> None:
-        if component.is_frozen or component.session.state is State.STOPPED:
+        if component.is_frozen or component.session.state is SessionState.STOPPED:
             return
         component.work.clear()
         component.carry_out(component.session.worker_died("it crashed"))
@@ -381,7 +381,9 @@ class Cluster:
 
     def settle(self) -> None:
         """End all faults, and work on until nothing moves."""
-        self.components = [c for c in self.components if c.session.state is not State.STOPPED]
+        self.components = [
+            c for c in self.components if c.session.state is not SessionState.STOPPED
+        ]
         for component in self.components:
             component.is_frozen = False
         self.start_component()
@@ -607,7 +609,7 @@ class ClusterWithABadMachine(RuleBasedStateMachine):
                 while component.work:
                     cluster.work(component)
                 cluster.pump(component, 1000)
-                if component.session.state is State.STOPPED:  # the loader starts it again
+                if component.session.state is SessionState.STOPPED:  # the loader starts it again
                     cluster.components.remove(component)
                     self.start(component.session._register.worker)
             cluster.pass_time(1.0)
@@ -710,7 +712,7 @@ class ClusterWithALiar(RuleBasedStateMachine):
     def nobody_honest_is_thrown_out(self) -> None:
         assert self.cluster.scheduler._losses.retired.keys() <= {"liar"}
         assert all(
-            component.session.state is not State.STOPPED
+            component.session.state is not SessionState.STOPPED
             for component in self.cluster.components
             if component is not self.liar
         )
