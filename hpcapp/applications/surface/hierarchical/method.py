@@ -46,7 +46,7 @@ from hpcapp.applications.surface.method import (
     ShowPart,
     show_nothing,
 )
-from hpcapp.applications.surface.surface import PartSurface
+from hpcapp.applications.surface.surface import Surface
 from hpcapp.applications.surface.tiles.patterns import coarse_lattice
 from hpcapp.applications.surface.tiles.plan import CoarseLattice, Plan, Samples
 from hpcapp.applications.surface.tiles.tasks import sum_tile
@@ -249,7 +249,7 @@ class HierarchicalMethod:
         quadrics: Coarse | None,
         workforce: Workforce,
         advance: Advance,
-    ) -> PartSurface:
+    ) -> Surface:
         """Fit the fine quadrics and extract the surface, tile by tile on the workers.
 
         Parameters
@@ -264,7 +264,7 @@ class HierarchicalMethod:
 
         Returns
         -------
-        PartSurface
+        Surface
             It has faces.
 
         Raises

@@ -145,10 +145,9 @@ def _run(
         result = replace(result, surface=light)
         target = settings.target
         is_bound = target.faces is not None and target.tolerance is None
-        if is_bound and len(light.whole.faces) > (target.faces or 0):
-            warnings.append(
-                f"{len(light.whole.faces):,} faces are left: fewer would break the mesh"
-            )
+        faces = light.stream().face_count
+        if is_bound and faces > (target.faces or 0):
+            warnings.append(f"{faces:,} faces are left: fewer would break the mesh")
             log.warning("warning: %s", warnings[-1])
     return Outcome(result, grid, backend, choice, warnings)
 

@@ -37,7 +37,7 @@ from hpcapp.applications.surface.paper.patch_quadrics import (
     gradient_quadrics,
 )
 from hpcapp.applications.surface.paper.split_rule import SplitRule
-from hpcapp.applications.surface.surface import WholeSurface
+from hpcapp.applications.surface.surface import Surface
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.workforce import Workforce, map_batches
@@ -156,7 +156,7 @@ class PaperMethod:
         quadrics: FloatArray,
         workforce: Workforce,
         advance: Advance,
-    ) -> WholeSurface:
+    ) -> Surface:
         """Sample the indicator blend on the grid, and extract its 0-level: here, as the paper."""
         del workforce
         nodes = plan_grid(partition.patches, self.grid)
@@ -164,7 +164,7 @@ class PaperMethod:
         settle_zeros(values)
         mesh = extract_iso_surface(values, nodes, partition.points.origin)
         self.show_part(lambda: mesh)
-        return WholeSurface(mesh)
+        return Surface.of_mesh(mesh)
 
     def facts(self, partition: PaperPartition) -> dict[str, object]:
         """Return the number of patches, the rule that made them, and after `fit` its residuals."""
