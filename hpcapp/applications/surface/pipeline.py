@@ -119,7 +119,7 @@ def reconstruct_cloud(
 
 def make_surface(
     cloud: ArrangedCloud,
-    method: Method[Any, Any, Any],
+    method: Method[Any, Any],
     workforce: Workforce,
     clock: StageClock,
     background: Callable[[], object] | None = None,

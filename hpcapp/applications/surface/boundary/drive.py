@@ -37,7 +37,7 @@ from hpcapp.applications.surface.extraction.taken_bricks import TakenBricks
 from hpcapp.applications.surface.methods.method import Advance
 from hpcapp.applications.surface.normals.consistency import faces_inwards
 from hpcapp.applications.surface.scale.local_scale import LocalScale
-from hpcapp.applications.surface.stitching.surface import PartSurface
+from hpcapp.applications.surface.stitching.surface import Surface
 from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
 from hpcapp.applications.surface.tiles.patterns import surface_box
 from hpcapp.applications.surface.tiles.plan import Plan
@@ -136,7 +136,7 @@ class _Parts:
 
     Parameters
     ----------
-    surface : PartSurface
+    surface : Surface
     cloud : ArrangedCloud
     plan : Plan
     workforce : Workforce
@@ -146,7 +146,7 @@ class _Parts:
         Of this process.
     """
 
-    surface: PartSurface
+    surface: Surface
     cloud: ArrangedCloud
     plan: Plan
     workforce: Workforce
@@ -216,7 +216,7 @@ def _hold_some(places: IntArray, first: IntArray, end: IntArray) -> BoolArray:
 
 
 def close_surface(
-    surface: PartSurface,
+    surface: Surface,
     cloud: ArrangedCloud,
     plan: Plan,
     asked: OpeningSettings,
@@ -224,12 +224,12 @@ def close_surface(
     shared: Checkpoint | None,
     threads: int,
     advance: Advance,
-) -> tuple[PartSurface, Closure]:
+) -> tuple[Surface, Closure]:
     """Leave a closed surface as it is, or cut it open where no point supports it.
 
     Parameters
     ----------
-    surface : PartSurface
+    surface : Surface
         Closed. The parts that it holds in memory are let go where it is cut.
     cloud : ArrangedCloud
     plan : Plan
@@ -311,7 +311,7 @@ def _judge_support(parts: _Parts, rule: SupportRule) -> tuple[float, Callable[[]
 
 def _cut_parts(
     parts: _Parts, rule: SupportRule, fill: SupportRule, advance: Advance
-) -> tuple[PartSurface, int]:
+) -> tuple[Surface, int]:
     """Cut all parts; return the open surface, and how many holes of it are filled."""
     surface, whole = parts.surface, 2 * len(parts)
     # Workers finish in any order.
@@ -328,7 +328,7 @@ def _cut_parts(
     cuts, summaries = zip(*(opened[index] for index in range(len(parts))), strict=True)
     # As many faces as a square of that size has at the usual step.
     crumb = int(_FACES * (_CRUMB * rule.typical / parts.plan.usual_step) ** 2)
-    opened_surface = PartSurface(
+    opened_surface = Surface(
         [*cuts], [*summaries], surface.origin, surface.checkpoint, surface.workers, crumb
     )
     return opened_surface, matched.holes

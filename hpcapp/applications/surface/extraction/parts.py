@@ -9,8 +9,11 @@ import numpy as np
 from hpcapp.applications.surface.types.brick_mesh import BrickMesh
 from hpcapp.applications.surface.types.grid import OWN, BrickKinds
 from hpcapp.geometry.lattice import find_keys, number_keys
+from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import BoolArray, FloatArray, Int32Array, IntArray
 from hpccomponent.protocol.records import record
+
+_ROWS_AT_ONCE = 1 << 17
 
 
 @record("surface.part")
@@ -67,6 +70,24 @@ class MeshPart:
         places, corners = np.empty((0, 3)), np.empty((0, 3), np.int32)
         no = np.empty(0, np.bool_)
         return cls(keys, no, none, none, places, corners, keys, none, no)
+
+    @classmethod
+    def of_mesh(cls, mesh: Mesh) -> MeshPart:
+        """Return a mesh that no grid has made: runs of its rows stand for bricks."""
+        of_all = mesh.vertices, mesh.faces
+        bricks = -(-max(map(len, of_all)) // _ROWS_AT_ONCE)
+        ends = _ROWS_AT_ONCE * np.arange(bricks + 1)
+        counts = [np.diff(np.minimum(ends, len(rows))).astype(np.int32) for rows in of_all]
+        return replace(
+            cls.empty(),
+            bricks=np.arange(bricks),
+            guests=np.zeros(bricks, np.bool_),
+            vertex_counts=counts[0],
+            face_counts=counts[1],
+            vertices=mesh.vertices,
+            faces=mesh.faces.astype(np.int32),
+            supported=np.zeros(len(mesh.vertices), np.bool_),
+        )
 
 
 def cut_part(

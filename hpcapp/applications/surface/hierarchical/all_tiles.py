@@ -20,7 +20,7 @@ from hpcapp.applications.surface.extraction.summary import PartSummary
 from hpcapp.applications.surface.hierarchical.coarse import Coarse
 from hpcapp.applications.surface.hierarchical.tiles import Tiling
 from hpcapp.applications.surface.methods.method import Advance, ShowPart, show_nothing
-from hpcapp.applications.surface.stitching.surface import PartSurface
+from hpcapp.applications.surface.stitching.surface import Surface
 from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
 from hpcapp.applications.surface.tiles.patterns import tile_surface
 from hpcapp.applications.surface.tiles.plan import Plan
@@ -57,7 +57,7 @@ class _Growth:
         self._show_part = show_part
         self._checkpoint = checkpoint
         self._exits: list[IntArray] = []
-        self.surface = PartSurface([], [], origin, checkpoint, points=points)
+        self.surface = Surface([], [], origin, checkpoint, points=points)
 
     def run(
         self,
@@ -150,7 +150,7 @@ def mesh_all_tiles(
     points: int,
     checkpoint: Checkpoint | None = None,
     show_part: ShowPart = show_nothing,
-) -> PartSurface:
+) -> Surface:
     """Reconstruct the surface tile by tile on the workers, and between the tiles.
 
     Parameters
@@ -171,7 +171,7 @@ def mesh_all_tiles(
 
     Returns
     -------
-    PartSurface
+    Surface
         It holds every brick that the surface reaches.
 
     Raises

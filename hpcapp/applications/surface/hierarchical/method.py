@@ -43,7 +43,7 @@ from hpcapp.applications.surface.methods.method import (
 )
 from hpcapp.applications.surface.resolution.chain import resolve
 from hpcapp.applications.surface.resolution.estimates import Scale
-from hpcapp.applications.surface.stitching.surface import PartSurface
+from hpcapp.applications.surface.stitching.surface import Surface
 from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
 from hpcapp.applications.surface.tiles.patterns import coarse_lattice
 from hpcapp.applications.surface.tiles.plan import CoarseLattice, Plan, Samples
@@ -249,7 +249,7 @@ class HierarchicalMethod:
         quadrics: Coarse | None,
         workforce: Workforce,
         advance: Advance,
-    ) -> PartSurface:
+    ) -> Surface:
         """Fit the fine quadrics and extract the surface, tile by tile on the workers.
 
         Parameters
@@ -264,7 +264,7 @@ class HierarchicalMethod:
 
         Returns
         -------
-        PartSurface
+        Surface
             It has faces.
 
         Raises
@@ -300,17 +300,17 @@ class HierarchicalMethod:
     def close(
         self,
         partition: HierarchicalPartition,
-        surface: PartSurface,
+        surface: Surface,
         workforce: Workforce,
         advance: Advance,
-    ) -> PartSurface:
+    ) -> Surface:
         """Cut the surface open where no point supports it, if it is to be open.
 
         Parameters
         ----------
         partition : HierarchicalPartition
             Its `closure` is set here.
-        surface : PartSurface
+        surface : Surface
         workforce : Workforce
         advance : callable
             Told (tiles done, tiles in all).

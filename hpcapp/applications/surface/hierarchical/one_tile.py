@@ -17,7 +17,7 @@ from hpcapp.applications.surface.extraction.summary import summarize_part
 from hpcapp.applications.surface.field.levels import SlabFields, fit_above
 from hpcapp.applications.surface.field.pyramid import build_pyramid
 from hpcapp.applications.surface.methods.method import Advance, ShowPart, show_nothing
-from hpcapp.applications.surface.stitching.surface import PartSurface
+from hpcapp.applications.surface.stitching.surface import Surface
 from hpcapp.applications.surface.tiles.halo import plan_whole
 from hpcapp.applications.surface.tiles.plan import Plan
 from hpcapp.applications.surface.tiles.slabs import cut_slabs, grow_slabs
@@ -31,7 +31,7 @@ def mesh_one_tile(
     threads: int,
     advance: Advance,
     show_part: ShowPart = show_nothing,
-) -> tuple[PartSurface, int]:
+) -> tuple[Surface, int]:
     """Reconstruct the surface of a cloud as one tile, in this process.
 
     Parameters
@@ -48,7 +48,7 @@ def mesh_one_tile(
 
     Returns
     -------
-    surface : PartSurface
+    surface : Surface
         It holds every brick that the surface reaches, each in one part.
     patches : int
         Finest cells with points.
@@ -61,7 +61,7 @@ def mesh_one_tile(
     far = find_far(plan, sample_cells(pyramid.levels[plan.far]), threads)
     above, features, parents = fit_above(pyramid, plan.weights, None, far, threads)
     fields = SlabFields(pyramid, plan.weights, parents, above, features, far, plan.grid, threads)
-    surface = PartSurface([], [], cloud.origin, points=len(cloud))
+    surface = Surface([], [], cloud.origin, points=len(cloud))
     bounds = cut_slabs(fields, kinds)
     slabs = len(bounds) - 1
     for part, _ in grow_slabs(fields, kinds, bounds):

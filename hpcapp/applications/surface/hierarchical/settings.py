@@ -125,7 +125,7 @@ class Hierarchical:
         longest = float((cloud.high - cloud.low).max())
         return suggest_grid(cloud.measured, longest, self.smoothness, self.detail)
 
-    def open(self, grid: int, resources: Resources) -> Method[Any, Any, Any]:
+    def open(self, grid: int, resources: Resources) -> Method[Any, Any]:
         """Return the strategy.
 
         Parameters

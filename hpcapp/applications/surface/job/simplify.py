@@ -26,8 +26,9 @@ def simplify(
         light = simplify_surface(result.surface, target)
     warnings = []
     is_bound = target.faces is not None and target.tolerance is None
-    if is_bound and len(light.whole.faces) > (target.faces or 0):
-        warnings = [f"{len(light.whole.faces):,} faces are left: fewer would break the mesh"]
+    faces = light.stream().face_count
+    if is_bound and faces > (target.faces or 0):
+        warnings = [f"{faces:,} faces are left: fewer would break the mesh"]
         log.warning("warning: %s", warnings[0])
     return replace(result, surface=light), warnings
 

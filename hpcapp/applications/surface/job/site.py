@@ -115,7 +115,7 @@ def preprocess(settings: Settings, cloud: ArrangedCloud, clock: StageClock) -> A
 
 def open_method(
     settings: Settings, site: Site, grid: int, points: int, clock: StageClock
-) -> Method[Any, Any, Any]:
+) -> Method[Any, Any]:
     """Open the method for so many points, and log what runs where."""
     backend, workforce = site.backend, site.backend.workforce
     threads = choose_threads(workforce, points)

@@ -43,7 +43,6 @@ def show_nothing(load: Callable[[], Any]) -> None:
 
 PartitionT = TypeVar("PartitionT")
 QuadricsT = TypeVar("QuadricsT")
-SurfaceT = TypeVar("SurfaceT", bound="Surface")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,7 +131,7 @@ class MethodSettings(Protocol):
         """
         ...
 
-    def open(self, grid: int, resources: Resources) -> Method[Any, Any, Any]:
+    def open(self, grid: int, resources: Resources) -> Method[Any, Any]:
         """Return the strategy for one job; UsageError where options contradict each other.
 
         Parameters
@@ -149,7 +148,7 @@ class MethodSettings(Protocol):
         ...
 
 
-class Method(Protocol[PartitionT, QuadricsT, SurfaceT]):
+class Method(Protocol[PartitionT, QuadricsT]):
     """One way to turn oriented points into a mesh, in four stages."""
 
     def partition(self, cloud: ArrangedCloud, workforce: Workforce) -> PartitionT:
@@ -194,7 +193,7 @@ class Method(Protocol[PartitionT, QuadricsT, SurfaceT]):
 
     def extract(
         self, partition: PartitionT, quadrics: QuadricsT, workforce: Workforce, advance: Advance
-    ) -> SurfaceT:
+    ) -> Surface:
         """Fit what is left, blend the quadrics and extract the 0-level iso-surface.
 
         Parameters
@@ -210,8 +209,8 @@ class Method(Protocol[PartitionT, QuadricsT, SurfaceT]):
         ...
 
     def close(
-        self, partition: PartitionT, surface: SurfaceT, workforce: Workforce, advance: Advance
-    ) -> SurfaceT:
+        self, partition: PartitionT, surface: Surface, workforce: Workforce, advance: Advance
+    ) -> Surface:
         """Close the borders of a surface, or cut it open, as the user or the points ask.
 
         Parameters

@@ -37,7 +37,7 @@ from hpcapp.applications.surface.paper.patch_quadrics import (
     gradient_quadrics,
 )
 from hpcapp.applications.surface.paper.split_rule import SplitRule
-from hpcapp.applications.surface.stitching.surface import WholeSurface
+from hpcapp.applications.surface.stitching.surface import Surface
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.workforce import Workforce, map_batches
@@ -156,7 +156,7 @@ class PaperMethod:
         quadrics: FloatArray,
         workforce: Workforce,
         advance: Advance,
-    ) -> WholeSurface:
+    ) -> Surface:
         """Sample the indicator blend on the grid, and extract its 0-level: here, as the paper."""
         del workforce
         nodes = plan_grid(partition.patches, self.grid)
@@ -164,15 +164,15 @@ class PaperMethod:
         settle_zeros(values)
         mesh = extract_iso_surface(values, nodes, partition.points.origin)
         self.show_part(lambda: mesh)
-        return WholeSurface(mesh)
+        return Surface.of_mesh(mesh)
 
     def close(
         self,
         partition: PaperPartition,
-        surface: WholeSurface,
+        surface: Surface,
         workforce: Workforce,
         advance: Advance,
-    ) -> WholeSurface:
+    ) -> Surface:
         """Return the surface as it is: the paper does not speak of borders."""
         del partition, workforce, advance
         return surface

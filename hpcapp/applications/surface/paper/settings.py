@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
     from hpcapp.applications.surface.methods.method import Method, Resources
     from hpcapp.applications.surface.paper.method import PaperPartition
-    from hpcapp.applications.surface.stitching.surface import WholeSurface
     from hpcapp.geometry.points import FloatArray, PointCloud
 
 
@@ -88,9 +87,7 @@ class Paper:
         del cloud
         return Resolution(_GRID, "the default of this method")
 
-    def open(
-        self, grid: int, resources: Resources
-    ) -> Method[PaperPartition, FloatArray, WholeSurface]:
+    def open(self, grid: int, resources: Resources) -> Method[PaperPartition, FloatArray]:
         """Return the strategy, whose own grid has no margins."""
         from hpcapp.applications.surface.paper.method import PaperMethod
 

@@ -1,19 +1,22 @@
-"""What a method gives: a mesh in memory, or the parts of one."""
+"""What a method gives: the parts of a mesh, in memory or kept elsewhere.
+
+A mesh that was made as a whole is one part.
+"""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any, cast
 
 import numpy as np
 
 from hpcapp.applications.surface.attributes.carrying import NOTHING, Carrying
 from hpcapp.applications.surface.extraction.parts import MeshPart
-from hpcapp.applications.surface.extraction.summary import PartSummary
+from hpcapp.applications.surface.extraction.summary import PartSummary, summarize_part
 from hpcapp.applications.surface.stitching.assemble import (
     LoadPart,
     assemble_mesh,
@@ -24,7 +27,7 @@ from hpcapp.applications.surface.stitching.assemble import (
 from hpcapp.applications.surface.stitching.plan import StitchingPlan, plan_stitching
 from hpcapp.applications.surface.stitching.shared_ply import write_kept, write_part
 from hpcapp.applications.surface.stitching.tile_ply import write_kept_tile
-from hpcapp.applications.surface.stitching.topology import Topology, check_mesh
+from hpcapp.applications.surface.stitching.topology import Topology
 from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
 from hpcapp.applications.surface.tiles.patterns import kept_part
 from hpcapp.geometry.lattice import number_keys
@@ -32,7 +35,7 @@ from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, IntArray
 from hpcapp.io import describe_losses, needs_double, write_mesh
 from hpcapp.io.crs import Crs
-from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
+from hpcapp.io.meshes.mesh_stream import MeshStream
 from hpcapp.io.registry import TILES_SUFFIX
 from hpcapp.simplification.mesh import Target
 from hpcapp.simplification.stream import simplify_stream
@@ -45,141 +48,8 @@ from hpccomponent.store.base import FolderStore
 log = logging.getLogger("hpcapp")
 
 
-class Surface(Protocol):
-    """A surface, wherever its vertices and faces are."""
-
-    @property
-    def is_here(self) -> bool:
-        """Whether all of it is in this process, so that looking at it costs no fetching."""
-        ...
-
-    def check(self) -> Topology:
-        """Judge its topology."""
-        ...
-
-    def open_stream(self) -> AbstractContextManager[MeshStream]:
-        """Yield its vertices and faces, block after block, in the local frame."""
-        ...
-
-    def share_outside(self, low: FloatArray, high: FloatArray) -> float:
-        """Return the share of the vertices that lie outside a box, 0 to 1.
-
-        Parameters
-        ----------
-        low, high : ndarray of float64, shape (3,)
-            Corners of the box, in length units of the input, in the local frame.
-        """
-        ...
-
-    def stream(self) -> MeshStream:
-        """Return it block by block, as it may not fit into memory."""
-        ...
-
-    def owners(self) -> IntArray | None:
-        """Return which part each vertex is from, shape (v,); None where there are no parts."""
-        ...
-
-    def makers(self) -> list[str]:
-        """Return the worker that made each part; empty where it is not known of all."""
-        ...
-
-    def mesh(self, carrying: Carrying = NOTHING) -> Mesh:
-        """Return all of it.
-
-        Parameters
-        ----------
-        carrying : Carrying
-            What its vertices carry.
-        """
-        ...
-
-    def write(self, path: Path, workforce: Workforce, carrying: Carrying = NOTHING) -> None:
-        """Write it to a file, whose suffix chooses the format.
-
-        Parameters
-        ----------
-        path : Path
-        workforce : Workforce
-            Its workers may write their parts themselves.
-        carrying : Carrying
-            What its vertices carry.
-
-        Raises
-        ------
-        OutputError
-            The suffix is unknown, or the file cannot be written.
-        """
-        ...
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class WholeSurface:
-    """A mesh in memory."""
-
-    whole: Mesh
-
-    @property
-    def is_here(self) -> bool:
-        """Always."""
-        return True
-
-    def check(self) -> Topology:
-        """Judge its topology."""
-        return check_mesh(self.whole)
-
-    @contextmanager
-    def open_stream(self) -> Iterator[MeshStream]:
-        """Yield its vertices and faces; see `Surface.open_stream`."""
-        yield as_stream(self.whole)
-
-    def share_outside(self, low: FloatArray, high: FloatArray) -> float:
-        """Return the share of the vertices that lie outside a box, 0 to 1.
-
-        Parameters
-        ----------
-        low, high : ndarray of float64, shape (3,)
-            Corners of the box, in length units of the input, in the local frame.
-        """
-        return _count_outside(self.whole.vertices, low, high) / max(1, len(self.whole.vertices))
-
-    def stream(self) -> MeshStream:
-        """Return it block by block."""
-        return as_stream(self.whole)
-
-    def owners(self) -> IntArray | None:
-        """Return None: there are no parts."""
-        return None
-
-    def makers(self) -> list[str]:
-        """Return nothing: there are no parts."""
-        return []
-
-    def mesh(self, carrying: Carrying = NOTHING) -> Mesh:
-        """Return all of it; see `Surface.mesh`."""
-        return carrying.to_mesh(self.whole)
-
-    def write(self, path: Path, workforce: Workforce, carrying: Carrying = NOTHING) -> None:
-        """Write it to a file, whose suffix chooses the format.
-
-        Parameters
-        ----------
-        path : Path
-        workforce : Workforce
-            Not needed: the mesh is in this process.
-        carrying : Carrying
-            What its vertices carry.
-
-        Raises
-        ------
-        OutputError
-            See `Surface.write`.
-        """
-        del workforce  # it is here already
-        write_mesh(path, carrying.to_stream(as_stream(self.whole)))
-
-
 @dataclass(slots=True, eq=False)
-class PartSurface:
+class Surface:
     """A mesh in parts, in memory or kept elsewhere.
 
     Parameters
@@ -209,9 +79,15 @@ class PartSurface:
     _topology: Deferred[Topology] | None = None
     _checked: set[int] = field(default_factory=set)
 
+    @classmethod
+    def of_mesh(cls, mesh: Mesh) -> Surface:
+        """Return a mesh as a surface of one part, without vertices that no face uses."""
+        part = MeshPart.of_mesh(mesh)
+        return cls([part], [summarize_part(part)], mesh.origin, crumb=0)
+
     @property
     def is_here(self) -> bool:
-        """Whether its parts are kept nowhere else."""
+        """Whether its parts are in this process, so that looking at it costs no fetching."""
         return self.checkpoint is None
 
     @property
@@ -253,7 +129,7 @@ class PartSurface:
 
     @contextmanager
     def open_stream(self) -> Iterator[MeshStream]:
-        """Yield its vertices and faces; see `Surface.open_stream`."""
+        """Yield its vertices and faces, block after block, in the local frame."""
         with self._fetched() as load:
             yield stream_mesh(self.plan, load, self.origin)
 
@@ -272,11 +148,13 @@ class PartSurface:
         return outside / max(1, mesh.vertex_count)
 
     def stream(self) -> MeshStream:
-        """Return it block by block."""
+        """Return it block by block, as it may not fit into memory."""
         return stream_mesh(self.plan, self.load, self.origin)
 
     def owners(self) -> IntArray | None:
-        """Return which part each vertex is from, shape (v,), in the order of `stream`."""
+        """Return which part each vertex is from, shape (v,), as in `stream`; None of one part."""
+        if len(self.parts) == 1:
+            return None
         parts = self.plan.bricks.part_of(self.plan.bricks.taken).astype(np.int32)
         return np.repeat(parts, np.diff(self.plan.vertex_starts))
 
@@ -286,7 +164,13 @@ class PartSurface:
         return known if len(known) == len(self.parts) else []
 
     def mesh(self, carrying: Carrying = NOTHING) -> Mesh:
-        """Return all of it; see `Surface.mesh`."""
+        """Return all of it.
+
+        Parameters
+        ----------
+        carrying : Carrying
+            What its vertices carry.
+        """
         return carrying.to_mesh(assemble_mesh(self.plan, self.load, self.origin))
 
     def write(self, path: Path, workforce: Workforce, carrying: Carrying = NOTHING) -> None:
@@ -307,7 +191,7 @@ class PartSurface:
         Raises
         ------
         OutputError
-            See `Surface.write`.
+            The suffix is unknown, or the file cannot be written.
         """
         suffix = path.suffix.lower()
         is_shared = self.checkpoint is not None and self.checkpoint.is_shared
@@ -380,7 +264,7 @@ class PartSurface:
                     write_mesh(file_of(index), replace(tile, crs=crs))
 
 
-def simplify_surface(surface: Surface, target: Target) -> WholeSurface:
+def simplify_surface(surface: Surface, target: Target) -> Surface:
     """Make a surface of fewer faces.
 
     Parameters
@@ -391,7 +275,7 @@ def simplify_surface(surface: Surface, target: Target) -> WholeSurface:
 
     Returns
     -------
-    WholeSurface
+    Surface
         The same bits, wherever the parts of `surface` are and however many.
 
     Raises
@@ -400,7 +284,7 @@ def simplify_surface(surface: Surface, target: Target) -> WholeSurface:
         See `Target.check`.
     """
     with surface.open_stream() as stream:
-        return WholeSurface(simplify_stream(stream, target))
+        return Surface.of_mesh(simplify_stream(stream, target))
 
 
 def _left_undone(

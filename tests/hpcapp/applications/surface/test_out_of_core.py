@@ -339,7 +339,7 @@ def test_workers_write_the_mesh_themselves(
     def load(*_: object) -> MeshPart:
         raise AssertionError
 
-    monkeypatch.setattr(surface.PartSurface, "load", load)
+    monkeypatch.setattr(surface.Surface, "load", load)
     output = tmp_path / "mesh.ply"
     run_job(JobSettings(scan, str(output), grid=96, backend="zmq", workers=2), SILENT)
     assert output.read_bytes() == whole

@@ -10,14 +10,14 @@ from hpcapp.applications.surface.job.diagnostics import (
     check_sides,
     check_support,
 )
-from hpcapp.applications.surface.stitching.surface import WholeSurface
+from hpcapp.applications.surface.stitching.surface import Surface
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, PointCloud
 
 
-def surface_of(vertices: FloatArray) -> WholeSurface:
-    return WholeSurface(Mesh(vertices, np.zeros((0, 3), int)))
+def surface_of(vertices: FloatArray) -> Surface:
+    return Surface.of_mesh(Mesh(vertices, np.arange(3 * (len(vertices) // 3)).reshape(-1, 3)))
 
 
 def turned(cloud: PointCloud, signs: FloatArray | float) -> PointCloud:
@@ -74,7 +74,7 @@ def test_a_handle_as_wide_as_a_face_is_noticed(gap: float, said: str) -> None:
     quads += [[12 + i, 12 + (i + 1) % 4, 4 + (i + 1) % 4, 4 + i] for i in range(4)]
     faces = np.array([[q[a], q[b], q[c]] for q in quads for a, b, c in ((0, 1, 2), (0, 2, 3))])
     origin = np.array([100.0, 0.0, 0.0])
-    warnings = check_handles(WholeSurface(Mesh(vertices, faces, origin)), gap)
+    warnings = check_handles(Surface.of_mesh(Mesh(vertices, faces, origin)), gap)
     assert len(warnings) == 1
     assert warnings[0].startswith("1 handle no wider than")
     assert "around (101" in warnings[0]
@@ -84,7 +84,7 @@ def test_a_handle_as_wide_as_a_face_is_noticed(gap: float, said: str) -> None:
 def test_a_mesh_without_handles_is_not_doubted() -> None:
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
     faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
-    assert check_handles(WholeSurface(Mesh(corners, faces)), 0.0) == []
+    assert check_handles(Surface.of_mesh(Mesh(corners, faces)), 0.0) == []
 
 
 def test_a_mesh_closed_over_a_side_that_was_not_scanned_is_warned_of() -> None:
