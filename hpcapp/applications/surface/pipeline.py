@@ -77,13 +77,12 @@ def reconstruct(
         What a stage raised.
     """
     for name, step in preprocess:
-        if cloud.points is None:
-            raise UsageError(
-                f"the step '{name}' needs all points in memory",
-                f"leave it out, or give more {name_option('max_memory')}",
-            )
+        refusal = UsageError(
+            f"the step '{name}' needs all points in memory",
+            f"leave it out, or give more {name_option('max_memory')}",
+        )
         with clock.stage(name):
-            cloud = replace_points(cloud, step(cloud.points))
+            cloud = replace_points(cloud, step(cloud.take_all(0, refusal)))
     with clock.stage("partition"):
         partition = method.partition(cloud, workforce)
     if background is not None:
