@@ -7,7 +7,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from hpcapp.applications.surface.cloud.arranged import MemoryCloud, arrange_cloud
+from hpcapp.applications.surface.cloud.arranged import MemoryCloud
+from hpcapp.applications.surface.cloud.measure import measure_points
 from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.methods.method import MethodSettings
 from hpcapp.applications.surface.paper.preprocess import denoise, resample
@@ -87,8 +88,7 @@ def _read(points: Path) -> PointCloud:
     with gather_points([str(points)]) as path:
         settings = JobSettings(method=Paper(), points=path, output="-", inputs=(points,))
         loaded = load(settings, StageClock(Progress()))
-    cloud = loaded.cloud.points
-    assert cloud is not None  # noqa: S101 - it was loaded into memory
+    cloud = loaded.cloud.take_columns(loaded.cloud.keys)
     return PointCloud(cloud.positions, cloud.normals, origin=cloud.origin)
 
 
@@ -96,4 +96,4 @@ def arrange_for(method: MethodSettings, points: PointCloud) -> MemoryCloud:
     """Return points with unit normals as a method takes them."""
     if method.needs_whole_cloud:  # it cuts the cloud up by itself
         return MemoryCloud.as_they_are(points)
-    return arrange_cloud(points)
+    return measure_points(points)

@@ -26,6 +26,7 @@ from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.lattice import find_keys
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray, PointCloud
+from hpccomponent.errors import HpcError
 
 Points = tuple[FloatArray, FloatArray]
 """Positions in length units of the input and unit normals, each of shape (n, 3)."""
@@ -66,8 +67,8 @@ class ArrangedCloud(Protocol):
         Of the occupied blocks, sorted, and how many points each holds.
     low, high : ndarray of float64, shape (3,)
         Corners of the box around all points.
-    points : PointCloud or None
-        All of them, where they are in memory.
+    is_here : bool
+        Whether the points are in this process's memory.
     place : Place
         From where tasks can read it, see `disk.open_place`.
     measured : Measured
@@ -93,7 +94,7 @@ class ArrangedCloud(Protocol):
     def high(self) -> FloatArray: ...  # noqa: D102 - see the class
 
     @property
-    def points(self) -> PointCloud | None: ...  # noqa: D102 - see the class
+    def is_here(self) -> bool: ...  # noqa: D102 - see the class
 
     @property
     def place(self) -> Place: ...  # noqa: D102 - see the class
@@ -119,6 +120,9 @@ class ArrangedCloud(Protocol):
 
     def take_columns(self, keys: IntArray) -> PointCloud:
         """Return the same points as `take_blocks`, with the attributes that lie beside them."""
+
+    def take_all(self, most: float, refusal: HpcError) -> PointCloud:
+        """Return all points; raise `refusal` instead of reading more than `most` of them."""
 
     def take_packed(self, keys: IntArray) -> PackedPoints:
         """Return the same points as `take_blocks`, packed."""
@@ -201,6 +205,11 @@ class MemoryCloud:
         return cls(points, _ENDLESS, np.zeros(1, np.int64), np.array([0, len(points)]), *box)
 
     @property
+    def is_here(self) -> bool:
+        """Always."""
+        return True
+
+    @property
     def place(self) -> Place:
         """See `ArrangedCloud`."""
         return self
@@ -231,6 +240,11 @@ class MemoryCloud:
         if len(slices) < 2:
             return self.points.view(*slices or [slice(0)])
         return self.points.take(np.concatenate([np.arange(run.start, run.stop) for run in slices]))
+
+    def take_all(self, most: float, refusal: HpcError) -> PointCloud:
+        """See `ArrangedCloud`: none are read."""
+        del most, refusal
+        return self.points
 
     def _find_rows(self, keys: IntArray) -> list[slice]:
         """Return where the points of some blocks are."""

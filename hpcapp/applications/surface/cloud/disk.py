@@ -44,7 +44,7 @@ from hpcapp.applications.surface.cloud.part_check import check_part, with_check
 from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.geometry.lattice import find_keys, merge_counts
 from hpcapp.geometry.points import Float32Array, FloatArray, IntArray, PointCloud
-from hpccomponent.errors import JobError, OutputError
+from hpccomponent.errors import HpcError, JobError, OutputError
 from hpccomponent.files.private_files import open_at_once
 from hpccomponent.files.whole_files import write_whole
 from hpccomponent.store.value import DamagedError, from_bytes, to_buffers
@@ -139,9 +139,9 @@ class DiskCloud:
         return int(self.counts.sum())
 
     @property
-    def points(self) -> None:
-        """None: they need not fit into memory."""
-        return None
+    def is_here(self) -> bool:
+        """Never: they need not fit into memory."""
+        return False
 
     @property
     def place(self) -> Place:
@@ -182,6 +182,12 @@ class DiskCloud:
             name: self._take(parts, keys, 1)[1][:, 0] for name, parts in self.attributes.items()
         }
         return PointCloud(*self.take_blocks(keys), None, attributes, self.origin)
+
+    def take_all(self, most: float, refusal: HpcError) -> PointCloud:
+        """See `ArrangedCloud`."""
+        if len(self) > most:
+            raise refusal
+        return self.take_columns(self.keys)
 
     def take_packed(self, keys: IntArray) -> PackedPoints:
         """Return the points in some blocks as they lie there; see `take_blocks`.

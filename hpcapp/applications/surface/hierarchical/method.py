@@ -48,7 +48,7 @@ from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
 from hpcapp.applications.surface.tiles.patterns import coarse_lattice
 from hpcapp.applications.surface.tiles.plan import CoarseLattice, Plan, Samples
 from hpcapp.applications.surface.tiles.tasks import sum_tile
-from hpcapp.geometry.points import IntArray, PointCloud
+from hpcapp.geometry.points import IntArray
 from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.cli.option_names import name_option
 from hpccomponent.errors import InputError, UsageError
@@ -274,7 +274,12 @@ class HierarchicalMethod:
         """
         origin = partition.cloud.origin
         if partition.tiling is None:
-            points = self._read_points(partition.cloud)
+            refusal = UsageError(
+                f"a grid of {self.grid} cells makes one tile of all {len(partition.cloud)} points: "
+                f"they do not fit into {name_option('max_memory')}",
+                "ask for a finer grid, or allow more",
+            )
+            points = partition.cloud.take_all(self.tile_points or np.inf, refusal)
             surface, partition.patches = mesh_one_tile(
                 points, partition.plan, self.threads, advance, self.show_part
             )
@@ -325,27 +330,14 @@ class HierarchicalMethod:
 
     def _find_shared(self, cloud: ArrangedCloud) -> Checkpoint | None:
         """Return the folder that workers read the points from, if they do."""
-        if cloud.points is None and self.checkpoint is not None and self.checkpoint.holds_files:
-            return self.checkpoint
-        return None
-
-    def _read_points(self, cloud: ArrangedCloud) -> PointCloud:
-        """Return the points of a cloud that is one tile, which may lie in a folder."""
-        if cloud.points is not None:
-            return cloud.points
-        if self.tile_points is not None and len(cloud) > self.tile_points:
-            raise UsageError(
-                f"a grid of {self.grid} cells makes one tile of all {len(cloud)} points: they do "
-                f"not fit into {name_option('max_memory')}",
-                "ask for a finer grid, or allow more",
-            )
-        return PointCloud(*cloud.take_blocks(cloud.keys), origin=cloud.origin)
+        is_shared = self.checkpoint is not None and self.checkpoint.holds_files
+        return self.checkpoint if is_shared and not cloud.is_here else None
 
     def _count_tiles(self, cloud: ArrangedCloud, height: int, workforce: Workforce) -> int:
         """Return into how many tiles a cloud is cut; 0 where it is made into a mesh right here."""
         needed = -(-len(cloud) // (self.tile_points or TILE_POINTS))
         is_one = self.checkpoint is None and (needed == 1 or self.tile_points is None)
-        if height == 1 or (cloud.points is not None and workforce.in_process and is_one):
+        if height == 1 or (cloud.is_here and workforce.in_process and is_one):
             return 0  # of one level none is left that tiles could be made of
         if workforce.in_process:
             return needed

@@ -74,7 +74,7 @@ class Tiling:
         self._are_read = are_read
         self._shared: dict[int, Any] = {}
         self._groups: dict[int, list[IntArray]] = {}
-        is_once = are_read or cloud.points is not None
+        is_once = are_read or cloud.is_here
         kept = 1 if is_short else KEPT_TILES
         most = 0 if workforce.in_process else kept * workforce.workers
         is_kept = is_once and len(self) <= most
@@ -204,7 +204,7 @@ class Tiling:
             return PointsThere(self._cloud.place, tuple(groups))
         plan = self._plan
         packed = pack_cells(self._cloud, plan.origin, plan.coarse_size, groups)
-        if index is not None and self._cloud.points is not None:
+        if index is not None and self._cloud.is_here:
             if index not in self._shared:
                 self._shared[index] = self._share(packed[0])
             packed[0] = self._shared[index]

@@ -125,14 +125,14 @@ def _with_column(stream: MeshStream, name: str, column: IntArray) -> MeshStream:
 
 def _measure(cloud: ArrangedCloud, spacing: float, places: FloatArray) -> FloatArray:
     """Return the distance of places from the nearest point, wherever the points are."""
-    if cloud.points is not None:
-        tree = cKDTree(cloud.points.positions, compact_nodes=False, balanced_tree=False)
+    if cloud.is_here:
+        positions = cloud.take_columns(cloud.keys).positions
+        tree = cKDTree(positions, compact_nodes=False, balanced_tree=False)
         distances: FloatArray = tree.query(places, workers=-1)[0]
         return distances
     from hpcapp.applications.surface.attributes.search import evaluate_blocks
 
-    take = lambda keys: PointCloud(cloud.take_blocks(keys)[0])  # noqa: E731 - it is one expression
-    return evaluate_blocks(cloud, take, (), spacing, places).nearest
+    return evaluate_blocks(cloud, cloud.take_columns, (), spacing, places).nearest
 
 
 def show_files(mesh: Path, points: Path, report: Mapping[str, Any]) -> Shown:

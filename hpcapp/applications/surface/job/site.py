@@ -103,13 +103,12 @@ def preprocess(settings: Settings, cloud: ArrangedCloud, clock: StageClock) -> A
         Not all points are in memory.
     """
     for name, step in choose_steps(settings):
-        if cloud.points is None:
-            raise UsageError(
-                f"the step '{name}' needs all points in memory",
-                f"leave it out, or give more {name_option('max_memory')}",
-            )
+        refusal = UsageError(
+            f"the step '{name}' needs all points in memory",
+            f"leave it out, or give more {name_option('max_memory')}",
+        )
         with clock.stage(name):
-            cloud = replace_points(cloud, step(cloud.points))
+            cloud = replace_points(cloud, step(cloud.take_all(0, refusal)))
     return cloud
 
 

@@ -121,8 +121,7 @@ class PaperMethod:
 
     def partition(self, cloud: ArrangedCloud, workforce: Workforce) -> PaperPartition:  # noqa: ARG002 - the protocol's; the tree grows on the master
         """Cut a cloud with unit normals into patches, in this process."""
-        points = cloud.points
-        assert points is not None  # noqa: S101 - the settings ask for it
+        points = cloud.take_columns(cloud.keys)
         if points.normals is None:
             raise InputError("the cloud has no normals", "give an oriented cloud")
         if self.patches is not None:

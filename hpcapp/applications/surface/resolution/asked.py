@@ -67,10 +67,10 @@ def find_grid(settings: Asked, cloud: ArrangedCloud) -> int:
     """
     asked = choose_grid(settings, cloud.low, cloud.high)
     if asked is not None:
-        check_memory(settings.method, asked, cloud.points)
+        check_memory(settings.method, asked, cloud)
         return asked
     suited = settings.method.suggest_grid(cloud)
-    grid = min(suited.grid, fit_memory(settings.method, suited.grid, cloud.points))
+    grid = min(suited.grid, fit_memory(settings.method, suited.grid, cloud))
     reason = suited.reason
     if grid < suited.grid:
         reason = f"all that memory holds; {suited.grid} would suit ({reason})"

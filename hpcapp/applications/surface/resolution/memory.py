@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.cloud.spacing import estimate_spacing
 from hpcapp.applications.surface.methods.method import TILE_POINTS, MethodSettings
 from hpcapp.geometry.bounds import bound_points
@@ -113,7 +114,7 @@ def fitting_tile(limit: float, at_once: int) -> int:
     return int(min(max(points, LEAST_TILE), TILE_POINTS))
 
 
-def check_memory(method: MethodSettings, grid: int, points: PointCloud | None) -> None:
+def check_memory(method: MethodSettings, grid: int, cloud: ArrangedCloud) -> None:
     """Refuse a grid whose mesh cannot be computed in the memory that is available.
 
     Parameters
@@ -121,17 +122,18 @@ def check_memory(method: MethodSettings, grid: int, points: PointCloud | None) -
     method : MethodSettings
     grid : int
         Cells along the longest side.
-    points : PointCloud or None
-        Finite positions, not all at one place; None where they are not in memory, and tiles fit.
+    cloud : ArrangedCloud
+        Of one that is not in memory, tiles fit.
 
     Raises
     ------
     UsageError
         It takes more than there is; the message names a grid that fits.
     """
-    fitting = fit_memory(method, grid, points)
-    if fitting >= grid or points is None:
+    fitting = fit_memory(method, grid, cloud)
+    if fitting >= grid:
         return
+    points = cloud.take_columns(cloud.keys)
     needed, available = method.estimate_memory(grid, points), available_memory() or 0
     raise UsageError(
         f"{name_option('grid', grid)} needs about {needed / 2**30:.0f} GB of memory, "
@@ -140,7 +142,7 @@ def check_memory(method: MethodSettings, grid: int, points: PointCloud | None) -
     )
 
 
-def fit_memory(method: MethodSettings, grid: int, points: PointCloud | None) -> int:
+def fit_memory(method: MethodSettings, grid: int, cloud: ArrangedCloud) -> int:
     """Return the finest grid, up to one, whose mesh can be computed in the memory there is.
 
     Parameters
@@ -148,7 +150,7 @@ def fit_memory(method: MethodSettings, grid: int, points: PointCloud | None) -> 
     method : MethodSettings
     grid : int
         Cells along the longest side.
-    points : PointCloud or None
+    cloud : ArrangedCloud
         See `check_memory`.
 
     Returns
@@ -157,9 +159,9 @@ def fit_memory(method: MethodSettings, grid: int, points: PointCloud | None) -> 
         `grid`, or in sixteens; a grid of 256 is tried anywhere.
     """
     available = available_memory()
-    if grid <= SMALL_GRID or available is None or points is None:
+    if grid <= SMALL_GRID or available is None or not cloud.is_here:
         return grid
-    needed = method.estimate_memory(grid, points)
+    needed = method.estimate_memory(grid, cloud.take_columns(cloud.keys))
     if needed <= available:
         return grid
     fitting = int(grid * (available / needed) ** (1 / method.memory_power)) // 16 * 16

@@ -79,7 +79,12 @@ def test_disk_and_memory_answer_alike(tmp_path: Path, memory: MemoryCloud, size:
     ):
         assert one.tolist() == other.tolist()
     assert open_place(memory.place) is memory
-    assert disk.points is None
+    refusal = JobError("too many points", "take fewer")
+    with pytest.raises(JobError, match="too many"):
+        disk.take_all(len(disk) - 1, refusal)
+    for cloud in (disk, memory):
+        every = cloud.take_all(len(disk) if cloud is disk else 0, refusal)
+        assert every.positions.tobytes() == memory.points.positions.tobytes()
 
 
 def test_points_may_be_held_as_they_are(memory: MemoryCloud) -> None:

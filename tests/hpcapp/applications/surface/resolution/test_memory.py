@@ -4,6 +4,7 @@ import re
 
 import pytest
 
+from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
 from hpcapp.applications.surface.paper.settings import Paper
 from hpcapp.applications.surface.resolution import memory
@@ -25,18 +26,19 @@ def test_what_does_not_fit_is_refused_with_what_does(
     sphere: PointCloud, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(memory, "available_memory", lambda: 8.0 * 2**30)
-    check_memory(Hierarchical(), 512, sphere)
+    cloud = arrange_cloud(sphere)
+    check_memory(Hierarchical(), 512, cloud)
     with pytest.raises(UsageError) as caught:
-        check_memory(Paper(), 4096, sphere)
+        check_memory(Paper(), 4096, cloud)
     said = re.match(r"choose grid=(\d+) or smaller", caught.value.advice)
     assert said is not None
     fitting = int(said[1])
     assert 256 < fitting < 4096
-    check_memory(Paper(), fitting, sphere)
+    check_memory(Paper(), fitting, cloud)
 
 
 def test_a_system_that_does_not_say_refuses_nothing(
     sphere: PointCloud, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(memory, "available_memory", lambda: None)
-    check_memory(Paper(), 4096, sphere)
+    check_memory(Paper(), 4096, arrange_cloud(sphere))
