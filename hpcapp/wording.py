@@ -98,6 +98,15 @@ def say_number(number: float, unit: str = "") -> str:
     return f"{rounded:,.{decimals}f}{behind}"
 
 
+def say_value(value: object) -> str:
+    """Return a value of a report as a page shows it."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int):
+        return f"{value:,}"
+    return say_number(value) if isinstance(value, float) else str(value)
+
+
 def say_share(share: float) -> str:
     """Return a share from 0 to 1 in per cent, of which only all and nothing are 100 and 0.
 

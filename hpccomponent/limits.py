@@ -64,12 +64,8 @@ def available_memory(root: Path = _ROOT) -> float | None:
     """Return the memory that can still be had.
 
     Of the machine, and of each control group with a limit: what it holds of files that nobody has
-    used lately is given back before anything else, and counts as free.
-
-    Returns
-    -------
-    float or None
-        In bytes; None where the system does not say.
+    used lately is given back before anything else, and counts as free. In bytes; None where the
+    system does not say.
     """
     fields = _read_fields(root / "proc/meminfo")
     free = [1024.0 * fields["MemAvailable:"]] if "MemAvailable:" in fields else []
@@ -134,11 +130,11 @@ def available_tasks(root: Path = _ROOT) -> tuple[int, str] | None:
         used = read_text(group / "pids.current").strip()
         if limit.isdigit() and used.isdigit():
             free.append((int(limit) - int(used), "the control group's pids.max"))
-    running = read_text(root / "proc/loadavg").partition("/")[2].split()
+    running = read_text(root / "proc/loadavg").partition("/")[2].partition(" ")[0]
     for name in ("threads-max", "pid_max"):
         limit = read_text(root / "proc/sys/kernel" / name).strip()
-        if limit.isdigit() and running and running[0].isdigit():
-            free.append((int(limit) - int(running[0]), f"the kernel's {name}"))
+        if limit.isdigit() and running.isdigit():
+            free.append((int(limit) - int(running), f"the kernel's {name}"))
     if not free:
         return None
     least, reason = min(free)
@@ -159,12 +155,8 @@ def _count_tasks_of_user(root: Path) -> int:
 def total_memory(root: Path = _ROOT) -> int:
     """Return the memory that there is for this process, used or not.
 
-    That of the machine, or the lowest limit of its control groups.
-
-    Returns
-    -------
-    int
-        In bytes; 0 where nothing is known.
+    That of the machine, or the lowest limit of its control groups. In bytes; 0 where nothing is
+    known.
     """
     limits = [memory_limit(group) for group in control_groups("memory", root)]
     sizes = [1024 * size for size in [_read_fields(root / "proc/meminfo").get("MemTotal:")] if size]
@@ -189,10 +181,7 @@ def _read_fields(path: Path) -> dict[str, int]:
 def read_text(path: Path) -> str:
     """Return the text of a file, or nothing where it cannot be read.
 
-    Returns
-    -------
-    str
-        What is no UTF-8 is replaced.
+    What is no UTF-8 is replaced.
     """
     try:
         return path.read_text(encoding="utf-8", errors="replace")

@@ -288,9 +288,9 @@ def _run(
                 carrying = carry_columns(settings, loaded, outcome, clock)
                 mesh = outcome.result.surface.mesh(carrying)
                 topology = outcome.result.surface.check()
-                told = describe_outcome(settings, loaded, outcome, topology, carrying) | facts
-                told["stages"] = dict(clock.seconds)
-                record = JobRecord(source, loaded.cloud, told)
+                report = describe_outcome(settings, loaded, outcome, topology, carrying) | facts
+                report["stages"] = dict(clock.seconds)
+                record = JobRecord(source, loaded.cloud, report)
                 return wrap_mesh(mesh, record, topology, carrying.crs)
 
         return repeat_until_trusted(verification, run)

@@ -115,11 +115,11 @@ def await_first_end(pipe: int, raylet: int) -> bool:
 def main() -> None:
     """Wait for the end of the master, and do what it cannot do any more."""
     pipe, place = int(sys.argv[1]), sys.argv[2]
-    is_first, told = False, os.read(pipe, ID_BYTES)
-    if len(told) == ID_BYTES:
-        is_first = await_first_end(pipe, int.from_bytes(told, "little"))
-        told = os.read(pipe, len(DONE))
-    if told:
+    is_first, message = False, os.read(pipe, ID_BYTES)
+    if len(message) == ID_BYTES:
+        is_first = await_first_end(pipe, int.from_bytes(message, "little"))
+        message = os.read(pipe, len(DONE))
+    if message:
         return
     if is_first:
         sys.stderr.write(SAY_GONE)

@@ -157,15 +157,12 @@ class RetryingExecutor(Executor):
     def submit(self, fn: Callable[..., T], /, *args: object, **kwargs: object) -> Future[T]:
         """Have a task run on some worker.
 
+        Its future ends by `WorkerLostError` where the task has cost more workers than it may.
+
         Parameters
         ----------
         *args
             Values, by position: engines differ in what they do with keywords.
-
-        Returns
-        -------
-        concurrent.futures.Future
-            Ends by `WorkerLostError` where the task has cost more workers than it may.
 
         Raises
         ------

@@ -165,38 +165,13 @@ def open_executor(
     NoWorkersError
         The workers did not come up.
     """
-    check_backend(name)
-    if policy not in POLICIES:
-        raise UsageError(f"unknown policy {policy!r}", f"choose one of {', '.join(POLICIES)}")
+    _check_choice(name, workers, policy, verification)
     per_worker = POLICIES[policy].batches_per_worker
     verification = verification or Verification()
-    if verification.share and name != "zmq" and not name.endswith(CLUSTER_FILES):
-        raise UsageError(
-            f"the backend {name} does not say which machine gives an answer: nothing is verified",
-            f"leave {name_option('verify')} out, or use a cluster or the backend zmq",
-        )
     if name.endswith(CLUSTER_FILES):
-        if workers is not None:
-            raise UsageError(
-                f"the workers of {name} are those that there are",
-                f"leave {name_option('workers')} out",
-            )
         with _open_cluster(name, policy, verification, extra_tasks) as (executor, count):
             yield wrap_communicator("cluster", executor, count, policy)
-        return
-    if name not in BACKENDS:
-        from hpcapp.backends.engines import open_engine
-
-        with open_engine(name, workers) as engine:
-            kind = name.partition("=")[0]
-            yield Backend(kind, Workforce(engine, engine.workers, per_worker))
-        return
-    if workers is not None and (workers < 1 or (name == "serial" and workers > 1)):
-        raise UsageError(
-            f"backend {name!r} cannot have {workers} workers",
-            f"leave {name_option('workers')} out, or choose another {name_option('backend')}",
-        )
-    if name == "zmq":
+    elif name == "zmq":
         from hpcapp.backends.local_cluster import LocalCluster
 
         machines_or_count = machines or check_workers(name, workers, available_cores())
@@ -204,11 +179,42 @@ def open_executor(
             machines_or_count, policy=policy, verification=verification, extra_tasks=extra_tasks
         ) as cluster:
             yield wrap_communicator(name, cluster.executor, cluster.workers, policy)
+    elif name in BACKENDS:
+        count = check_workers(name, workers, 1 if name == "serial" else available_cores())
+        with _open_pool(name, count) as pool:
+            workforce = Workforce(pool, count, per_worker, name in IN_PROCESS)
+            yield Backend(name, workforce, is_here=True)
+    else:
+        from hpcapp.backends.engines import open_engine
+
+        with open_engine(name, workers) as engine:
+            kind = name.partition("=")[0]
+            yield Backend(kind, Workforce(engine, engine.workers, per_worker))
+
+
+def _check_choice(
+    name: str, workers: int | None, policy: str, verification: Verification | None
+) -> None:
+    """Refuse what a backend cannot have."""
+    check_backend(name)
+    without_workers = f"leave {name_option('workers')} out"
+    is_cluster = name.endswith(CLUSTER_FILES)
+    if policy not in POLICIES:
+        raise UsageError(f"unknown policy {policy!r}", f"choose one of {', '.join(POLICIES)}")
+    if verification and verification.share and name != "zmq" and not is_cluster:
+        raise UsageError(
+            f"the backend {name} does not say which machine gives an answer: nothing is verified",
+            f"leave {name_option('verify')} out, or use a cluster or the backend zmq",
+        )
+    if workers is None:
         return
-    count = check_workers(name, workers, 1 if name == "serial" else available_cores())
-    with _open_pool(name, count) as pool:
-        workforce = Workforce(pool, count, per_worker, name in IN_PROCESS)
-        yield Backend(name, workforce, is_here=True)
+    if is_cluster:
+        raise UsageError(f"the workers of {name} are those that there are", without_workers)
+    if name in BACKENDS and (workers < 1 or (name == "serial" and workers > 1)):
+        raise UsageError(
+            f"backend {name!r} cannot have {workers} workers",
+            f"{without_workers}, or choose another {name_option('backend')}",
+        )
 
 
 @contextmanager

@@ -19,7 +19,6 @@ import time
 import weakref
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, Future
-from types import TracebackType
 from typing import Any, TypeVar
 
 from hpcapp.communicator.listener import Listener
@@ -361,14 +360,9 @@ class CommunicatorExecutor(Executor):
             self._loop.join()
             atexit.unregister(self._exit)
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         # After an error (or Ctrl-C) nobody waits for results: running tasks are abandoned.
-        if kind is None:
+        if error[0] is None:
             self.shutdown(wait=True)
         else:
             self._exit()

@@ -7,7 +7,7 @@ what it will compute with. What comes early waits until it answers.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import MappingProxyType, TracebackType
+from types import MappingProxyType
 
 from hpcapp.capacity import reserve_connections
 from hpcapp.communicator.transport import RouterTransport
@@ -54,12 +54,7 @@ class Listener:
     def __enter__(self) -> Listener:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         if not self._is_answered:
             self._transport.close()
 

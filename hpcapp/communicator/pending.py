@@ -85,10 +85,7 @@ class PendingTasks:
     def claim(self, number: int) -> bool:
         """Mark a task as running, or let it go if its future was cancelled.
 
-        Returns
-        -------
-        bool
-            False where its future was cancelled: the submission is gone.
+        Return False where its future was cancelled: the submission is gone.
         """
         if self._submissions[number].claim():
             return True
@@ -116,10 +113,7 @@ class PendingTasks:
     def is_cancelled(self, number: int) -> bool:
         """Tell whether a task can be forgotten because its future was cancelled in time.
 
-        Returns
-        -------
-        bool
-            True where it has been forgotten now.
+        Return True where it has been forgotten now.
         """
         return number in self._submissions and not self.claim(number)
 

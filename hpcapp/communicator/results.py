@@ -44,17 +44,14 @@ def open_results(
 ) -> list[Answer]:
     """Return the values of results that came together.
 
+    One for each; its value is None where the task has failed, or nobody waits.
+
     Parameters
     ----------
     limits : sequence of int
         How large each may be, in bytes; 0 where nobody waits for it: it is not looked at.
     find : callable
         From a task's number to its submission, if it still waits.
-
-    Returns
-    -------
-    list of Answer
-        One for each; its value is None where the task has failed, or nobody waits.
 
     Raises
     ------
@@ -64,17 +61,21 @@ def open_results(
     if not any(limits):
         return [Answer(result) for result in results]
     for result, limit in zip(results, limits, strict=True):
-        size = len(result.header) + sum(result.sizes)
-        if size > limit:
-            raise ProtocolError(f"it announces a result of {size} bytes where {limit} are allowed")
-        if result.failure is not None and size:
-            raise ProtocolError("it announces a result beside a failure")
+        _check_size(result, limit)
     supply = iter(take_buffers([size for result in results for size in result.sizes]))
     groups = [[next(supply) for _ in result.sizes] for result in results]
     return [
         Answer(result, _open(result, buffers, find(result.task)), buffers)
         for result, buffers in zip(results, groups, strict=True)
     ]
+
+
+def _check_size(result: Result, limit: int) -> None:
+    size = len(result.header) + sum(result.sizes)
+    if size > limit:
+        raise ProtocolError(f"it announces a result of {size} bytes where {limit} are allowed")
+    if result.failure is not None and size:
+        raise ProtocolError("it announces a result beside a failure")
 
 
 def _open(result: Result, buffers: list[Buffer], submission: Submission | None) -> object:

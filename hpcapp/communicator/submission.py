@@ -67,10 +67,7 @@ def make_submission(
 ) -> Submission:
     """Encode a task.
 
-    Returns
-    -------
-    Submission
-        Keeps the arguments themselves only where the task declares how it is split.
+    It keeps the arguments themselves only where the task declares how it is split.
 
     Raises
     ------
@@ -101,10 +98,7 @@ def make_submission(
 def each_traits(traits: Traits) -> Traits:
     """Return what a task declares when it is run for each item of some columns of arguments.
 
-    Returns
-    -------
-    Traits
-        Its functions take columns: one list per argument, all of one length.
+    Its functions take columns: one list per argument, all of one length.
     """
     single = traits.cost
 
@@ -132,15 +126,12 @@ def each_traits(traits: Traits) -> Traits:
 def split_submission(submission: Submission) -> list[Submission]:
     """Cut a task into others whose results are joined to its own.
 
+    Return none if it cannot be split.
+
     Parameters
     ----------
     submission : Submission
         Its future is done with the last of the others, or by the first that fails.
-
-    Returns
-    -------
-    list of Submission
-        Empty if it cannot be split.
 
     Raises
     ------

@@ -183,15 +183,12 @@ class RouterTransport:
     def send(self, identity: bytes, frames: Sequence[Buffer]) -> bool:
         """Send a message without waiting; large frames are not copied.
 
+        Return False if there is no way to the receiver, or no room for the message on it.
+
         Parameters
         ----------
         frames : sequence of bytes-like
             Must not change until they have been sent; nobody tells when.
-
-        Returns
-        -------
-        bool
-            False if there is no way to the receiver, or no room for the message on it.
         """
         try:
             self._router.send_multipart([identity, *frames], zmq.NOBLOCK, copy=False)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 
@@ -124,6 +124,24 @@ def parse_geokeys(directory: bytes, texts: bytes) -> Crs | None:
     -----
     A projected system that gives a code alone, of UTM on the usual datums, has metres.
     """
+    keys, name = _read_keys(directory, texts)
+    is_geographic = keys.get(_MODEL) == 2
+    code = keys.get(_GEOGRAPHIC_CODE if is_geographic else _PROJECTED_CODE, 0)
+    unit = "degree" if is_geographic else _find_key_length(keys)
+    height_unit = _UNITS_BY_CODE.get(keys.get(_VERTICAL_LENGTH, 0))
+    text = f"EPSG:{code}" if code in _STATED else name or None
+    return Crs(text, unit, height_unit) if text or unit else None
+
+
+def _find_key_length(keys: Mapping[int, int]) -> str | None:
+    for key in (_PROJECTED_LENGTH, _GEOGRAPHIC_LENGTH):
+        if keys.get(key) in _UNITS_BY_CODE:
+            return _UNITS_BY_CODE[keys[key]]
+    return "m" if keys.get(_MODEL) == 3 or _is_utm(keys.get(_PROJECTED_CODE, 0)) else None
+
+
+def _read_keys(directory: bytes, texts: bytes) -> tuple[dict[int, int], str]:
+    """Return the numbers that keys state, and the name of the system; empty without one."""
     shorts = struct.unpack(f"<{len(directory) // 2}H", directory[: len(directory) // 2 * 2])
     keys: dict[int, int] = {}
     name = ""
@@ -133,18 +151,7 @@ def parse_geokeys(directory: bytes, texts: bytes) -> Crs | None:
             keys[key] = value
         elif place == _ASCII and key in (_CITATION, _PROJECTED_NAME) and not name:
             name = texts[value : value + count].decode("latin-1").strip("|\0 ")
-    model = keys.get(_MODEL)
-    if model == 2:
-        code, unit = keys.get(_GEOGRAPHIC_CODE, 0), "degree"
-    else:
-        code = keys.get(_PROJECTED_CODE, 0)
-        lengths = (keys.get(_PROJECTED_LENGTH, 0), keys.get(_GEOGRAPHIC_LENGTH, 0))
-        units = [_UNITS_BY_CODE[length] for length in lengths if length in _UNITS_BY_CODE]
-        metric = model == 3 or _is_utm(code)
-        unit = units[0] if units else "m" if metric else ""
-    height_unit = _UNITS_BY_CODE.get(keys.get(_VERTICAL_LENGTH, 0))
-    text = f"EPSG:{code}" if code in _STATED else name or None
-    return Crs(text, unit or None, height_unit) if text or unit else None
+    return keys, name
 
 
 def parse_epsg(text: str) -> int | None:

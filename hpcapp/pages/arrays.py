@@ -50,16 +50,13 @@ def quantise(positions: FloatArray, low: FloatArray, high: FloatArray) -> NDArra
 def pack_array(name: str, values: Packable) -> str:
     """Return an array as an element of a page.
 
+    The same array gives the same text.
+
     Parameters
     ----------
     name : str
         Its ``id``.
     values : ndarray of uint8, uint16 or uint32, shape (n,) or (n, c)
-
-    Returns
-    -------
-    str
-        The same array gives the same text.
     """
     rows = np.ascontiguousarray(values)
     columns = 1 if rows.ndim == 1 else rows.shape[1]

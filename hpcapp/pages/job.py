@@ -9,7 +9,7 @@ from html import escape
 from hpcapp.pages.page import Section, make_list, make_table
 from hpcapp.pages.report import TaskSpan
 from hpcapp.pages.timeline import MASTER, draw_timeline
-from hpcapp.wording import say_name, say_number, say_share
+from hpcapp.wording import say_name, say_number, say_share, say_value
 from hpccomponent.cli.terminal import visible_text
 from hpccomponent.foreign_json import convert
 
@@ -65,24 +65,18 @@ def find_unit(report: Mapping[str, object]) -> str:
 def _readable(value: object, name: str = "", unit: str = "") -> object:
     """Return a JSON value as a cell shows it."""
     if isinstance(value, Mapping):
-        said = (f"{say_name(str(k))} {_say(_readable(v, str(k), unit))}" for k, v in value.items())
+        said = (
+            f"{say_name(str(k))} {say_value(_readable(v, str(k), unit))}" for k, v in value.items()
+        )
         return ", ".join(said) or "-"
     if isinstance(value, list | tuple):
-        return ", ".join(_say(_readable(item, name, unit)) for item in value) or "none"
+        return ", ".join(say_value(_readable(item, name, unit)) for item in value) or "none"
     if isinstance(value, int | float) and not isinstance(value, bool):
         if name in _LENGTHS:
             return say_number(float(value), unit)
         if name in _SHARES and 0 <= value <= 1:
             return say_share(float(value))
     return "-" if value is None else value
-
-
-def _say(value: object) -> str:
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, int):
-        return f"{value:,}"
-    return say_number(value) if isinstance(value, float) else str(value)
 
 
 def _pick(report: Mapping[str, object], names: Iterable[str]) -> dict[str, object]:

@@ -13,7 +13,7 @@ from string import Template
 from hpcapp.io.staging import replacing
 from hpcapp.pages.arrays import pack_text
 from hpcapp.pages.scene import Scene, pack_scene
-from hpcapp.wording import say_number
+from hpcapp.wording import say_value
 
 # In the order in which they are loaded: each may import those before it, by its name.
 _MODULES = (
@@ -87,7 +87,7 @@ def make_table(rows: Mapping[str, object]) -> str:
     for name, value in rows.items():
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
         kind = ' class="number"' if is_number else ""
-        lines.append(f"<tr><th>{escape(name)}</th><td{kind}>{escape(_say(value))}</td></tr>")
+        lines.append(f"<tr><th>{escape(name)}</th><td{kind}>{escape(say_value(value))}</td></tr>")
     return "<table>\n" + "\n".join(lines) + "\n</table>"
 
 
@@ -109,14 +109,6 @@ def make_list(texts: Sequence[str], kind: str = "", first_marker: int | None = N
         items.append(f'<li class="{kind}"{link}>{escape(text)}</li>')
     tag = "ul" if first_marker is None else "ol"
     return f"<{tag}>\n" + "\n".join(items) + f"\n</{tag}>"
-
-
-def _say(value: object) -> str:
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, int):
-        return f"{value:,}"
-    return say_number(value) if isinstance(value, float) else str(value)
 
 
 def _read(name: str) -> str:

@@ -25,10 +25,7 @@ _MEMORY_S = 600.0  # of the speed: a tile may take minutes
 def make_bars(stream: TextIO, *, is_transient: bool = False) -> Progress:
     """Return bars for a terminal, a context manager.
 
-    Returns
-    -------
-    rich.progress.Progress
-        A task with the field ``is_bytes`` counts bytes, others count parts.
+    A task with the field ``is_bytes`` counts bytes, others count parts.
     """
     columns = (
         TextColumn("{task.description:<12}", markup=False),

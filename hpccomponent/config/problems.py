@@ -56,10 +56,7 @@ def _dotted(location: Location) -> str:
 def show(node: yaml.Node) -> str:
     """Show a node as the user wrote it, cut to a readable length.
 
-    Returns
-    -------
-    str
-        Of a collection what it is; of an address without its password.
+    A collection is shown as what it is, an address without its password.
     """
     if node.tag in COLLECTION:
         return COLLECTION[node.tag]

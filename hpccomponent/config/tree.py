@@ -64,8 +64,23 @@ def compose(text: str, name: str) -> yaml.MappingNode:
     """
     if len(text) > MOST_BYTES:
         refuse_length(text, name)
+    root = _parse(text, name)
+    if root is None:
+        raise ConfigError(f"{name}: the file is empty")
+    if not isinstance(root, yaml.MappingNode):
+        at = root.start_mark
+        raise ConfigError(
+            f"{name}:{at.line + 1}:{at.column + 1}: "
+            f"should be a mapping of keys to values (got {show(root)})"
+        )
+    _resolve(root, name)
+    return root
+
+
+def _parse(text: str, name: str) -> yaml.Node | None:
+    """Return the root of YAML; None where there is none."""
     try:
-        root = _Loader(text, name).get_single_node()
+        return _Loader(text, name).get_single_node()
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         where = f"{name}:{mark.line + 1}:{mark.column + 1}" if mark else name
@@ -79,16 +94,6 @@ def compose(text: str, name: str) -> yaml.MappingNode:
         line = text.count("\n", 0, error.position) + 1
         column = error.position - (text.rfind("\n", 0, error.position) + 1) + 1
         raise ConfigError(f"{name}:{line}:{column}: not YAML: {error.reason}") from None
-    if root is None:
-        raise ConfigError(f"{name}: the file is empty")
-    if not isinstance(root, yaml.MappingNode):
-        at = root.start_mark
-        raise ConfigError(
-            f"{name}:{at.line + 1}:{at.column + 1}: "
-            f"should be a mapping of keys to values (got {show(root)})"
-        )
-    _resolve(root, name)
-    return root
 
 
 def refuse_length(text: str, name: str) -> NoReturn:

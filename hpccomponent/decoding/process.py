@@ -136,7 +136,7 @@ def open_decoder(
     *,
     patience_s: float = _PATIENCE_S,
 ) -> Iterator[Decoder]:
-    """Start the process that decodes a file.
+    """Start the process that decodes a file; it ends with the block.
 
     Parameters
     ----------
@@ -146,11 +146,6 @@ def open_decoder(
         Bytes of the memory that is shared.
     patience_s : float
         How long one answer may take, beside the time that it may compute.
-
-    Yields
-    ------
-    Decoder
-        Its process ends with the block.
 
     Raises
     ------

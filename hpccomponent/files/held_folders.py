@@ -132,15 +132,12 @@ def create_held(path: Path) -> HeldFolder:
 def hold(path: Path, *, waits: bool = False) -> HeldFolder | None:
     """Take a folder that was made by `create_held` and that nobody holds any more.
 
+    Return None where somebody holds it, or it is not there, or not this user's.
+
     Parameters
     ----------
     waits : bool
         Whether to wait until whoever holds it has ended.
-
-    Returns
-    -------
-    HeldFolder or None
-        None where somebody holds it, or it is not there, or not this user's.
     """
     with _opened(path) as folder:
         if folder is None:
@@ -188,10 +185,7 @@ def read_owner(path: Path) -> Owner | None:
 def remove_abandoned(parent: Path, prefix: str) -> list[Owner]:
     """Remove the folders that processes of this user on this machine have left behind.
 
-    Returns
-    -------
-    list of Owner
-        Who holds such a folder still, or has left it on another machine.
+    Return who holds such a folder still, or has left it on another machine.
     """
     living: list[Owner] = []
     try:

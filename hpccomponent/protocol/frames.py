@@ -48,10 +48,7 @@ def split_buffers(buffers: Sequence[Buffer], largest: int) -> list[memoryview]:
 def group_frames(frames: Sequence[Buffer], sizes: Sequence[int]) -> list[Sequence[Buffer]]:
     """Find the frames of each buffer that `split_buffers` cut, without copying.
 
-    Returns
-    -------
-    list of sequence of bytes-like
-        One group per buffer; none for an empty one.
+    There is one group per buffer; none for an empty one.
 
     Raises
     ------

@@ -344,15 +344,12 @@ class WorkerSession:
     def terminate(self, reason: str) -> list[Action]:
         """Leave at once; the master gives unfinished batches to others, without blame.
 
+        There is nothing to do where the session has stopped.
+
         Parameters
         ----------
         reason : str
             For the master; its first 1000 characters are sent.
-
-        Returns
-        -------
-        list of Action
-            Empty where the session has stopped.
         """
         return self._depart(ExitCode.DONE, reason)
 

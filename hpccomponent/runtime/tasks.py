@@ -194,10 +194,7 @@ class TaskRegistry:
     def import_ahead(self) -> Iterator[str]:
         """Import all tasks, one by one, so that the first call of each does not wait for it.
 
-        Yields
-        ------
-        str
-            The name of one that was tried: what fails says so when the task is called.
+        Yield the name of each one that was tried: what fails says so when the task is called.
         """
         for name in self.references():
             with suppress(Exception, SystemExit):

@@ -12,7 +12,7 @@ import signal
 import socket
 import sys
 import traceback
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from time import perf_counter
 
@@ -207,9 +207,10 @@ class _Blobs(Mapping[bytes, object]):
     def add(self, blob: Share, payload: memoryview) -> None:
         self._given[blob.key] = blob, payload
 
-    def forget(self, key: bytes) -> None:
-        self._given.pop(key, None)
-        self._values.pop(key, None)
+    def forget(self, keys: Iterable[bytes]) -> None:
+        for key in keys:
+            self._given.pop(key, None)
+            self._values.pop(key, None)
 
     def __getitem__(self, key: bytes) -> object:
         if key not in self._values:
@@ -267,8 +268,7 @@ def main(arguments: list[str] | None = None) -> int:
                 case Share() as blob:
                     blobs.add(blob, payload)
                 case Forget() as forget:
-                    for key in forget.keys:
-                        blobs.forget(key)
+                    blobs.forget(forget.keys)
             del control, payload  # or the last batch would stay mapped while this one waits
     except ChannelClosedError:
         return 0

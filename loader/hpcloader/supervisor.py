@@ -93,13 +93,7 @@ class RestartRule:
     grace_s: float = 5.0
 
     def delay(self, quick_ends: int) -> float:
-        """Return the delay after so many quick ends in a row, in seconds.
-
-        Returns
-        -------
-        float
-            From `first_s` to `cap_s`.
-        """
+        """Return the delay after so many quick ends in a row: `first_s` to `cap_s` seconds."""
         doublings = min(max(quick_ends - 1, 0), 60)  # 2**60 is past every cap
         return min(self.cap_s, self.first_s * 2.0**doublings)
 

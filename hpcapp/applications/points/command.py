@@ -92,15 +92,15 @@ def info(
     shown = points[0] if len(points) == 1 else f"{points[0]} and others"
     for line in findings.lines():
         log.warning("warning: %s: %s", shown, line)
-    if (by_spacing or by_noise) and png is None:
-        word = "--by-spacing" if by_spacing else "--by-noise"
-        raise UsageError(f"{word} is for the picture", "add --png FILE, or leave it out")
-    if by_spacing and by_noise:
-        raise UsageError("a picture has one colouring", "leave --by-spacing or --by-noise out")
+    words = ["--by-spacing"] * by_spacing + ["--by-noise"] * by_noise
+    if words and png is None:
+        raise UsageError(f"{words[0]} is for the picture", "add --png FILE, or leave it out")
+    if len(words) > 1:
+        raise UsageError("a picture has one colouring", f"leave {' or '.join(words)} out")
     if png is not None:
         scans = source.isotropic().scans
         scanner = scans[0].scanner if len(scans) == 1 else None
-        if by_spacing or by_noise:
+        if words:
             cloud = colour_by_spacing(cloud) if by_spacing else colour_by_noise(cloud)
         write_thumbnail(png, cloud, scanner, source.unit)
     if as_json:
@@ -115,7 +115,7 @@ def readable(value: object) -> str:
     """Return a JSON value as people read it."""
     if isinstance(value, bool):
         return "yes" if value else "no"
-    if value is None or (not value and isinstance(value, str | list | dict)):
+    if value in (None, "", [], {}):
         return "-"
     if isinstance(value, float):
         return f"{value:.6g}"

@@ -43,9 +43,10 @@ def read_shown(path: Path) -> Mesh | PointCloud:
     return take_finite(read_points(path), str(path))
 
 
-def find_shown_unit(path: Path, shown: Mesh | PointCloud) -> str | None:
-    """Return the unit of the coordinates in a file, where it says that."""
-    return open_points(path).unit if isinstance(shown, PointCloud) else find_mesh_crs(path).unit
+def find_shown_unit(path: Path, shown: Mesh | PointCloud) -> str:
+    """Return the unit of the coordinates in a file; nothing where it does not say that."""
+    source = open_points(path) if isinstance(shown, PointCloud) else find_mesh_crs(path)
+    return source.unit or ""
 
 
 def make_page(
@@ -74,15 +75,9 @@ def make_page(
     facts = {} if report is None else read_report(report)
     sections = [] if report is None else describe_job(facts, has_mesh=False)
     if isinstance(shown, PointCloud):
-        row = {"points": len(shown), "colours": shown.colours is not None,
-                 "normals": shown.normals is not None,
-                 "attributes": ", ".join(shown.attributes) or "none",
-                **_describe_box(shown.positions, shown.origin)}  # fmt: skip
-        summary = f"{len(shown):,} points"
-        sections.insert(0, Section("Points", make_table(row)))
-        unit = find_shown_unit(path, shown) or ""
-        scene = Scene(None, points=shown, up=up, unit=unit)
-        return build_page(path.name, summary, scene, sections)
+        sections.insert(0, Section("Points", make_table(_describe_points(shown))))
+        scene = Scene(None, points=shown, up=up, unit=find_shown_unit(path, shown))
+        return build_page(path.name, f"{len(shown):,} points", scene, sections)
     marked, workers = mark_tiles(shown, path, facts, str(report))
     thin, labels = take_labels(thin_mesh(marked), workers)
     topology = check_mesh(shown)
@@ -98,13 +93,23 @@ def make_page(
         rows["shown"] = f"a copy with {len(thin.faces):,} faces"
     sections.insert(0, Section("Mesh", make_table(rows)))
     cloud = None if points is None else _read_beside(points, shown)
-    told = find_unit(facts) if points is None else open_points(points).unit
-    unit = told or find_shown_unit(path, shown) or ""
+    stated = find_unit(facts) if points is None else open_points(points).unit
+    unit = stated or find_shown_unit(path, shown)
     measured = [] if cloud is None else [_measure(thin, cloud, unit)]
     fields = [*fields_of(thin), *measured, *labels]
     closed = "watertight" if topology.watertight else "not watertight"
     summary = f"{topology.vertices:,} vertices, {topology.faces:,} faces, {closed}"
     return build_page(path.name, summary, Scene(thin, fields, cloud, up=up, unit=unit), sections)
+
+
+def _describe_points(cloud: PointCloud) -> dict[str, object]:
+    return {
+        "points": len(cloud),
+        "colours": cloud.colours is not None,
+        "normals": cloud.normals is not None,
+        "attributes": ", ".join(cloud.attributes) or "none",
+        **_describe_box(cloud.positions, cloud.origin),
+    }
 
 
 def _describe_box(positions: FloatArray, origin: FloatArray) -> dict[str, str]:

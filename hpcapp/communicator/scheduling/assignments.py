@@ -43,15 +43,12 @@ class Assignments:
     ) -> list[int]:
         """Return how large each answer to tasks of a batch may be.
 
+        In bytes; 0 where nobody waits for it any more.
+
         Parameters
         ----------
         waiting : container of int
             All tasks that have no answer yet.
-
-        Returns
-        -------
-        list of int
-            In bytes; 0 where nobody waits for it any more.
 
         Raises
         ------

@@ -34,8 +34,9 @@ class BatchCutter:
     def cut(self, source: OrderedDict[int, Task], limit: int, worker: Worker) -> list[Task]:
         """Take at most `limit` tasks off the front of `source`, for `worker`.
 
-        Near the front those come first of whose blobs the worker lacks least: no worker waits
-        for a better task, and none gets a blob while it could work without.
+        Near the front those come first of whose blobs the worker lacks least: no worker waits for a
+        better task, and none gets a blob while it could work without. Return claimed tasks, in
+        order: those that turned out to be cancelled are left out.
 
         Parameters
         ----------
@@ -43,11 +44,6 @@ class BatchCutter:
             The queue; what is returned is no longer in it.
         worker : Worker
             Who gets them; a blob counts as long as it is not there.
-
-        Returns
-        -------
-        list of Task
-            Claimed tasks, in order: those that turned out to be cancelled are left out.
         """
         batch: list[Task] = []
         size, seconds = 0, 0.0

@@ -58,10 +58,7 @@ class Forecast:
     def unit_s(self, worker: bytes, name: str) -> float:
         """Return how long a unit of work of a task is expected to take on a worker.
 
-        Returns
-        -------
-        float
-            In seconds; infinite where no worker has run such a task.
+        In seconds; infinite where no worker has run such a task.
         """
         unit_times = self._unit_s.get(name)
         if not unit_times:
@@ -88,35 +85,23 @@ class Forecast:
     def transit_s(self, name: str) -> float:
         """Return how long tasks of a name have lately been on their way, whatever the worker.
 
-        To it, in its queue, and back until this process has taken the result: of many at once
-        the last one waits for the others.
-
-        Returns
-        -------
-        float
-            In seconds; 0 where there were none.
+        To it, in its queue, and back until this process has taken the result: of many at once the
+        last one waits for the others. In seconds; 0 where there were none.
         """
         return self._transit_s.get(name, 0.0)
 
     def expect(self, worker: bytes, task: Task) -> float:
         """Return how long a task is expected to take on a worker.
 
-        Returns
-        -------
-        float
-            In seconds; infinite where no worker has run such a task.
+        In seconds; infinite where no worker has run such a task.
         """
         return self.unit_s(worker, task.name) * task.work
 
     def remaining_s(self, worker: Worker, now: float) -> float:
         """Return how long a worker still has to do with what it holds.
 
-        A task that takes longer than expected is expected to take as long again as it has.
-
-        Returns
-        -------
-        float
-            In seconds; infinite where it holds a task that no worker has run the like of.
+        A task that takes longer than expected is expected to take as long again as it has. In
+        seconds; infinite where it holds a task that no worker has run the like of.
         """
         total = 0.0
         first: Task | None = None

@@ -88,11 +88,7 @@ class Losses:
 
         First those on machines that have neither lost nor answered it, nor lost another one just
         now; then those on machines that have neither; then those that have not lost it; then all.
-
-        Returns
-        -------
-        list of Worker
-            Empty only where there are none.
+        Empty only where there are none.
         """
         without_loss = [worker for worker in workers if worker.machine not in task.losses]
         without_answer = [worker for worker in without_loss if worker.machine not in task.answers]
@@ -118,10 +114,7 @@ class Losses:
     def describe(self, machines: Iterable[str] | None = None) -> str:
         """Say what some machines have lost, and why; by default all that have lost anything.
 
-        Returns
-        -------
-        str
-            One line; empty where they have lost nothing.
+        One line; empty where they have lost nothing.
         """
         clauses = []
         for machine in self._records if machines is None else machines:

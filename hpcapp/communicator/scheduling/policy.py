@@ -139,13 +139,8 @@ class AdaptivePolicy:
 
     def place(self, waiting: int, loads: Sequence[Load]) -> Placement | None:
         """Choose the worker that has the next task done first, if any has room for it."""
-        may_queue = waiting >= len(loads)  # the last ones go to whoever is idle first
-        free = [
-            i
-            for i, load in enumerate(loads)
-            if load.queued == 0
-            or (may_queue and load.queued < DEPTH and load.remaining_s < AHEAD_S)
-        ]
+        most = DEPTH if waiting >= len(loads) else 1  # the last ones go to whoever is idle first
+        free = [i for i, load in enumerate(loads) if _has_room(load, most)]
         if not free:
             return None
         chosen = min(free, key=lambda i: (loads[i].remaining_s + loads[i].next_s, loads[i].queued))
@@ -153,11 +148,16 @@ class AdaptivePolicy:
         if math.isinf(load.next_s):  # nothing is known of such tasks: one each
             idle = [i for i in free if loads[i].queued == 0]
             return Placement(min(idle, key=lambda i: loads[i].slowness), 1) if idle else None
-        others = [other for i, other in enumerate(loads) if i != chosen]
+        others = [*loads[:chosen], *loads[chosen + 1 :]]
         if load.remaining_s + load.next_s > _time_of(others, waiting):
             return None
         share = 1.0 / load.next_s / sum(1.0 / load.next_s for load in loads)
         return Placement(chosen, max(1, math.ceil(waiting * share / 4.0)))
+
+
+def _has_room(load: Load, most: int) -> bool:
+    """Tell whether one of at most so many batches may leave for a worker."""
+    return load.queued == 0 or (load.queued < most and load.remaining_s < AHEAD_S)
 
 
 def _time_of(loads: Sequence[Load], waiting: int) -> float:

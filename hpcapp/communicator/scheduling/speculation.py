@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
+from functools import cache
 
 from hpcapp.communicator.scheduling.forecast import Forecast
 from hpcapp.communicator.scheduling.state import Task, Worker
@@ -44,14 +45,14 @@ def choose_to_speculate(
         there_s = unit_s * task.work + forecast.transit_s(task.name)
         return left_s > STRAGGLER_RATIO * there_s + STRAGGLER_S
 
-    least_s: dict[str, float] = {}  # a unit of work on whoever of the idle is fastest
+    @cache
+    def least_s(name: str) -> float:  # a unit of work on whoever of the idle is fastest
+        return min(forecast.unit_s(worker.identity, name) for worker in idle)
+
     stragglers = []
     for worker in workers:
         for task, left_s in forecast.ends(worker, now):
-            name = task.name
-            if name not in least_s:
-                least_s[name] = min(forecast.unit_s(w.identity, name) for w in idle)
-            if task.may_run_twice and is_straggler(task, left_s, least_s[name]):
+            if task.may_run_twice and is_straggler(task, left_s, least_s(task.name)):
                 stragglers.append((left_s, task))
     stragglers.sort(key=lambda pair: -pair[0])
     chosen = []

@@ -42,26 +42,18 @@ class Task:
     has_written: bool = False
 
     def lacking_blobs(self, worker: Worker, added: Container[bytes] = ()) -> dict[bytes, Blob]:
-        """Return its blobs that are not known to be on `worker`, but for those `added` before it.
-
-        Returns
-        -------
-        dict of bytes to Blob
-            By their keys.
-        """
+        """Return by their keys its blobs that are neither known to be on `worker` nor `added`."""
         return {
             blob.key: blob
             for blob in self.blobs
-            if blob.key not in worker.blobs and blob.key not in added
+            if not (blob.key in worker.blobs or blob.key in added)
         }
 
     @property
     def may_run_twice(self) -> bool:
-        """Whether it can be run a second time while it runs.
-
-        A task that was lost with a worker may be what kills them: one at a time. One that is
-        verified must not go to who has answered it.
-        """
+        """Whether it can be run a second time while it runs."""
+        # One that was lost with a worker may be what kills them: one at a time. One that is
+        # verified must not go to who has answered it.
         return not (self.is_done or self.losses or self.answers or len(self.holders) > 1)
 
 
@@ -96,13 +88,7 @@ class OpenBatch:
         return task
 
     def take_shared(self) -> int:
-        """Return the size of the blobs that went before the batch, once; then 0.
-
-        Returns
-        -------
-        int
-            In bytes.
-        """
+        """Return the size of the blobs that went before the batch, in bytes, once; then 0."""
         shared, self.shared_bytes = self.shared_bytes, 0
         return shared
 

@@ -230,10 +230,7 @@ def explain_dispute(task: Task) -> JobError:
 def digest_answer(result: Result, buffers: Sequence[Buffer]) -> bytes:
     """Return what tells one answer to a task from another one.
 
-    Returns
-    -------
-    bytes
-        BLAKE2b of all that was sent, and of the checksum of what the task has written.
+    It is BLAKE2b of all that was sent, and of the checksum of what the task has written.
     """
     digest = hashlib.blake2b(result.header, digest_size=16)
     for buffer in buffers:

@@ -66,8 +66,8 @@ def read_frames(objects: Sequence[JsonObject]) -> FloatArray:
 
 def read_openmvg(objects: Sequence[JsonObject]) -> FloatArray:
     """Read an sfm_data.json: rotations from world to camera, and centres."""
-    told = decode_large(_find(objects, "extrinsics"), list[_Extrinsic])
-    poses = [extrinsic.value for extrinsic in told]
+    extrinsics = decode_large(_find(objects, "extrinsics"), list[_Extrinsic])
+    poses = [extrinsic.value for extrinsic in extrinsics]
     rotations = [pose.rotation for pose in poses]
     cameras = world_to_camera(rotations, np.zeros((len(poses), 3)), FORWARDS)
     cameras[:, :3] = np.array([pose.center for pose in poses]).reshape(-1, 3)

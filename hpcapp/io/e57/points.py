@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -30,6 +30,7 @@ from hpccomponent.errors import InputError, MissingLibraryError
 
 _AT_ONCE = 1 << 16  # points: what is made of them stays in the cache
 _WHITE: dict[type[np.generic], int] = {np.uint8: 255, np.uint16: 65535}
+_COLOURLESS = "colours: they are white"
 _NOWHERE = -1  # row and column of a point that belongs to no grid
 
 
@@ -139,38 +140,36 @@ def _names(scans: Sequence[E57Scan]) -> tuple[str, ...]:
 
 def _join_columns(scans: Sequence[E57Scan], findings: Findings) -> _Columns:
     """Decide what every part has; say what some scans lack."""
-    kept = {}
-    total = sum(one.points for one in scans)
-    for names, what in ((NORMALS, "normals"), (COLOURS, "colours")):
-        covered = sum(one.points for one in scans if one.has(names))
-        kept[what] = covered > 0 if what == "colours" else 2 * covered > total
+    total, with_normals, with_colours = (
+        sum(one.points for one in scans if one.has(names)) for names in ((), NORMALS, COLOURS)
+    )
+    has_normals = 2 * with_normals > total
+    done = "these are zero there" if has_normals else "no normals are kept"
+    for covered, what in ((with_normals, f"normals: {done}"), (with_colours, _COLOURLESS)):
         if 0 < covered < total:
-            done = f"no {what} are kept"
-            if kept[what]:
-                done = "they are white" if what == "colours" else "these are zero there"
-            findings.warn(
-                f"{total - covered} of {total} points are of scans without {what}: {done}"
-            )
-    limits = {one.colour_limit for one in scans if one.has(COLOURS)}
-    colours = np.float64 if None in limits else np.uint8 if limits == {255.0} else np.uint16
-    attributes: dict[str, None] = {}
-    for one in scans:
-        attributes.update(dict.fromkeys(one.columns))
-    special = (*NORMALS, *COLOURS, *GRID)
+            findings.warn(f"{total - covered} of {total} points are of scans without {what}")
+    names = dict.fromkeys(name for one in scans for name in one.columns)
     return _Columns(
-        kept["normals"],
-        colours if kept["colours"] else None,
+        has_normals,
+        _choose_colour_type(scans) if with_colours else None,
         any(one.grid for one in scans),
         len(scans) > 1,
-        tuple(name for name in attributes if name not in special),
+        tuple(name for name in names if name not in (*NORMALS, *COLOURS, *GRID)),
     )
+
+
+def _choose_colour_type(scans: Sequence[E57Scan]) -> type[np.generic]:
+    limits = {one.colour_limit for one in scans if one.has(COLOURS)}
+    if None in limits:
+        return np.float64
+    return np.uint8 if limits == {255.0} else np.uint16
 
 
 def _decode_parts(
     path: Path, scans: Sequence[E57Scan], columns: _Columns, rows: int, findings: Findings
 ) -> Iterator[PointCloud]:
     """Yield the valid points of all scans, some at a time; first, a part without points."""
-    yield _decode({}, scans[0], columns)
+    yield _decode({name: np.zeros(0) for name in scans[0].fields}, scans[0], columns)
     with open_fields(path, scans, rows) as decoder:
         for one in scans:
             parts = read_fields(decoder, one, one.fields, rows, path)
@@ -193,12 +192,10 @@ def _drop_invalid(
 
 
 def _decode(fields: dict[str, FloatArray], one: E57Scan, columns: _Columns) -> PointCloud:
-    """Return a scan's points as a cloud in the file's coordinates; without fields, of none."""
-    count = len(fields[one.position[0]]) if fields else 0
+    """Return a scan's points as a cloud in the file's coordinates."""
+    count = len(fields[one.position[0]])
 
-    def stack(names: Sequence[str]) -> FloatArray:
-        if not count:
-            return np.zeros((0, 3))
+    def stack(names: Iterable[str]) -> FloatArray:
         return np.stack([fields[name] for name in names], axis=1)
 
     positions = stack(one.position)
@@ -209,27 +206,34 @@ def _decode(fields: dict[str, FloatArray], one: E57Scan, columns: _Columns) -> P
     if columns.has_normals:
         normals = np.zeros((count, 3))
         if one.has(NORMALS):
-            normals = _rotate(stack([one.columns[name] for name in NORMALS]), one.rotation)
+            normals = _rotate(stack(one.columns[name] for name in NORMALS), one.rotation)
     colours: Numbers | None = None
     if columns.colours is not None:
         white = _WHITE.get(columns.colours, np.nan)  # what that is will be judged
         colours = np.full((count, 3), white, columns.colours)
         if one.has(COLOURS):
-            colours = _scale(stack([one.columns[name] for name in COLOURS]), one, columns.colours)
+            colours = _scale(stack(one.columns[name] for name in COLOURS), one, columns.colours)
+    return PointCloud(positions, normals, colours, _decode_attributes(fields, one, columns))
+
+
+def _decode_attributes(
+    fields: dict[str, FloatArray], one: E57Scan, columns: _Columns
+) -> dict[str, Numbers]:
+    count = len(fields[one.position[0]])
     attributes: dict[str, Numbers] = {}
     for name in columns.attributes:
-        has_column = count and name in one.columns
+        has_column = name in one.columns
         attributes[name] = (
             fields[one.columns[name]].copy() if has_column else np.full(count, np.nan)
         )
     for name, least in zip(GRID, one.corner, strict=True) if columns.has_grid else ():
         place: Int32Array = np.full(count, _NOWHERE, np.int32)
-        if count and one.grid:
+        if one.grid:
             place = (fields[one.columns[name]] - least).astype(np.int32)
         attributes[name] = place
     if columns.has_scan:
         attributes["scan"] = np.full(count, one.index, np.int32)
-    return PointCloud(positions, normals, colours, attributes)
+    return attributes
 
 
 def _rotate(vectors: FloatArray, rotation: FloatArray) -> FloatArray:

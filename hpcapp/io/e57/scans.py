@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -105,8 +105,7 @@ def describe_scan(node: Element, index: int, path: Path) -> E57Scan:
     InputError
         It has no coordinates, or the file has no room for its points.
     """
-    points = node.find("points")
-    prototype = None if points is None else points.find("prototype")
+    points, prototype = node.find("points"), node.find("points", "prototype")
     if points is None or prototype is None:
         raise refuse(path, f"scan {index} says nothing of its points")
     fields = {
@@ -121,11 +120,7 @@ def describe_scan(node: Element, index: int, path: Path) -> E57Scan:
             "export the file with cartesian or spherical coordinates",
         )
     invalid = _INVALID[position is SPHERICAL]
-    columns: dict[str, str] = {}
-    for name in fields:
-        if name not in (*CARTESIAN, *SPHERICAL, *_INVALID):
-            local = name.rpartition(":")[2]
-            columns.setdefault(_ROLES.get(local) or find_role(local), name)
+    columns = _name_columns(fields)
     return E57Scan(
         index,
         _count_points(points, fields, index, path),
@@ -134,7 +129,7 @@ def describe_scan(node: Element, index: int, path: Path) -> E57Scan:
         columns,
         _find_colour_limit(node, fields, columns),
         _find_rotation(node),
-        np.array([node.number("pose", "translation", axis) or 0.0 for axis in "xyz"]),
+        _read_pose(node, "translation", "xyz"),
     )
 
 
@@ -249,10 +244,23 @@ def _without_grid(scan: E57Scan) -> dict[str, str]:
     return {name: field for name, field in scan.columns.items() if name not in GRID}
 
 
+def _name_columns(fields: Iterable[str]) -> dict[str, str]:
+    """Return the fields beside the coordinates, by the names of our columns."""
+    columns: dict[str, str] = {}
+    for name in fields:
+        if name not in (*CARTESIAN, *SPHERICAL, *_INVALID):
+            local = name.rpartition(":")[2]
+            columns.setdefault(_ROLES.get(local) or find_role(local), name)
+    return columns
+
+
+def _read_pose(node: Element, part: str, names: str) -> FloatArray:
+    return np.array([node.number("pose", part, name) or 0.0 for name in names])
+
+
 def _find_rotation(node: Element) -> FloatArray:
     """Return the rotation of a pose, given as a quaternion, as a matrix."""
-    numbers = [node.number("pose", "rotation", part) for part in "wxyz"]
-    quaternion = np.array([number or 0.0 for number in numbers])
+    quaternion = _read_pose(node, "rotation", "wxyz")
     length = np.linalg.norm(quaternion)
     if not 0 < length < np.inf:
         return np.eye(3)

@@ -144,7 +144,8 @@ def _load_laspy(path: Path) -> _Foreign:
 
 def _assign(cloud: PointCloud, reserved: set[str]) -> tuple[dict[str, Numbers], dict[str, Numbers]]:
     """Assign columns to the fields of the format, and what is left to extra bytes."""
-    fields: dict[str, Numbers] = {}
+    once = np.ones(len(cloud), np.uint8)
+    fields: dict[str, Numbers] = {"return_number": once, "number_of_returns": once}
     extras: dict[str, Numbers] = {}
     if cloud.colours is not None:
         widened = cloud.colours.astype(np.uint16)
@@ -155,21 +156,23 @@ def _assign(cloud: PointCloud, reserved: set[str]) -> tuple[dict[str, Numbers], 
         for i, axis in enumerate("XYZ"):
             extras[f"Normal{axis}"] = cloud.normals[:, i].astype(np.float32)
     for name, values in cloud.attributes.items():
-        if name == "gps_time":
-            fields[name] = values.astype(np.float64)
-        elif name == "scan_angle" and np.abs(values).max(initial=0) <= _STEEPEST:
-            fields[name] = np.rint(values / DEGREES_A_STEP).astype(np.int16)
-        elif name in _MOST and _is_whole(values, _MOST[name]):
-            fields[name] = values.astype(np.uint16)
-        else:
-            extras[_free_name(f"{name}_raw" if name in reserved else name, extras)] = _as_extra(
-                values
-            )
-            if name == "intensity":
-                fields[name] = _stretch(values)
-    for name in ("return_number", "number_of_returns"):
-        fields.setdefault(name, np.ones(len(cloud), np.uint8))
+        field = _as_field(name, values)
+        if field is None:
+            extras[_free_name(name, reserved, extras)] = _as_extra(values)
+            field = _stretch(values) if name == "intensity" else None
+        if field is not None:
+            fields[name] = field
     return fields, extras
+
+
+def _as_field(name: str, values: NDArray[Any]) -> Numbers | None:
+    """Return an attribute as the field of its name has it; None where there is no room for it."""
+    if name == "gps_time":
+        return values.astype(np.float64)
+    if name == "scan_angle" and np.abs(values).max(initial=0) <= _STEEPEST:
+        steps: Numbers = np.rint(values / DEGREES_A_STEP).astype(np.int16)
+        return steps
+    return values.astype(np.uint16) if name in _MOST and _is_whole(values, _MOST[name]) else None
 
 
 def _stretch(values: Numbers) -> NDArray[np.uint16]:
@@ -193,8 +196,9 @@ def _as_extra(values: Numbers) -> Numbers:
     return values.astype(np.uint8 if values.dtype.kind == "b" else np.float32 if small else float)
 
 
-def _free_name(name: str, taken: Mapping[str, object]) -> str:
+def _free_name(name: str, reserved: set[str], taken: Mapping[str, object]) -> str:
     """Cut a name to what a description has room for; names stay different."""
+    name = f"{name}_raw" if name in reserved else name
     free, number = name.encode()[:_LONGEST_NAME].decode(errors="ignore") or "extra", 1
     while free in taken:
         number += 1

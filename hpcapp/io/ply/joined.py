@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from hpcapp.geometry.ply_rows import coordinate_lines, ply_header
-from hpcapp.geometry.points import PointCloud
+from hpcapp.geometry.points import Int32Array, PointCloud
 from hpcapp.io.batches import join_arrays
 from hpcapp.io.crs import Crs
 from hpcapp.io.ply.columns import VertexProperties
@@ -75,19 +75,16 @@ def _refuse_mixed(sources: Sequence[PointSource]) -> None:
 
 def _find_common(sources: Sequence[PointSource]) -> PointCloud:
     """Return the columns that all sources have, and colours where one has some, without points."""
-    layouts = [next(source.chunks(1)).view(slice(0)) for source in sources]
-    if len(sources) > 1:
-        number = {SCAN: np.empty(0, np.int32)}
-        layouts = [replace(one, attributes=number | dict(one.attributes)) for one in layouts]
+    number = {SCAN: np.empty(0, np.int32)} if len(sources) > 1 else {}
+    layouts = [_find_layout(source, number) for source in sources]
     names = [name_columns(replace(layout, colours=None)) for layout in layouts]
     common = set(names[0]).intersection(*names)
     colours = join_arrays(layout.colours for layout in layouts)
     for columns, layout, source in zip(names, layouts, sources, strict=True):
         if lost := [name for name in columns if name not in common]:
-            shown = name_some(lost)
             log.warning(
                 "warning: %s: all points stay; left out of each, as not all files have it: %s",
-                source.path, shown,
+                source.path, name_some(lost),
             )  # fmt: skip
         if colours is not None and layout.colours is None:
             log.warning("warning: %s: no colours, as other files have: white there", source.path)
@@ -101,6 +98,12 @@ def _find_common(sources: Sequence[PointSource]) -> PointCloud:
             if name in common
         },
     )
+
+
+def _find_layout(source: PointSource, more: Mapping[str, Int32Array]) -> PointCloud:
+    """Return the columns of a source, and further ones, without points."""
+    layout = next(source.chunks(1)).view(slice(0))
+    return replace(layout, attributes={**more, **layout.attributes})
 
 
 def _select(part: PointCloud, layout: PointCloud, first_scan: int) -> PointCloud:

@@ -55,26 +55,34 @@ def plan_columns(names: Sequence[str], place: str) -> ColumnPlan:
     >>> plan_columns(["X", "Y", "Z", "height", "diffuse_red", "class"], "a.ply").attributes
     (('height', 'height'), ('diffuse_red', 'diffuse_red'), ('classification', 'class'))
     """
-    by_role: dict[str, str] = {}
-    for name in sorted(names, key=lambda name: find_role(name) != name.lower()):
-        by_role.setdefault(find_role(name), name)
-    missing = [axis for axis in AXES if axis not in by_role]
-    if missing:
+    by_role = _assign_roles(names)
+    positions, normals = _pick(by_role, AXES), _pick(by_role, NORMALS)
+    colours = _pick(by_role, COLOURS)
+    if not positions:
+        missing = ", ".join(axis for axis in AXES if axis not in by_role)
+        raise InputError(f"{place} has no {missing}", "export the file with coordinates x, y and z")
+    present = ", ".join(name for name in NORMALS if name in by_role)
+    if present and not normals:
         raise InputError(
-            f"{place} has no {', '.join(missing)}", "export the file with coordinates x, y and z"
-        )
-    present = [name for name in NORMALS if name in by_role]
-    if present and len(present) < len(NORMALS):
-        raise InputError(
-            f"{place} has {', '.join(present)} but not all of nx, ny, nz",
+            f"{place} has {present} but not all of nx, ny, nz",
             "export the file with whole normals, or without",
         )
-    groups = [AXES, NORMALS if present else ()]
-    groups.append(COLOURS if all(name in by_role for name in COLOURS) else ())
-    positions, normals, colours = (tuple(by_role[role] for role in group) for group in groups)
     taken = {*positions, *normals, *colours}
     attributes = tuple((_own_name(name, by_role), name) for name in names if name not in taken)
     return ColumnPlan(positions, normals, colours, attributes)
+
+
+def _assign_roles(names: Sequence[str]) -> dict[str, str]:
+    by_role: dict[str, str] = {}
+    for name in sorted(names, key=lambda name: find_role(name) != name.lower()):
+        by_role.setdefault(find_role(name), name)
+    return by_role
+
+
+def _pick(by_role: Mapping[str, str], roles: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of the columns that have some roles; none where one has no column."""
+    names = tuple(by_role[role] for role in roles if role in by_role)
+    return names if len(names) == len(roles) else ()
 
 
 def _own_name(name: str, by_role: Mapping[str, str]) -> str:

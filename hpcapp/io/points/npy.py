@@ -50,6 +50,13 @@ _POSITIONS = (
 )  # fmt: skip
 _NORMALS = ("normals", "normal", "vertex_normals", "nxnynz", "nxyz", "n")
 _COLOURS = ("colours", "colors", "colour", "color", "rgb", "rgba", "vertex_colors", "c")
+_GROUPS: dict[str, tuple[tuple[str, ...], tuple[int, ...]]] = {
+    **dict.fromkeys(_POSITIONS, (AXES, (3,))),
+    **dict.fromkeys(_NORMALS, (NORMALS, (3,))),
+    **dict.fromkeys(_COLOURS, (COLOURS, (3, 4))),
+}
+"""By the name of an array, what its columns are, and how many they may be."""
+
 _EXPORT = "save points as (n, 3) numbers, or as records with fields x, y and z"
 
 
@@ -116,19 +123,21 @@ def _columns_of_array(
         return _columns_of_records(path, cast("NDArray[np.void]", array.reshape(-1))), grid
     if array.dtype.kind not in "fiu":
         raise InputError(f"{path}: an array of {array.dtype}, not of numbers", _EXPORT)
-    shape = array.shape
-    if len(shape) == 2 and shape[0] in (3, 6) and shape[1] > _MOST_COLUMNS:
-        findings.warn(f"shape {shape}: taken for points whose axes are swapped")
-        array = array.T
-    elif len(shape) == 3 and array.dtype.itemsize == 1:
-        raise InputError(f"{path}: shape {shape} of {array.dtype}: a picture, no points", _EXPORT)
-    grid = (shape[1], shape[0]) if len(shape) == 3 else None
-    if grid is not None:
-        array = array.reshape(-1, shape[2])
+    shape, grid = array.shape, None
+    match shape:
+        case (3 | 6, count) if count > _MOST_COLUMNS:
+            findings.warn(f"shape {shape}: taken for points whose axes are swapped")
+            array = array.T
+        case (_, _, _) if array.dtype.itemsize == 1:
+            problem = f"shape {shape} of {array.dtype}: a picture, no points"
+            raise InputError(f"{path}: {problem}", _EXPORT)
+        case (height, width, columns):
+            grid = width, height
+            array = array.reshape(-1, columns)
     if array.ndim != 2 or not len(AXES) <= array.shape[1] <= _MOST_COLUMNS:
-        columns = f"{array.shape[1]} columns, " if array.ndim == 2 else ""
+        counted = f"{array.shape[1]} columns, " if array.ndim == 2 else ""
         raise InputError(
-            f"{path}: {columns}shape {shape}: not points of 3 to {_MOST_COLUMNS} columns", _EXPORT
+            f"{path}: {counted}shape {shape}: not points of 3 to {_MOST_COLUMNS} columns", _EXPORT
         )
     return _columns_of_table(path, array, findings), grid
 
@@ -163,28 +172,34 @@ def _columns_of_archive(
     path: Path, arrays: dict[str, Numbers], findings: Findings
 ) -> tuple[Columns, tuple[int, int] | None]:
     """Return the columns of several arrays; those that do not belong to points are passed over."""
-    if len(arrays) == 1:
-        only = next(iter(arrays.values()))
-        if only.dtype.names or only.ndim > 1:
-            return _columns_of_array(path, only, findings)
-    lower = {name.lower(): name for name in arrays}
-    positions = next((lower[name] for name in _POSITIONS if name in lower), None)
+    coordinates = _find_coordinates(path, arrays)
     columns: Columns = {}
-    grid = None
-    if positions is not None:
-        columns, grid = _columns_of_array(path, arrays[positions], findings)
-    elif not set(AXES) <= lower.keys():
-        named = ", ".join(list(arrays)[:5]) or "nothing"
-        raise InputError(f"{path}: no array of points: it holds {named}", "name one 'points'")
-    count = len(next(iter(columns.values()))) if columns else arrays[lower["x"]].size
-    for name, array in arrays.items():
-        if name == positions:
-            continue
+    grid, count = None, arrays[coordinates[0]].size
+    others = arrays
+    if len(coordinates) == 1:
+        columns, grid = _columns_of_array(path, arrays[coordinates[0]], findings)
+        count = len(next(iter(columns.values())))
+        others = {name: array for name, array in arrays.items() if name not in coordinates}
+    for name, array in others.items():
         if grid is not None and array.shape[:2] == grid[::-1]:
             array = array.reshape(count, *array.shape[2:])
-        if array.ndim == 0 or len(array) != count or not _add_columns(columns, name, array):
+        if array.shape[:1] != (count,) or not _add_columns(columns, name, array):
             findings.warn(f"array {name!r} of shape {array.shape} is passed over")
     return columns, grid
+
+
+def _find_coordinates(path: Path, arrays: Columns) -> list[str]:
+    """Return the name of the array of points, or the names of those of x, y and z."""
+    if len(arrays) == 1 and any(only.dtype.names or only.ndim > 1 for only in arrays.values()):
+        return list(arrays)
+    lower = {name.lower(): name for name in arrays}
+    for known in _POSITIONS:
+        if known in lower:
+            return [lower[known]]
+    if set(AXES) <= lower.keys():
+        return [lower["x"], lower["y"], lower["z"]]
+    named = ", ".join(list(arrays)[:5]) or "nothing"
+    raise InputError(f"{path}: no array of points: it holds {named}", "name one 'points'")
 
 
 def _add_columns(columns: Columns, name: str, values: Numbers) -> bool:
@@ -193,16 +208,13 @@ def _add_columns(columns: Columns, name: str, values: Numbers) -> bool:
         return False
     if values.ndim == 2 and values.shape[1] == 1:
         values = values[:, 0]
-    if values.ndim == 1:
-        if name.lower() in ("rgb", "rgba") and values.dtype.itemsize == 4:
-            columns.update({colour: unpack_words(values, byte) for colour, byte in PACKED})
-        else:
-            columns[name] = values
-        return True
-    groups = ((_POSITIONS, AXES), (_NORMALS, NORMALS), (_COLOURS, COLOURS))
-    names = next((to for known, to in groups if name.lower() in known), None)
-    least, most = (3, 4) if names == COLOURS else (3, 3)
-    if names is None or not least <= values.shape[1] <= most:
-        return False
-    columns.update(zip(names, values.T, strict=False))  # without alpha
+    if values.ndim == 2:
+        names, widths = _GROUPS.get(name.lower(), ((), ()))
+        if values.shape[1] not in widths:
+            return False
+        columns.update(zip(names, values.T, strict=False))  # without alpha
+    elif name.lower() in ("rgb", "rgba") and values.dtype.itemsize == 4:
+        columns.update({colour: unpack_words(values, byte) for colour, byte in PACKED})
+    else:
+        columns[name] = values
     return True

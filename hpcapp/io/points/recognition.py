@@ -189,8 +189,8 @@ def _look_through(source: PointSource) -> PointCloud:
         return join_points(list(_read_runs(source.records)))
     seen: list[PointCloud] = []
     for number, part in enumerate(source.scan(_ROWS)):
-        told = {name: part.attributes[name] for name in EVIDENCE if name in part.attributes}
-        part = replace(part, attributes=told)
+        evidence = {name: part.attributes[name] for name in EVIDENCE if name in part.attributes}
+        part = replace(part, attributes=evidence)
         seen.append(part if number < _ENOUGH_PARTS else part.take(np.arange(0, len(part), _THIN)))
         if number + 1 == _MOST_PARTS or (
             number + 1 >= _ENOUGH_PARTS and _is_certain(join_points(seen))

@@ -174,17 +174,11 @@ def assign_by_value(
     if COLOURS[0] not in roles.values():
         _place_colours(sample, kinds, roles, suffix == ".pts")
     _place_zeros(kinds, roles)
-    guessed = [at for at, role in roles.items() if role in (NORMALS[0], COLOURS[0])]
-    for at in guessed:
-        if at in kinds and kinds[at] in _DOUBTS:
+    for at, role in roles.items():
+        if role in (NORMALS[0], COLOURS[0]) and kinds.get(at) in _DOUBTS:
             columns = f"columns {numbers[at] + 1} to {numbers[at + 2] + 1}"
             findings.warn(f"{columns} have no names and are taken for {_DOUBTS[kinds[at]]}")
-    for column in range(sample.shape[1]):
-        if column not in roles:
-            roles[column] = _name_single(sample, column, roles)
-    unnamed = [roles[i] for i in range(sample.shape[1]) if roles[i].startswith("column_")]
-    if unnamed:
-        findings.warn(f"without a name, and kept as attributes: {name_some(unnamed)}")
+    _name_singles(sample, roles, findings)
     return _make_columns([roles[i] for i in range(sample.shape[1])], sample)
 
 
@@ -254,6 +248,15 @@ def _place_zeros(kinds: dict[int, _Kind | None], roles: dict[int, str]) -> None:
 
 def _is_opaque(values: FloatArray) -> bool:
     return len(values) > 0 and values[0] in _OPAQUE.values() and bool((values == values[0]).all())
+
+
+def _name_singles(sample: FloatArray, roles: dict[int, str], findings: Findings) -> None:
+    for column in range(sample.shape[1]):
+        if column not in roles:
+            roles[column] = _name_single(sample, column, roles)
+    unnamed = [role for role in roles.values() if role.startswith("column_")]
+    if unnamed:
+        findings.warn(f"without a name, and kept as attributes: {name_some(unnamed)}")
 
 
 def _name_single(sample: FloatArray, column: int, roles: dict[int, str]) -> str:

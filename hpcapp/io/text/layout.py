@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import csv
+import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -60,6 +61,12 @@ class _Head:
     names_line: Line = (0, "")
     commented_names: tuple[str, ...] | None = None
 
+    def leave_out(self, texts: list[str]) -> list[str]:
+        """Return the lines but those that have its names, or a count as it has one."""
+        if self.names:  # which are the start of what lies elsewhere
+            texts = [text for text in texts if text.strip() != self.names_line[1].strip()]
+        return [text for text in texts if not is_count(text.strip())] if self.count else texts
+
 
 def find_layout(path: Path, findings: Findings) -> tuple[Layout, FloatArray]:
     """Find out how a text file is made; warn of what is odd, and of columns that are passed over.
@@ -80,14 +87,10 @@ def find_layout(path: Path, findings: Findings) -> tuple[Layout, FloatArray]:
     head, first = _read_head(lines, path, findings)
     elsewhere = sample_lines(path, encoding)
     following = islice(lines, _HEAD_ROWS) if elsewhere else lines
-    texts = [first[1], *(text for _, text in following), *elsewhere]
-    if head.names:  # which are the start of what lies elsewhere
-        texts = [text for text in texts if text.strip() != head.names_line[1].strip()]
-    if head.count:
-        texts = [text for text in texts if not is_count(text.strip())]
-    rows = _find_separator(texts[:: 1 + len(texts) // _PROBED_ROWS], first, path)
+    texts = head.leave_out([first[1], *(text for _, text in following), *elsewhere])
+    rows = _find_separator(_thin(texts), first, path)
     texts = [text for text in rows.clean("\n".join(texts)).split("\n") if text.strip()]
-    fields = [rows.split(text) for text in texts[:: 1 + len(texts) // _PROBED_ROWS]]
+    fields = [rows.split(text) for text in _thin(texts)]
     if not fields:
         raise InputError(f"{path}: no points: the file has no line of numbers", "check the file")
     rows = replace(rows, columns=Counter(map(len, fields)).most_common(1)[0][0])
@@ -104,6 +107,11 @@ def find_layout(path: Path, findings: Findings) -> tuple[Layout, FloatArray]:
         rows, sample = replace(rows, wanted=rows.wanted[1:]), sample[:, 1:]
     counts = _find_counts(path, encoding, head.count) if head.count else ()
     return Layout(encoding, first[0], counts, names, rows), sample
+
+
+def _thin(texts: list[str]) -> list[str]:
+    """Return some of the lines, from all over."""
+    return texts[:: 1 + len(texts) // _PROBED_ROWS]
 
 
 def _read_head(lines: Iterator[Line], path: Path, findings: Findings) -> tuple[_Head, Line]:
@@ -140,12 +148,17 @@ def _may_be_names(text: str) -> bool:
 
 
 def _split_names(text: str) -> tuple[str, ...]:
-    separator = next((mark for mark in (";", "\t", ",") if mark in text), None)
-    names = text.split() if separator is None else _split_quoted(text.strip(" "), separator)
+    separator = _find_mark(text, ";\t,")
+    names = text.split() if not separator else _split_quoted(text.strip(" "), separator)
     names = [name.strip().strip("\"'").strip() for name in names]
     while names and not names[-1]:
         names.pop()  # a separator at the end
     return tuple(names)
+
+
+def _find_mark(text: str, marks: str) -> str:
+    """Return the first of some marks that a text has; nothing where it has none."""
+    return next((mark for mark in marks if mark in text), "")
 
 
 def _split_quoted(text: str, separator: str) -> list[str]:
@@ -162,12 +175,14 @@ def _has_axes(names: Iterable[str]) -> bool:
 def _find_separator(texts: list[str], first: Line, path: Path) -> RowFormat:
     """Tell what separates the numbers in most of the rows, and what their commas are."""
     texts = RowFormat().without_comments("\n".join(texts)).split("\n")
-    marks = [next((mark for mark in ";," if mark in text), "") for text in texts if text.strip()]
-    mark = Counter(marks).most_common(1)[0][0] if marks else ""
-    texts = [text for text in texts if mark and mark in text]
-    if mark == ";":
-        return RowFormat(";", "." if any(map(_DECIMAL_COMMA.search, texts)) else ",")
-    return _judge_commas(texts, first, path) if mark else RowFormat()
+    marks = [_find_mark(text, ";,") for text in texts if text.strip()]
+    mark = Counter(marks or [""]).most_common(1)[0][0]
+    if not mark:
+        return RowFormat()
+    texts = [text for text in texts if mark in text]
+    if mark == ",":
+        return _judge_commas(texts, first, path)
+    return RowFormat(";", "." if any(map(_DECIMAL_COMMA.search, texts)) else ",")
 
 
 def _judge_commas(texts: list[str], first: Line, path: Path) -> RowFormat:
@@ -220,31 +235,41 @@ def _find_numbers(
     findings: Findings,
 ) -> tuple[int, ...]:
     """Return the columns that hold numbers, and shall be read."""
-    columns = [
-        [word for word in column if not is_missing(word)] for column in zip(*fields, strict=True)
-    ]
+    shares = [_share_of_numbers(column) for column in zip(*fields, strict=True)]
     if names is None:
-        wanted = tuple(i for i, words in enumerate(columns) if any(map(is_number, words)))
-        for i, words in enumerate(columns):
-            if words and i not in wanted:
+        wanted = tuple(i for i, share in enumerate(shares) if share > 0)
+        for i, share in enumerate(shares):
+            if share == 0:
                 findings.warn(f"column {i + 1} holds no numbers, and is passed over")
     else:
-        roles = [find_role(name) for name in names]
-        wanted = tuple(
-            i
-            for i, words in enumerate(columns)
-            if roles[i] in AXES
-            or (roles[i] in NORMALS + COLOURS and any(map(is_number, words)))
-            or (names[i] and words and all(map(is_number, words)))
-        )
-        # A column without any number has names or dates of the points: nothing that a mesh has.
-        mixed = [i for i, words in enumerate(columns) if any(map(is_number, words))]
-        if named := [names[i] for i in mixed if names[i] and i not in wanted]:
-            findings.warn(f"left out, as not all of a column is numbers: {name_some(named)}")
+        wanted = _choose_by_name(names, shares, findings)
     if len(wanted) < 3:
         problem = f"{len(wanted)} columns of numbers, x, y and z are 3"
         raise line_error(path, first, problem, "check the file")
     return wanted
+
+
+def _share_of_numbers(column: Sequence[str]) -> float:
+    """Return the share of a column's words that are numbers; NaN where there are none."""
+    are_numbers = [is_number(word) for word in column if not is_missing(word)]
+    return sum(are_numbers) / len(are_numbers) if are_numbers else math.nan
+
+
+def _choose_by_name(
+    names: tuple[str, ...], shares: list[float], findings: Findings
+) -> tuple[int, ...]:
+    """Choose coordinates, what normals and colours have numbers, and named columns of numbers."""
+    wanted, mixed = [], []
+    for i, (name, share) in enumerate(zip(names, shares, strict=True)):
+        role = find_role(name)
+        least = 0.0 if role in NORMALS + COLOURS else 1.0
+        if role in AXES or (name and 0 < share >= least):
+            wanted.append(i)
+        elif name and share > 0:  # without any number it is names or dates: nothing of a mesh
+            mixed.append(name)
+    if mixed:
+        findings.warn(f"left out, as not all of a column is numbers: {name_some(mixed)}")
+    return tuple(wanted)
 
 
 def _counts_points(sample: FloatArray) -> bool:

@@ -75,6 +75,7 @@ def open_ptx(path: Path) -> PointSource:
         Names the first line that does not fit, or the scan that is cut.
     """
     encoding = find_encoding(path)
+    points = 0
     scans: list[Scan] = []
     layouts: set[tuple[str, ...]] = set()
     for header, blocks in _read_scans(path, encoding):
@@ -89,6 +90,7 @@ def open_ptx(path: Path) -> PointSource:
                 f"the file ends after {lines}",
                 _EXPORT_AGAIN,
             )
+        points += header.cells
         scans.append(Scan(header.cells, header.scanner, header.grid))
     if not layouts:
         raise InputError(f"{path}: no points: the file has no scan", "check the file")
@@ -103,7 +105,7 @@ def open_ptx(path: Path) -> PointSource:
 
     return PointSource(
         path,
-        sum(header.points or 0 for header in scans),
+        points,
         True,
         False,
         scan,
