@@ -180,7 +180,7 @@ def _find_outliers(cloud_pass: CloudPass, spacing: float) -> DroppedCells | None
     ranks = cloud_pass.each(tasks.rank_region, low, spacing, margin=margin)
     judged = outlier_regions.judge_sparse(ranks)
     strays = [judged.stray_cells]
-    if any(by_rank[judged.base + 1 : -1].any() for by_rank, *_ in ranks):
+    if any(region.by_rank[judged.base + 1 : -1].any() for region in ranks):
         strays += cloud_pass.each(tasks.judge_region, low, spacing, judged.base, margin=margin)
     cells = unique_keys(np.concatenate(strays))
     if not (len(cells) or len(judged.island_cells)):

@@ -23,11 +23,12 @@ from hpcapp.applications.surface.normals.patches import (
 )
 from hpcapp.applications.surface.normals.patterns import (
     CONFIDENCE_BINS,
+    Confidences,
     estimated_region,
     grouped_region,
     turned_region,
 )
-from hpcapp.geometry.points import FloatArray, IntArray
+from hpcapp.geometry.points import FloatArray
 from hpccomponent.runtime.tasks import declare
 
 
@@ -71,7 +72,7 @@ def group_region(points: RegionPoints, low: FloatArray, spacing: float) -> tuple
 @declare(result=turned_region, limit=region_bytes(40))
 def turn_region(
     points: RegionPoints, low: FloatArray, spacing: float, sides: Sides, attribute: str | None
-) -> tuple[Replaced, int, IntArray]:
+) -> tuple[Replaced, int, Confidences]:
     """Turn the normals of a region to their side (a task).
 
     Parameters
@@ -89,8 +90,7 @@ def turn_region(
         With unit normals.
     turned : int
         How many of these are the opposites of what they were.
-    confidences : ndarray of int64, shape (100,)
-        How many points have a confidence of 0 to 0.01, 0.01 to 0.02 ...
+    confidences : Confidences
     """
     region = points.take()
     columns = turn_points(region.positions, region.normals, low, spacing, sides)
