@@ -38,7 +38,7 @@ def measure(path: Path) -> np.ndarray:
     _, boxes = measure_scale(cloud_pass)
     positions = cloud_pass.cloud.points.positions
     counted = count_narrow(positions, boxes)
-    held = dict(zip(counted[0].tolist(), counted[1].tolist(), strict=True))
+    held = dict(zip(counted.keys.tolist(), counted.points.tolist(), strict=True))
     kept = [keep_lines(boxes, [counted], share).keys for share in SHARES]
     return np.array([sum(held[key] for key in keys.tolist()) for keys in kept]) / len(positions)
 

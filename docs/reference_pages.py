@@ -1,4 +1,4 @@
-"""Makes the reference pages: command line, cluster file, API, and the measured figures."""
+"""Makes the reference pages: command line, cluster file, API, results, measured figures."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from command_pages import describe_commands
 from constant_pages import describe_constants
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
+from result_pages import describe_results
 
 import hpcapp
 from hpcdeploy.spec.cluster import ClusterSpec
@@ -154,6 +155,7 @@ def write(docs: Path) -> None:
         ("command-line.md", describe_commands()),
         ("cluster-file.md", describe_cluster_file()),
         ("python.md", describe_python()),
+        ("results.md", describe_results()),
         ("benchmarks.md", describe_benchmarks(docs.parent / "benchmarks")),
         ("constants.inc", describe_constants()),  # a table within the page of the method
     ):

@@ -196,31 +196,13 @@ class Fixed:
 
 
 @dataclass(frozen=True, slots=True, init=False)
-class Fields:
-    """A dict with these keys and no others."""
-
-    items: tuple[tuple[str, Declared], ...]
-
-    def __init__(self, **items: Declared) -> None:
-        object.__setattr__(self, "items", tuple(items.items()))
-
-    def check(self, value: object, place: str, extents: Extents) -> None:
-        """See `Declared`."""
-        keys = [key for key, _ in self.items]
-        if type(value) is not dict or value.keys() != set(keys):
-            raise _refuse(place, value, f"a dict of {', '.join(keys)}")
-        for key, item in self.items:
-            item.check(value[key], f"{place}[{key!r}]", extents)
-
-
-@dataclass(frozen=True, slots=True, init=False)
 class Record:
     """A record (see `hpccomponent.protocol.records`)."""
 
     kind: type
     items: tuple[tuple[str, Declared], ...]
 
-    def __init__(self, kind: type, **items: Declared) -> None:
+    def __init__(self, kind: type, /, **items: Declared) -> None:
         object.__setattr__(self, "kind", kind)
         object.__setattr__(self, "items", tuple(items.items()))
 

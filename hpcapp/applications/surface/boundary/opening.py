@@ -19,12 +19,14 @@ side of two bricks has a place in both, and that in the brick of the lower key i
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.extraction.part_places import starts_of
-from hpcapp.applications.surface.extraction.parts import MeshPart
+from hpcapp.applications.surface.extraction.parts import ForeignBricks, ForeignNumbers, MeshPart
+from hpcapp.applications.surface.types.result_patterns import ComponentBoxes
 from hpcapp.geometry.lattice import (
     find_first,
     find_keys,
@@ -38,6 +40,7 @@ from hpcapp.geometry.points import (
     Int32Array,
     IntArray,
 )
+from hpccomponent.protocol.columns import Column
 from hpccomponent.protocol.records import record
 
 _SHORTEST = 0.1  # of an edge: the line keeps this share from its ends, so that no face is a sliver
@@ -46,34 +49,22 @@ _SHORTEST = 0.1  # of an edge: the line keeps this share from its ends, so that 
 @record("surface.opening_seams")
 @dataclass(frozen=True, slots=True, eq=False)
 class OpeningSeams:
-    """What the master must know of a part that is to be cut open; c patches, g foreign vertices.
+    """What the master must know of a part that is to be cut open; c patches, g foreign vertices."""
 
-    Parameters
-    ----------
-    foreign_bricks : ndarray of int64, shape (g,)
-    foreign_numbers : ndarray of int32, shape (g,)
-        Of the foreign vertices, in the closed mesh.
-    foreign_labels : ndarray of int32, shape (g,)
-        The bare patch that each lies in; -1 where it is supported.
-    rim_labels : ndarray of int32, shape (r,)
-        Likewise, of the vertices in `PartSummary.rim`.
-    rim_numbers : ndarray of int32, shape (r,)
-        Their numbers in their bricks of the open mesh; -1 in bricks that another part gives.
-    loops : ndarray of float64, shape (c, 6)
-        Lowest and highest coordinates of the vertices along the line, patch by patch; inside out
-        where a patch has none.
-    edges : ndarray of int64, shape (m, 6)
-        Cut edges with one face in the part: brick and number of both ends in the closed mesh, the
-        brick of the face, and the number there of the cut.
-    """
-
-    foreign_bricks: IntArray
-    foreign_numbers: Int32Array
-    foreign_labels: Int32Array
-    rim_labels: Int32Array
-    rim_numbers: Int32Array
-    loops: FloatArray
-    edges: IntArray
+    foreign_bricks: ForeignBricks
+    foreign_numbers: ForeignNumbers
+    """Of the foreign vertices, in the closed mesh."""
+    foreign_labels: Annotated[Int32Array, Column("g", low=-1)]
+    """The bare patch that each lies in; -1 where it is supported."""
+    rim_labels: Annotated[Int32Array, Column("r", low=-1)]
+    """Likewise, of the vertices in `PartSummary.rim`."""
+    rim_numbers: Annotated[Int32Array, Column("r", low=-1)]
+    """Their numbers in their bricks of the open mesh; -1 in bricks that another part gives."""
+    loops: ComponentBoxes
+    """Of the vertices along the line, patch by patch."""
+    edges: Annotated[IntArray, Column("m", 6, low=0)]
+    """Cut edges with one face in the part: brick and number of both ends in the closed mesh, the
+    brick of the face, and the number there of the cut."""
 
 
 @record("surface.opening_survey")

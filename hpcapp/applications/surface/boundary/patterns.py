@@ -1,32 +1,31 @@
-"""What the tasks that cut a surface open declare of their results.
-
-Names of extents: b bricks, c components, g foreign vertices.
-"""
+"""What the tasks that cut a surface open declare of their results."""
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy as np
+from typing import Annotated, Any
 
 from hpcapp.applications.surface.boundary.opening import OpeningSeams
 from hpcapp.applications.surface.extraction.taken_bricks import TakenBricks
 from hpcapp.applications.surface.tiles.patterns import (
     MOST_FACES,
     MOST_VERTICES,
+    Exits,
     are_bounds,
     part_surface,
-    whole_numbers,
 )
 from hpcapp.applications.surface.types.result_patterns import (
+    LENGTH,
     SMALL_BYTES,
     lie_in,
     lie_within,
     rise_by_pairs,
 )
 from hpcapp.geometry.points import FloatArray, IntArray
-from hpccomponent.protocol.declared import Declared, Exactly, Fixed, Nothing, Record, Where, Whole
-from hpccomponent.protocol.declared_arrays import Array
+from hpccomponent.protocol.columns import Bounds, Column, pattern_of
+from hpccomponent.protocol.declared import Declared, Exactly, Fixed, Nothing, Where, Whole
+
+BarePlaces = Annotated[FloatArray, Column("k", 3, unit=LENGTH)]
+"""The vertices that no point supports."""
 
 _CUT_VERTICES, _CUT_FACES = MOST_VERTICES + 3 * MOST_FACES, 2 * MOST_FACES  # each face may be cut
 _SENT_VERTEX, _KEPT_VERTEX = 256, 64  # bytes of an open part, for each vertex of the closed one
@@ -48,21 +47,19 @@ def open_surface(taken: TakenBricks, keep: tuple[str, str] | None) -> Declared:
     keep : tuple of str or None
         A store and a name, where it is kept.
     """
-    bricks = Where(Array("<i8", "b", low=0, rises=True), taken.holds, "bricks are the part's own")
-    foreign = Array("<i8", "g", low=0)
+    bricks = Bounds(agrees=taken.holds, rule="bricks are the part's own")
     most = _CUT_VERTICES, _CUT_FACES
-    return part_surface(bricks, foreign, Array("<i8", 0), taken.box, most, keep)
+    return part_surface(bricks, Bounds().of(Exits, {"exits": 0}), taken.box, most, keep)
 
 
 def judged_support(_part: Any, taken: TakenBricks, _near: Any, _rule: Any, one_in: int) -> Declared:
     """Return the pattern of what `tasks.judge_support` counts."""
     whole = int(taken.areas(one_in).sum())
-    places = Where(
-        Array("<f8", "k", 3),
-        lambda found: len(found) <= len(taken.keys) and lie_in(found, (taken.box[0], taken.box[1])),
-        "places lie in the surface's box, one a brick at most",
+    places = Bounds(
+        agrees=lambda found: len(found) <= len(taken.keys) and lie_in(found, taken.box),
+        rule="places lie in the surface's box, one a brick at most",
     )
-    return Fixed(Whole(0, whole), Exactly(whole), places)
+    return Fixed(Whole(0, whole), Exactly(whole), places.of(BarePlaces))
 
 
 def judged_bytes(taken: TakenBricks) -> int:
@@ -88,15 +85,11 @@ def opening_seams(
             and are_bounds(seams.loops, taken.box)
         )
 
-    seams = Record(
+    seams = pattern_of(
         OpeningSeams,
-        foreign_bricks=Array("<i8", "g", low=0),
-        foreign_numbers=whole_numbers("g", high=MOST_VERTICES - 1),
-        foreign_labels=whole_numbers("g", low=-1),
-        rim_labels=whole_numbers(len(rim), low=-1),
-        rim_numbers=whole_numbers(len(rim), low=-1, high=_CUT_VERTICES - 1),
-        loops=Array("<f8", "c", 6, low=-np.inf, finite=False),
-        edges=Array("<i8", "m", 6, low=0),
+        {"r": len(rim)},
+        foreign_numbers=Bounds(high=MOST_VERTICES - 1),
+        rim_numbers=Bounds(high=_CUT_VERTICES - 1),
     )
     # Only what is kept is surveyed by others.
     return Fixed(Nothing(), Where(seams, agrees, "what it names lies in its bricks and patches"))

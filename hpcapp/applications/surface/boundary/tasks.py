@@ -26,6 +26,7 @@ from hpcapp.applications.surface.boundary.opening import (
     survey_opening,
 )
 from hpcapp.applications.surface.boundary.patterns import (
+    BarePlaces,
     judged_bytes,
     judged_support,
     open_surface,
@@ -38,6 +39,7 @@ from hpcapp.applications.surface.extraction.part_places import starts_of
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.extraction.summary import PartSummary, summarize_part
 from hpcapp.applications.surface.extraction.taken_bricks import TakenBricks
+from hpcapp.applications.surface.tiles.patterns import Exits
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray, PointCloud
 from hpccomponent.protocol.records import record
 from hpccomponent.runtime.tasks import declare
@@ -71,7 +73,7 @@ class Near:
 @declare(result=judged_support, limit=lambda _part, taken, *_: judged_bytes(taken))
 def judge_support(
     part: Part, taken: TakenBricks, near: Near, rule: SupportRule, one_in: int
-) -> tuple[int, int, FloatArray]:
+) -> tuple[int, int, BarePlaces]:
     """Tell how much of a part no point supports, by a vertex of some of its bricks (a task).
 
     Parameters
@@ -88,8 +90,7 @@ def judge_support(
     -------
     bare, whole : int
         Areas, see `TakenBricks`.
-    places : ndarray of float64, shape (k, 3)
-        The vertices that no point supports.
+    places : BarePlaces
     """
     held = _hold(part)
     areas = np.zeros(len(held.vertex_counts), np.int64)
@@ -159,7 +160,7 @@ def open_part(
     survey: OpeningSurvey | None,
     decided: tuple[BoolArray, IntArray, IntArray],
     keep: tuple[str, str] | None = None,
-) -> tuple[MeshPart | None, PartSummary, IntArray]:
+) -> tuple[MeshPart | None, PartSummary, Exits]:
     """Cut a part open (a task).
 
     Parameters

@@ -226,7 +226,7 @@ def _find_outliers(cloud_pass: CloudPass, spacing: float) -> DroppedCells | None
     judged = outlier_regions.judge_sparse(ranks)
     strays = [judged.stray_cells]
     # Regions judge the ranks above the base that they know all about; mostly there are none.
-    if any(by_rank[judged.base + 1 : -1].any() for by_rank, *_ in ranks):
+    if any(region.by_rank[judged.base + 1 : -1].any() for region in ranks):
         strays += cloud_pass.each(tasks.judge_region, low, spacing, judged.base, margin=margin)
     cells = unique_keys(np.concatenate(strays))
     if not (len(cells) or len(judged.island_cells)):

@@ -15,6 +15,7 @@ cells. Cells are those of one lattice.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from hpcapp.applications.surface.cleaning.outliers import (
     find_strays,
     rank_cells,
 )
+from hpcapp.applications.surface.types.result_patterns import CellCounts, CellKeys
 from hpcapp.geometry.lattice import (
     cells_of,
     find_keys,
@@ -38,15 +40,30 @@ from hpcapp.geometry.lattice import (
     unpack_keys,
 )
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
+from hpccomponent.protocol.columns import Column
 from hpccomponent.protocol.records import record
-
-RegionRanks = tuple[IntArray, IntArray, IntArray, IntArray, IntArray, IntArray]
 
 LOCAL_RANK = ISLAND_LEVEL
 """Up to which a region judges by itself."""
 
 MARGIN = EDGE * (4 * 2.0**LOCAL_RANK + 1)
 """Spacings: two cells to a neighbour's end, twice, for it is judged by its own neighbours."""
+
+
+@record("surface.region_ranks")
+@dataclass(frozen=True, slots=True, eq=False)
+class RegionRanks:
+    """Own points of a region by rank; c cells of `ISLAND_LEVEL`, s sparse ones."""
+
+    by_rank: Annotated[IntArray, Column(LOCAL_RANK + 2, low=0)]
+    """Points of each rank; the last are those of all higher ranks."""
+    coarse_keys: CellKeys
+    coarse_counts: CellCounts
+    sparse_keys: Annotated[IntArray, Column("s", rises=True)]
+    """Finest cells of rank `LOCAL_RANK` or more."""
+    sparse_ranks: Annotated[IntArray, Column("s", low=LOCAL_RANK, high=LOCAL_RANK + 1)]
+    sparse_counts: Annotated[IntArray, Column("s", low=1)]
+    """Points in each."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,15 +130,6 @@ def rank_region(
         The least coordinates of the cloud.
     spacing : float
         Of the cloud, in length units of the input.
-
-    Returns
-    -------
-    points_by_rank : ndarray of int64, shape (LOCAL_RANK + 2,)
-        Own points of each rank; the last are those of all higher ranks.
-    coarse_keys, coarse_counts : ndarray of int64, shape (c,)
-        Cells of `ISLAND_LEVEL`, and the own points in each.
-    sparse_keys, sparse_ranks, sparse_counts : ndarray of int64, shape (s,)
-        Finest cells of rank `LOCAL_RANK` or more, and the own points in each.
     """
     levels, rank, cell_of = _rank(positions, low, spacing)
     counts = np.bincount(cell_of[own], minlength=len(rank)).astype(np.int64)
@@ -132,7 +140,8 @@ def rank_region(
     some = np.flatnonzero((rank >= LOCAL_RANK) & (counts > 0))
     held = coarse > 0
     keys = levels[0].keys[some]
-    return by_rank, level.keys[held], coarse[held], keys, rank[some], counts[some]
+    ranks = rank[some], counts[some]
+    return RegionRanks(by_rank, level.keys[held], coarse[held], keys, *ranks)
 
 
 def judge_sparse(regions: list[RegionRanks]) -> Judgement:
@@ -143,16 +152,19 @@ def judge_sparse(regions: list[RegionRanks]) -> Judgement:
     regions : list
         What `rank_region` returned for each.
     """
-    columns = list(zip(*regions, strict=True))
-    coarse = merge_counts(np.concatenate(columns[1]), np.concatenate(columns[2]))
+
+    def all_of(name: str) -> IntArray:
+        return np.concatenate([getattr(ranks, name) for ranks in regions])
+
+    coarse = merge_counts(all_of("coarse_keys"), all_of("coarse_counts"))
     coarse_levels = coarsen(*coarse)
     island = find_islands(coarse_levels)
     # (s,): the sparse cells of all regions, by key; a cell at a border is in several, in shares.
-    keys, rows = number_keys(np.concatenate(columns[3]))
-    counts = np.bincount(rows, np.concatenate(columns[5]), len(keys)).astype(np.int64)
+    keys, rows = number_keys(all_of("sparse_keys"))
+    counts = np.bincount(rows, all_of("sparse_counts"), len(keys)).astype(np.int64)
     rank = np.empty(len(keys), np.int64)
-    rank[rows] = np.concatenate(columns[4])
-    by_rank = np.sum(columns[0], axis=0)
+    rank[rows] = all_of("sparse_ranks")
+    by_rank = np.sum([ranks.by_rank for ranks in regions], axis=0)
     stray = np.zeros(len(keys), np.bool_)
     base = find_base(by_rank)
     if by_rank[-1]:

@@ -6,15 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from hpcapp.applications.surface.cleaning.outlier_regions import LOCAL_RANK
+from hpcapp.applications.surface.cleaning.outlier_regions import LOCAL_RANK, RegionRanks
 from hpcapp.applications.surface.cleaning.outliers import EDGE, ISLAND_LEVEL
-from hpcapp.applications.surface.cloud.patterns import UNIT, AssignedPoints
+from hpcapp.applications.surface.cloud.patterns import AssignedPoints
 from hpcapp.applications.surface.cloud.regions import StoredBlocks
 from hpcapp.applications.surface.scale.local_scale import HALVINGS
-from hpcapp.applications.surface.types.result_patterns import are_units
+from hpcapp.applications.surface.scale.scan_lines import LineCounts
+from hpcapp.applications.surface.types.result_patterns import UNIT, CellKeys, are_units
 from hpcapp.geometry.points import FloatArray
+from hpccomponent.protocol.columns import Bounds, pattern_of
 from hpccomponent.protocol.declared import Declared, Either, Fixed, Nothing, Where, Whole
-from hpccomponent.protocol.declared_arrays import Array
 
 
 def without_points(points: StoredBlocks, *_: Any) -> Declared:
@@ -31,11 +32,11 @@ def without_points(points: StoredBlocks, *_: Any) -> Declared:
 def counted_lines(points: StoredBlocks, *_: Any) -> Declared:
     """Return the pattern of what `tasks.count_lines` counts."""
     own = AssignedPoints.of(points)
-    cells = own.cells("c", own.arrangement.origin, own.arrangement.edge * 2.0**-HALVINGS)
-    counts = (Array("<i8", "c", low=low, total=(0, own.points)) for low in (1, 0))
+    cells = own.cells(own.arrangement.origin, own.arrangement.edge * 2.0**-HALVINGS)
+    some = Bounds(total=(0, own.points))
     return Where(
-        Fixed(cells, *counts),
-        lambda counted: bool((counted[2] <= counted[1]).all()),
+        pattern_of(LineCounts, keys=cells, points=some, narrow=some),
+        lambda counted: bool((counted.narrow <= counted.points).all()),
         "those along lines are among all",
     )
 
@@ -44,29 +45,26 @@ def ranked_region(points: StoredBlocks, low: FloatArray, spacing: float) -> Decl
     """Return the pattern of what `tasks.rank_region` returns."""
     own, size = AssignedPoints.of(points), EDGE * spacing
 
-    def agrees(ranks: tuple[Any, ...]) -> bool:
-        by_rank, sparse_ranks, sparse_counts = ranks[0], ranks[4], ranks[5]
-        sparse = np.bincount(sparse_ranks, sparse_counts, LOCAL_RANK + 2)
-        return np.array_equal(sparse[LOCAL_RANK:], by_rank[LOCAL_RANK:])
+    def agrees(found: RegionRanks) -> bool:
+        sparse = np.bincount(found.sparse_ranks, found.sparse_counts, LOCAL_RANK + 2)
+        return np.array_equal(sparse[LOCAL_RANK:], found.by_rank[LOCAL_RANK:])
 
-    by_rank = Array("<i8", LOCAL_RANK + 2, low=0, total=own.total)
-    counts = Array("<i8", "coarse", low=1, total=own.total)
-    coarse = own.cells("coarse", low, size * 2.0**ISLAND_LEVEL)
-    sparse_ranks = Array("<i8", "sparse", low=LOCAL_RANK, high=LOCAL_RANK + 1)
-    sparse_counts = Array("<i8", "sparse", low=1, total=(0, own.points))
-    sparse = own.cells("sparse", low, size), sparse_ranks, sparse_counts
-    return Where(
-        Fixed(by_rank, coarse, counts, *sparse),
-        agrees,
-        "sparse cells have the points of high ranks",
+    ranks = pattern_of(
+        RegionRanks,
+        by_rank=Bounds(total=own.total),
+        coarse_keys=own.cells(low, size * 2.0**ISLAND_LEVEL),
+        coarse_counts=Bounds(total=own.total),
+        sparse_keys=own.cells(low, size),
+        sparse_counts=Bounds(total=(0, own.points)),
     )
+    return Where(ranks, agrees, "sparse cells have the points of high ranks")
 
 
 def stray_cells(points: StoredBlocks, low: FloatArray, spacing: float, _base: int) -> Declared:
     """Return the pattern of what `tasks.judge_region` finds."""
     own = AssignedPoints.of(points)
     return Where(
-        own.cells("s", low, EDGE * spacing),
+        own.cells(low, EDGE * spacing).of(CellKeys),
         lambda cells: len(cells) <= own.points,
         "each cell holds a point",
     )

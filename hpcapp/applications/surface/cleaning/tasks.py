@@ -30,8 +30,14 @@ from hpcapp.applications.surface.cloud.patterns import region_bytes
 from hpcapp.applications.surface.cloud.regions import RegionPoints, Replaced
 from hpcapp.applications.surface.normals.consistency import find_flipped
 from hpcapp.applications.surface.scale.local_scale import LocalScale
-from hpcapp.applications.surface.scale.scan_lines import GapBoxes, count_narrow, find_spare
-from hpcapp.geometry.points import FloatArray, IntArray
+from hpcapp.applications.surface.scale.scan_lines import (
+    GapBoxes,
+    LineCounts,
+    count_narrow,
+    find_spare,
+)
+from hpcapp.applications.surface.types.result_patterns import CellKeys
+from hpcapp.geometry.points import FloatArray
 from hpccomponent.runtime.tasks import declare
 
 
@@ -44,7 +50,7 @@ def drop_repeated(points: RegionPoints) -> tuple[Replaced | None, int]:
 
 
 @declare(result=counted_lines, limit=region_bytes(24))
-def count_lines(points: RegionPoints, boxes: GapBoxes) -> tuple[IntArray, IntArray, IntArray]:
+def count_lines(points: RegionPoints, boxes: GapBoxes) -> LineCounts:
     """Count a region's points that lie along lines (a task); see `count_narrow`."""
     return count_narrow(points.take().positions, boxes)
 
@@ -73,7 +79,7 @@ def rank_region(points: RegionPoints, low: FloatArray, spacing: float) -> Region
 
 
 @declare(result=stray_cells, limit=region_bytes(8))
-def judge_region(points: RegionPoints, low: FloatArray, spacing: float, base: int) -> IntArray:
+def judge_region(points: RegionPoints, low: FloatArray, spacing: float, base: int) -> CellKeys:
     """Find the stray cells of low ranks in a region (a task).
 
     Parameters

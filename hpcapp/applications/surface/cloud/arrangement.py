@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -24,12 +24,17 @@ from hpcapp.applications.surface import kernels
 from hpcapp.geometry.lattice import lay_lattice, unpack_keys
 from hpcapp.geometry.points import Float32Array, FloatArray, IntArray
 from hpccomponent.errors import InputError
+from hpccomponent.protocol.columns import Column
 from hpccomponent.protocol.records import record
 
 _ROWS_AT_ONCE = 1 << 14  # what is made of them stays in the cache
 _RECORDS_AT_ONCE = 1 << 16  # so do these, as whole pages of a file
 _BLOCKS = 63.0  # along the longest side
+_BELOW_ONE = float(np.nextafter(np.float32(1.0), np.float32(0.0)))
 _LEAST_EXTENT = 2.0**-20  # by the largest coordinate: a quantum is some of its last bits
+
+BlockKeys = Annotated[IntArray, Column("b", low=0, rises=True)]
+BlockCounts = Annotated[IntArray, Column("b", low=0)]
 
 
 @record("surface.arrangement")
@@ -57,23 +62,15 @@ class Arrangement:
 @record("surface.packed_points")
 @dataclass(frozen=True, slots=True, eq=False)
 class PackedPoints:
-    """Arranged points in half the bytes, without loss.
+    """Arranged points in b blocks, in half the bytes, without loss."""
 
-    Parameters
-    ----------
-    keys : ndarray of int64, shape (b,)
-        Sorted keys of the occupied blocks (see `lattice.pack_places`).
-    counts : ndarray of int64, shape (b,)
-        Points in each block.
-    offsets : ndarray of float32, shape (n, 3)
-        Block after block, from the block's corner, in blocks: 0 or more, below 1.
-    normals : ndarray of float32, shape (n, 3)
-    """
-
-    keys: IntArray
-    counts: IntArray
-    offsets: Float32Array
-    normals: Float32Array
+    keys: BlockKeys
+    """Of the occupied blocks (see `lattice.pack_places`)."""
+    counts: BlockCounts
+    """Points in each block."""
+    offsets: Annotated[Float32Array, Column("n", 3, low=0.0, high=_BELOW_ONE, unit="blocks")]
+    """Block after block, from the block's corner."""
+    normals: Annotated[Float32Array, Column("n", 3)]
 
     def __len__(self) -> int:
         return len(self.offsets)

@@ -9,20 +9,28 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, Place
-from hpcapp.applications.surface.cloud.arrangement import Arrangement, PackedPoints
+from hpcapp.applications.surface.cloud.arrangement import (
+    Arrangement,
+    BlockCounts,
+    BlockKeys,
+    PackedPoints,
+)
 from hpcapp.applications.surface.cloud.disk import open_disk_cloud, open_place
 from hpcapp.applications.surface.cloud.regions import SentBlocks, StoredBlocks
 from hpcapp.applications.surface.scale.local_scale import ScaleCounts
 from hpcapp.applications.surface.types.result_patterns import (
-    BOX,
+    CORNERS,
+    LENGTH,
     SMALL_BYTES,
     Box,
+    CellCounts,
+    CellKeys,
     are_units,
     bounds_some,
     cells_in,
@@ -33,14 +41,13 @@ from hpcapp.applications.surface.types.result_patterns import (
 )
 from hpcapp.geometry.lattice import find_keys, pack_places, unpack_keys
 from hpcapp.geometry.points import Float32Array, FloatArray, IntArray
-from hpccomponent.protocol.declared import Declared, Fixed, Record, Where
-from hpccomponent.protocol.declared_arrays import Array
+from hpccomponent.protocol.columns import Bounds, Column, pattern_of
+from hpccomponent.protocol.declared import Declared, Fixed, Where
 
-UNIT = 1.001
-"""Of a vector of unit length, at most."""
+SamplePositions = Annotated[FloatArray, Column("s", 3, unit=LENGTH)]
+SampleNormals = Annotated[FloatArray, Column("s", 3)]
 
 _SAME_BLOCKS = "the points are those of the blocks"
-_BELOW_ONE = float(np.nextafter(np.float32(1.0), np.float32(0.0)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,9 +107,9 @@ class AssignedPoints:
         places = unpack_keys(self.keys)
         return origin + edge * places.min(axis=0), origin + edge * (places.max(axis=0) + 1)
 
-    def cells(self, extent: str, low: FloatArray, size: float) -> Declared:
-        """Return the pattern of keys of cells that hold points."""
-        return cells_in(extent, self.box, low, size)
+    def cells(self, low: FloatArray, size: float) -> Bounds:
+        """Return the bounds of keys of cells that hold points."""
+        return cells_in(self.box, low, size)
 
     def replaced(
         self,
@@ -113,17 +120,15 @@ class AssignedPoints:
         is_all: bool = False,
     ) -> Declared:
         """Return the pattern of blocks, some or all, with other normals, up to `most` long."""
-        keys, counts = Array("<i8", "b", low=0, rises=True), Array("<i8", "b", low=1)
+        counts = Bounds(low=1)
         if target is not None:
             return Where(
-                Fixed(keys, counts),
+                Fixed(Bounds().of(BlockKeys), counts.of(BlockCounts)),
                 lambda written: self._hold(written[0], written[1], is_all),
                 _SAME_BLOCKS,
             )
-        offsets = Array("<f4", "p", 3, low=0.0, high=_BELOW_ONE)
-        normals = Array("<f4", "p", 3, low=-most, high=most)
         return Where(
-            Record(PackedPoints, keys=keys, counts=counts, offsets=offsets, normals=normals),
+            pattern_of(PackedPoints, counts=counts, normals=Bounds(-most, most)),
             lambda packed: (
                 self._hold(packed.keys, packed.counts, is_all)
                 and int(packed.counts.sum()) == len(packed)
@@ -147,16 +152,9 @@ class AssignedPoints:
 
     def without_some(self, target: tuple[str, int] | None) -> Declared:
         """Return the pattern of blocks that points were dropped from, written or to be sent."""
-        keys, counts = Array("<i8", "b", low=0, rises=True), Array("<i8", "b", low=0)
         if target is not None:
-            return Fixed(keys, counts)
-        offsets = Array("<f4", "p", 3, low=0.0, high=_BELOW_ONE)
-        normals = Array("<f4", "p", 3)
-        return Where(
-            Record(PackedPoints, keys=keys, counts=counts, offsets=offsets, normals=normals),
-            self._are_left,
-            _SAME_BLOCKS,
-        )
+            return Fixed(Bounds().of(BlockKeys), Bounds().of(BlockCounts))
+        return Where(pattern_of(PackedPoints), self._are_left, _SAME_BLOCKS)
 
     def samples(self, positions: FloatArray) -> bool:
         """Tell whether points in the blocks' box may be some of these, in their order."""
@@ -246,7 +244,7 @@ def bounded_region(points: StoredBlocks) -> Declared:
             is_within and lie_in(box[0], (low, low + edge)) and lie_in(box[1], (high - edge, high))
         )
 
-    return Where(BOX, agrees, "the box reaches from the first block to the last")
+    return Where(CORNERS, agrees, "the box reaches from the first block to the last")
 
 
 def counted_boxes(
@@ -255,7 +253,7 @@ def counted_boxes(
     """Return the pattern of what `tasks.count_boxes` counts."""
     own = AssignedPoints.of(points)
     return Where(
-        sampled_boxes(own.points, own.cells("c", low, edge)),
+        sampled_boxes(own.points, own.cells(low, edge)),
         lambda counted: is_share(own.points, 0 if is_distinct else one_in, counted[0]),
         "the boxes hold points of the blocks",
     )
@@ -274,11 +272,11 @@ def counted_scale(points: StoredBlocks, origin: FloatArray, edge: float, depth: 
             and bool((boxes[:, -1] <= counted.points).all())
         )
 
-    counts = Record(
+    counts = pattern_of(
         ScaleCounts,
-        keys=own.cells("c", origin, edge),
-        points=Array("<i8", "c", low=1, total=own.total),
-        boxes=Array("<i8", "c", depth + 1, low=1),
+        {"d": depth},
+        keys=own.cells(origin, edge),
+        points=Bounds(total=own.total),
     )
     return Where(counts, agrees, "a box holds up to eight of half its edge")
 
@@ -286,9 +284,8 @@ def counted_scale(points: StoredBlocks, origin: FloatArray, edge: float, depth: 
 def sampled_region(points: StoredBlocks, *_: Any) -> Declared:
     """Return the pattern of what `tasks.sample_region` takes."""
     own = AssignedPoints.of(points)
-    low, high = own.box
     return Where(
-        Fixed(Array("<f8", "s", 3, low=low, high=high), Array("<f8", "s", 3)),
+        Fixed(Bounds(*own.box).of(SamplePositions), Bounds().of(SampleNormals)),
         lambda sample: own.samples(sample[0]) and are_units(sample[1]),
         _SAME_BLOCKS,
     )
@@ -298,11 +295,12 @@ def sampled_places(points: StoredBlocks, *_: Any) -> Declared:
     """Return the pattern of what `tasks.sample_places` takes."""
     own = AssignedPoints.of(points)
     low, high = own.box
-    return Where(Array("<f8", "s", 3, low=low, high=high), own.samples, _SAME_BLOCKS)
+    return Bounds(low, high, agrees=own.samples, rule=_SAME_BLOCKS).of(SamplePositions)
 
 
 def counted_cells(place: Place, blocks: IntArray, origin: FloatArray, size: float) -> Declared:
     """Return the pattern of what `tasks.count_block_cells` counts."""
     cloud = open_place(place)
     own = AssignedPoints.among(cloud.arrangement, cloud, blocks)
-    return Fixed(own.cells("c", origin, size), Array("<i8", "c", low=1, total=own.total))
+    counts = Bounds(total=own.total).of(CellCounts)
+    return Fixed(own.cells(origin, size).of(CellKeys), counts)

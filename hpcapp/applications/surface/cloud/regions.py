@@ -13,7 +13,13 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.cloud.arrangement import Arrangement, PackedPoints, unpack_near
+from hpcapp.applications.surface.cloud.arrangement import (
+    Arrangement,
+    BlockCounts,
+    BlockKeys,
+    PackedPoints,
+    unpack_near,
+)
 from hpcapp.applications.surface.cloud.disk import DiskCloud, open_disk_cloud, write_part
 from hpcapp.geometry.lattice import find_keys, unpack_keys
 from hpcapp.geometry.points import BoolArray, Float32Array, FloatArray, IntArray
@@ -39,7 +45,7 @@ class ReplacedRows:
     normals: NDArray[Any] | None = None
 
 
-Replaced = ReplacedRows | PackedPoints | tuple[IntArray, IntArray]
+Replaced = ReplacedRows | PackedPoints | tuple[BlockKeys, BlockCounts]
 """What becomes of a region's own points: of those in memory, or in a folder those blocks that have
 changed, written there (keys and counts) or to be sent. A block of which nothing is left has the
 count 0."""

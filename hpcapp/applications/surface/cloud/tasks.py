@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from hpcapp.applications.surface import kernels
-from hpcapp.applications.surface.cloud.arranged import Place, Points
+from hpcapp.applications.surface.cloud.arranged import Place
 from hpcapp.applications.surface.cloud.disk import open_place
 from hpcapp.applications.surface.cloud.patterns import (
+    SampleNormals,
+    SamplePositions,
     bounded_region,
     counted_boxes,
     counted_cells,
@@ -20,7 +22,12 @@ from hpcapp.applications.surface.cloud.patterns import (
 from hpcapp.applications.surface.cloud.regions import RegionPoints
 from hpcapp.applications.surface.cloud.spacing import sample_box_keys, sample_positions
 from hpcapp.applications.surface.scale.local_scale import ScaleCounts, count_scale
-from hpcapp.applications.surface.types.result_patterns import SMALL_BYTES
+from hpcapp.applications.surface.types.result_patterns import (
+    SMALL_BYTES,
+    CellCounts,
+    CellKeys,
+    Corners,
+)
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.lattice import merge_counts
 from hpcapp.geometry.points import FloatArray, IntArray
@@ -28,15 +35,15 @@ from hpccomponent.runtime.tasks import declare
 
 
 @declare(result=bounded_region, limit=SMALL_BYTES)
-def bound_region(points: RegionPoints) -> FloatArray:
-    """Return the corners of the box around a region's points, shape (2, 3) (a task)."""
+def bound_region(points: RegionPoints) -> Corners:
+    """Return the corners of the box around a region's points (a task)."""
     return np.stack(bound_points(points.take().positions))
 
 
 @declare(result=counted_boxes, limit=region_bytes(16))
 def count_boxes(
     points: RegionPoints, low: FloatArray, edge: float, one_in: int, is_distinct: bool
-) -> tuple[int, IntArray]:
+) -> tuple[int, CellKeys]:
     """Count points and boxes that hold some (a task); see `spacing.sample_box_keys`.
 
     Parameters
@@ -69,7 +76,9 @@ def count_region_scale(
 
 
 @declare(result=sampled_region, limit=region_bytes(48))
-def sample_region(points: RegionPoints, low: FloatArray, edge: float, one_in: int) -> Points:
+def sample_region(
+    points: RegionPoints, low: FloatArray, edge: float, one_in: int
+) -> tuple[SamplePositions, SampleNormals]:
     """Return the points in a sample of boxes (a task); see `kernels.sample_boxes`."""
     region = points.take()
     rows = kernels.sample_boxes(region.positions, low, edge, one_in)
@@ -77,7 +86,9 @@ def sample_region(points: RegionPoints, low: FloatArray, edge: float, one_in: in
 
 
 @declare(result=sampled_places, limit=region_bytes(24))
-def sample_places(points: RegionPoints, low: FloatArray, edge: float, one_in: int) -> FloatArray:
+def sample_places(
+    points: RegionPoints, low: FloatArray, edge: float, one_in: int
+) -> SamplePositions:
     """Return where the points in a sample of boxes lie (a task); see `sample_positions`."""
     return sample_positions(points.take().positions, low, edge, one_in)
 
@@ -85,7 +96,7 @@ def sample_places(points: RegionPoints, low: FloatArray, edge: float, one_in: in
 @declare(result=counted_cells, limit=run_bytes(16))
 def count_block_cells(
     place: Place, blocks: IntArray, origin: FloatArray, size: float
-) -> tuple[IntArray, IntArray]:
+) -> tuple[CellKeys, CellCounts]:
     """Count the points in each occupied cell of a lattice (a task).
 
     Parameters
@@ -98,11 +109,6 @@ def count_block_cells(
         Corner of a cell.
     size : float
         Of a cell, in length units of the input.
-
-    Returns
-    -------
-    keys, counts : ndarray of int64, shape (c,)
-        Sorted by key.
     """
     return open_place(place).count_cells(blocks, origin, size)
 

@@ -3,46 +3,31 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
 from hpcapp.applications.surface.types.brick_mesh import BrickMesh
 from hpcapp.applications.surface.types.grid import OWN, BrickKinds
+from hpcapp.applications.surface.types.result_patterns import LENGTH
 from hpcapp.geometry.lattice import find_keys, number_keys
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import BoolArray, FloatArray, Int32Array, IntArray
+from hpccomponent.protocol.columns import Column
 from hpccomponent.protocol.records import record
 
 _ROWS_AT_ONCE = 1 << 17
+BrickKeys = Annotated[IntArray, Column("b", low=0, rises=True)]
+BrickCounts = Annotated[Int32Array, Column("b", low=0)]
+BrickFlags = Annotated[BoolArray, Column("b")]
+ForeignBricks = Annotated[IntArray, Column("g", low=0)]
+ForeignNumbers = Annotated[Int32Array, Column("g", low=0)]
 
 
 @record("surface.part")
 @dataclass(frozen=True, slots=True, eq=False)
 class MeshPart:
     """The vertices and faces of some bricks; b bricks, v vertices, f faces, g foreign vertices.
-
-    Parameters
-    ----------
-    bricks : ndarray of int64, shape (b,)
-        Keys of places on the evaluation grid (see `lattice.pack_places`), sorted, unique.
-    guests : ndarray of bool, shape (b,)
-        A brick of another tile that this tile's surface reached, and whose owner may not know of
-        it: it holds no point.
-    vertex_counts : ndarray of int32, shape (b,)
-        How many vertices each brick has.
-    face_counts : ndarray of int32, shape (b,)
-        How many faces each brick has.
-    vertices : ndarray of float64, shape (v, 3)
-        Brick by brick, in their final places; in length units of the input, in the local frame.
-    faces : ndarray of int32, shape (f, 3)
-        Brick by brick, anticlockwise as seen from outside: i >= 0 is a row of `vertices`, i < 0
-        the foreign vertex ~i.
-    foreign_bricks : ndarray of int64, shape (g,)
-        The brick of each foreign vertex, none of them in `bricks`.
-    foreign_numbers : ndarray of int32, shape (g,)
-        Its number within its brick; (brick, number) are sorted and unique.
-    supported : ndarray of bool, shape (v,)
-        Vertices whose finest cell holds points.
 
     Notes
     -----
@@ -52,15 +37,26 @@ class MeshPart:
     of that number in the copy that is taken.
     """
 
-    bricks: IntArray
-    guests: BoolArray
-    vertex_counts: Int32Array
-    face_counts: Int32Array
-    vertices: FloatArray
-    faces: Int32Array
-    foreign_bricks: IntArray
-    foreign_numbers: Int32Array
-    supported: BoolArray
+    bricks: BrickKeys
+    """Keys of places on the evaluation grid (see `lattice.pack_places`)."""
+    guests: BrickFlags
+    """A brick of another tile that this tile's surface reached, and whose owner may not know of
+    it: it holds no point."""
+    vertex_counts: BrickCounts
+    """How many vertices each brick has."""
+    face_counts: BrickCounts
+    """How many faces each brick has."""
+    vertices: Annotated[FloatArray, Column("v", 3, unit=LENGTH)]
+    """Brick by brick, in their final places; in the local frame."""
+    faces: Annotated[Int32Array, Column("f", 3)]
+    """Brick by brick, anticlockwise as seen from outside: i >= 0 is a row of `vertices`, i < 0
+    the foreign vertex ~i."""
+    foreign_bricks: ForeignBricks
+    """The brick of each foreign vertex, none of them in `bricks`."""
+    foreign_numbers: ForeignNumbers
+    """Its number within its brick; (brick, number) are sorted and unique."""
+    supported: Annotated[BoolArray, Column("v")]
+    """Vertices whose finest cell holds points."""
 
     @classmethod
     def empty(cls) -> MeshPart:

@@ -7,14 +7,26 @@ because a guest counts only where no other part has the brick.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from hpcapp.applications.surface import kernels
-from hpcapp.applications.surface.extraction.parts import MeshPart
+from hpcapp.applications.surface.extraction.parts import (
+    BrickCounts,
+    BrickFlags,
+    BrickKeys,
+    ForeignBricks,
+    ForeignNumbers,
+    MeshPart,
+)
+from hpcapp.applications.surface.types.result_patterns import LENGTH, ComponentBoxes
 from hpcapp.geometry.lattice import find_keys, number_keys, unique_keys
-from hpcapp.geometry.points import BoolArray, FloatArray, Int32Array, IntArray
+from hpcapp.geometry.points import BoolArray, FloatArray, Int32Array
+from hpccomponent.protocol.columns import Column
 from hpccomponent.protocol.records import record
+
+EntryCounts = Annotated[Int32Array, Column("e", low=0)]
 
 
 @record("surface.part_summary")
@@ -23,59 +35,47 @@ class PartSummary:
     """A part without its vertices and faces; b bricks, g foreign vertices, c components.
 
     Vertices are named as in `MeshPart.faces`: i >= 0 is a row, i < 0 the foreign vertex ~i.
-
-    Parameters
-    ----------
-    bricks, guests, vertex_counts, face_counts, foreign_bricks, foreign_numbers : ndarray
-        As in `MeshPart`.
-    foreign_labels : ndarray of int32, shape (g,)
-        The component of each foreign vertex.
-    entry_starts : ndarray of int32, shape (b + 1,)
-        Where the entries of each brick begin: the components that it has vertices or faces of.
-    entry_supports : ndarray of int32, shape (e,)
-        How many of the vertices of each entry are supported.
-    mixed_labels : ndarray of int32
-        The component of every vertex of bricks with vertices of more than one.
-    bounds : ndarray of float64, shape (c, 6)
-        Lowest and highest coordinates of the vertices of each component.
-    piece_vertices : ndarray of int32, shape (p,)
-        The open vertex of each piece of corners (see `Seams`).
-    piece_units : ndarray of int32, shape (p,)
-        Which guest brick the piece lies in; -1 in the part's own bricks.
-    sides : ndarray of int32, shape (q, 3)
-        Sides between open vertices, and the pieces at their ends.
-    bare : ndarray of int32, shape (m,)
-        Vertices that no face of their own unit uses.
-    seam_faces : ndarray of int32, shape (s, 4)
-        Faces with foreign vertices: the row and the three vertices.
-    rim : ndarray of int32, shape (r,)
-        Open and bare vertices of the part, and those of its seam faces.
-    rim_places : ndarray of float64, shape (r, 3)
-        Where they are.
     """
 
-    bricks: IntArray
-    guests: BoolArray
-    vertex_counts: Int32Array
-    face_counts: Int32Array
-    foreign_bricks: IntArray
-    foreign_numbers: Int32Array
-    foreign_labels: Int32Array
-    entry_starts: Int32Array
-    entry_labels: Int32Array
-    entry_vertices: Int32Array
-    entry_faces: Int32Array
-    entry_sums: FloatArray
-    entry_supports: Int32Array
-    mixed_labels: Int32Array
-    bounds: FloatArray
-    piece_vertices: Int32Array
-    piece_units: Int32Array
-    sides: Int32Array
-    bare: Int32Array
-    seam_faces: Int32Array
-    rim: Int32Array
-    rim_places: FloatArray
+    bricks: BrickKeys
+    guests: BrickFlags
+    vertex_counts: BrickCounts
+    face_counts: BrickCounts
+    foreign_bricks: ForeignBricks
+    foreign_numbers: ForeignNumbers
+    """This, and the five before it, as in `MeshPart`."""
+    foreign_labels: Annotated[Int32Array, Column("g", low=0)]
+    """The component of each foreign vertex."""
+    entry_starts: Annotated[Int32Array, Column("b+1", low=0)]
+    """Where the entries of each brick begin: the components that it has vertices or faces of."""
+    entry_labels: EntryCounts
+    """The component of each entry."""
+    entry_vertices: EntryCounts
+    """How many of its brick's vertices belong to it."""
+    entry_faces: EntryCounts
+    """Likewise, of the faces."""
+    entry_sums: Annotated[FloatArray, Column("e", 4)]
+    """Six times its signed volume, and the sum of its vertices' positions (see `BrickSums`)."""
+    entry_supports: EntryCounts
+    """How many of the vertices of each entry are supported."""
+    mixed_labels: Annotated[Int32Array, Column("m", low=0)]
+    """The component of every vertex of bricks with vertices of more than one."""
+    bounds: ComponentBoxes
+    """Lowest and highest coordinates of the vertices of each component."""
+    piece_vertices: Annotated[Int32Array, Column("p")]
+    """The open vertex of each piece of corners (see `Seams`)."""
+    piece_units: Annotated[Int32Array, Column("p", low=-1)]
+    """Which guest brick the piece lies in; -1 in the part's own bricks."""
+    sides: Annotated[Int32Array, Column("q", 3, low=0)]
+    """Sides between open vertices, and the pieces at their ends."""
+    bare: Annotated[Int32Array, Column("u")]
+    """Vertices that no face of their own unit uses."""
+    seam_faces: Annotated[Int32Array, Column("s", 4)]
+    """Faces with foreign vertices: the row and the three vertices."""
+    rim: Annotated[Int32Array, Column("r", low=0, rises=True)]
+    """Open and bare vertices of the part, and those of its seam faces."""
+    rim_places: Annotated[FloatArray, Column("r", 3, unit=LENGTH)]
+    """Where they are."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

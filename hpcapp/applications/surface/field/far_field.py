@@ -12,12 +12,14 @@ over discs as large as their share of the surface.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from hpcapp.applications.surface.field.hull import find_hull
 from hpcapp.applications.surface.kernels import integrate_normals, sample_grid
 from hpcapp.applications.surface.types.field import FarField
+from hpcapp.applications.surface.types.result_patterns import LENGTH
 from hpcapp.geometry.lattice import (
     OCTANTS,
     ancestor_keys,
@@ -27,6 +29,7 @@ from hpcapp.geometry.lattice import (
     pack_places,
 )
 from hpcapp.geometry.points import Float32Array, FloatArray, IntArray
+from hpccomponent.protocol.columns import Column
 from hpccomponent.protocol.records import record
 
 _PADDING = 1.5
@@ -51,26 +54,18 @@ _GOLDEN_TURN = complex(-0.7373688780783197, 0.6754902942615238)  # by the golden
 @record("surface.far_field_part")
 @dataclass(frozen=True, slots=True, eq=False)
 class FarFieldPart:
-    """A box of a far field.
+    """A box of a far field, of x times y times z nodes."""
 
-    Parameters
-    ----------
-    values : ndarray of float32, shape (x, y, z)
-        Of the nodes in the box.
-    first : ndarray of int64, shape (3,)
-        The lowest node of the box.
-    nodes : int
-        Along each side of the whole.
-    hull : ndarray of float64, shape (k, 4)
-        See `FarField`.
-    """
-
-    values: Float32Array
-    first: IntArray
+    values: Annotated[Float32Array, Column("x", "y", "z", unit=LENGTH)]
+    """Of the nodes in the box."""
+    first: Annotated[IntArray, Column(3)]
+    """The lowest node of the box."""
     nodes: int
-    origin: FloatArray
+    """Along each side of the whole."""
+    origin: Annotated[FloatArray, Column(3, unit=LENGTH)]
     step: float
-    hull: FloatArray
+    hull: Annotated[FloatArray, Column("k", 4)]
+    """See `FarField`."""
 
 
 def crop_far_field(far: FarField, low: FloatArray, high: FloatArray) -> FarFieldPart:

@@ -14,11 +14,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import Annotated
 
 import numpy as np
 
 from hpcapp.applications.surface.kernels import SHEETS, group_sheets, link_groups
 from hpcapp.applications.surface.normals.estimation import refuse_wide
+from hpcapp.applications.surface.types.result_patterns import LENGTH, UNIT
 from hpcapp.geometry.lattice import (
     find_first,
     find_keys,
@@ -27,6 +29,7 @@ from hpcapp.geometry.lattice import (
     unique_keys,
 )
 from hpcapp.geometry.points import BoolArray, Float32Array, FloatArray, IntArray
+from hpccomponent.protocol.columns import Column
 from hpccomponent.protocol.records import record
 
 CELL = 4.0
@@ -45,28 +48,20 @@ MARGIN = _REACH + CELL * 3.0**0.5 + _ROUNDED
 @record("surface.normal_patches")
 @dataclass(frozen=True, slots=True, eq=False)
 class Patches:
-    """Groups of points that have one side.
+    """Groups of p points that have one side, sorted by cell and rank."""
 
-    Parameters
-    ----------
-    keys, ranks : ndarray of int64, shape (p,)
-        The cell of each, and which of its patches it is; sorted by both.
-    counts : ndarray of int64, shape (p,)
-        Points in each.
-    centres : ndarray of float64, shape (p, 3)
-        Means of the positions, in length units of the input.
-    normals : ndarray of float64, shape (p, 3)
-        Unit length; on the side of the seed.
-    noise : ndarray of float64, shape (p,)
-        Mean standard deviation of the points around their planes, in length units of the input.
-    """
-
-    keys: IntArray
-    ranks: IntArray
-    counts: IntArray
-    centres: FloatArray
-    normals: FloatArray
-    noise: FloatArray
+    keys: Annotated[IntArray, Column("p")]
+    """The cell of each."""
+    ranks: Annotated[IntArray, Column("p", low=0, high=SHEETS - 1)]
+    """Which of the cell's patches it is."""
+    counts: Annotated[IntArray, Column("p", low=1)]
+    """Points in each."""
+    centres: Annotated[FloatArray, Column("p", 3, unit=LENGTH)]
+    """Means of the positions."""
+    normals: Annotated[FloatArray, Column("p", 3, low=-UNIT, high=UNIT)]
+    """Unit length; on the side of the seed."""
+    noise: Annotated[FloatArray, Column("p", low=0.0, unit=LENGTH)]
+    """Mean standard deviation of the points around their planes."""
 
     def __len__(self) -> int:
         return len(self.keys)
@@ -78,32 +73,20 @@ class Patches:
         ----------
         rows : ndarray of int64, shape (q,)
         """
-        return Patches(
-            self.keys[rows],
-            self.ranks[rows],
-            self.counts[rows],
-            self.centres[rows],
-            self.normals[rows],
-            self.noise[rows],
-        )
+        return Patches(*(getattr(self, field.name)[rows] for field in fields(self)))
 
 
 @record("surface.patch_links")
 @dataclass(frozen=True, slots=True, eq=False)
 class Links:
-    """Which patches touch.
+    """Which patches touch, in l pairs."""
 
-    Parameters
-    ----------
-    first, second : ndarray of int64, shape (l,)
-        Rows of patches, the lower one first.
-    contacts : ndarray of int64, shape (l,)
-        Of how many neighbours of points.
-    """
-
-    first: IntArray
-    second: IntArray
-    contacts: IntArray
+    first: Annotated[IntArray, Column("l", low=0)]
+    """Rows of patches."""
+    second: Annotated[IntArray, Column("l", low=0)]
+    """Rows of those that they touch: higher ones."""
+    contacts: Annotated[IntArray, Column("l", low=1)]
+    """Of how many neighbours of points."""
 
 
 @record("surface.patch_sides")

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from hpcapp.applications.surface.cloud.patterns import UNIT, AssignedPoints
+from typing import Annotated
+
+from hpcapp.applications.surface.cloud.patterns import AssignedPoints
 from hpcapp.applications.surface.cloud.regions import StoredBlocks
-from hpcapp.applications.surface.kernels import SHEETS
 from hpcapp.applications.surface.normals.patches import (
     CELL,
     LINKED,
@@ -14,17 +15,24 @@ from hpcapp.applications.surface.normals.patches import (
     Sides,
 )
 from hpcapp.applications.surface.types.result_patterns import (
+    UNIT,
     are_units,
     cells_in,
     lie_within,
     rise_by_pairs,
 )
-from hpcapp.geometry.points import FloatArray
-from hpccomponent.protocol.declared import Declared, Fixed, Record, Where, Whole
-from hpccomponent.protocol.declared_arrays import Array
+from hpcapp.geometry.points import Float32Array, FloatArray, IntArray
+from hpccomponent.protocol.columns import ANY, Bounds, Column, pattern_of
+from hpccomponent.protocol.declared import Declared, Fixed, Where, Whole
 
 CONFIDENCE_BINS = 100
 """Of the histogram of confidences."""
+
+Confidences = Annotated[IntArray, Column(CONFIDENCE_BINS, low=0)]
+"""How many points have a confidence of 0 to 0.01, 0.01 to 0.02 ..."""
+
+Sureness = Annotated[Float32Array, Column("m", low=0.0, high=1.0)]
+"""How sure the sides of a region's own points are."""
 
 _MOST_NOISE = 24.0  # spacings: twice as far as the neighbours that it is told by
 _ROUNDED = 1.0 + 1e-6  # what is a mean may lie as much further out
@@ -44,9 +52,8 @@ def turned_region(
     """Return the pattern of what `tasks.turn_region` returns."""
     own = AssignedPoints.of(points)
     replaced = own.replaced(points.target, UNIT, are_units, is_all=True)
-    bins = Array("<i8", CONFIDENCE_BINS, low=0, total=own.total)
-    told = Array("<f4", own.points if tells else 0, low=0.0, high=1.0)
-    return Fixed(replaced, Whole(0, own.points), bins, told)
+    sureness = ANY.of(Sureness, {"m": own.points if tells else 0})
+    return Fixed(replaced, Whole(0, own.points), Bounds(total=own.total).of(Confidences), sureness)
 
 
 def grouped_region(points: StoredBlocks, low: FloatArray, spacing: float) -> Declared:
@@ -54,19 +61,15 @@ def grouped_region(points: StoredBlocks, low: FloatArray, spacing: float) -> Dec
     own, reach = AssignedPoints.of(points), 1.01 * MARGIN * spacing
     # Patches that the region's are linked to lie in its margin.
     box = own.box[0] - reach, own.box[1] + reach
-    patches = Record(
+    patches = pattern_of(
         Patches,
-        keys=cells_in("p", box, low, CELL * spacing, rises=False),
-        ranks=Array("<i8", "p", low=0, high=SHEETS - 1),
-        counts=Array("<i8", "p", low=1),
-        centres=Array("<f8", "p", 3, low=box[0], high=box[1]),
-        normals=Array("<f8", "p", 3, low=-UNIT, high=UNIT),
-        noise=Array("<f8", "p", low=0.0, high=_MOST_NOISE * spacing * _ROUNDED),
+        keys=cells_in(box, low, CELL * spacing),
+        centres=Bounds(*box),
+        noise=Bounds(high=_MOST_NOISE * spacing * _ROUNDED),
     )
-    contacts = Array("<i8", "l", low=1, total=(0, (LINKED + 1) * own.points))
-    ends = Array("<i8", "l", low=0)
+    contacts = Bounds(total=(0, (LINKED + 1) * own.points))
     return Where(
-        Fixed(patches, Record(Links, first=ends, second=ends, contacts=contacts)),
+        Fixed(patches, pattern_of(Links, contacts=contacts)),
         _are_linked,
         "patches and links are in their order, and these between those",
     )

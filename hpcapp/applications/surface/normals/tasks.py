@@ -23,11 +23,13 @@ from hpcapp.applications.surface.normals.patches import (
 )
 from hpcapp.applications.surface.normals.patterns import (
     CONFIDENCE_BINS,
+    Confidences,
+    Sureness,
     estimated_region,
     grouped_region,
     turned_region,
 )
-from hpcapp.geometry.points import Float32Array, FloatArray, IntArray
+from hpcapp.geometry.points import FloatArray
 from hpccomponent.runtime.tasks import declare
 
 
@@ -71,7 +73,7 @@ def group_region(points: RegionPoints, low: FloatArray, spacing: float) -> tuple
 @declare(result=turned_region, limit=region_bytes(40))
 def turn_region(
     points: RegionPoints, low: FloatArray, spacing: float, sides: Sides, tells: bool
-) -> tuple[Replaced, int, IntArray, Float32Array]:
+) -> tuple[Replaced, int, Confidences, Sureness]:
     """Turn the normals of a region to their side (a task).
 
     Parameters
@@ -89,10 +91,9 @@ def turn_region(
         With unit normals.
     turned : int
         How many of these are the opposites of what they were.
-    counts : ndarray of int64, shape (100,)
-        How many points have a confidence of 0 to 0.01, 0.01 to 0.02 ...
-    confidences : ndarray of float32, shape (m,) or (0,)
-        How sure the sides of the region's own points are, 0 to 1.
+    counts : Confidences
+    sureness : Sureness
+        None, where that is not asked for.
     """
     region = points.take()
     found = turn_points(region.positions, region.normals, low, spacing, sides)

@@ -7,13 +7,15 @@ import it: workers (through the task `fit_patches`) and the method ``paper``.
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.geometry.points import FloatArray, IntArray
 from hpccomponent.errors import InputError
-from hpccomponent.protocol.declared import Declared, Where
-from hpccomponent.protocol.declared_arrays import Array
+from hpccomponent.protocol.columns import Bounds, Column
+from hpccomponent.protocol.declared import Declared
 from hpccomponent.runtime.tasks import declare
 
 #: Exponents of x, y and z in each element of the basis.
@@ -35,6 +37,9 @@ ZERO_EIGENVALUE = 1e-14
 
 _ROUNDING = 1e-6  # of a length that is 1
 
+Quadrics = Annotated[FloatArray, Column("p", 10)]
+"""Coefficients of p patches, as of the module."""
+
 
 def fitted_patches(
     _positions: FloatArray,
@@ -54,8 +59,8 @@ def fitted_patches(
         is_fitted = is_unit[filled] | (~has_side & (lengths[filled] == 0.0))
         return bool(is_fitted.all()) and not coefficients[np.diff(offsets) == 0].any()
 
-    pattern = Array("<f8", len(scales), 10)
-    return Where(pattern, agrees, "quadrics have unit length where there are points, else none")
+    rule = "quadrics have unit length where there are points, else none"
+    return Bounds(agrees=agrees, rule=rule).of(Quadrics, {"p": len(scales)})
 
 
 @declare(
@@ -69,7 +74,7 @@ def fit_patches(
     centers: FloatArray,
     scales: FloatArray,
     norm: str = "consistent",
-) -> FloatArray:
+) -> Quadrics:
     """Fit one quadric to each patch of a batch (a task: values in, values out).
 
     Parameters

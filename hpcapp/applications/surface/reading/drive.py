@@ -23,6 +23,7 @@ import numpy as np
 from hpcapp.applications.surface.cloud.arrangement import choose_arrangement, snap_points
 from hpcapp.applications.surface.cloud.disk import DiskCloud, Part, write_index
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
+from hpcapp.applications.surface.reading.patterns import RangeSurvey
 from hpcapp.applications.surface.reading.reach import EvenSample, even_step, find_reach
 from hpcapp.applications.surface.reading.tasks import (
     FileRange,
@@ -48,6 +49,8 @@ from hpccomponent.cli.terminal import visible_text
 from hpccomponent.errors import InputError
 
 Task = Callable[..., Any]
+
+_NOWHERE = np.zeros((0, 3))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,32 +144,36 @@ def _survey_records(source: PointSource, workers: PointWorkers) -> _Survey:
     ranges = workers.cut_rows(source.records.count)
     before, step = [some.start for some in ranges], even_step(source.records.count)
     found = list(_run(source, workers, survey_range, lambda i: (before[i], step)))
-    usable = [part[0] for part in found]
+    usable = [part.usable for part in found]
     true, true_step = [sum(usable[:i]) for i in range(len(usable))], even_step(sum(usable))
     if true_step != step or any((a - b) % step for a, b in zip(before, true, strict=True)):
         found = list(_run(source, workers, survey_range, lambda i: (true[i], true_step)))
-    return _put_together(source, found, [part[5] for part in found])
+    return _put_together(source, found, [part.sample for part in found])
 
 
 def _survey_parts(source: PointSource, workers: PointWorkers) -> _Survey:
     """Survey a file that is parsed here."""
     sample, found = EvenSample(), []
-    for *counts, positions in _run(source, workers, survey_range, lambda _: (0, 1)):
-        sample.add(positions)
-        found.append(counts)
+    for part in _run(source, workers, survey_range, lambda _: (0, 1)):
+        sample.add(part.sample)
+        found.append(replace(part, sample=_NOWHERE))
     return _put_together(source, found, [sample.positions])
 
 
-def _put_together(source: PointSource, found: list[Any], samples: list[FloatArray]) -> _Survey:
-    usable, non_finite, bad_normals = (sum(part[i] for part in found) for i in range(3))
-    dropped = Dropped(non_finite, bad_normals)
+def _put_together(
+    source: PointSource, found: list[RangeSurvey], samples: list[FloatArray]
+) -> _Survey:
+    usable = sum(part.usable for part in found)
+    dropped = Dropped(
+        sum(part.non_finite for part in found), sum(part.bad_normals for part in found)
+    )
     if not usable + dropped.total:
         raise InputError(f"{source.path} holds no points", "check that the right file was exported")
     sample = np.concatenate(samples)
-    frame, box = (unite_boxes([part[i] for part in found]) for i in (3, 4))
+    box = unite_boxes([part.box for part in found])
     if not usable:
         return _Survey(0, dropped, np.zeros(3), box, sample)
-    origin = choose_origin(*frame)
+    origin = choose_origin(*unite_boxes([part.frame for part in found]))
     if origin.any():
         box, sample = box - origin, sample - origin
     return _Survey(usable, dropped, origin, box, sample)

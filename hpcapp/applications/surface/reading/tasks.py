@@ -11,22 +11,27 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from hpcapp.applications.surface.cloud.arrangement import Arrangement, PackedPoints, pack_points
 from hpcapp.applications.surface.cloud.disk import write_part
 from hpcapp.applications.surface.reading.patterns import (
+    RangeSurvey,
     arranged_range,
     bounded_range,
     range_bytes,
     surveyed_range,
 )
-from hpcapp.applications.surface.types.result_patterns import SMALL_BYTES
+from hpcapp.applications.surface.types.result_patterns import (
+    SMALL_BYTES,
+    CellCounts,
+    CellKeys,
+    Corners,
+)
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.point_records import PointRecords
-from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.geometry.validity import Dropped, Reach, are_usable, select_usable
 from hpccomponent.protocol.records import record
 from hpccomponent.runtime.tasks import declare
@@ -98,7 +103,7 @@ FilePoints = FileRange | SentRange
 
 
 @declare(result=surveyed_range, limit=range_bytes)
-def survey_range(points: FilePoints, before: int, step: int) -> tuple[Any, ...]:
+def survey_range(points: FilePoints, before: int, step: int) -> RangeSurvey:
     """Look through the points of a range (a task).
 
     Parameters
@@ -108,14 +113,6 @@ def survey_range(points: FilePoints, before: int, step: int) -> tuple[Any, ...]:
         Usable points in front of the range.
     step : int
         Every so many-th usable point of the file is in the sample.
-
-    Returns
-    -------
-    usable, non_finite, bad_normals : int
-        Points of each kind.
-    frame, box : ndarray of float64, shape (2, 3)
-        Around the points with finite positions, and around the usable ones.
-    sample : ndarray of float64, shape (s, 3)
 
     Raises
     ------
@@ -136,12 +133,12 @@ def survey_range(points: FilePoints, before: int, step: int) -> tuple[Any, ...]:
         frame, box = unite_boxes([frame, around]), unite_boxes([box, near])
         samples.append(cloud.positions[-(before + usable) % step :: step].copy())
         usable += len(cloud)
-    sample = np.concatenate(samples)
-    return usable, dropped.non_finite_points, dropped.bad_normals, frame, box, sample
+    kinds = usable, dropped.non_finite_points, dropped.bad_normals
+    return RangeSurvey(*kinds, frame, box, np.concatenate(samples))
 
 
 @declare(result=bounded_range, limit=SMALL_BYTES)
-def bound_range(points: FilePoints, origin: FloatArray, reach: Reach) -> tuple[int, FloatArray]:
+def bound_range(points: FilePoints, origin: FloatArray, reach: Reach) -> tuple[int, Corners]:
     """Bound the usable points of a range that are within reach (a task).
 
     Parameters
@@ -150,11 +147,6 @@ def bound_range(points: FilePoints, origin: FloatArray, reach: Reach) -> tuple[i
     origin : ndarray of float64, shape (3,)
         Of the local frame.
     reach : Reach
-
-    Returns
-    -------
-    count : int
-    box : ndarray of float64, shape (2, 3)
     """
     count, box = 0, _bound(_NOWHERE)
     for near in _take_near(points, origin, reach):
@@ -170,7 +162,7 @@ def arrange_range(
     reach: Reach | None,
     arrangement: Arrangement,
     target: tuple[str, int],
-) -> tuple[IntArray, IntArray]:
+) -> tuple[CellKeys, CellCounts]:
     """Write the usable points of a range into a folder, arranged (a task).
 
     Parameters
@@ -186,7 +178,7 @@ def arrange_range(
 
     Returns
     -------
-    keys, counts : ndarray of int64, shape (b,)
+    keys, counts : CellKeys, CellCounts
         The blocks of the part, and the points in each.
 
     Raises

@@ -16,10 +16,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.types.result_patterns import CellCounts, CellKeys
 from hpcapp.geometry.lattice import (
     BITS,
     NEIGHBOURS,
@@ -31,6 +33,7 @@ from hpcapp.geometry.lattice import (
     unique_keys,
 )
 from hpcapp.geometry.points import FloatArray, IntArray
+from hpccomponent.protocol.columns import Column
 from hpccomponent.protocol.records import record
 
 HALVINGS = 2
@@ -49,21 +52,14 @@ _MOST = 16.0  # spacings of the whole cloud: beyond that points are strays
 @record("surface.scale_counts")
 @dataclass(frozen=True, slots=True, eq=False)
 class ScaleCounts:
-    """What is counted of some points; c finest cells, d halvings.
+    """What is counted of some points; c finest cells, d halvings."""
 
-    Parameters
-    ----------
-    keys : ndarray of int64, shape (c,)
-        Of the occupied cells, sorted.
-    points : ndarray of int64, shape (c,)
-        In each.
-    boxes : ndarray of int64, shape (c, d + 1)
-        How many boxes of the cell's edge, halved so often, hold points.
-    """
-
-    keys: IntArray
-    points: IntArray
-    boxes: IntArray
+    keys: CellKeys
+    """Of the occupied cells."""
+    points: CellCounts
+    """In each."""
+    boxes: Annotated[IntArray, Column("c", "d+1", low=1)]
+    """How many boxes of the cell's edge, halved so often, hold points."""
 
 
 @record("surface.local_scale")

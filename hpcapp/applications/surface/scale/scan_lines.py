@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
@@ -26,6 +27,7 @@ from hpcapp.applications.surface.scale.local_scale import (
     double_cells,
     merge_scale_counts,
 )
+from hpcapp.applications.surface.types.result_patterns import CellCounts, CellKeys
 from hpcapp.geometry.lattice import (
     BITS,
     ancestor_keys,
@@ -37,6 +39,7 @@ from hpcapp.geometry.lattice import (
     unique_keys,
 )
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
+from hpccomponent.protocol.columns import Column
 from hpccomponent.protocol.records import record
 
 _GROWTH = 1.5  # powers of two: half way between a line and a surface
@@ -161,7 +164,18 @@ def _measure_gaps(counts: IntArray, edges: FloatArray) -> tuple[FloatArray, Floa
     return gaps, steps
 
 
-def count_narrow(positions: FloatArray, boxes: GapBoxes) -> tuple[IntArray, IntArray, IntArray]:
+@record("surface.line_counts")
+@dataclass(frozen=True, slots=True, eq=False)
+class LineCounts:
+    """Points in c cells, and those along lines."""
+
+    keys: CellKeys
+    points: CellCounts
+    narrow: Annotated[IntArray, Column("c", low=0)]
+    """Those that lie along a line in their box."""
+
+
+def count_narrow(positions: FloatArray, boxes: GapBoxes) -> LineCounts:
     """Count points in cells of `boxes`, and those that lie along a line in their box.
 
     Parameters
@@ -169,37 +183,29 @@ def count_narrow(positions: FloatArray, boxes: GapBoxes) -> tuple[IntArray, IntA
     positions : ndarray of float64, shape (n, 3)
         Of whole blocks, in length units of the input.
     boxes : GapBoxes
-
-    Returns
-    -------
-    keys : ndarray of int64, shape (k,)
-        Of the cells that hold some of the points, sorted.
-    points, narrow : ndarray of int64, shape (k,)
     """
     points, narrow = np.zeros((2, len(boxes.keys)), np.int64)
     for rows, cells, box, _ in _sort_boxes(positions, boxes):
         points += np.bincount(cells, minlength=len(points))
         narrow += np.bincount(cells[_are_narrow(positions[rows], box)[box]], minlength=len(points))
     held = np.flatnonzero(points)
-    return boxes.keys[held], points[held], narrow[held]
+    return LineCounts(boxes.keys[held], points[held], narrow[held])
 
 
-def keep_lines(
-    boxes: GapBoxes, counted: Sequence[tuple[IntArray, IntArray, IntArray]], share: float = SHARE
-) -> GapBoxes:
+def keep_lines(boxes: GapBoxes, counted: Sequence[LineCounts], share: float = SHARE) -> GapBoxes:
     """Keep the cells where enough of the points around lie along lines.
 
     Parameters
     ----------
     boxes : GapBoxes
-    counted : sequence of tuple
+    counted : sequence of LineCounts
         What `count_narrow` has counted in all regions.
     share : float
         See `SHARE`.
     """
     counts = np.zeros((2, len(boxes.keys) + 1), np.int64)  # of cells, and of keys that are none
-    for found, *columns in counted:
-        counts[:, find_keys(boxes.keys, found)] += columns
+    for found in counted:
+        counts[:, find_keys(boxes.keys, found.keys)] += found.points, found.narrow
     points, narrow = counts[:, :-1]
     keys, row_of = boxes.keys, np.arange(len(points))
     is_line, pending = np.zeros(len(points), np.bool_), np.ones(len(points), np.bool_)

@@ -1,14 +1,11 @@
-"""What the tasks that make a surface declare of their results.
-
-Names of extents: b bricks, c cells or components, g foreign vertices, s samples.
-"""
+"""What the tasks that make a surface declare of their results."""
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import fields
+from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.extraction.part_places import starts_of
@@ -20,7 +17,6 @@ from hpcapp.applications.surface.field.far_field import (
     crop_nodes,
     lay_far_field,
 )
-from hpcapp.applications.surface.kernels import COLUMNS
 from hpcapp.applications.surface.tiles.plan import CoarseLattice, CoarseLevels, Plan, Samples
 from hpcapp.applications.surface.tiles.points import estimate_work
 from hpcapp.applications.surface.types.grid import BRICK
@@ -34,17 +30,16 @@ from hpcapp.applications.surface.types.result_patterns import (
 )
 from hpcapp.geometry.lattice import ancestor_keys, find_keys, unique_keys
 from hpcapp.geometry.points import FloatArray, IntArray
+from hpccomponent.protocol.columns import Bounds, Column, pattern_of
 from hpccomponent.protocol.declared import (
     Declared,
     Exactly,
     Fixed,
     Nothing,
     Number,
-    Record,
     Where,
     Whole,
 )
-from hpccomponent.protocol.declared_arrays import Array
 
 MOST_VERTICES, MOST_FACES = 3 * BRICK**3, 5 * BRICK**3
 """Of a brick: a vertex on each edge, five faces in each cell.
@@ -52,6 +47,10 @@ MOST_VERTICES, MOST_FACES = 3 * BRICK**3, 5 * BRICK**3
 Larger cells have fewer together, also among the finest bricks: of stride 2, 4 and 8, loops on them
 have 2112, 888 and 768 vertices at most."""
 
+Exits = Annotated[IntArray, Column("exits", rises=True)]
+"""Bricks where the surface leaves a tile and there are no points (see `bricks`)."""
+
+_TOLD = tuple(one.name for one in fields(MeshPart) if one.name in PartSummary.__slots__)
 _MOST = 1 << 40  # of whatever is counted where the master does not know better
 _LARGEST_MOMENT = 4.0  # of a point in a cell of edge 1, around its middle
 _ROUNDED = 1.0 + 1e-6
@@ -74,14 +73,14 @@ def far_field(plan: Plan, *_: Any) -> Declared:
     origin, step = lay_far_field(*plan.grid.box, plan.far_nodes)
     first, end = crop_nodes(origin, step, plan.far_nodes, *plan.far_box)
     most = FAR_REACH * step * _ROUNDED
-    return Record(
+    return pattern_of(
         FarFieldPart,
-        values=Array("<f4", *(end - first).tolist(), low=-most, high=most),
-        first=Array("<i8", 3, low=first, high=first),
+        dict(zip("xyz", (end - first).tolist(), strict=True)),
+        values=Bounds(-most, most),
+        first=Bounds(first, first),
         nodes=Exactly(plan.far_nodes),
-        origin=Array("<f8", 3, low=origin, high=origin),
+        origin=Bounds(origin, origin),
         step=Number(step, step),
-        hull=Array("<f8", "planes", 4),
     )
 
 
@@ -112,11 +111,8 @@ def summed_tile(
             and len(samples.cells) <= patches
         )
 
-    samples = Record(
-        Samples,
-        cells=cells_in("s", plan.grid.box, plan.origin, plan.cell_size * 2.0**plan.far),
-        sums=Array("<f8", "s", 7, low=_count_and(6)),
-    )
+    cells = cells_in(plan.grid.box, plan.origin, plan.cell_size * 2.0**plan.far)
+    samples = pattern_of(Samples, cells=cells)
     pattern = Fixed(coarse_lattice(plan, own), samples, Whole(1, total))
     return Where(pattern, agrees, "cells have the sums of the tile's points")
 
@@ -145,19 +141,12 @@ def coarse_lattice(plan: Plan, own: tuple[IntArray, IntArray] | None) -> Declare
             and bool((find_keys(outer, corners) < len(outer)).all())
         )
 
-    lattice = Record(
+    lattice = pattern_of(
         CoarseLattice,
-        cells=cells_in("c", box, plan.origin, size),
-        moments=Array("<f8", "c", COLUMNS, low=_count_and(COLUMNS - 1)),
-        squares=Array("<f8", "c"),
-        vertices=cells_in("v", box, plan.origin, size, 3),
+        cells=cells_in(box, plan.origin, size),
+        vertices=cells_in(box, plan.origin, size, 3),
     )
     return Where(lattice, agrees, "moments are of the points that its cells hold")
-
-
-def _count_and(others: int) -> FloatArray:
-    """Return the least that columns of sums may be: the first one counts points."""
-    return np.array([1.0, *[-np.inf] * others])
 
 
 def summed_bytes(
@@ -200,37 +189,21 @@ def tile_surface(plan: Plan, keep: tuple[str, str] | None) -> Declared:
     """
     first = np.zeros(3, np.int64)
     last = np.array(plan.bricks) - 1
-    bricks, exits = (keys_within(extent, first, last) for extent in ("b", "exits"))
-    foreign = Array("<i8", "g", low=0)
-    return part_surface(
-        bricks, foreign, exits, surface_box(plan), (MOST_VERTICES, MOST_FACES), keep
-    )
+    bricks = keys_within(first, last)
+    most = MOST_VERTICES, MOST_FACES
+    return part_surface(bricks, bricks.of(Exits), surface_box(plan), most, keep)
 
 
 def kept_part(summary: PartSummary) -> Declared:
     """Return the pattern of a part that a worker has kept, and told this summary of."""
-
-    def same(of: NDArray[Any]) -> Array:
-        return Array(of.dtype.str, *of.shape, low=of, high=of)
-
-    part = Record(
-        MeshPart,
-        bricks=same(summary.bricks),
-        guests=same(summary.guests),
-        vertex_counts=same(summary.vertex_counts),
-        face_counts=same(summary.face_counts),
-        vertices=Array("<f8", "v", 3),
-        faces=whole_numbers("f", 3, low=None),
-        foreign_bricks=same(summary.foreign_bricks),
-        foreign_numbers=same(summary.foreign_numbers),
-        supported=Array("|b1", "v"),
-    )
+    told = {name: getattr(summary, name) for name in _TOLD}
+    sizes = {"b": len(summary.bricks), "g": len(summary.foreign_bricks)}
+    part = pattern_of(MeshPart, sizes, **{name: Bounds(of, of) for name, of in told.items()})
     return Where(part, _is_part, _PART_RULE)
 
 
 def part_surface(
-    bricks: Declared,
-    foreign: Declared,
+    bricks: Bounds,
     exits: Declared,
     box: Box,
     most: tuple[int, int],
@@ -241,52 +214,20 @@ def part_surface(
     `most` tells how many vertices and faces a brick has at most.
     """
     low, high = box
-    of_bricks: dict[str, Declared] = {
+    of_bricks = {
         "bricks": bricks,
-        "guests": Array("|b1", "b"),
-        "vertex_counts": whole_numbers("b", high=most[0]),
-        "face_counts": whole_numbers("b", high=most[1]),
-        "foreign_bricks": foreign,
-        "foreign_numbers": whole_numbers("g", high=most[0] - 1),
+        "vertex_counts": Bounds(high=most[0]),
+        "face_counts": Bounds(high=most[1]),
+        "foreign_numbers": Bounds(high=most[0] - 1),
     }
-    part = Record(
-        MeshPart,
-        **of_bricks,
-        vertices=Array("<f8", "v", 3, low=low, high=high),
-        faces=whole_numbers("f", 3, low=None),
-        supported=Array("|b1", "v"),
-    )
-    summary = Record(
-        PartSummary,
-        **of_bricks,
-        foreign_labels=whole_numbers("g"),
-        entry_starts=whole_numbers("b+1"),
-        entry_labels=whole_numbers("e"),
-        entry_vertices=whole_numbers("e"),
-        entry_faces=whole_numbers("e"),
-        entry_sums=Array("<f8", "e", 4),
-        entry_supports=whole_numbers("e"),
-        mixed_labels=whole_numbers("m"),
-        bounds=Array("<f8", "c", 6, low=-np.inf, finite=False),  # infinite without vertices
-        piece_vertices=whole_numbers("p", low=None),
-        piece_units=whole_numbers("p", low=-1),
-        sides=whole_numbers("q", 3),
-        bare=whole_numbers("bare", low=None),
-        seam_faces=whole_numbers("seam", 4, low=None),
-        rim=Array("<i4", "r", low=0, rises=True),
-        rim_places=Array("<f8", "r", 3, low=low, high=high),
-    )
+    part = pattern_of(MeshPart, **of_bricks, vertices=Bounds(low, high))
+    summary = pattern_of(PartSummary, **of_bricks, rim_places=Bounds(low, high))
     named = "what it names lies among its bricks, vertices, faces and components"
     return Fixed(
         Where(part, _is_part, _PART_RULE) if keep is None else Nothing(),
         Where(summary, lambda found: _is_summary(found, box), named),
         exits,
     )
-
-
-def whole_numbers(*shape: int | str, low: int | None = 0, high: int | None = None) -> Array:
-    """Return the pattern of an array of int32, of 0 or more by default."""
-    return Array("<i4", *shape, low=low, high=high)
 
 
 def _is_part(part: MeshPart) -> bool:

@@ -6,6 +6,7 @@ They travel as records.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
@@ -14,10 +15,13 @@ from hpcapp.applications.surface.field.far_field import FarFieldPart
 from hpcapp.applications.surface.field.pyramid import Parents
 from hpcapp.applications.surface.field.refinement import Refinement
 from hpcapp.applications.surface.field.weights import FIELD_LEVELS, Weights, weigh_levels
+from hpcapp.applications.surface.kernels import COLUMNS
 from hpcapp.applications.surface.tiles.halo import halo_steps
 from hpcapp.applications.surface.types.field import FieldLevel
 from hpcapp.applications.surface.types.grid import BrickStrides, Grid
+from hpcapp.applications.surface.types.result_patterns import CellKeys
 from hpcapp.geometry.points import Float32Array, FloatArray, IntArray
+from hpccomponent.protocol.columns import Column
 from hpccomponent.protocol.records import record
 
 
@@ -155,34 +159,21 @@ class CoarseLevels:
 @record("surface.coarse_lattice")
 @dataclass(frozen=True, slots=True, eq=False)
 class CoarseLattice:
-    """What the points of a tile add to the level of whose cells tiles are made.
+    """What the points of a tile add to the level of whose c cells tiles are made."""
 
-    Parameters
-    ----------
-    cells : ndarray of int64, shape (c,)
-    moments : ndarray of float64, shape (c, m)
-    squares : ndarray of float64, shape (c,)
-    vertices : ndarray of int64, shape (v,)
-        That its points lay there (see `ancestors.corners_at`).
-    """
-
-    cells: IntArray
-    moments: FloatArray
-    squares: FloatArray
-    vertices: IntArray
+    cells: CellKeys
+    moments: Annotated[FloatArray, Column("c", COLUMNS, low=(1.0, *[-np.inf] * (COLUMNS - 1)))]
+    """Sums over the points in each; the first counts them."""
+    squares: Annotated[FloatArray, Column("c")]
+    vertices: Annotated[IntArray, Column("v", rises=True)]
+    """That its points lay there (see `ancestors.corners_at`)."""
 
 
 @record("surface.samples")
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples:
-    """What the far field is made of.
+    """What the far field is made of, in s cells."""
 
-    Parameters
-    ----------
-    cells : ndarray of int64, shape (c,)
-    sums : ndarray of float64, shape (c, 7)
-        Of 1, the positions and the normals of the points in each (see `moments`).
-    """
-
-    cells: IntArray
-    sums: FloatArray
+    cells: Annotated[IntArray, Column("s", rises=True)]
+    sums: Annotated[FloatArray, Column("s", 7, low=(1.0, *[-np.inf] * 6))]
+    """Of 1, the positions in their cell, and the normals of the points in each."""

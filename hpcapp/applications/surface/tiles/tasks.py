@@ -39,6 +39,7 @@ from hpcapp.applications.surface.kernels.freed_memory import leave_for_files
 from hpcapp.applications.surface.tiles.cache import TileCache
 from hpcapp.applications.surface.tiles.halo import plan_gap
 from hpcapp.applications.surface.tiles.patterns import (
+    Exits,
     far_field,
     summed_bytes,
     summed_tile,
@@ -220,7 +221,7 @@ def mesh_tile(
     coarse: CoarseLevels,
     keep: tuple[str, str] | None = None,
     threads: int = 1,
-) -> tuple[MeshPart | None, PartSummary, IntArray]:
+) -> tuple[MeshPart | None, PartSummary, Exits]:
     """Reconstruct the surface inside a tile (a task).
 
     Parameters
@@ -242,8 +243,7 @@ def mesh_tile(
     part : MeshPart or None
         None where it is kept.
     summary : PartSummary
-    exits : ndarray of int64
-        Bricks where the surface leaves the tile and there are no points (see `bricks`).
+    exits : Exits
     """
     prepared = TILES.pop(ticket)
     is_last = ticket is not None and not len(TILES)
@@ -272,7 +272,7 @@ def mesh_gap(
     coarse: CoarseLevels,
     keep: tuple[str, str] | None = None,
     threads: int = 1,
-) -> tuple[MeshPart | None, PartSummary, IntArray]:
+) -> tuple[MeshPart | None, PartSummary, Exits]:
     """Follow the surface from where it left all tiles, as over a hole (a task).
 
     Parameters
@@ -343,7 +343,7 @@ def _fit_fields(
 
 def _give(
     part: MeshPart, exits: IntArray, keep: tuple[str, str] | None, is_last: bool = False
-) -> tuple[MeshPart | None, PartSummary, IntArray]:
+) -> tuple[MeshPart | None, PartSummary, Exits]:
     """Return a part with its summary, or put it where it is kept.
 
     Of the last tile that was prepared here, what it has left goes before that.

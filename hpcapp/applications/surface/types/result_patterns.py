@@ -7,59 +7,62 @@ need; the `patterns` of each subject have those of its tasks.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.geometry.lattice import keys_lie_within, pack_places, shift_within
 from hpcapp.geometry.points import FloatArray, IntArray
+from hpccomponent.protocol.columns import Bounds, Column
 from hpccomponent.protocol.declared import Declared, Fixed, Flag, Where, Whole
-from hpccomponent.protocol.declared_arrays import Array
 
 SMALL_BYTES = 1 << 16
 """Of results whose size does not depend on the points."""
 
 WRITTEN = Flag()
 
-BOX = Array("<f8", 2, 3, low=-np.inf, finite=False)
-"""Inside out around no points."""
+LENGTH = "length units of the input"
+
+UNIT = 1.001
+"""Of a vector of unit length, at most."""
+
+Corners = Annotated[FloatArray, Column(2, 3, low=-np.inf, finite=False, unit=LENGTH)]
+"""Of a box around points; inside out around none."""
+
+CORNERS = Bounds().of(Corners)
+
+CellKeys = Annotated[IntArray, Column("c", rises=True)]
+"""Of c cells of a lattice."""
+
+CellCounts = Annotated[IntArray, Column("c", low=1)]
+"""Points in each of c cells."""
+
+ComponentBoxes = Annotated[FloatArray, Column("c", 6, low=-np.inf, finite=False, unit=LENGTH)]
+"""Lowest and highest coordinates of each of c components; infinite without vertices."""
 
 Box = tuple[FloatArray, FloatArray] | FloatArray
 """Its two corners."""
 
-_UNIT = 1e-3  # how far off 1 the square of a unit length may be
+_OFF_UNIT = 1e-3  # how far off 1 the square of a unit length may be
 
 
-def keys_within(extent: str, first: IntArray, last: IntArray, rises: bool = True) -> Declared:
-    """Return the pattern of the keys of some places in a box.
-
-    Parameters
-    ----------
-    extent : str
-        How many there are.
-    first, last : ndarray of int64, shape (3,)
-        The lowest place and the highest.
-    rises : bool
-        Whether they are sorted, and each is there once.
-    """
+def keys_within(first: IntArray, last: IntArray) -> Bounds:
+    """Return the bounds of the keys of places from the lowest to the highest in a box."""
     low, high = (int(pack_places(corner)) for corner in (first, last))
-    return Where(
-        Array("<i8", extent, low=low, high=high, rises=rises),
-        lambda keys: keys_lie_within(keys, first, last),
-        "all keys are of places in reach",
+    return Bounds(
+        low,
+        high,
+        agrees=lambda keys: keys_lie_within(keys, first, last),
+        rule="all keys are of places in reach",
     )
 
 
-def cells_in(
-    extent: str, box: Box, origin: FloatArray, size: float, halo: int = 1, rises: bool = True
-) -> Declared:
-    """Return the pattern of the keys of some cells in a box.
+def cells_in(box: Box, origin: FloatArray, size: float, halo: int = 1) -> Bounds:
+    """Return the bounds of the keys of cells in a box.
 
     Parameters
     ----------
-    extent : str
-        How many there are.
     box : tuple of ndarray of float64, shape (3,)
     origin : ndarray of float64, shape (3,)
         Corner of cell (0, 0, 0).
@@ -67,11 +70,9 @@ def cells_in(
         Edge of a cell.
     halo : int
         So many cells further: 1 is for rounding.
-    rises : bool
-        Whether they are sorted, and each is there once.
     """
     first, last = (np.floor((corner - origin) / size) for corner in box)
-    return keys_within(extent, shift_within(first, -halo), shift_within(last, halo), rises)
+    return keys_within(shift_within(first, -halo), shift_within(last, halo))
 
 
 def lie_within(rows: NDArray[Any], low: int, end: int) -> bool:
@@ -88,13 +89,13 @@ def rise_by_pairs(major: IntArray, minor: NDArray[Any]) -> bool:
 def are_units(vectors: NDArray[Any]) -> bool:
     """Tell whether vectors, of shape (n, 3), have unit length, but for rounding."""
     squares = np.einsum("ij,ij->i", vectors, vectors, dtype=np.float64)
-    return bool((np.abs(squares - 1.0) <= _UNIT).all())
+    return bool((np.abs(squares - 1.0) <= _OFF_UNIT).all())
 
 
-def sampled_boxes(most: int, cells: Declared) -> Declared:
+def sampled_boxes(most: int, cells: Bounds) -> Declared:
     """Return the pattern of points in a sample of boxes, and of the boxes' keys."""
     return Where(
-        Fixed(Whole(0, most), cells),
+        Fixed(Whole(0, most), cells.of(CellKeys)),
         lambda found: min(found[0], 1) <= len(found[1]) <= found[0],
         "each box holds a point",
     )
