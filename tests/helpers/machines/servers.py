@@ -48,8 +48,6 @@ class Server:
         """What was run."""
         self.routes: dict[str, str] = {}
         """Addresses that are reached from this machine only, and where they lead."""
-        self.sizes: dict[str, int] = {}
-        """How large it says that some files are."""
         self.path = os.environ["PATH"]
         self.host_key = asyncssh.generate_private_key("ssh-ed25519")
         self._acceptor: asyncssh.SSHAcceptor | None = None
@@ -77,7 +75,6 @@ class Server:
             port,
             server_host_keys=[self.host_key],
             process_factory=self._run,
-            sftp_factory=lambda channel: _Files(channel, self),
             encoding=None,
             line_editor=False,
             allow_scp=False,
@@ -181,25 +178,6 @@ class _Login(asyncssh.SSHServer):
         assert self._connection is not None
         place = self._server.routes[dest_host]
         return self._connection.forward_connection(place, dest_port)
-
-
-class _Files(asyncssh.SFTPServer):
-    """Files below a home; relative paths begin there."""
-
-    def __init__(self, channel: asyncssh.SSHServerChannel[bytes], server: Server) -> None:
-        super().__init__(channel)
-        self._home = os.fsencode(server.home)
-        self._sizes = server.sizes
-
-    def map_path(self, path: bytes) -> bytes:
-        return os.path.join(self._home, path)
-
-    def stat(self, path: bytes) -> Any:
-        if os.fsdecode(path) not in self._sizes:
-            return super().stat(path)
-        told = asyncssh.SFTPAttrs.from_local(os.stat(self.map_path(path)))
-        told.size = self._sizes[os.fsdecode(path)]
-        return told
 
 
 class Machines:
