@@ -117,7 +117,7 @@ def test_why_a_file_cannot_be_written_is_told(shell: SshShell, tmp_path: Path) -
     with pytest.raises(CloudError, match=f"source -> {tmp_path}: it is a folder"):
         shell.put(source, str(tmp_path))
     greet(tmp_path, "trap '' XFSZ; ulimit -f 100")  # no more room than this
-    with pytest.raises(CloudError, match="there: .*File too large"):
+    with pytest.raises(CloudError, match=r"there: .*File too large"):
         shell.put(source, str(tmp_path / "there"))
 
 
