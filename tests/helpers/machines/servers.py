@@ -91,7 +91,8 @@ class Server:
             connection.abort()
             await connection.wait_closed()
         for child in list(self._children):  # with what it has started in the foreground
-            os.killpg(child.pid, signal.SIGKILL)
+            with suppress(ProcessLookupError):  # it has just ended
+                os.killpg(child.pid, signal.SIGKILL)
             await child.wait()
 
     async def _run(self, process: asyncssh.SSHServerProcess[bytes]) -> None:

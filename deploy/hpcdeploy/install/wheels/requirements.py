@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.metadata import distribution, version
 from importlib.resources import files
@@ -96,7 +95,7 @@ def needs_of(
     local = [path for text in spec.env.packages if (path := base / text).is_file()]
     named = [text for text in spec.env.packages if not (base / text).is_file()]
     wanted = [*(text for text in _bounds() if is_head or _name(text) in WORKER_NEEDS), *named]
-    page = [*_bounds("dashboard")] if is_head else []
+    page = _bounds("dashboard") if is_head else []
     release = [package] if isinstance(package, Path) else []
     if spec.env.wheelhouse is None:
         requirements = (*map(_pinned, [*wanted, *page]), *(path.name for path in local))
@@ -158,14 +157,12 @@ def missing_wheels(spec: ClusterSpec, base: Path, kind: Kind, *, is_head: bool) 
     return needs_of(spec, base, package, kind, is_head=is_head)[1]
 
 
-def _bounds(extra: str = "") -> Iterator[str]:
-    """Yield what this release requires, or what one of its extras does besides."""
-    for text in distribution(DISTRIBUTION).requires or ():
-        bound, _, marker = text.partition(";")
-        if not extra and "extra ==" not in marker:
-            yield text
-        elif extra and f'extra == "{extra}"' in marker.replace("'", '"'):
-            yield bound.strip()
+def _bounds(extra: str = "") -> list[str]:
+    """Return what this release requires, or what one of its extras does besides."""
+    texts = [text.replace("'", '"') for text in distribution(DISTRIBUTION).requires or ()]
+    if not extra:
+        return [text for text in texts if "extra ==" not in text]
+    return [text.partition(";")[0].strip() for text in texts if f'extra == "{extra}"' in text]
 
 
 def _pinned(text: str) -> str:

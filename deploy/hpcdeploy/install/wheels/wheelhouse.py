@@ -97,7 +97,7 @@ def fits(wheel: Path, kind: Kind) -> bool:
 
 
 def select_wheels(
-    places: Sequence[Path], requirements: Iterable[str], kind: Kind, *, is_deep: bool = True
+    places: Sequence[Path], requirements: Sequence[str], kind: Kind, *, is_deep: bool = True
 ) -> tuple[tuple[Path, ...], tuple[str, ...]]:
     """Choose the newest fitting wheel for each requirement, and for what these require.
 
@@ -118,19 +118,23 @@ def select_wheels(
     offered = [path for folder in folders for path in folder if fits(path, kind)]
     chosen: dict[str, Path] = {}
     missing: dict[str, str] = {}
+    read: set[tuple[str, ...]] = set()
     waiting: list[tuple[str, Requirement | None]] = [(text, None) for text in requirements]
     for text, asker in waiting:  # which grows meanwhile
         wanted = _parse(text)
-        name = canonicalize_name(wanted.name)
-        if name in chosen or name in missing or not _is_meant(wanted, asker, kind):
+        name, bound = canonicalize_name(wanted.name), f"{wanted.name}{wanted.specifier}"
+        if name in missing or not _is_meant(wanted, asker, kind):
             continue
-        wheel = _best(offered, wanted, kind)
-        if wheel is None:
-            who = f" (for {asker.name})" if asker is not None else ""
-            missing[name] = f"{wanted.name}{wanted.specifier}{who}"
-            continue
-        chosen[name] = wheel
-        if is_deep:
+        wheel = _best([chosen[name]] if name in chosen else offered, wanted, kind)
+        if wheel is not None:
+            chosen[name] = wheel
+        elif name in chosen:  # anew without it, and with this bound first
+            rest = [path for path in offered if path != chosen[name]]
+            return select_wheels(rest, [bound, *requirements], kind, is_deep=is_deep)
+        else:
+            missing[name] = bound + (f" (for {asker.name})" if asker is not None else "")
+        if is_deep and wheel is not None and (name, *sorted(wanted.extras)) not in read:
+            read.add((name, *sorted(wanted.extras)))
             waiting += [(line, wanted) for line in read_requirements(wheel)]
     return tuple(chosen.values()), tuple(missing.values())
 

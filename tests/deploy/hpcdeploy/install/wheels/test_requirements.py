@@ -73,10 +73,21 @@ def test_the_newest_wheel_that_fits_is_chosen_with_all_it_requires(tmp_path: Pat
     assert missing == ()
 
 
+def test_an_older_wheel_is_chosen_where_another_one_bounds_it(tmp_path: Path) -> None:
+    wheel(tmp_path, "a", "1.0", "py3-none-any", "c<2")
+    wheel(tmp_path, "c", "2.0", "py3-none-any")
+    assert select_wheels([tmp_path], ["c", "a"], BOOKWORM)[1] == ("c<2",)
+    older = wheel(tmp_path, "c", "1.0", "py3-none-any")
+    wheels, missing = select_wheels([tmp_path], ["c", "a"], BOOKWORM)
+    assert (older in wheels, len(wheels), missing) == (True, 2, ())
+    assert select_wheels([tmp_path], ["c>=2", "a"], BOOKWORM)[1] == ("c>=2",)
+
+
 def test_extras_that_a_wheel_asks_for_are_needed_too(tmp_path: Path) -> None:
     wheel(tmp_path, "a", "1.0", "py3-none-any", "b[quick]", 'lost; extra == "quick"')
     wheel(tmp_path, "b", "1.0", "py3-none-any", 'c; extra == "quick"', 'd; extra == "slow"')
     assert select_wheels([tmp_path], ["a"], BOOKWORM)[1] == ("c (for b)",)
+    assert select_wheels([tmp_path], ["b", "a"], BOOKWORM)[1] == ("c (for b)",)
     assert select_wheels([tmp_path], ["a[quick]"], BOOKWORM)[1] == ("lost (for a)", "c (for b)")
 
 
