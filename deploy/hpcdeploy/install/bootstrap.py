@@ -208,7 +208,7 @@ class _SetUp:
             python, needs = self._needs(probed, release, is_head)
             env = self._spec.env
             digests = [sha256_of(path) for path in needs.files]
-            stamp = stamp_of(python, digests, needs.requirements, needs.bare, env.setup)
+            stamp = stamp_of(python, digests, needs.requirements, needs.release, env.setup)
             if probed.installed == stamp and is_whole:
                 return True
             if probed.free < MIN_FREE:

@@ -42,7 +42,7 @@ def install(
     _run(shell, "", _sweep(folder, needs))
     for path in needs.files:
         shell.put(path, f"{folder}/wheels/{path.name}", mode=0o644)
-    report(f"{shell.node}: installing {needs.bare[-1]}")
+    report(f"{shell.node}: installing {needs.release}")
     _run(shell, "the installation failed", _install_script(folder, python, needs), INSTALL_S)
 
 
@@ -96,17 +96,14 @@ def _sweep(folder: str, needs: Needs) -> str:
 def _install_script(folder: str, python: str, needs: Needs) -> str:
     pip = next((path.name for path in needs.files if path.name.startswith("pip-")), None)
     pip_command = f"../venv/bin/python {pip}/pip" if pip else "../venv/bin/python -m pip"
-    places = "--no-index --find-links ." if needs.is_offline else ""
-    lines = [
-        f"cd {folder} && rm -rf venv",
-        f"{python} -m venv {'--without-pip' if pip else ''} venv",
-        "cd wheels",
-    ]
-    if needs.requirements:
-        wanted = " ".join(map(_word, needs.requirements))
-        lines.append(f"{pip_command} {_PIP} {places} {wanted}")
-    lines.append(f"{pip_command} {_PIP} {places} --no-deps {' '.join(map(_word, needs.bare))}")
-    return "set -e\n" + "\n".join(lines)
+    command = f"{pip_command} {_PIP}{' --no-index --find-links .' if needs.is_offline else ''}"
+    return f"""set -e
+cd {folder} && rm -rf venv
+{python} -m venv {"--without-pip" if pip else ""} venv
+cd wheels
+{command} {" ".join(map(_word, needs.requirements))}
+{command} --no-deps {_word(needs.release)}
+"""
 
 
 def _word(requirement: str) -> str:

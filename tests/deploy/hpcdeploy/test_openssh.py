@@ -101,11 +101,24 @@ def test_where_no_shell_runs_a_command_what_is_printed_instead_is_told(
     assert lines == ["This account is not available."]
 
 
-def test_a_login_shell_that_talks_into_sftp_is_named(shell: SshShell, tmp_path: Path) -> None:
-    greet(tmp_path, "echo Welcome to this machine, and behave yourself.")
-    (tmp_path / "source").write_text("x")
-    with pytest.raises(CloudError, match=r"worker-1: no files can be sent: its login shell"):
-        shell.put(tmp_path / "source", str(tmp_path / "there"))
+def test_a_login_shell_that_talks_damages_no_file(shell: SshShell, tmp_path: Path) -> None:
+    greet(tmp_path, "echo Welcome to this machine, and behave yourself.; echo warning >&2")
+    (tmp_path / "source").write_bytes(bytes(range(256)))
+    shell.put(tmp_path / "source", str(tmp_path / "there"))
+    shell.get(str(tmp_path / "there"), tmp_path / "back")
+    assert (tmp_path / "back").read_bytes() == bytes(range(256))
+
+
+def test_why_a_file_cannot_be_written_is_told(shell: SshShell, tmp_path: Path) -> None:
+    source = tmp_path / "source"
+    source.write_bytes(bytes(50_000_000))
+    with pytest.raises(CloudError, match=r"source -> /dev/full/x: .*(Not a directory|File exists)"):
+        shell.put(source, "/dev/full/x")
+    with pytest.raises(CloudError, match=f"source -> {tmp_path}: it is a folder"):
+        shell.put(source, str(tmp_path))
+    greet(tmp_path, "trap '' XFSZ; ulimit -f 100")  # no more room than this
+    with pytest.raises(CloudError, match=r"there: .*File too large"):
+        shell.put(source, str(tmp_path / "there"))
 
 
 def test_a_host_key_that_nobody_knows_is_refused(target: Target) -> None:

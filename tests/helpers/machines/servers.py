@@ -46,8 +46,6 @@ class Server:
         """What was run."""
         self.routes: dict[str, str] = {}
         """Addresses that are reached from this machine only, and where they lead."""
-        self.sizes: dict[str, int] = {}
-        """How large it says that some files are."""
         self.path = os.environ["PATH"]
         self.host_key = asyncssh.generate_private_key("ssh-ed25519")
         self._acceptor: asyncssh.SSHAcceptor | None = None
@@ -75,7 +73,6 @@ class Server:
             port,
             server_host_keys=[self.host_key],
             process_factory=self._run,
-            sftp_factory=lambda channel: _Files(channel, self),
             encoding=None,
             line_editor=False,
             allow_scp=False,
@@ -92,7 +89,8 @@ class Server:
             connection.abort()
             await connection.wait_closed()
         for child in list(self._children):  # with what it has started in the foreground
-            os.killpg(child.pid, signal.SIGKILL)
+            with suppress(ProcessLookupError):  # it has just ended
+                os.killpg(child.pid, signal.SIGKILL)
             await child.wait()
 
     async def _run(self, process: asyncssh.SSHServerProcess[bytes]) -> None:
@@ -179,25 +177,6 @@ class _Login(asyncssh.SSHServer):
         assert self._connection is not None
         place = self._server.routes[dest_host]
         return self._connection.forward_connection(place, dest_port)
-
-
-class _Files(asyncssh.SFTPServer):
-    """Files below a home; relative paths begin there."""
-
-    def __init__(self, channel: asyncssh.SSHServerChannel[bytes], server: Server) -> None:
-        super().__init__(channel)
-        self._home = os.fsencode(server.home)
-        self._sizes = server.sizes
-
-    def map_path(self, path: bytes) -> bytes:
-        return os.path.join(self._home, path)
-
-    def stat(self, path: bytes) -> Any:
-        if os.fsdecode(path) not in self._sizes:
-            return super().stat(path)
-        told = asyncssh.SFTPAttrs.from_local(os.stat(self.map_path(path)))
-        told.size = self._sizes[os.fsdecode(path)]
-        return told
 
 
 class Machines:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.metadata import distribution, version
 from importlib.resources import files
@@ -37,16 +36,16 @@ class Needs:
     files : tuple of Path
         Wheels that are uploaded.
     requirements : tuple of str
-        What is installed with what it requires.
-    bare : tuple of str
-        What is installed without it.
+        What is installed with what it requires: a wheel's name where it is among the files.
+    release : str
+        The package itself, which is installed without: a worker does not need all of that.
     is_offline : bool
         Whether all of it is among the files.
     """
 
     files: tuple[Path, ...]
     requirements: tuple[str, ...]
-    bare: tuple[str, ...]
+    release: str
     is_offline: bool
 
 
@@ -94,25 +93,25 @@ def needs_of(
     local = [path for text in spec.env.packages if (path := base / text).is_file()]
     named = [text for text in spec.env.packages if not (base / text).is_file()]
     wanted = [*(text for text in _bounds() if is_head or _name(text) in WORKER_NEEDS), *named]
-    page = [*_bounds("dashboard")] if is_head else []
-    release_files = [package] if isinstance(package, Path) else []
-    pip = _bundled_pip()
+    page = _bounds("dashboard") if is_head else []
+    release = [package] if isinstance(package, Path) else []
     if spec.env.wheelhouse is None:
-        later = tuple(path.name for path in local)
-        requirements = (*map(_pinned, [*wanted, *page]), *later)
-        bare = release_files[0].name if release_files else str(package)
-        return Needs((*pip, *release_files, *local), requirements, (bare,), is_offline=False), ()
+        requirements = (*map(_pinned, [*wanted, *page]), *(path.name for path in local))
+        files = (*_bundled_pip(), *release, *local)
+        name = release[0].name if release else str(package)
+        return Needs(files, requirements, name, is_offline=False), ()
     places = [base / expand_home(spec.env.wheelhouse), *local]
     wanted += [text for path in local for text in read_requirements(path)]
-    chosen = select_wheels(places, [*wanted, *page], kind)
-    if chosen.missing and page:  # a head does its work without: its jobs show no page then
-        chosen = select_wheels(places, wanted, kind)
-    named_package = [] if release_files else [str(package)]
-    release = select_wheels(places, named_package, kind, is_deep=False)
-    wheels = tuple(dict.fromkeys((*chosen.wheels, *local, *release.wheels, *release_files)))
-    bare_names = tuple(path.name for path in wheels)
-    missing = (*chosen.missing, *release.missing)
-    return Needs((*pip, *wheels), (), bare_names, is_offline=True), missing
+    chosen, missing = select_wheels(places, [*wanted, *page], kind)
+    if missing and page:  # a head does its work without: its jobs show no page then
+        chosen, missing = select_wheels(places, wanted, kind)
+    if not release:
+        found, lost = select_wheels(places, [str(package)], kind, is_deep=False)
+        release, missing = [*found], (*missing, *lost)
+    wheels = tuple(dict.fromkeys((*chosen, *local)))
+    files = (*_bundled_pip(), *wheels, *release)
+    names = tuple(path.name for path in wheels)
+    return Needs(files, names, "".join(path.name for path in release), is_offline=True), missing
 
 
 def check_wheels(spec: ClusterSpec, base: Path) -> list[Problem]:
@@ -156,14 +155,12 @@ def missing_wheels(spec: ClusterSpec, base: Path, kind: Kind, *, is_head: bool) 
     return needs_of(spec, base, package, kind, is_head=is_head)[1]
 
 
-def _bounds(extra: str = "") -> Iterator[str]:
-    """Yield what this release requires, or what one of its extras does besides."""
-    for text in distribution(DISTRIBUTION).requires or ():
-        bound, _, marker = text.partition(";")
-        if not extra and "extra ==" not in marker:
-            yield text
-        elif extra and f'extra == "{extra}"' in marker.replace("'", '"'):
-            yield bound.strip()
+def _bounds(extra: str = "") -> list[str]:
+    """Return what this release requires, or what one of its extras does besides."""
+    texts = [text.replace("'", '"') for text in distribution(DISTRIBUTION).requires or ()]
+    if not extra:
+        return [text for text in texts if "extra ==" not in text]
+    return [text.partition(";")[0].strip() for text in texts if f'extra == "{extra}"' in text]
 
 
 def _pinned(text: str) -> str:

@@ -6,7 +6,7 @@ import functools
 import zipfile
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from email.parser import HeaderParser
+from email import message_from_bytes
 from pathlib import Path
 
 from packaging.requirements import InvalidRequirement, Requirement
@@ -45,15 +45,10 @@ class Kind:
         python = f"Python {self.python[0]}.{self.python[1]}"
         return f"{python}, {self.architecture}, {self.libc}{version}"
 
-    def tags(self) -> list[Tag]:
-        """Return the tags of wheels that run there, the best first."""
-        return list(_tags(self))
-
     def environment(self) -> dict[str, str]:
         """Return what the markers of requirements are compared with."""
         version = f"{self.python[0]}.{self.python[1]}"
         return {
-            "extra": "",
             "implementation_name": "cpython",
             "os_name": "posix",
             "platform_machine": self.architecture,
@@ -66,12 +61,14 @@ class Kind:
 
 
 @functools.lru_cache
-def _tags(kind: Kind) -> tuple[Tag, ...]:
+def _ranks(kind: Kind) -> dict[Tag, int]:
+    """Return the tags of wheels that run there, the best with the highest rank."""
     platforms = list(_platforms(kind))
-    return (
+    tags = [
         *cpython_tags(kind.python, platforms=platforms),
         *compatible_tags(kind.python, platforms=platforms),
-    )
+    ]
+    return {tag: rank for rank, tag in enumerate(reversed(tags))}
 
 
 def _platforms(kind: Kind) -> Iterator[str]:
@@ -94,26 +91,12 @@ def fits(wheel: Path, kind: Kind) -> bool:
     wheel : Path
         Only its name is read.
     """
-    return bool(parse_wheel_filename(wheel.name)[3] & set(kind.tags()))
-
-
-@dataclass(frozen=True, slots=True)
-class Selection:
-    """What a folder has of what is needed.
-
-    Parameters
-    ----------
-    missing : tuple of str
-        Requirements that no wheel there meets, with who asks for them.
-    """
-
-    wheels: tuple[Path, ...]
-    missing: tuple[str, ...]
+    return not _ranks(kind).keys().isdisjoint(_tags_of(wheel))
 
 
 def select_wheels(
-    places: Sequence[Path], requirements: Iterable[str], kind: Kind, *, is_deep: bool = True
-) -> Selection:
+    places: Sequence[Path], requirements: Sequence[str], kind: Kind, *, is_deep: bool = True
+) -> tuple[tuple[Path, ...], tuple[str, ...]]:
     """Choose the newest fitting wheel for each requirement, and for what these require.
 
     Parameters
@@ -125,44 +108,44 @@ def select_wheels(
 
     Returns
     -------
-    Selection
-        The wheels, and the requirements that none fulfils.
+    wheels : tuple of Path
+    missing : tuple of str
+        Requirements that no wheel there meets, with who asks for them.
     """
-    offered = _offered(places, kind)
+    folders = [[place] if place.is_file() else place.glob("*.whl") for place in places]
+    offered = [path for folder in folders for path in folder if fits(path, kind)]
     chosen: dict[str, Path] = {}
     missing: dict[str, str] = {}
-    waiting = [(_parse(text), "") for text in requirements]
-    while waiting:
-        wanted, asker = waiting.pop(0)
-        name = canonicalize_name(wanted.name)
-        if wanted.marker is not None and not wanted.marker.evaluate(kind.environment()):
+    read: set[tuple[str, ...]] = set()
+    waiting: list[tuple[str, Requirement | None]] = [(text, None) for text in requirements]
+    for text, asker in waiting:  # which grows meanwhile
+        wanted = _parse(text)
+        name, bound = canonicalize_name(wanted.name), f"{wanted.name}{wanted.specifier}"
+        if name in missing or not _is_meant(wanted, asker, kind):
             continue
-        if name in chosen or name in missing:
-            continue
-        wheel = _best(offered.get(name, []), wanted)
-        if wheel is None:
-            missing[name] = f"{wanted.name}{wanted.specifier}" + (
-                f" (for {asker})" if asker else ""
-            )
-            continue
-        chosen[name] = wheel
-        if is_deep:
-            waiting += [(_parse(text), wanted.name) for text in read_requirements(wheel)]
-    return Selection(tuple(chosen.values()), tuple(missing.values()))
+        wheel = _best([chosen[name]] if name in chosen else offered, wanted, kind)
+        if wheel is not None:
+            chosen[name] = wheel
+        elif name in chosen:  # anew without it, and with this bound first
+            rest = [path for path in offered if path != chosen[name]]
+            return select_wheels(rest, [bound, *requirements], kind, is_deep=is_deep)
+        else:
+            missing[name] = bound + (f" (for {asker.name})" if asker is not None else "")
+        if is_deep and wheel is not None and (name, *sorted(wanted.extras)) not in read:
+            read.add((name, *sorted(wanted.extras)))
+            waiting += [(line, wanted) for line in read_requirements(wheel)]
+    return tuple(chosen.values()), tuple(missing.values())
 
 
 def read_requirements(wheel: Path) -> list[str]:
-    """Return what a wheel requires, extras left out."""
+    """Return what a wheel requires, with its extras."""
     try:
         with zipfile.ZipFile(wheel) as archive:
             [name] = [n for n in archive.namelist() if n.endswith(".dist-info/METADATA")]
-            text = archive.read(name).decode()
+            return message_from_bytes(archive.read(name)).get_all("Requires-Dist", [])
     except (OSError, ValueError, zipfile.BadZipFile) as error:
-        raise CloudError(
-            f"{wheel}: not a wheel ({error})", "take it away or fetch it anew"
-        ) from error
-    lines = HeaderParser().parsestr(text).get_all("Requires-Dist") or []
-    return [line for line in lines if "extra ==" not in line]
+        advice = "take it away or fetch it anew"
+        raise CloudError(f"{wheel}: not a wheel ({error})", advice) from error
 
 
 def kinds_of(folder: Path) -> list[Kind]:
@@ -187,27 +170,24 @@ def _tags_of(path: Path) -> frozenset[Tag]:
         return frozenset()
 
 
-def _offered(places: Sequence[Path], kind: Kind) -> dict[str, list[Path]]:
-    tags = set(kind.tags())
-    offered: dict[str, list[Path]] = {}
-    for place in places:
-        for path in [place] if place.is_file() else sorted(place.glob("*.whl")):
-            if _tags_of(path) & tags:
-                offered.setdefault(parse_wheel_filename(path.name)[0], []).append(path)
-    for wheels in offered.values():
-        rank = {tag: -n for n, tag in enumerate(kind.tags())}
-        wheels.sort(
-            key=lambda path: (
-                parse_wheel_filename(path.name)[1],
-                max(rank.get(tag, -len(rank)) for tag in _tags_of(path)),
-            )
-        )
-    return offered
+def _is_meant(wanted: Requirement, asker: Requirement | None, kind: Kind) -> bool:
+    """Tell whether a requirement holds on such a machine, with the extras that are asked for."""
+    extras = ("", *(asker.extras if asker is not None else ()))
+    environment = kind.environment()
+    return wanted.marker is None or any(
+        wanted.marker.evaluate({**environment, "extra": extra}) for extra in extras
+    )
 
 
-def _best(wheels: list[Path], wanted: Requirement) -> Path | None:
-    fitting = [w for w in wheels if wanted.specifier.contains(parse_wheel_filename(w.name)[1])]
-    return fitting[-1] if fitting else None
+def _best(offered: Iterable[Path], wanted: Requirement, kind: Kind) -> Path | None:
+    """Return the wheel of the newest version that will do, of those the one that fits best."""
+    ranks = _ranks(kind)
+    fitting = []
+    for path in offered:
+        name, version, _, tags = parse_wheel_filename(path.name)
+        if name == canonicalize_name(wanted.name) and wanted.specifier.contains(version):
+            fitting.append((version, max(ranks.get(tag, -1) for tag in tags), path))
+    return max(fitting, default=(None, 0, None))[-1]
 
 
 def _parse(text: str) -> Requirement:

@@ -178,12 +178,7 @@ def _failed_handshake(connection: Connection, hop: Target, *, is_late: bool) -> 
             Reach.NOT_SSH, f"{hop.place} closes the connection with {what}", f"{_LOOK}; try again"
         )
     if is_late:
-        return _error(
-            Reach.SILENT,
-            f"{hop.place} stopped to answer in the middle of the handshake: the machine hangs, or "
-            "is overloaded",
-            "look at the machine's console",
-        )
+        return _stopped(hop, "handshake")
     if wire.fault or isinstance(error, paramiko.SSHException):
         detail = wire.fault or explain(error or EOFError())
         return _error(
@@ -191,6 +186,15 @@ def _failed_handshake(connection: Connection, hop: Target, *, is_late: bool) -> 
         )
     return _error(
         Reach.UNREACHABLE, f"{hop.place} closed the connection in the handshake", f"{_LOOK}"
+    )
+
+
+def _stopped(hop: Target, where: str) -> ReachError:
+    return _error(
+        Reach.SILENT,
+        f"{hop.place} stopped to answer in the middle of the {where}: the machine hangs, or is "
+        "overloaded",
+        "look at the machine's console",
     )
 
 
@@ -256,12 +260,7 @@ def _authenticate(
             wanted = connection.auth_publickey(hop.user, identity.key)
         except (OSError, EOFError, paramiko.SSHException) as error:
             if time.monotonic() >= deadline:
-                raise _error(
-                    Reach.SILENT,
-                    f"{hop.place} stopped to answer in the middle of the login: the machine hangs, "
-                    "or is overloaded",
-                    "look at the machine's console",
-                ) from error
+                raise _stopped(hop, "login") from error
             if not connection.is_active() and not refused:
                 detail = connection.wire.fault or "the connection was lost"
                 raise _error(

@@ -199,5 +199,4 @@ def _is_wanted(record: logging.LogRecord) -> bool:
     return logging.getLogger("hpcapp").isEnabledFor(logging.DEBUG)
 
 
-for _name in (_LOG, f"{_LOG}.sftp"):
-    logging.getLogger(_name).addFilter(_is_wanted)
+logging.getLogger(_LOG).addFilter(_is_wanted)

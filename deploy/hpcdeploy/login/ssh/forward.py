@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import socket
 import threading
+from collections.abc import Callable
 
 import paramiko
 
@@ -17,61 +18,39 @@ _CHUNK = 1 << 16
 
 
 class Forwarder:
-    """Listens on loopback until it is closed."""
+    """Listens on loopback until it is closed; what is open then ends with the SSH connection."""
 
     def __init__(self, transport: paramiko.Transport, address: str, port: int) -> None:
         self._transport = transport
         self._address = (address, port)
-        self._lock = threading.Lock()
-        self._ends: list[socket.socket | paramiko.Channel] = []
-        self._threads: list[threading.Thread] = []
-        self._is_closing = False
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.port: int = self._listener.getsockname()[1]
         self._start(self._accept)
 
     def close(self) -> None:
-        """Stop listening, and cut what is open."""
-        with self._lock:
-            self._is_closing = True
-            ends = list(self._ends)
+        """Stop listening."""
         with contextlib.suppress(OSError):
             self._listener.shutdown(socket.SHUT_RDWR)  # wakes the thread that accepts
         self._listener.close()
-        for end in ends:
-            _cut(end)
-        for thread in list(self._threads):
-            thread.join()
 
-    def _start(self, target: object, *arguments: object) -> None:
-        thread = threading.Thread(
-            target=target,  # type: ignore[arg-type]
-            args=arguments,
-            name=f"forward-{self.port}",
-            daemon=True,
-        )
-        self._threads.append(thread)
+    def _start(self, target: Callable[..., None], *arguments: object) -> threading.Thread:
+        name = f"forward-{self.port}"
+        thread = threading.Thread(target=target, args=arguments, name=name, daemon=True)
         thread.start()
+        return thread
 
     def _accept(self) -> None:
-        while True:
-            try:
-                local_end, origin = self._listener.accept()
-            except OSError:
-                return
-            try:
-                remote_end = self._transport.open_channel("direct-tcpip", self._address, origin)
-            except (paramiko.SSHException, EOFError, OSError):
-                local_end.close()  # the program sees a connection that ends at once
-                continue
-            with self._lock:
-                self._ends += [local_end, remote_end]
-                is_late = self._is_closing
-            if is_late:
-                _cut(local_end)
-                _cut(remote_end)
-            self._start(_pump, local_end, remote_end)
-            self._start(_pump, remote_end, local_end)
+        with contextlib.suppress(OSError):  # the listener is closed
+            while True:
+                self._start(self._lead, *self._listener.accept())
+
+    def _lead(self, local_end: socket.socket, origin: tuple[str, int]) -> None:
+        """Carry one connection to its end."""
+        with local_end, contextlib.suppress(paramiko.SSHException, EOFError, OSError):
+            remote_end = self._transport.open_channel("direct-tcpip", self._address, origin)
+            back = self._start(_pump, remote_end, local_end)
+            _pump(local_end, remote_end)
+            back.join()
 
 
 def _pump(source: socket.socket | paramiko.Channel, sink: socket.socket | paramiko.Channel) -> None:

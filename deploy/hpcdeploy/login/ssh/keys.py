@@ -74,15 +74,16 @@ def read_key(path: Path) -> paramiko.PKey:
         ) from error
     except (OSError, ValueError, paramiko.SSHException) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is damaged, or no key"
-        raise CloudError(
-            f"{path}: the SSH key cannot be read ({reason})",
-            "name an RSA, ECDSA or Ed25519 private key as auth.ssh_private_key, or use auto",
-        ) from error
+        raise _unreadable(path, str(reason)) from error
     except (UnsupportedAlgorithm, UnknownKeyType) as error:
-        raise CloudError(
-            f"{path}: the SSH key cannot be read (of a kind that is not supported)",
-            "name an RSA, ECDSA or Ed25519 private key as auth.ssh_private_key, or use auto",
-        ) from error
+        raise _unreadable(path, "of a kind that is not supported") from error
+
+
+def _unreadable(path: Path, reason: str) -> CloudError:
+    return CloudError(
+        f"{path}: the SSH key cannot be read ({reason})",
+        "name an RSA, ECDSA or Ed25519 private key as auth.ssh_private_key, or use auto",
+    )
 
 
 @lru_cache(maxsize=64)
@@ -104,10 +105,10 @@ def public_key(path: Path) -> str:
         try:
             key = read_key(path)
         except ReachError:
-            agent_keys = _find_agent_key(path, _agent_keys(closer))
-            if agent_keys is None:
+            agent_key = _find_agent_key(path, _agent_keys(closer))
+            if agent_key is None:
                 raise
-            key = agent_keys
+            key = agent_key
         return f"{key.get_name()} {key.get_base64()}"
 
 

@@ -7,7 +7,7 @@ import shlex
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from itertools import chain
 from pathlib import Path
@@ -26,7 +26,6 @@ from hpcdeploy.login.ssh.transfer import fetch_file, send_file
 
 BEGIN = "hpcapp: here begins what the command says"
 """Printed first on both streams: what a login shell's start-up files print stands before it."""
-FILES_S = 120.0  # a request for a piece of a file that takes longer will never be answered
 MOST_OUTPUT = 1 << 28  # bytes that a command may say: an answer is read as a whole
 LONGEST_LINE = 1 << 20  # bytes of a line that is followed; of a longer one come pieces
 MOST_GREETING = 20  # lines before `BEGIN` that are kept
@@ -41,12 +40,13 @@ class SshShell(Shell):
         self.node = node
         self._transport = connection
         self._closer = closer
-        self._lock = threading.Lock()
-        self._sftp: paramiko.SFTPClient | None = None
 
     def run(self, command: str, *, stdin: bytes = b"", timeout_s: float = 60.0) -> Completed:
         """See `Shell.run`."""
-        deadline = time.monotonic() + timeout_s
+        return self._feed(command, (stdin,), timeout_s)
+
+    def _feed(self, command: str, stdin: Iterable[bytes], timeout_s: float) -> Completed:
+        """Run a command on what it is given piece by piece."""
         errors: list[bytes] = []
         with self._channel(command, timeout_s) as channel:
             listener = threading.Thread(
@@ -54,8 +54,8 @@ class SshShell(Shell):
             )
             listener.start()
             try:
-                channel.sendall(stdin)
-                channel.shutdown_write()
+                _feed(channel, stdin)
+                deadline = time.monotonic() + timeout_s
                 output = b"".join(self._limited(_chunks(channel, deadline)))
                 listener.join(max(0.0, deadline - time.monotonic()))
                 code = self._exit_code(channel, deadline)
@@ -67,6 +67,19 @@ class SshShell(Shell):
             _said(output.decode(errors="replace")),
             _said(b"".join(errors).decode(errors="replace")),
         )
+
+    def _read(self, command: str, timeout_s: float) -> Generator[bytes, None, None]:
+        """Yield what a command writes to stdout."""
+        with (
+            self._channel(command, timeout_s) as channel,
+            channel.makefile("rb", _CHUNK) as output,
+        ):
+            channel.shutdown_write()
+            while line := output.readline(LONGEST_LINE):
+                if line.endswith(f"{BEGIN}\n".encode()):
+                    break
+            while chunk := output.read(_CHUNK):
+                yield chunk
 
     def follow(self, command: str, on_line: Callable[[str], None]) -> int:
         """See `Shell.follow`."""
@@ -103,15 +116,13 @@ class SshShell(Shell):
         on_progress: Callable[[int, int], None] | None = None,
     ) -> None:
         """See `Shell.put`."""
-        with self._border():
-            send_file(self, self._files(), source, target, mode, on_progress)
+        send_file(self, self._feed, source, target, mode, on_progress)
 
     def get(
         self, source: str, target: Path, *, on_progress: Callable[[int, int], None] | None = None
     ) -> None:
         """See `Shell.get`."""
-        with self._border():
-            fetch_file(self, self._files(), source, target, on_progress)
+        fetch_file(self, self._read, source, target, on_progress)
 
     def forward(self, address: str, port: int) -> int:
         """See `Shell.forward`."""
@@ -122,28 +133,6 @@ class SshShell(Shell):
     def close(self) -> None:
         """End the connection."""
         self._closer.close()
-
-    def _files(self) -> paramiko.SFTPClient:
-        with self._lock:
-            if self._sftp is None:
-                channel = self._transport.open_session()
-                channel.settimeout(FILES_S)
-                with _answered(channel, CHANNEL_S):
-                    channel.invoke_subsystem("sftp")
-                self._sftp = self._speak_sftp(channel)
-                self._closer.callback(self._sftp.close)
-            return self._sftp
-
-    def _speak_sftp(self, channel: paramiko.Channel) -> paramiko.SFTPClient:
-        try:
-            return paramiko.SFTPClient(channel)
-        except paramiko.SFTPError as error:  # it took a greeting for an answer
-            channel.close()
-            raise CloudError(
-                f"{self.node}: no files can be sent: its login shell prints text where SFTP is "
-                "to be spoken",
-                "let ~/.bashrc and the like there print nothing where no terminal is",
-            ) from error
 
     @contextmanager
     def _channel(self, command: str, timeout_s: float | None) -> Iterator[paramiko.Channel]:
@@ -229,6 +218,18 @@ def _answered(channel: paramiko.Channel, limit_s: float) -> Iterator[None]:
     finally:
         timer.cancel()
         timer.join()
+
+
+def _feed(channel: paramiko.Channel, stdin: Iterable[bytes]) -> None:
+    """Write what a command reads; one that has ended before tells by its code why."""
+    for chunk in stdin:
+        try:
+            channel.sendall(chunk)
+        except TimeoutError:
+            raise
+        except OSError:
+            return
+    channel.shutdown_write()
 
 
 def _chunks(channel: paramiko.Channel, deadline: float) -> Iterator[bytes]:

@@ -67,14 +67,9 @@ def _raw_terminal(channel: paramiko.Channel) -> Iterator[None]:
 
 def _relay(channel: paramiko.Channel) -> None:
     """Carry bytes both ways until the command has ended and all it said is written."""
-    with selectors.DefaultSelector() as selector:
+    with selectors.SelectSelector() as selector:  # the others cannot wait for a plain file
         selector.register(channel, selectors.EVENT_READ)
-        with contextlib.suppress(PermissionError):  # a plain file cannot be waited for
-            selector.register(0, selectors.EVENT_READ)
-        if len(selector.get_map()) == 1:
-            while chunk := os.read(0, _CHUNK):
-                channel.sendall(chunk)
-            channel.shutdown_write()
+        selector.register(0, selectors.EVENT_READ)
         while True:
             ready = {key.fileobj for key, _ in selector.select()}
             if 0 in ready:

@@ -1,4 +1,10 @@
-"""Files over SFTP: an interrupted one goes on, and the whole is checked by its SHA-256."""
+"""Files by commands of the machine: an interrupted one goes on, its SHA-256 checks the whole.
+
+::
+
+    put:  source ──stdin──> cat >>target.part ──checked──> target
+    get:  tail -c +N source ──stdout──> .target.hpcapp-part ──checked──> target
+"""
 
 from __future__ import annotations
 
@@ -7,89 +13,115 @@ import os
 import posixpath
 import re
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import closing
 from pathlib import Path
-from typing import BinaryIO, Protocol
-
-import paramiko
+from typing import BinaryIO
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.login.shell import MOST_REASON, Shell, part_of, sha256_of
+from hpcdeploy.login.shell import MOST_REASON, Completed, Shell, part_of, sha256_of
 
 Progress = Callable[[int, int], None] | None
+Feed = Callable[[str, Iterable[bytes], float], Completed]
+Read = Callable[[str, float], Generator[bytes, None, None]]
 
-_CHUNK = 1 << 15  # what an SFTP server surely takes in one request
-WINDOW = 1 << 28  # bytes that are asked for at once: the size is what the machine says it is
-_DIGEST_S = 600.0
-_DIGITS = 64  # of a SHA-256
-_DIGEST = """f={file}; sha256sum -- "$f" 2>/dev/null || python3 -c '
+_PIECE_S = 120.0  # a piece of a file that takes longer will never come
+_SUM_S = 600.0
+_CHUNK = 1 << 16
+_SUM = """sha256sum -- "$f" 2>/dev/null || python3 -c '
 import hashlib, sys
 with open(sys.argv[1], "rb") as stream:
     print(hashlib.file_digest(stream, "sha256").hexdigest())' "$f"
 """
+_SIZES = 'for f in {target} {part}; do echo "size=$([ -f "$f" ] && wc -c <"$f")"; done 2>/dev/null'
+_SEND = """f={part}
+mkdir -p -- {folder} && umask 077 || exit
+[ ! -d {target} ] || {{ echo "it is a folder" >&2; exit 1; }}
+{begin} -- "$f" && cat >>"$f" && sum=$({sum}) || exit
+case $sum in *{digest}*) chmod {mode:o} -- "$f" && mv -f -- "$f" {target} && echo whole ;; esac
+"""
 
 
 def send_file(
-    shell: Shell,
-    sftp: paramiko.SFTPClient,
-    source: Path,
-    target: str,
-    mode: int,
-    on_progress: Progress,
+    shell: Shell, feed: Feed, source: Path, target: str, mode: int, on_progress: Progress
 ) -> None:
     """Send a file; see `Shell.put`.
+
+    Parameters
+    ----------
+    feed : callable
+        Runs a command on what it is given piece by piece; takes so many seconds for each piece,
+        and for the command's end.
 
     Raises
     ------
     CloudError
         The file cannot be read or written, or does not arrive as it was sent.
     """
+    place = f"{source} -> {target}"
+    names = {
+        "target": shlex.quote(target),
+        "part": shlex.quote(target + ".part"),
+        "folder": shlex.quote(posixpath.dirname(target) or "."),
+    }
     try:
         with source.open("rb") as stream:
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
             size = stream.tell()
-            if _size(sftp, target) == size and _remote_digest(shell, target) == digest:
-                sftp.chmod(os.fsencode(target), mode)
+            target_size, part_size = _sizes(shell.run(_SIZES.format(**names)), 2)
+            if target_size == size and _digest(shell, target) == digest:
+                _check(shell, place, shell.run(f"chmod {mode:o} -- {names['target']}"))
                 return
-            _make_folder(shell, posixpath.dirname(target))
-            part = target + ".part"
-            is_whole = any(
-                _send_from(shell, sftp, stream, part, start, size, on_progress) == digest
-                for start in _starts(_size(sftp, part), size)
-            )
+            for start in _starts(part_size, size):
+                begin = "chmod 600" if start else "rm -f"
+                send = _SEND.format(**names, begin=begin, sum=_SUM, digest=digest, mode=mode)
+                done = feed(send, _pieces(stream, start, size, on_progress), _SUM_S)
+                _check(shell, place, done)
+                if done.output == "whole\n":
+                    return
     except OSError as error:
-        raise _failed(shell, error, str(source), target) from error
-    if not is_whole:
-        raise CloudError(f"{shell.node}: {target}: arrived damaged, twice", "try again")
-    sftp.chmod(os.fsencode(part), mode)
-    sftp.posix_rename(os.fsencode(part), os.fsencode(target))
+        raise CloudError(f"{shell.node}: {place}: {error.strerror or error}") from error
+    raise CloudError(f"{shell.node}: {target}: arrived damaged, twice", "try again")
 
 
-def fetch_file(
-    shell: Shell, sftp: paramiko.SFTPClient, source: str, target: Path, on_progress: Progress
-) -> None:
+def fetch_file(shell: Shell, read: Read, source: str, target: Path, on_progress: Progress) -> None:
     """Fetch a file; see `Shell.get`.
+
+    Parameters
+    ----------
+    read : callable
+        Yields what a command writes; takes so many seconds for each piece.
 
     Raises
     ------
     CloudError
         The file cannot be read or written, or does not arrive as it was sent.
     """
-    part = part_of(target)
+    place, part, file = f"{source} -> {target}", part_of(target), shlex.quote(source)
+    counted = shell.run(f'size=$(wc -c <{file}) && echo "size=$size"')
+    _check(shell, place, counted)
+    size = _sizes(counted, 1)[0] or 0
+    digest = _digest(shell, source)
     try:
-        size = sftp.stat(os.fsencode(source)).st_size or 0
-        digest = _remote_digest(shell, source)
         part_size = part.stat().st_size if part.exists() else None
-        is_whole = any(
-            _fetch_from(sftp, source, part, start, size, on_progress) == digest
-            for start in _starts(part_size, size)
-        )
-        if is_whole:
-            os.replace(part, target)
+        for start in _starts(part_size, size):
+            done = start
+            with (
+                open(part, "ab" if start else "wb", opener=_open_own) as stream,
+                closing(read(f"tail -c +{start + 1} -- {file}", _PIECE_S)) as pieces,
+            ):
+                for piece in pieces:
+                    done += stream.write(piece[: size - done])
+                    if on_progress is not None:
+                        on_progress(done, size)
+                    if done == size:
+                        break
+            if sha256_of(part) == digest:
+                os.replace(part, target)
+                return
     except OSError as error:
-        raise _failed(shell, error, source, str(target)) from error
-    if not is_whole:
-        raise CloudError(f"{shell.node}: {source}: arrived damaged, twice", "try again")
+        raise CloudError(f"{shell.node}: {place}: {error.strerror or error}") from error
+    raise CloudError(f"{shell.node}: {source}: arrived damaged, twice", "try again")
 
 
 def _starts(part_size: int | None, size: int) -> list[int]:
@@ -97,66 +129,13 @@ def _starts(part_size: int | None, size: int) -> list[int]:
     return [part_size, 0] if part_size is not None and 0 < part_size <= size else [0]
 
 
-def _send_from(
-    shell: Shell,
-    sftp: paramiko.SFTPClient,
-    stream: BinaryIO,
-    part: str,
-    start: int,
-    size: int,
-    on_progress: Progress,
-) -> str:
-    """Send what comes after `start`; return the digest of all that lies there now."""
+def _pieces(stream: BinaryIO, start: int, size: int, on_progress: Progress) -> Iterator[bytes]:
+    """Yield what a file has from `start` on, and tell of each piece that has been taken."""
     stream.seek(start)
-    with sftp.open(os.fsencode(part), "ab" if start else "wb") as remote:
-        sftp.chmod(os.fsencode(part), 0o600)
-        remote.set_pipelined(True)
-        _copy(stream, remote, start, size, size, on_progress)
-    return _remote_digest(shell, part)
-
-
-def _fetch_from(
-    sftp: paramiko.SFTPClient,
-    source: str,
-    part: Path,
-    start: int,
-    size: int,
-    on_progress: Progress,
-) -> str:
-    with (
-        sftp.open(os.fsencode(source), "rb") as remote,
-        open(part, "ab" if start else "wb", opener=_open_own) as stream,
-    ):
-        remote.seek(start)
-        done = start
-        while done < size:
-            end = min(size, done + WINDOW)
-            remote.prefetch(end)
-            done = _copy(remote, stream, done, end, size, on_progress)
-            if done < end:
-                break  # the file is shorter than was said
-    return sha256_of(part)
-
-
-class _Reader(Protocol):
-    def read(self, size: int, /) -> bytes: ...
-
-
-class _Writer(Protocol):
-    def write(self, content: bytes, /) -> object: ...
-
-
-def _copy(
-    source: _Reader, target: _Writer, start: int, end: int, size: int, on_progress: Progress
-) -> int:
-    """Copy what lies from `start` to `end`, of a file of `size` bytes; return where it stops."""
-    done = start
-    while chunk := source.read(min(_CHUNK, end - done)):
-        target.write(chunk)
-        done += len(chunk)
+    while piece := stream.read(_CHUNK):
+        yield piece
         if on_progress is not None:
-            on_progress(done, size)
-    return done
+            on_progress(stream.tell(), size)
 
 
 def _open_own(path: str, flags: int) -> int:
@@ -164,15 +143,15 @@ def _open_own(path: str, flags: int) -> int:
     return os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
 
 
-def _size(sftp: paramiko.SFTPClient, path: str) -> int | None:
-    try:
-        return sftp.stat(os.fsencode(path)).st_size
-    except FileNotFoundError:
-        return None
+def _sizes(done: Completed, count: int) -> list[int | None]:
+    """Return the sizes that a machine has counted; None where there is no such file."""
+    said = re.findall(r"^size=\s*([0-9]{0,19})$", done.output, re.MULTILINE)
+    sizes = [int(text) if text else None for text in said]
+    return [*sizes, *[None] * count][:count]
 
 
-def _remote_digest(shell: Shell, path: str) -> str:
-    done = shell.run(_DIGEST.format(file=shlex.quote(path)), timeout_s=_DIGEST_S)
+def _digest(shell: Shell, path: str) -> str:
+    done = shell.run(f"f={shlex.quote(path)}; {_SUM}", timeout_s=_SUM_S)
     digests = re.findall(r"^\\?([0-9a-f]{64})\b", done.output, re.MULTILINE)
     if done.exit_code or not digests:
         last = (done.errors.strip().splitlines() or ["no sha256sum and no python3"])[-1]
@@ -180,18 +159,6 @@ def _remote_digest(shell: Shell, path: str) -> str:
     return str(digests[-1])
 
 
-def _make_folder(shell: Shell, folder: str) -> None:
-    if folder:
-        done = shell.run(f"mkdir -p -- {shlex.quote(folder)}")
-        if done.exit_code:
-            raise CloudError(f"{shell.node}: {folder}: {done.reason}")
-
-
-def _failed(shell: Shell, error: OSError, source: str, target: str) -> CloudError:
-    """Say what failed; a server's bare "Failure" is most often a full disk."""
-    place = f"{shell.node}: {source} -> {target}"
-    if error.errno is None and str(error) == "Failure":
-        free = shell.run("df -Ph . | tail -n 1").output.split()
-        remaining = f"; {free[3]} are left on its disk" if len(free) > 3 else ""
-        return CloudError(f"{place}: the machine cannot write it{remaining}", "make room there")
-    return CloudError(f"{place}: {error.strerror or error}")
+def _check(shell: Shell, place: str, done: Completed) -> None:
+    if done.exit_code:
+        raise CloudError(f"{shell.node}: {place}: {done.reason}")

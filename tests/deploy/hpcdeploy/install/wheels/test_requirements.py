@@ -68,9 +68,27 @@ def test_the_newest_wheel_that_fits_is_chosen_with_all_it_requires(tmp_path: Pat
     wheel(tmp_path, "b", "2.2", "cp311-cp311-manylinux_2_39_x86_64")
     wheel(tmp_path, "b", "2.3", "cp312-cp312-manylinux_2_28_x86_64")
     wheel(tmp_path, "b", "1.0", "py3-none-any")
-    chosen = select_wheels([tmp_path], ["a"], BOOKWORM)
-    assert [path.name for path in chosen.wheels][1:] == [best.name]
-    assert chosen.missing == ()
+    wheels, missing = select_wheels([tmp_path], ["a"], BOOKWORM)
+    assert [path.name for path in wheels][1:] == [best.name]
+    assert missing == ()
+
+
+def test_an_older_wheel_is_chosen_where_another_one_bounds_it(tmp_path: Path) -> None:
+    wheel(tmp_path, "a", "1.0", "py3-none-any", "c<2")
+    wheel(tmp_path, "c", "2.0", "py3-none-any")
+    assert select_wheels([tmp_path], ["c", "a"], BOOKWORM)[1] == ("c<2",)
+    older = wheel(tmp_path, "c", "1.0", "py3-none-any")
+    wheels, missing = select_wheels([tmp_path], ["c", "a"], BOOKWORM)
+    assert (older in wheels, len(wheels), missing) == (True, 2, ())
+    assert select_wheels([tmp_path], ["c>=2", "a"], BOOKWORM)[1] == ("c>=2",)
+
+
+def test_extras_that_a_wheel_asks_for_are_needed_too(tmp_path: Path) -> None:
+    wheel(tmp_path, "a", "1.0", "py3-none-any", "b[quick]", 'lost; extra == "quick"')
+    wheel(tmp_path, "b", "1.0", "py3-none-any", 'c; extra == "quick"', 'd; extra == "slow"')
+    assert select_wheels([tmp_path], ["a"], BOOKWORM)[1] == ("c (for b)",)
+    assert select_wheels([tmp_path], ["b", "a"], BOOKWORM)[1] == ("c (for b)",)
+    assert select_wheels([tmp_path], ["a[quick]"], BOOKWORM)[1] == ("lost (for a)", "c (for b)")
 
 
 @pytest.mark.parametrize(
@@ -93,7 +111,7 @@ def test_a_wheel_fits_by_python_library_and_architecture(
 
 def test_what_is_missing_is_told_with_who_asks_for_it(tmp_path: Path) -> None:
     wheel(tmp_path, "a", "1.0", "py3-none-any", "b>=2")
-    assert select_wheels([tmp_path], ["a"], BOOKWORM).missing == ("b>=2 (for a)",)
+    assert select_wheels([tmp_path], ["a"], BOOKWORM)[1] == ("b>=2 (for a)",)
 
 
 def test_what_is_no_wheel_is_named(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import os
 import socket
 import stat
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -18,7 +18,6 @@ from machines.servers import USER, Machines, Server
 from hpccomponent.errors import CloudError
 from hpcdeploy.login.shell import part_of
 from hpcdeploy.login.ssh import shell as ssh_shell
-from hpcdeploy.login.ssh import transfer
 from hpcdeploy.login.ssh.connect import connect
 from hpcdeploy.login.ssh.shell import SshShell
 from hpcdeploy.login.ssh.target import Target
@@ -203,34 +202,44 @@ def test_fetching_goes_on_where_it_was_cut_short(
     assert (tmp_path / "target.part").read_bytes() == b"the user's"
 
 
-def test_a_file_comes_in_pieces_that_are_asked_for_one_by_one(
-    shell: SshShell, server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(transfer, "WINDOW", 100_001)
-    (server.home / "source").write_bytes(CONTENT)
-    steps: list[tuple[int, int]] = []
-    shell.get("source", tmp_path / "target", on_progress=lambda *step: steps.append(step))
-    assert (tmp_path / "target").read_bytes() == CONTENT
-    assert steps[-1] == (len(CONTENT), len(CONTENT))
+@pytest.fixture
+def replace_tool(server: Server) -> Callable[[str, str], None]:
+    """What lets a program of the machine say something else."""
+
+    def replace_tool(name: str, said: str) -> None:
+        tool = server.home / "bin" / name
+        tool.parent.mkdir()
+        tool.write_text(f"#!/bin/sh\necho '{said}'\n")
+        tool.chmod(0o755)
+        server.path = f"{tool.parent}:{server.path}"
+
+    return replace_tool
 
 
 @pytest.mark.parametrize("size", [2**62, len(CONTENT) + 1])
 def test_a_size_that_is_far_too_large_costs_nothing(
-    shell: SshShell, server: Server, tmp_path: Path, size: int, monkeypatch: pytest.MonkeyPatch
+    shell: SshShell,
+    server: Server,
+    tmp_path: Path,
+    size: int,
+    replace_tool: Callable[[str, str], None],
 ) -> None:
-    monkeypatch.setattr(transfer, "WINDOW", 1 << 20)  # the server answers what is asked for
     (server.home / "source").write_bytes(CONTENT)
-    server.sizes["source"] = size
+    replace_tool("wc", str(size))
     shell.get("source", tmp_path / "target")
     assert (tmp_path / "target").read_bytes() == CONTENT
 
 
 @pytest.mark.parametrize("size", [len(CONTENT) - 1, 0])
 def test_no_more_comes_than_was_said(
-    shell: SshShell, server: Server, tmp_path: Path, size: int
+    shell: SshShell,
+    server: Server,
+    tmp_path: Path,
+    size: int,
+    replace_tool: Callable[[str, str], None],
 ) -> None:
     (server.home / "source").write_bytes(CONTENT)
-    server.sizes["source"] = size
+    replace_tool("wc", str(size))
     with pytest.raises(CloudError, match="source: arrived damaged, twice"):
         shell.get("source", tmp_path / "target")
     assert not (tmp_path / "target").exists()
@@ -248,13 +257,13 @@ def test_nothing_is_written_through_a_link(shell: SshShell, server: Server, tmp_
 
 @pytest.mark.parametrize("said", ["", "no checksum", "../../x  source", "0" * 63])
 def test_a_checksum_that_is_none_is_one_line(
-    shell: SshShell, server: Server, tmp_path: Path, said: str
+    shell: SshShell,
+    server: Server,
+    tmp_path: Path,
+    said: str,
+    replace_tool: Callable[[str, str], None],
 ) -> None:
-    tool = server.home / "bin/sha256sum"
-    tool.parent.mkdir()
-    tool.write_text(f"#!/bin/sh\necho '{said}'\n")
-    tool.chmod(0o755)
-    server.path = f"{tool.parent}:{server.path}"
+    replace_tool("sha256sum", said)
     (server.home / "source").write_bytes(CONTENT)
     with pytest.raises(CloudError, match="source: its checksum cannot be had"):
         shell.get("source", tmp_path / "target")
