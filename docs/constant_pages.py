@@ -7,11 +7,11 @@ from importlib import import_module
 
 PACKAGE = "hpcapp.applications.surface"
 CONSTANTS = (
-    ("scale", "hierarchical.estimates:_SPACINGS", "spacings across a cell"),
-    ("scale", "hierarchical.estimates:_NOISE_CELLS", "standard deviations of the noise across one"),
-    ("scale", "hierarchical.estimates:_FEWEST", "local spacings across a leaf, to twice as many"),
-    ("scale", "hierarchical.estimates:_MOST_LEVELS", "times that cells are halved, or doubled"),
-    ("noise", "hierarchical.estimates:_FREE", "coefficients of a quadric"),
+    ("scale", "resolution.estimates:_SPACINGS", "spacings across a cell"),
+    ("scale", "resolution.estimates:_NOISE_CELLS", "standard deviations of the noise across one"),
+    ("scale", "resolution.estimates:_FEWEST", "local spacings across a leaf, to twice as many"),
+    ("scale", "resolution.estimates:_MOST_LEVELS", "times that cells are halved, or doubled"),
+    ("noise", "resolution.estimates:_FREE", "coefficients of a quadric"),
     ("noise", "field.weights:SAME_NOISE", "times the variance, that is the same noise"),
     ("noise", "field.weights:_BIAS_GROWTH", "what of the rest is missed detail"),
     ("noise", "field.local_noise:SHARE", "deviations across a cell, at most, that it tells"),
@@ -34,7 +34,7 @@ CONSTANTS = (
     ("blend", "field.weights:_CROWDED_AT", "and at which it is gone"),
     ("blend", "field.weights:_AGREES", "misfit of normals, from which trust falls"),
     ("blend", "field.weights:_CONTRADICTS", "and at which it is gone"),
-    ("far field", "hierarchical.coarse:FEWEST_NODES", "nodes along a side"),
+    ("far field", "field.far_field:FEWEST_NODES", "nodes along a side"),
     ("far field", "hierarchical.coarse:_MOST_NODES", "likewise, of folds and thin walls"),
     ("far field", "field.far_field:FAR_REACH", "steps at which the distance is cut off"),
     ("far field", "field.weights:_OVERRULED_FROM", "steps from which it overrules empty quadrics"),
