@@ -115,7 +115,7 @@ def readable(value: object) -> str:
     """Return a JSON value as people read it."""
     if isinstance(value, bool):
         return "yes" if value else "no"
-    if value in (None, "", [], {}):
+    if value is None or (not value and isinstance(value, str | list | dict)):
         return "-"
     if isinstance(value, float):
         return f"{value:.6g}"

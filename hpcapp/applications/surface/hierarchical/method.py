@@ -368,7 +368,7 @@ class HierarchicalMethod:
             "cell_size": partition.scale.cell_size,
             "refined_levels": plan.refinement.levels,
             "step": plan.step,
-            "coarsest_step": plan.step * 2.0 ** (0 if strides is None else strides.exponents.max()),
+            "coarsest_step": plan.step * 2.0 ** int(strides.exponents.max() if strides else 0),
             "lam": plan.weights[partition.scale.finer].lam,
             "levels": plan.height,
             "tiles": 1 if partition.tiling is None else len(partition.tiling),

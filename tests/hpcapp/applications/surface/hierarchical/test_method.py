@@ -233,6 +233,12 @@ def test_ripples_come_out_where_points_are_dense_enough(monkeypatch: pytest.Monk
     assert max(errors[0][1], errors[1][1]) < 2e-5  # where nothing ripples
 
 
+def test_what_is_reported_of_an_uneven_cloud_is_plain() -> None:
+    _, facts = reconstruct(rippled_ball(12_000, is_even=False), HierarchicalMethod(320))
+    assert facts["coarsest_step"] > facts["step"]
+    assert not [name for name, value in facts.items() if isinstance(value, np.generic)]
+
+
 def test_an_even_cloud_is_not_refined() -> None:
     cloud = rippled_ball(12_000, is_even=True)
     _, facts = reconstruct(cloud, HierarchicalMethod(320))
