@@ -7,7 +7,10 @@ from pathlib import Path
 
 import pytest
 from testbed.cloud import TestBed
+from testbed.fixtures import hollow_wheels, mesh, wheels
 from testbed.sites import MakeSite, Site
+
+__all__ = ["hollow_wheels", "mesh", "wheels"]  # fixtures
 
 
 @pytest.fixture

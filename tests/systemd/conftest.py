@@ -7,8 +7,11 @@ from pathlib import Path
 
 import pytest
 from testbed.cloud import TestBed
+from testbed.fixtures import hollow_wheels, mesh, wheels
 from testbed.sites import Site
 from testbed.systemd import SystemdMachine, missing
+
+__all__ = ["hollow_wheels", "mesh", "wheels"]  # fixtures
 
 
 @pytest.fixture
