@@ -52,6 +52,7 @@ def check_result(declared: Declared, value: object) -> None:
     Examples
     --------
     >>> import numpy as np
+    >>> from hpccomponent.protocol.declared_arrays import Array
     >>> pattern = Fixed(Array("<f8", "n", 3), Array("|b1", "n"))
     >>> check_result(pattern, (np.zeros((2, 3)), np.ones(2, bool)))
     >>> check_result(pattern, (np.zeros((2, 3)), np.ones(1, bool)))
