@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from hpcapp.applications.surface.cloud.arrangement import Arrangement, pack_points, unpack_points
-from hpcapp.applications.surface.cloud.disk import DiskCloud, Part, write_index, write_part
+from hpcapp.applications.surface.cloud.disk import DiskCloud, write_index
+from hpcapp.applications.surface.cloud.disk_parts import Part, write_part
 from hpcapp.geometry.points import FloatArray
 
 

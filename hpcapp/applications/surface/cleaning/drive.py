@@ -130,13 +130,7 @@ def clean(
 def thin_lines(cloud_pass: PassT) -> tuple[PassT, Cleaned, LocalScale]:
     """Drop the points along scan lines that are closer than the lines' gap asks for.
 
-    Returns
-    -------
-    cloud_pass : CloudPass
-        Through the points that remain, in their order.
-    cleaned : Cleaned
-    scale : LocalScale
-        Of these.
+    What is returned is as of `clean`.
     """
     scale, boxes = measure_scale(cloud_pass)
     if len(boxes.keys):
@@ -162,13 +156,9 @@ def drop_strays(cloud_pass: PassT, scale: LocalScale) -> tuple[PassT, Cleaned, L
     scale : LocalScale
         Of these.
 
-    Returns
-    -------
-    cloud_pass : CloudPass
-        Through the points that remain, in their order.
-    cleaned : Cleaned
-    scale : LocalScale
-        Of these.
+    Notes
+    -----
+    What is returned is as of `clean`.
     """
     spacing, margin = scale.spacing, MARGIN * scale.spacing
     outliers = strays = 0

@@ -16,7 +16,7 @@ from hpcapp.geometry.points import BoolArray, FloatArray, Int32Array, IntArray
 from hpccomponent.protocol.columns import Column
 from hpccomponent.protocol.records import record
 
-_ROWS_AT_ONCE = 1 << 17
+_ROWS_AT_ONCE = 1 << 17  # of what stands for a brick; no result depends on it
 BrickKeys = Annotated[IntArray, Column("b", low=0, rises=True)]
 BrickCounts = Annotated[Int32Array, Column("b", low=0)]
 BrickFlags = Annotated[BoolArray, Column("b")]

@@ -9,15 +9,13 @@ This module takes its time to be imported (scipy), and is only where it is neede
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from hpcapp.applications.surface.cloud.cloud_pass import PassT
 from hpcapp.applications.surface.cloud.measure import draw_places
 from hpcapp.applications.surface.normals import estimation, patches
 from hpcapp.applications.surface.normals.orientation import SURE, Doubt, orient_patches
-from hpcapp.applications.surface.normals.oriented import Unsure
+from hpcapp.applications.surface.normals.oriented import Oriented, Unsure
 from hpcapp.applications.surface.normals.patterns import CONFIDENCE_BINS
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.normals.stand import has_pixels
@@ -28,28 +26,6 @@ from hpcapp.geometry.points import FloatArray
 _SAMPLE = 20_000  # points that are looked at for the pixels of a camera
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class OrientedNormals:
-    """How normals were turned to their side.
-
-    Parameters
-    ----------
-    sure : float
-        Share of the points whose side is sure, 0 to 1.
-    flipped : int
-        How many normals are the opposites of what they were.
-    how : str
-        Where the evidence comes from, for people.
-    doubt : Unsure or None
-        What is unsure of the largest piece whose side is.
-    """
-
-    sure: float
-    flipped: int
-    how: str
-    doubt: Unsure | None
-
-
 def orient_normals(
     cloud_pass: PassT,
     spacing: float,
@@ -57,7 +33,7 @@ def orient_normals(
     *,
     keeps: bool,
     attribute: str | None = None,
-) -> tuple[PassT, OrientedNormals]:
+) -> tuple[PassT, Oriented]:
     """Give points normals that are on one side.
 
     Parameters
@@ -76,7 +52,8 @@ def orient_normals(
     -------
     cloud_pass : CloudPass
         Through points with unit normals.
-    found : OrientedNormals
+    oriented : Oriented
+        As of estimated ones; `flipped` are those that are the opposites of what they were.
 
     Raises
     ------
@@ -114,7 +91,7 @@ def orient_normals(
     confidences = np.sum([binned for _, binned, *_ in results], axis=0)
     sure = float(confidences[round(SURE * CONFIDENCE_BINS) :].sum()) / len(cloud)
     doubt = None if oriented.doubt is None else _tell_doubt(oriented.doubt, cloud.origin)
-    return cloud_pass, OrientedNormals(sure, flipped, oriented.how, doubt)
+    return cloud_pass, Oriented("estimated", sure, flipped, how=oriented.how, doubt=doubt)
 
 
 def _tell_doubt(doubt: Doubt, origin: FloatArray) -> Unsure:

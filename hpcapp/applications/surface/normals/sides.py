@@ -5,6 +5,8 @@ Every job asks; what estimates normals (`normals`) is only imported where it is 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from hpcapp.applications.surface.cloud.cloud_pass import CloudPass, PassT
 from hpcapp.applications.surface.cloud.measure import draw_boxes
 from hpcapp.applications.surface.normals import patches
@@ -63,10 +65,8 @@ def orient_cloud(
             cloud_pass, spacing, sensor, keeps=has_normals, attribute=attribute
         )
     if has_normals:
-        return cloud_pass, Oriented(
-            "file", found.sure, found.flipped, judgement, found.how, found.doubt
-        )
-    return cloud_pass, Oriented("estimated", found.sure, how=found.how, doubt=found.doubt)
+        return cloud_pass, replace(found, source="file", judgement=judgement)
+    return cloud_pass, replace(found, flipped=0)
 
 
 def judge_normals(cloud_pass: CloudPass, spacing: float) -> Judgement:

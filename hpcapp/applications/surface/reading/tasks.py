@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from hpcapp.applications.surface.cloud.arrangement import Arrangement, PackedPoints, pack_points
-from hpcapp.applications.surface.cloud.disk import write_part
+from hpcapp.applications.surface.cloud.disk_parts import write_part
 from hpcapp.applications.surface.reading.patterns import (
     RangeSurvey,
     arranged_range,

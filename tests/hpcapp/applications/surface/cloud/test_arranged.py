@@ -19,12 +19,11 @@ from hpcapp.applications.surface.cloud.arranged import (
 from hpcapp.applications.surface.cloud.arrangement import interleave, pack_points
 from hpcapp.applications.surface.cloud.disk import (
     DiskCloud,
-    Part,
     open_disk_cloud,
     open_place,
     write_index,
-    write_part,
 )
+from hpcapp.applications.surface.cloud.disk_parts import Part, write_part
 from hpcapp.geometry.points import PointCloud
 from hpccomponent.errors import JobError, OutputError
 

@@ -1,0 +1,147 @@
+"""The files of a cloud in a folder: packed points, and attributes beside them; see `disk`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from hpcapp.applications.surface.cloud.arrangement import PackedPoints, interleave
+from hpcapp.applications.surface.cloud.part_check import with_check
+from hpcapp.geometry.lattice import find_keys, merge_counts
+from hpcapp.geometry.points import Float32Array, IntArray
+from hpccomponent.errors import OutputError
+from hpccomponent.files.whole_files import write_whole
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """The blocks of one file that belong to a cloud.
+
+    Parameters
+    ----------
+    file : str
+        Its name, as it is seen from the folder.
+    keys, counts : ndarray of int64, shape (b,)
+        Sorted keys of the blocks, and the points in each.
+    starts : ndarray of int64, shape (b,)
+        Which point of the file is the first of each.
+    """
+
+    file: str
+    keys: IntArray
+    counts: IntArray
+    starts: IntArray
+
+    @classmethod
+    def whole(cls, number: int, keys: IntArray, counts: IntArray) -> Part:
+        """Return all that `write_part` has written as a part of this number.
+
+        Parameters
+        ----------
+        number : int
+        keys, counts : ndarray of int64, shape (b,)
+            Sorted keys of the blocks, and the points in each.
+        """
+        return cls(_name_part(number), keys, counts, np.cumsum(counts) - counts)
+
+    def filled(self) -> Part:
+        """Return it without the blocks that hold no points."""
+        return self._take(np.flatnonzero(self.counts), self.file)
+
+    def without(self, keys: IntArray, folder: str) -> Part:
+        """Return it without some blocks, for an index from which its folder is called so.
+
+        Parameters
+        ----------
+        keys : ndarray of int64, shape (k,)
+            Sorted keys of the blocks that go.
+        folder : str
+            The path of its folder from that of the index.
+        """
+        kept = np.flatnonzero(find_keys(keys, self.keys) == len(keys))
+        return self._take(kept, os.path.normpath(os.path.join(folder, self.file)))
+
+    def _take(self, rows: IntArray, file: str) -> Part:
+        return Part(file, self.keys[rows], self.counts[rows], self.starts[rows])
+
+
+def write_part(
+    folder: Path, number: int, pieces: Sequence[PackedPoints]
+) -> tuple[IntArray, IntArray]:
+    """Write one part of an arranged cloud.
+
+    Parameters
+    ----------
+    folder : Path
+    number : int
+        Of the part, from 0.
+    pieces : sequence of PackedPoints
+        The points of each block come in the order of the pieces. Where there are none, no file is
+        written.
+
+    Returns
+    -------
+    keys, counts : ndarray of int64, shape (b,)
+        The blocks of the part, and the points in each.
+
+    Raises
+    ------
+    OutputError
+        The disk is full, or the folder cannot be written.
+    """
+    if not pieces:
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    with translated(folder):
+        write_whole(
+            folder / _name_part(number),
+            with_check(interleave(pieces), folder / _name_part(number)),
+        )
+    keys = np.concatenate([piece.keys for piece in pieces])
+    return merge_counts(keys, np.concatenate([piece.counts for piece in pieces]))
+
+
+def write_attribute(folder: Path, name: str, part: Part, number: int, values: Float32Array) -> Part:
+    """Write one part of an attribute of an arranged cloud.
+
+    Parameters
+    ----------
+    folder : Path
+    name : str
+    part : Part
+        Whose points it belongs to, as `write_part` has written them.
+    number : int
+        Of this part.
+    values : ndarray of float32, shape (n,)
+        In the order of its points.
+
+    Raises
+    ------
+    OutputError
+        The disk is full, or the folder cannot be written.
+    """
+    file = f"{name}.{number}"
+    piece = np.ascontiguousarray(values).view(np.uint8).data
+    with translated(folder):
+        write_whole(folder / file, with_check([piece], folder / file))
+    return replace(part, file=file)
+
+
+def _name_part(number: int) -> str:
+    return f"points.{number}"
+
+
+@contextmanager
+def translated(folder: Path) -> Iterator[None]:
+    """Say of a folder what the system says of its files."""
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(
+            f"{folder}: the points cannot be put there: {error.strerror or error}",
+            "name a temporary folder with 24 bytes of room for each point, twice",
+        ) from error
