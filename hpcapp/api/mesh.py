@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from html import escape
@@ -24,6 +24,7 @@ from hpcapp.io import formats
 from hpcapp.io.crs import UNKNOWN, Crs
 from hpcapp.io.frame import to_local
 from hpcapp.io.meshes.mesh_stream import as_stream
+from hpcapp.io.placement import Placement, check_up, parse_origin
 from hpcapp.pages.browser import show_page
 from hpcapp.pages.page import build_page, write_page
 from hpcapp.pages.scene import Scene, fields_of
@@ -210,7 +211,14 @@ class Mesh:
             raise UsageError("simplify has no target", "give faces or tolerance")
         return wrap_mesh(simplify_mesh(self._plain, target), crs=self._crs)
 
-    def save(self, path: str | PathLike[str], size: int | str | None = None) -> None:
+    def save(
+        self,
+        path: str | PathLike[str],
+        size: int | str | None = None,
+        *,
+        origin: str | Sequence[float] = "auto",
+        up: str | None = None,
+    ) -> None:
         """Write it to a file, with the bytes that ``hpcapp reconstruct -o`` writes.
 
         The unit and the coordinate reference system of the files that it was made from go along;
@@ -224,20 +232,30 @@ class Mesh:
         size : int or str, optional
             Bytes that the file has at most, as 20_000_000 or "20MB": what is written is simplified
             to fit.
+        origin : str or sequence of float, shape (3,)
+            What is subtracted from the coordinates: ``auto`` subtracts `origin` in .glb, .obj, .stl
+            and .3mf, which are read in single precision; ``keep`` nothing; or a place. It is
+            written beside the file, and `read_mesh` adds it.
+        up : {"z", "y", "x", "-z", "-y", "-x"}, optional
+            The axis that points up, for formats that say so; by default z, or y of what stands on a
+            flat base there.
 
         Raises
         ------
         UsageError
-            No mesh that was tried fits the size, or the output is a folder.
+            No mesh that was tried fits the size, the output is a folder, or `origin` or `up` is
+            none.
         OutputError
             The suffix is unknown, or the file cannot be written.
         """
         plain = self._plain
+        words = origin if isinstance(origin, str) else ",".join(map(repr, map(float, origin)))
+        placement = Placement(parse_origin(words), None if up is None else check_up(up))
         if size is not None:
             from hpcapp.simplification.size import fit_mesh, read_size
 
-            plain = fit_mesh(plain, read_size(size, path), Path(path).suffix, self._crs)
-        formats.write_mesh(path, replace(as_stream(plain), crs=self._crs))
+            plain = fit_mesh(plain, read_size(size, path), Path(path).suffix, self._crs, placement)
+        formats.write_mesh(path, replace(as_stream(plain), crs=self._crs), placement)
 
     def report(self, path: str | PathLike[str]) -> None:
         """Write the page of ``hpcapp reconstruct --report``: the mesh, its points, all decisions.

@@ -15,6 +15,7 @@ from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import PointCloud
 from hpcapp.io.crs import Crs
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
+from hpcapp.io.placement import BESIDE, Placement, bring_back, find_crs_beside, note_origin
 from hpcapp.io.points.point_source import PointSource, Scan, read_whole, translated
 from hpcapp.io.points.recognition import recognise
 from hpcapp.io.registry import (
@@ -93,12 +94,16 @@ def holds_faces(path: str | PathLike[str]) -> bool:
 
 
 def find_mesh_crs(path: str | PathLike[str]) -> Crs:
-    """Return what the coordinates of a mesh's file mean, as a PLY says; errors of `read_mesh`."""
+    """Return what the coordinates of a mesh mean, as a PLY says, or the file beside it.
+
+    Errors are those of `read_mesh`.
+    """
     file = Path(path)
     reader = find_mesh_reader(file)
     with translated(file):
         _refuse_special(file)
-        return reader.find_crs(file)
+        crs = reader.find_crs(file)
+        return crs if crs.stated else find_crs_beside(file)
 
 
 def read_mesh(path: str | PathLike[str]) -> Mesh:
@@ -112,7 +117,8 @@ def read_mesh(path: str | PathLike[str]) -> Mesh:
     Returns
     -------
     Mesh
-        Coordinates far from zero are relative to `origin`.
+        In the input's coordinates, as a file beside it says (see `placement`); those far from zero
+        are relative to `origin`.
 
     Raises
     ------
@@ -124,7 +130,7 @@ def read_mesh(path: str | PathLike[str]) -> Mesh:
     reader = find_mesh_reader(Path(path))
     with translated(Path(path)):
         _refuse_special(Path(path))
-        return reader.read(Path(path))
+        return bring_back(Path(path), reader.read(Path(path)))
 
 
 def write_points(
@@ -168,13 +174,14 @@ def write_points(
     writer.write(Path(path), cloud, crs, unit, scans, height_unit)
 
 
-def write_mesh(path: str | PathLike[str], mesh: Mesh | MeshStream) -> None:
-    """Write a mesh: .ply, .obj, .off, .vtp in the input's coordinates, .stl in the local frame.
+def write_mesh(
+    path: str | PathLike[str], mesh: Mesh | MeshStream, placement: Placement | None = None
+) -> None:
+    """Write a mesh: .ply, .off, .vtp in the input's coordinates, .glb, .obj, .stl, .3mf near zero.
 
-    ``.glb`` and ``.3mf`` are in the local frame, too, and say where that is; ``.3dtiles`` makes a
-    folder for web viewers (see `write_tileset`), ``.tiles`` makes a folder with the
-    mesh as one tile (see `write_tiles`). What its vertices carry and the format does not hold is
-    logged as a warning.
+    What was subtracted is in a file beside it (see `placement`). ``.3dtiles`` makes a folder for
+    web viewers (see `write_tileset`), ``.tiles`` makes a folder with the mesh as one tile (see
+    `write_tiles`). What its vertices carry and the format does not hold is logged as a warning.
 
     Parameters
     ----------
@@ -182,32 +189,49 @@ def write_mesh(path: str | PathLike[str], mesh: Mesh | MeshStream) -> None:
         The suffix chooses the format. The file appears whole or not at all.
     mesh : Mesh or MeshStream
         In memory, or block after block. The same mesh gives the same bytes.
+    placement : Placement, optional
+        Where it is written, and which way up.
 
     Raises
     ------
     OutputError
         The suffix is unknown, or the file cannot be written.
     """
-    writer = find_mesh_writer(Path(path))
-    stream = as_stream(mesh)
+    stream = place_mesh(path, mesh, placement)
     for loss in describe_losses(path, stream):
         log.warning("warning: %s", loss)
-    writer.write(Path(path), stream)
+    find_mesh_writer(Path(path)).write(Path(path), stream)
+    note_place(path, stream)
+
+
+def place_mesh(
+    path: str | PathLike[str], mesh: Mesh | MeshStream, placement: Placement | None = None
+) -> MeshStream:
+    """Return a mesh where a file of it is written, and which way up."""
+    writer = find_mesh_writer(Path(path))
+    return (placement or Placement()).place(as_stream(mesh), writer.is_near, writer.turns)
+
+
+def note_place(path: str | PathLike[str], placed: MeshStream) -> None:
+    """Write beside a mesh what its file does not say of its place, and log it."""
+    is_bare = find_mesh_writer(Path(path)).is_bare
+    note_origin(Path(path), placed.shift, placed.crs, holds_crs=not is_bare)
+    if placed.shift.any():
+        log.info("%s: relative to %s, as %s%s says", path, placed.said["origin"], path, BESIDE)
+    if placed.up != "z":
+        log.info("%s: %s is up", path, placed.up)
 
 
 def describe_losses(path: str | PathLike[str], mesh: MeshStream) -> list[str]:
-    """Say in a line each what a mesh has that its file does not hold, and what that means."""
+    """Say in a line each what a mesh that was placed has and its file does not hold."""
     writer = find_mesh_writer(Path(path))
     losses = []
     if lost := writer.find_losses(mesh.layout):
         others = list_suffixes(lambda one: one.mesh_writer and one.mesh_writer.holds_all)
         losses.append(_say_losses(path, lost, "vertices", others))
-    if not writer.has_frame and mesh.crs.stated:
-        kept = ", ".join(mesh.crs.stated)
-        losses.append(f"{path}: {Path(path).suffix} does not say what coordinates mean: {kept}")
-    if not writer.has_frame and mesh.origin.any():
-        shift = " ".join(np.format_float_positional(part, trim="-") for part in mesh.origin)
-        losses.append(f"{path}: in local coordinates: add {shift} for those of the input")
+    if writer.is_bare and mesh.origin.any():
+        step = float(np.spacing(np.float32(np.abs(mesh.box + mesh.origin).max())))
+        losses.append(f"{path}: single precision rounds its coordinates to {step:.2g}")
     return losses
 
 

@@ -160,8 +160,12 @@ class MeshWriter:
     ----------
     makes_folder : bool
         Of files, in place of one file.
-    has_frame : bool
-        Whether a file says where its mesh lies, and what coordinates mean.
+    is_near : bool
+        Whether programs read it in single precision, so that it is written near zero.
+    turns : bool
+        Whether it says which axis points up, so that a mesh is turned.
+    is_bare : bool
+        Whether it holds triangles in single precision and no word of what they mean.
     """
 
     function: str
@@ -169,7 +173,9 @@ class MeshWriter:
     colours: bool = False
     attributes: bool = False
     makes_folder: bool = False
-    has_frame: bool = True
+    is_near: bool = False
+    turns: bool = False
+    is_bare: bool = False
 
     def write(self, path: Path, mesh: MeshStream) -> None:
         """Write a file."""
@@ -274,7 +280,7 @@ FORMATS = (
         PointReader("points.mesh_points:open_obj", 8),
         MeshReader("meshes.obj:read_obj", "meshes.obj:holds_obj_faces"),
         None,
-        MeshWriter("meshes.obj:write_obj", normals=True, colours=True),
+        MeshWriter("meshes.obj:write_obj", normals=True, colours=True, is_near=True),
     ),
     Format(
         (".off",),
@@ -288,7 +294,7 @@ FORMATS = (
         PointReader("points.mesh_points:open_stl", 8),
         MeshReader("meshes.stl:read_stl"),
         None,
-        MeshWriter("meshes.stl:write_stl", has_frame=False),
+        MeshWriter("meshes.stl:write_stl", is_near=True, is_bare=True),
     ),
     Format((".vtk",), PointReader("points.vtk:open_vtk", 6)),
     Format((".pcd",), PointReader("points.pcd:open_pcd", 3, states_count=True)),
@@ -299,7 +305,7 @@ FORMATS = (
         None,
         MeshReader("meshes.glb_reader:read_glb"),
         None,
-        MeshWriter("meshes.glb:write_glb", normals=True, colours=True, attributes=True),
+        MeshWriter("meshes.glb:write_glb", True, True, attributes=True, is_near=True, turns=True),
     ),
     Format(
         (".vtp",),
@@ -308,10 +314,14 @@ FORMATS = (
         None,
         MeshWriter("meshes.vtp:write_vtp", normals=True, colours=True, attributes=True),
     ),
-    Format((".3mf",), mesh_writer=MeshWriter("meshes.threemf:write_3mf", colours=True)),
+    Format(
+        (".3mf",), mesh_writer=MeshWriter("meshes.threemf:write_3mf", colours=True, is_near=True)
+    ),
     Format(
         (".3dtiles",),
-        mesh_writer=MeshWriter("meshes.tileset:write_tileset", True, True, True, makes_folder=True),
+        mesh_writer=MeshWriter(
+            "meshes.tileset:write_tileset", True, True, True, makes_folder=True, turns=True
+        ),
     ),
     Format(
         (TILES_SUFFIX,),

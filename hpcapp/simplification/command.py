@@ -12,6 +12,22 @@ from hpccomponent.errors import UsageError
 
 log = logging.getLogger("hpcapp")
 
+ORIGIN = click.option(
+    "--origin",
+    default="auto",
+    show_default=True,
+    metavar="WHERE",
+    help="What is subtracted from the coordinates: auto, in .glb, .obj, .stl and .3mf what makes "
+    "those of a map fit single precision; keep, nothing; or X,Y,Z. A file beside MESH, "
+    ".origin.json, brings it back.",
+)
+UP = click.option(
+    "--up",
+    type=click.Choice(["z", "y", "x", "-z", "-y", "-x"]),
+    help="The axis that points up, for .glb and .3dtiles.  [default: z, or y of what stands on a "
+    "flat base there]",
+)
+
 
 @click.command(
     cls=Verb,
@@ -49,8 +65,16 @@ log = logging.getLogger("hpcapp")
     help="Simplify it while its surface moves by less, in its own units.",
 )
 @click.option("--size", metavar="BYTES", help="Simplify it to a file of at most that: 20MB.")
+@ORIGIN
+@UP
 def simplify(
-    mesh: Path, output: str, faces: int | None, tolerance: float | None, size: str | None
+    mesh: Path,
+    output: str,
+    faces: int | None,
+    tolerance: float | None,
+    size: str | None,
+    origin: str,
+    up: str | None,
 ) -> None:
     """Simplify a mesh, with all that its vertices carry."""
     from dataclasses import replace
@@ -58,6 +82,7 @@ def simplify(
     from hpcapp.io import find_mesh_crs, read_mesh, write_mesh
     from hpcapp.io.meshes.mesh_stream import as_stream
     from hpcapp.io.output import open_output
+    from hpcapp.io.placement import Placement, parse_origin
     from hpcapp.simplification.mesh import Target, simplify_mesh
     from hpcapp.simplification.size import fit_mesh, read_size
 
@@ -65,14 +90,15 @@ def simplify(
     if not target.is_something and size is None:
         raise UsageError("nothing to simplify to", "give --faces, --tolerance or --size")
     target.check()
+    placement = Placement(parse_origin(origin), up)
     most_bytes = None if size is None else read_size(size, output)
     with open_output(output, [mesh]) as path:
         whole = read_mesh(mesh)
         crs = find_mesh_crs(mesh)
         light = simplify_mesh(whole, target)
         if most_bytes is not None:
-            light = fit_mesh(light, most_bytes, path.suffix, crs)
-        write_mesh(path, replace(as_stream(light), crs=crs))
+            light = fit_mesh(light, most_bytes, path.suffix, crs, placement)
+        write_mesh(path, replace(as_stream(light), crs=crs), placement)
     if faces is not None and tolerance is None and len(light.faces) > faces:
         log.warning("warning: %d faces are left: fewer would break the mesh", len(light.faces))
     log.info("%s: %d of %d faces", output, len(light.faces), len(whole.faces))

@@ -11,6 +11,7 @@ from hpcapp.geometry.mesh import Mesh
 from hpcapp.io import FOLDER_SUFFIXES, write_mesh
 from hpcapp.io.crs import Crs
 from hpcapp.io.meshes.mesh_stream import as_stream
+from hpcapp.io.placement import Placement
 from hpcapp.simplification.mesh import Target, simplify_mesh
 from hpccomponent.errors import UsageError
 from hpccomponent.files.held_folders import temporary_folder
@@ -92,7 +93,7 @@ def fit_size(size: int, most: int, weigh: Callable[[int], int]) -> int:
     return fits
 
 
-def fit_mesh(mesh: Mesh, size: int, suffix: str, crs: Crs) -> Mesh:
+def fit_mesh(mesh: Mesh, size: int, suffix: str, crs: Crs, placement: Placement) -> Mesh:
     """Return a mesh of as many triangles as fit a file.
 
     Parameters
@@ -103,8 +104,8 @@ def fit_mesh(mesh: Mesh, size: int, suffix: str, crs: Crs) -> Mesh:
         In bytes.
     suffix : str
         Names the format.
-    crs : Crs
-        What is to be written of it.
+    crs, placement : Crs, Placement
+        What is to be written of it, and where.
 
     Raises
     ------
@@ -115,7 +116,8 @@ def fit_mesh(mesh: Mesh, size: int, suffix: str, crs: Crs) -> Mesh:
         path = folder / f"mesh{suffix}"
 
         def weigh(faces: int) -> int:
-            write_mesh(path, replace(as_stream(simplify_mesh(mesh, Target(faces))), crs=crs))
+            light = replace(as_stream(simplify_mesh(mesh, Target(faces))), crs=crs)
+            write_mesh(path, light, placement)
             return path.stat().st_size
 
         return simplify_mesh(mesh, Target(fit_size(size, len(mesh.faces), weigh)))

@@ -17,9 +17,11 @@ from pathlib import Path
 
 import numpy as np
 
+from hpcapp.geometry.axes import turn_up
 from hpcapp.geometry.mesh import Mesh
-from hpcapp.geometry.points import FloatArray, PointCloud
+from hpcapp.geometry.points import PointCloud
 from hpcapp.io.columns import Numbers
+from hpcapp.io.frame import choose_origin
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.staging import replacing
 from hpccomponent.cli.option_names import name_option
@@ -46,19 +48,18 @@ class _Array:
         return np.dtype(self.dtype).itemsize * self.width
 
 
-def write_glb(path: Path, mesh: Mesh | MeshStream, turns_up: bool = False) -> None:
+def write_glb(path: Path, mesh: Mesh | MeshStream) -> None:
     """Write a triangle mesh as GLB.
 
     Parameters
     ----------
     mesh : Mesh or MeshStream
-        Vertices are written in single precision, in the local frame; the origin is the
-        translation of the node. Colours keep their bytes, attributes become ``float`` under their
-        names in capitals, after an underscore; NaN, which glTF forbids, becomes zero. What the
-        input's coordinates mean is in the extras of the asset.
-    turns_up : bool
-        Whether the node turns z, which is up, into the y of glTF, and leaves the origin out, as
-        3D Tiles want it.
+        Vertices are written in single precision, in the local frame; the matrix of the node turns
+        what is up into the y of glTF, and adds what is left of the origin. Colours keep their
+        bytes, attributes become ``float`` under their names in capitals, after an underscore; NaN,
+        which glTF forbids, becomes zero. From those that lie far from zero, as the times of GPS do,
+        a number in the extras of the mesh is subtracted. What the input's coordinates mean is in
+        the extras of the asset.
 
     Raises
     ------
@@ -69,8 +70,9 @@ def write_glb(path: Path, mesh: Mesh | MeshStream, turns_up: bool = False) -> No
     names = _name_attributes(stream.layout)
     arrays = list(_list_arrays(stream.layout, names))
     sizes = [stream.vertex_count * array.size for array in arrays] + [12 * stream.face_count]
-    node = _place(stream.origin, turns_up)
-    text = json.dumps(_describe(stream, node, names, arrays, sizes), separators=(",", ":")).encode()
+    offsets = _find_offsets(stream)
+    described = _describe(stream, names, offsets, arrays, sizes)
+    text = json.dumps(described, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
     total = 12 + 8 + len(text) + 8 + sum(sizes)
     if total > _MOST_BYTES:
@@ -84,7 +86,7 @@ def write_glb(path: Path, mesh: Mesh | MeshStream, turns_up: bool = False) -> No
         starts = [file.tell(), *sizes]
         places = [sum(starts[: number + 1]) for number in range(len(arrays))]
         for vertices in stream.vertices():
-            for number, rows in enumerate(_columns(vertices)):
+            for number, rows in enumerate(_columns(vertices, offsets)):
                 file.seek(places[number])
                 places[number] += file.write(rows.data)
         file.seek(sum(starts[:-1]))
@@ -115,17 +117,31 @@ def _list_arrays(layout: PointCloud, names: dict[str, str]) -> Iterator[_Array]:
         yield _Array(names[name], "<f4", 1)
 
 
-def _place(origin: FloatArray, turns_up: bool) -> dict[str, object]:
-    """Return how the node of a mesh is placed."""
-    if turns_up:
-        return {"matrix": [1, 0, 0, 0, 0, 0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1]}  # column by column
-    return {"translation": origin.tolist()} if origin.any() else {}
+def _find_offsets(stream: MeshStream) -> dict[str, float]:
+    """Return what is subtracted from attributes that lie far from zero, by the first vertices."""
+    if not any(column.dtype.itemsize > 2 for column in stream.layout.attributes.values()):
+        return {}
+    offsets: dict[str, float] = {}
+    for name, column in next(stream.vertices(), stream.layout).attributes.items():
+        finite = column[np.isfinite(column)].astype(np.float64)
+        if (finite.astype(np.float32) != finite).any():
+            offset = choose_origin(finite.min(keepdims=True), finite.max(keepdims=True))[0]
+            offsets |= {name: float(offset)} if offset else {}
+    return offsets
+
+
+def _place(stream: MeshStream) -> dict[str, object]:
+    """Return how the node of a mesh is placed, and which axis was up before."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = turn_up(stream.up, to="y")
+    matrix[:3, 3] = matrix[:3, :3] @ stream.origin
+    return {"matrix": matrix.T.ravel().tolist(), "extras": {"up": stream.up}}
 
 
 def _describe(
     stream: MeshStream,
-    place: dict[str, object],
     names: dict[str, str],
+    offsets: dict[str, float],
     arrays: list[_Array],
     sizes: list[int],
 ) -> dict[str, object]:
@@ -152,12 +168,13 @@ def _describe(
     }
     indices = {"bufferView": len(arrays), "componentType": _UINT, "count": 3 * stream.face_count}
     targets = [_VERTICES] * len(arrays) + [_FACES]
+    extras = {"attributes": names} | ({"offsets": offsets} if offsets else {})
     return {
         "asset": {"version": "2.0", "generator": "hpcapp"} | say_frame(stream),
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "name": "mesh", **place}],
-        "meshes": [{"primitives": [primitive], "extras": {"attributes": names}}],
+        "nodes": [{"mesh": 0, "name": "mesh", **_place(stream)}],
+        "meshes": [{"primitives": [primitive], "extras": extras}],
         "accessors": [*accessors, {**indices, "type": "SCALAR"}],
         "bufferViews": [
             {"buffer": 0, "byteOffset": sum(sizes[:number]), "byteLength": size, "target": target}
@@ -169,10 +186,10 @@ def _describe(
 
 def say_frame(stream: MeshStream) -> dict[str, object]:
     """Return what an asset says of the input's coordinates."""
-    return {"extras": stream.crs.stated} if stream.crs.stated else {}
+    return {"extras": stream.said} if stream.said else {}
 
 
-def _columns(vertices: PointCloud) -> Iterator[Numbers]:
+def _columns(vertices: PointCloud, offsets: dict[str, float]) -> Iterator[Numbers]:
     """Yield what some vertices have."""
     yield np.ascontiguousarray(vertices.positions, "<f4")
     if vertices.normals is not None:
@@ -183,7 +200,9 @@ def _columns(vertices: PointCloud) -> Iterator[Numbers]:
         colours = np.full((len(vertices), 4), 255, np.uint8)
         colours[:, :3] = vertices.colours
         yield colours
-    for column in vertices.attributes.values():
+    for name, column in vertices.attributes.items():
+        if name in offsets:
+            column = column.astype(np.float64) - offsets[name]
         with np.errstate(over="ignore"):  # what float cannot hold becomes infinite, and zero
             single = column.astype("<f4")
         single[~np.isfinite(single)] = 0

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from hpcapp.geometry.axes import AXES, turn_up
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import ByteArray, FloatArray
 from hpcapp.io.columns import Numbers
@@ -29,9 +30,9 @@ _DEEPEST = 64  # of nodes in nodes
 def read_glb(path: Path) -> Mesh:
     """Read a GLB file, with one buffer of its own and without compression, as a triangle mesh.
 
-    Nodes are where their matrices put them; colours are kept where all primitives have some,
-    attributes (semantics with an underscore, under the name that `write_glb` gave them) where there
-    is one primitive.
+    Nodes are where their matrices put them, but for the turn to y up of `write_glb`; colours are
+    kept where all primitives have some, attributes (semantics with an underscore, under the name
+    that `write_glb` gave them) where there is one primitive.
 
     Raises
     ------
@@ -129,13 +130,17 @@ def _read_node(
     known.add(number)
     node = file.document["nodes"][number]
     matrix = outer @ _matrix(node)
+    if (up := node.get("extras", {}).get("up")) in AXES:
+        back = np.eye(4)
+        back[:3, :3] = turn_up("y", to=up)
+        matrix = back @ matrix
     if "mesh" in node:
         mesh = file.document["meshes"][node["mesh"]]
         is_single = len(mesh["primitives"]) == 1
         for primitive in mesh["primitives"]:
             if primitive.get("mode", _TRIANGLES) == _TRIANGLES:
-                names = mesh.get("extras", {}).get("attributes", {}) if is_single else {}
-                yield _read_primitive(file, primitive, matrix, names)
+                extras = mesh.get("extras", {}) if is_single else {}
+                yield _read_primitive(file, primitive, matrix, extras)
     for child in node.get("children", []):
         yield from _read_node(file, child, matrix, known, depth + 1)
 
@@ -157,7 +162,7 @@ def _matrix(node: dict[str, Any]) -> FloatArray:
 
 
 def _read_primitive(
-    file: _File, primitive: dict[str, Any], matrix: FloatArray, names: dict[str, str]
+    file: _File, primitive: dict[str, Any], matrix: FloatArray, extras: dict[str, Any]
 ) -> Mesh:
     columns = primitive["attributes"]
     places = file.array(columns["POSITION"]).astype(np.float64)
@@ -177,9 +182,11 @@ def _read_primitive(
         colours = np.rint(np.multiply(255.0, shares)).astype(np.uint8)
     attributes = {
         name: file.array(columns[semantic])[:, 0].copy()
-        for name, semantic in names.items()
+        for name, semantic in extras.get("attributes", {}).items()
         if semantic in columns
     }
+    for name, offset in extras.get("offsets", {}).items():
+        attributes[name] = attributes[name].astype(np.float64) + float(offset)
     # A translation alone keeps the local frame, as `write_glb` writes it.
     if np.array_equal(matrix[:3, :3], np.eye(3)):
         return Mesh(places, faces, matrix[:3, 3].copy(), None, colours, attributes)

@@ -35,6 +35,10 @@ class MeshStream:
         Without points: tells which normals, colours and attributes the vertices carry.
     crs : Crs
         What the input's coordinates mean.
+    shift : ndarray of float64, shape (3,)
+        What was subtracted from the input's coordinates, to be written elsewhere.
+    up : str
+        The axis that points up, of `axes.AXES`.
     """
 
     vertex_count: int
@@ -46,6 +50,16 @@ class MeshStream:
     corners: Callable[[], Iterator[FloatArray]]
     layout: PointCloud = field(default_factory=lambda: PointCloud(np.empty((0, 3))))
     crs: Crs = UNKNOWN
+    shift: FloatArray = field(default_factory=lambda: np.zeros(3))
+    up: str = "z"
+
+    @property
+    def said(self) -> dict[str, str]:
+        """What a file may say of its coordinates, by name, on one line each."""
+        if not self.shift.any():
+            return self.crs.stated
+        places = (np.format_float_positional(part, trim="-") for part in self.shift)
+        return {"origin": " ".join(places), **self.crs.stated}
 
 
 def as_stream(mesh: Mesh | MeshStream) -> MeshStream:

@@ -10,7 +10,6 @@ import numpy as np
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray
 from hpcapp.io.columns import Ragged
-from hpcapp.io.crs import Crs
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.meshes.polygons import mesh_of_polygons
 from hpcapp.io.rows import Line, line_error, numbered, parse_index, parse_table, write_rows
@@ -72,7 +71,7 @@ def _corners(words: list[str], vertices: int, line: Line, path: Path) -> list[in
 
 
 def write_obj(path: Path, mesh: Mesh | MeshStream) -> None:
-    """Write a triangle mesh as OBJ, in the input's frame.
+    """Write a triangle mesh as OBJ.
 
     Coordinates are written to the last digit if an origin was subtracted, else to the nine digits
     that tell one ``float`` from another; colours behind them, from 0 to 1. Comments say what
@@ -86,7 +85,7 @@ def write_obj(path: Path, mesh: Mesh | MeshStream) -> None:
     has_normals = stream.layout.normals is not None
     face = "f %d//%d %d//%d %d//%d\n" if has_normals else "f %d %d %d\n"
     with replacing(path) as file:
-        file.writelines(comment_lines(stream.crs))
+        file.writelines(comment_lines(stream))
         for vertices in stream.vertices():
             places = vertices.positions + stream.origin
             if vertices.colours is not None:
@@ -99,9 +98,9 @@ def write_obj(path: Path, mesh: Mesh | MeshStream) -> None:
             file.writelines(write_rows(face, corners + 1))
 
 
-def comment_lines(crs: Crs) -> list[bytes]:
+def comment_lines(stream: MeshStream) -> list[bytes]:
     """Return the comments that say what coordinates mean."""
-    return [f"# {name} {value}\n".encode() for name, value in crs.stated.items()]
+    return [f"# {name} {value}\n".encode() for name, value in stream.said.items()]
 
 
 def coordinate_format(origin: FloatArray) -> str:

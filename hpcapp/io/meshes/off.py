@@ -89,7 +89,7 @@ def write_off(path: Path, mesh: Mesh | MeshStream) -> None:
     row = " ".join([coordinate_format(stream.origin)] * 3) + "\n"
     with replacing(path) as file:
         file.write(b"OFF\n")
-        file.writelines(comment_lines(stream.crs))
+        file.writelines(comment_lines(stream))
         file.write(f"{stream.vertex_count} {stream.face_count} 0\n".encode("ascii"))
         for vertices in stream.vertices():
             file.writelines(write_rows(row, vertices.positions + stream.origin))

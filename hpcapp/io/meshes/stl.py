@@ -73,22 +73,15 @@ def _ascii_corners(path: Path) -> FloatArray:
 
 
 def write_stl(path: Path, mesh: Mesh | MeshStream) -> None:
-    """Write a triangle mesh as binary STL, in the local frame.
-
-    Single precision would ruin georeferenced coordinates: the origin is not added, but noted in the
-    file's header.
-    """
+    """Write a triangle mesh as binary STL, in single precision; the header notes its origin."""
     stream = as_stream(mesh)
-    head = "hpcapp"
-    if stream.origin.any():
-        places = (np.format_float_positional(part, trim="-") for part in stream.origin)
-        head += f" origin {' '.join(places)}"
+    head = "hpcapp" + (f" origin {stream.said['origin']}" if stream.shift.any() else "")
     with replacing(path) as file:
         file.write(head.encode("ascii")[:_HEAD_BYTES].ljust(_HEAD_BYTES))
         file.write(stream.face_count.to_bytes(4, "little"))
         for corners in stream.corners():
             triangles = np.zeros(len(corners), _TRIANGLE)
-            triangles["corners"] = corners
+            triangles["corners"] = corners + stream.origin
             triangles["normal"] = _unit_normals(corners)
             file.write(triangles.data)
 

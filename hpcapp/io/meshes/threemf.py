@@ -54,10 +54,10 @@ _UNITS = {"m": "meter", "ft": "foot", "mm": "millimeter", "cm": "centimeter"}
 def write_3mf(path: Path, mesh: Mesh | MeshStream) -> None:
     """Write a triangle mesh as 3MF.
 
-    Vertices are written in the local frame, with nine digits; the origin is the translation of the
-    build item. The unit is that of the input, millimetres where it states none; one that 3MF does
-    not know is scaled to metres by the build item, and so are heights of another one. Colours are
-    those of the triangles' corners, blended between them.
+    Vertices have nine digits; what is left of the origin is the translation of the build item. The
+    unit is that of the input, millimetres where it states none; one that 3MF does not know is
+    scaled to metres by the build item, and so are heights of another one. Colours are those of the
+    triangles' corners, blended between them.
     """
     stream = as_stream(mesh)
     with replacing(path) as file, ZipFile(file, "w") as package:
@@ -76,7 +76,10 @@ def _entry(name: str) -> ZipInfo:
 
 def _write_model(model: IO[bytes], stream: MeshStream) -> None:
     crs = stream.crs
-    described = f'<metadata name="Description">{escape(crs.text)}</metadata>\n' if crs.text else ""
+    words = [crs.text] if crs.text else []
+    words += [f"origin {stream.said['origin']}"] if stream.shift.any() else []
+    text = escape(", ".join(words))
+    described = f'<metadata name="Description">{text}</metadata>\n' if text else ""
     model.write(_BEGIN.format(_choose_unit(crs)[0], described).encode())
     palette: IntArray | None = None
     if stream.layout.colours is not None:

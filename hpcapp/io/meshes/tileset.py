@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hpcapp.geometry.axes import turn_up
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, IntArray
 from hpcapp.io.batches import join_points
@@ -40,7 +41,7 @@ def write_tileset(path: Path, mesh: Mesh | MeshStream, tile_faces: int = TILE_FA
     ----------
     mesh : Mesh or MeshStream
         Is brought into memory as a whole. The tiles are in the local frame, in single precision;
-        the transform of the root adds the origin.
+        the transform of the root adds the origin, and turns what is up to z.
     tile_faces : int
         Most triangles of a tile.
     """
@@ -49,8 +50,11 @@ def write_tileset(path: Path, mesh: Mesh | MeshStream, tile_faces: int = TILE_FA
     with replacing_folder(path) as folder:
         tile, _ = _write_tile(folder, "0", whole, np.arange(len(whole.faces)), tile_faces)
         root = {**tile.to_json(), "refine": "REPLACE"}
-        if whole.origin.any():
-            root["transform"] = [*np.eye(4)[:3].ravel().tolist(), *whole.origin.tolist(), 1.0]
+        place = np.eye(4)
+        place[:3, :3] = turn_up(stream.up)
+        place[:3, 3] = place[:3, :3] @ whole.origin
+        if (place != np.eye(4)).any():
+            root["transform"] = place.T.ravel().tolist()
         tileset = {
             "asset": {"version": "1.1", "generator": "hpcapp"} | say_frame(stream),
             "geometricError": max(2.0 * float(np.linalg.norm(tile.half_sides)), tile.error),
@@ -114,7 +118,7 @@ def _write_tile(
         joined = _unite(*halves)
         mesh = simplify_mesh(joined, Target(faces=most), keeps_border=True)
         error = max(child.error for child in children) + _distance(joined, mesh)
-    write_glb(folder / f"{name}.glb", replace(mesh, origin=np.zeros(3)), turns_up=True)
+    write_glb(folder / f"{name}.glb", replace(mesh, origin=np.zeros(3)))
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     for child in children:  # a box holds the boxes below it
         low = np.minimum(low, child.centre - child.half_sides)

@@ -188,17 +188,6 @@ def test_a_mesh_says_what_its_coordinates_mean(
     assert not caplog.messages
 
 
-def test_an_stl_says_neither_unit_nor_place(
-    tmp_path: Path, tetrahedron: Mesh, caplog: pytest.LogCaptureFixture
-) -> None:
-    moved = replace(tetrahedron, origin=np.array([4.5e5, 5.4e6, 300.25]))
-    write_mesh(tmp_path / "mesh.stl", replace(as_stream(moved), crs=LOCAL_FRAME))
-    meaning, place = caplog.messages
-    assert meaning.endswith(".stl does not say what coordinates mean: unit, height_unit, crs")
-    assert place.endswith("in local coordinates: add 450000 5400000 300.25 for those of the input")
-    assert b"origin 450000 5400000 300.25" in (tmp_path / "mesh.stl").read_bytes()[:80]
-
-
 def test_a_coordinate_system_is_one_line_of_a_header(tmp_path: Path, tetrahedron: Mesh) -> None:
     wild = Crs('PROJCS["a",\n UNIT["metre",1]]\x01\nend_header', "m")
     write_mesh(tmp_path / "mesh.ply", replace(as_stream(tetrahedron), crs=wild))

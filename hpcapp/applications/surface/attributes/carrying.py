@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from tempfile import TemporaryFile
 from typing import TYPE_CHECKING
 
@@ -19,6 +19,7 @@ from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.geometry.vertex_normals import add_face_normals, scale_normals
 from hpcapp.io.crs import UNKNOWN, Crs
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream, scale_mesh_heights
+from hpcapp.io.placement import Placement
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.attributes.carry import Carried
@@ -48,6 +49,8 @@ class Carrying:
     crs : Crs
         What the input's coordinates mean. Heights of another unit than x and y, which were scaled
         for the surface, get their own again.
+    placement : Placement
+        Where the mesh is written, and which way up.
     """
 
     layout: PointCloud
@@ -55,6 +58,7 @@ class Carrying:
     spacing: float | None = None
     has_normals: bool = False
     crs: Crs = UNKNOWN
+    placement: Placement = field(default_factory=Placement)
 
     @property
     def is_something(self) -> bool:

@@ -31,6 +31,7 @@ from hpcapp.applications.view.command import check_page, check_picture
 from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY, POLICIES
 from hpcapp.dashboard import DEFAULT_ADDRESS
 from hpcapp.progress import Progress
+from hpcapp.simplification.command import ORIGIN, UP
 from hpcapp.timeline import Timeline
 from hpccomponent.cli.terminal import echo_json
 from hpccomponent.cli.verb import Verb
@@ -156,6 +157,10 @@ def check_flags(ctx: click.Context) -> None:
         parse_address(ctx.params["dashboard"])
     parse_attributes(ctx.params["attributes"])
     parse_viewpoint(ctx.params["viewpoint"])
+    if ctx.params["origin"] not in ("auto", "keep"):
+        from hpcapp.io.placement import parse_origin
+
+        parse_origin(ctx.params["origin"])
     check_page(ctx.params["report"], "--report")
     check_picture(ctx.params["png"], "--png")
     _check_method_options(ctx)
@@ -169,7 +174,7 @@ GROUPS = {
     "Points": ("sample", "normals", "clean", "outliers", "denoise", "resample"),
     "Surface": (
         "voxel_size", "depth", "uniform", "smoothness", "detail", "trim", "fill_holes",
-        "tolerance", "size", "method",
+        "tolerance", "size", "origin", "up", "method",
     ),
     "With --method paper": option_names(find_method("paper")),
     "Where it runs": ("backend", "workers", "policy", "verify", "temp_dir", "resume"),
@@ -341,6 +346,8 @@ def _add_method_options(command: click.Command) -> click.Command:
     metavar="BYTES",
     help="Simplify the mesh to a file of at most that: 20MB.",
 )
+@ORIGIN
+@UP
 @click.option(
     "--events",
     type=click.Path(dir_okay=False, path_type=Path),
@@ -464,6 +471,7 @@ def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:
         from hpcapp.applications.surface.cli.run import run_job  # while the machines start
         from hpcapp.applications.surface.job.settings import JobSettings
         from hpcapp.applications.surface.resolution.memory import parse_limit
+        from hpcapp.io.placement import Placement, parse_origin
         from hpcapp.io.points.inputs import find_paths, gather_points
         from hpcapp.simplification.mesh import Target
         from hpcapp.simplification.size import read_size
@@ -472,6 +480,7 @@ def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:
             options["max_memory"] = parse_limit(options["max_memory"])
         options["attributes"] = parse_attributes(options["attributes"])
         options["viewpoint"] = parse_viewpoint(options["viewpoint"])
+        options["placement"] = Placement(parse_origin(options.pop("origin")), options.pop("up"))
         Target(options["faces"], options["tolerance"]).check()
         if options["size"] is not None:
             options["size"] = read_size(options["size"], options["output"])

@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Collection
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 
 from hpcapp.applications.surface.methods.options import typed_command, typed_options
 from hpcapp.applications.surface.normals.viewpoint import parse_viewpoint, type_viewpoint
 from hpcapp.backends.cluster import load_cluster_function
 from hpcapp.io import FOLDER_SUFFIXES, MESH_SUFFIXES, drop_unusable, read_points
+from hpcapp.io.crs import Crs
 from hpcapp.io.output import open_output
+from hpcapp.io.placement import Place, note_origin
 from hpcapp.io.points.inputs import find_paths, gather_points
-from hpccomponent.errors import UsageError
+from hpcapp.io.registry import find_mesh_writer
+from hpccomponent.errors import InputError, UsageError
+from hpccomponent.foreign_json import convert
 
 DETAILS = ("timeline", "owners")
 """What a report has with --details."""
@@ -122,8 +128,37 @@ def run_on_cluster(ctx: click.Context) -> dict[str, Any]:
         program, *typed = typed_command(ctx)
         report: dict[str, Any] = run(cluster, "reconstruct", points, target, words, typed)
         report["command"] = shlex.join([program, *typed])  # the head has typed its own
+        _note_place(target, report)
         _show(ctx, report, target, points)
     return {name: value for name, value in report.items() if is_detailed or name not in DETAILS}
+
+
+@dataclass(frozen=True, slots=True)
+class _Meaning:
+    """What a report says of the input's coordinates."""
+
+    crs: str | None = None
+    unit: str | None = None
+    height_unit: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Placed:
+    """What a report says of where the mesh was written."""
+
+    origin: Place = (0.0, 0.0, 0.0)
+    input: _Meaning = field(default_factory=_Meaning)
+
+
+def _note_place(target: Path, report: dict[str, Any]) -> None:
+    """Write beside a mesh that was fetched what its file does not say of its place."""
+    try:
+        placed = convert(report, _Placed)
+    except ValueError as error:
+        raise InputError(f"the head's report: {error}", "check the head") from None
+    crs = Crs(placed.input.crs, placed.input.unit, placed.input.height_unit)
+    mesh_writer = find_mesh_writer(target)
+    note_origin(target, np.array(placed.origin), crs, holds_crs=not mesh_writer.is_bare)
 
 
 def _check_shown(ctx: click.Context) -> None:

@@ -30,7 +30,7 @@ from hpcapp.applications.surface.resolution.asked import guess_grid
 from hpcapp.applications.surface.resolution.memory import count_most_points
 from hpcapp.backends.selection import Backend
 from hpcapp.communicator.scheduling.verification import Verification, attempt, repeat_until_trusted
-from hpcapp.io import describe_losses
+from hpcapp.io import describe_losses, place_mesh
 from hpcapp.io.output import open_output
 from hpcapp.progress import Progress, StageClock
 from hpcapp.timeline import Timeline
@@ -163,8 +163,10 @@ def _write(
     """Write the mesh, and describe what came of the job."""
     outcome, carrying, topology = deliver(settings, loaded, outcome, target, clock)
     report = describe_outcome(settings, loaded, outcome, topology, carrying)
-    written = carrying.to_stream(outcome.result.surface.stream())
-    report["warnings"] += describe_losses(target, written)
+    mesh = carrying.to_stream(outcome.result.surface.stream())
+    placed = place_mesh(target, mesh, settings.placement)
+    report["warnings"] += describe_losses(target, placed)
+    report["origin"] = placed.shift.tolist()
     report["input"] = describe_input(settings)
     report["command"] = shlex.join(settings.command)
     if verification.machines or verification.liars:

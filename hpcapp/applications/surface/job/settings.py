@@ -12,6 +12,7 @@ from hpcapp.applications.surface.hierarchical.settings import Hierarchical
 from hpcapp.applications.surface.methods.method import MethodSettings
 from hpcapp.applications.surface.normals.viewpoint import Viewpoint
 from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY
+from hpcapp.io.placement import Placement
 from hpcapp.simplification.mesh import Target
 from hpcapp.workforce import Workforce
 from hpccomponent.limits import available_cores
@@ -64,6 +65,8 @@ class Settings:
         Triangles to simplify the mesh to.
     tolerance : float or None
         How far its surface may move then, in length units of the input.
+    placement : Placement
+        Where the mesh is written, and which way up.
     """
 
     method: MethodSettings = field(default_factory=Hierarchical)
@@ -86,6 +89,7 @@ class Settings:
     viewpoint: Viewpoint = ()
     faces: int | None = None
     tolerance: float | None = None
+    placement: Placement = field(default_factory=Placement)
 
     def __post_init__(self) -> None:
         for one in fields(self):

@@ -33,7 +33,7 @@ from hpcapp.applications.surface.tiles.patterns import kept_part
 from hpcapp.geometry.lattice import number_keys
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, IntArray
-from hpcapp.io import describe_losses, needs_double, write_mesh
+from hpcapp.io import describe_losses, needs_double, note_place, place_mesh, write_mesh
 from hpcapp.io.crs import Crs
 from hpcapp.io.meshes.mesh_stream import MeshStream
 from hpcapp.io.registry import TILES_SUFFIX
@@ -195,7 +195,8 @@ class Surface:
         """
         suffix = path.suffix.lower()
         is_shared = self.checkpoint is not None and self.checkpoint.is_shared
-        if suffix in (".ply", TILES_SUFFIX) and is_shared and not carrying.is_something:
+        is_plain = not carrying.is_something and not carrying.placement.is_asked
+        if suffix in (".ply", TILES_SUFFIX) and is_shared and is_plain:
             assert self.checkpoint is not None  # noqa: S101 - it is shared
             self._topology = self._topology or workforce.defer(self.plan.judge)
             write = self._share_ply if suffix == ".ply" else self._share_tiles
@@ -205,12 +206,19 @@ class Surface:
             if suffix == TILES_SUFFIX:
                 from hpcapp.io.meshes.tiles import write_tiles
 
-                for loss in describe_losses(path, carrying.to_stream(self.stream())):
+                placement = carrying.placement
+                whole = place_mesh(path, carrying.to_stream(self.stream()), placement)
+                for loss in describe_losses(path, whole):
                     log.warning("warning: %s", loss)
-                tiles = stream_tiles(self.plan, load, self.origin)
-                write_tiles(path, ((index, carrying.to_tile(tile)) for index, tile in tiles))
+                tiles = (
+                    (index, place_mesh(path, carrying.to_tile(tile), placement))
+                    for index, tile in stream_tiles(self.plan, load, self.origin)
+                )
+                write_tiles(path, tiles)
+                note_place(path, whole)
             else:
-                write_mesh(path, carrying.to_stream(stream_mesh(self.plan, load, self.origin)))
+                mesh = carrying.to_stream(stream_mesh(self.plan, load, self.origin))
+                write_mesh(path, mesh, carrying.placement)
 
     @contextmanager
     def _fetched(self) -> Iterator[LoadPart]:

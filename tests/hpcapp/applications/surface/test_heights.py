@@ -25,6 +25,7 @@ from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import open_points, read_mesh, read_points, write_points
 from hpcapp.io.crs import Crs
+from hpcapp.io.placement import Placement
 from hpcapp.io.points.inputs import gather_points
 from hpcapp.progress import Progress
 
@@ -57,6 +58,11 @@ def unit_vectors(vertices: FloatArray) -> FloatArray:
     return directions
 
 
+def _read_origin(path: Path) -> FloatArray:
+    """What a file beside a mesh, or a folder of tiles, says was subtracted."""
+    return np.array(json.loads(path.with_name(f"{path.name}.origin.json").read_text())["origin"])
+
+
 def read_places(path: Path) -> list[FloatArray]:
     """Vertices in the file's own coordinates, of each file that was written."""
     if path.suffix == ".tiles":
@@ -67,13 +73,10 @@ def read_places(path: Path) -> list[FloatArray]:
         (text,) = re.findall(r'transform="(.*?)"', model)
         transform = np.array(text.split(), np.float64)
         assert 'unit="foot"' in model  # all of it, so that heights are scaled
-        return [(rows @ transform[:9].reshape(3, 3) + transform[9:]) * (1.0, 1.0, METRES)]
+        places = (rows @ transform[:9].reshape(3, 3) + transform[9:]) * (1.0, 1.0, METRES)
+        return [places + _read_origin(path)]
     mesh: Mesh = read_mesh(path)
-    places = mesh.vertices + mesh.origin
-    if path.suffix == ".stl":
-        words = path.read_bytes()[:80].decode().split()
-        places = places + np.array(words[words.index("origin") + 1 :], np.float64)
-    return [places]
+    return [mesh.vertices + mesh.origin]
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
@@ -126,6 +129,26 @@ def test_a_cloud_in_a_folder_gives_the_same_mesh(
     if suffix == ".ply":
         assert output.read_bytes() == (tmp_path / "whole.ply").read_bytes()
     for places in read_places(output):
+        assert np.abs(np.linalg.norm(unit_vectors(places), axis=1) - 1.0).max() < 0.02
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".tiles", ".3dtiles"])
+def test_parts_lie_where_they_are_asked_for(
+    suffix: str, ball: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(storage, "fits_memory", lambda *_: False)
+    for module in (run, site):
+        monkeypatch.setattr(module, "choose_tile", lambda *_: 3_000)
+    output, near = tmp_path / f"parts{suffix}", Placement(tuple(CENTRE - 7.0))
+    report = reconstruct(ball, output, temp_dir=str(tmp_path / "room"), placement=near)
+    assert report["origin"] == _read_origin(output).tolist() == (CENTRE - 7.0).tolist()
+    if suffix == ".3dtiles":
+        root = json.loads((output / "tileset.json").read_text())["root"]
+        assert np.abs(np.array(root["transform"][12:15]) - 7.0).max() < 1.0
+        return
+    for places in read_places(output):
+        if suffix == ".tiles":
+            places = places + _read_origin(output)
         assert np.abs(np.linalg.norm(unit_vectors(places), axis=1) - 1.0).max() < 0.02
 
 

@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from hpcapp.geometry.axes import AXES
 from hpcapp.geometry.mesh import Mesh
+from hpcapp.io import read_mesh, write_mesh
 from hpcapp.io.meshes.glb import write_glb
 from hpcapp.io.meshes.mesh_stream import as_stream
+from hpcapp.io.placement import Placement
 from hpccomponent.errors import OutputError
 
 TYPES = {5121: "u1", 5125: "<u4", 5126: "<f4"}
@@ -48,11 +51,9 @@ def read_glb(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
 def test_a_mesh_with_everything_comes_back(tmp_path: Path, painted: Mesh) -> None:
     write_glb(tmp_path / "mesh.glb", painted)
     told, found = read_glb(tmp_path / "mesh.glb")
-    assert told["nodes"][told["scenes"][told["scene"]]["nodes"][0]]["translation"] == [
-        4e5,
-        5.4e6,
-        0,
-    ]
+    node = told["nodes"][told["scenes"][told["scene"]]["nodes"][0]]
+    matrix = np.reshape(node["matrix"], (4, 4)).T
+    np.testing.assert_array_equal(matrix @ [1, 2, 3, 1], [4e5 + 1, 3, -(5.4e6 + 2), 1])
     np.testing.assert_array_equal(found["POSITION"], painted.vertices)
     np.testing.assert_array_equal(found["faces"].reshape(-1, 3), painted.faces)
     assert painted.normals is not None
@@ -76,7 +77,7 @@ def test_a_plain_mesh_is_places_and_faces(tmp_path: Path, tetrahedron: Mesh) -> 
     write_glb(tmp_path / "mesh.glb", tetrahedron)
     told, found = read_glb(tmp_path / "mesh.glb")
     assert set(found) == {"POSITION", "faces"}
-    assert "translation" not in told["nodes"][0]
+    assert told["meshes"][0]["extras"] == {"attributes": {}}
 
 
 def test_names_that_become_one_are_told_apart(tmp_path: Path, tetrahedron: Mesh) -> None:
@@ -106,3 +107,34 @@ def test_what_is_too_large_for_the_format_is_refused(tmp_path: Path, painted: Me
     with pytest.raises(OutputError, match="too many for a GLB"):
         write_glb(tmp_path / "mesh.glb", large)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("up", AXES)
+def test_what_is_up_is_the_y_of_gltf(tmp_path: Path, painted: Mesh, up: str) -> None:
+    path = tmp_path / "mesh.glb"
+    write_mesh(path, painted, Placement("keep", up))
+    matrix = np.reshape(read_glb(path)[0]["nodes"][0]["matrix"], (4, 4)).T
+    upward = np.zeros(3)
+    upward["xyz".index(up[-1])] = -1.0 if up[0] == "-" else 1.0
+    np.testing.assert_array_equal(matrix[:3, :3] @ upward, [0, 1, 0])
+    assert np.linalg.det(matrix[:3, :3]) == 1.0
+    back = read_mesh(path)  # in the coordinates that it had
+    np.testing.assert_array_equal(back.vertices, painted.vertices)
+    np.testing.assert_array_equal(back.faces, painted.faces)
+    np.testing.assert_array_equal(back.origin, painted.origin)
+
+
+def test_times_of_gps_keep_their_differences(tmp_path: Path, tetrahedron: Mesh) -> None:
+    times = 3.2e8 + np.array([0.125, 0.25, np.nan, 900.5])
+    columns: dict[str, NDArray[Any]] = {
+        "gps_time": times,
+        "number": np.array([7, 7, 7, 7], np.int32),
+    }
+    write_mesh(tmp_path / "mesh.glb", replace(tetrahedron, attributes=columns))
+    told, found = read_glb(tmp_path / "mesh.glb")
+    offset = told["meshes"][0]["extras"]["offsets"]
+    assert list(offset) == ["gps_time"]  # 7 fits single precision as it is
+    assert np.diff(found["_GPS_TIME"].ravel()[:2]) == 0.125
+    back = read_mesh(tmp_path / "mesh.glb").attributes["gps_time"]
+    np.testing.assert_array_equal(back[[0, 1, 3]], times[[0, 1, 3]])
+    assert back[2] == offset["gps_time"]  # NaN, which glTF forbids, is zero

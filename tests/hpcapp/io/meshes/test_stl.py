@@ -27,13 +27,6 @@ def test_a_binary_file_that_starts_with_solid_is_binary(tmp_path: Path, tetrahed
     assert read_stl(path).faces.shape == (4, 3)
 
 
-def test_georeferenced_meshes_stay_in_the_local_frame(tmp_path: Path, tetrahedron: Mesh) -> None:
-    path = tmp_path / "mesh.stl"
-    write_stl(path, Mesh(tetrahedron.vertices, tetrahedron.faces, np.array([4.5e5, 5.4e6, 0.0])))
-    assert path.read_bytes().startswith(b"hpcapp origin 450000 5400000 0 ")
-    assert {tuple(v) for v in read_stl(path).vertices} == {tuple(v) for v in tetrahedron.vertices}
-
-
 def test_normals_point_out_and_faces_without_area_have_none(tmp_path: Path) -> None:
     vertices = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
     write_stl(tmp_path / "a.stl", Mesh(vertices, np.array([[0, 1, 2], [0, 1, 1]])))

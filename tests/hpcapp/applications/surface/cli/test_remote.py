@@ -16,7 +16,7 @@ from hpcapp.applications.surface.cli.remote_check import check_job
 from hpcapp.applications.surface.normals.viewpoint import parse_viewpoint
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import PointCloud
-from hpcapp.io import read_mesh, read_points, write_mesh, write_points
+from hpcapp.io import find_mesh_crs, read_mesh, read_points, write_mesh, write_points
 from hpccomponent.errors import InputError, UsageError
 
 
@@ -200,12 +200,31 @@ def test_the_page_of_a_fetched_mesh_is_made_here(
     assert png.read_bytes().startswith(b"\x89PNG")
 
 
+def test_the_place_of_a_fetched_mesh_is_beside_it(
+    tmp_path: Path, sphere_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    origin = [5.0e5, 5.4e6, 0.0]
+
+    def run(path: Path, verb: str, points: Path, target: Path, *words: Sequence[str]) -> object:
+        write_mesh(target, Mesh(np.eye(3), np.array([[0, 1, 2]])))
+        return {"summary": "a mesh", "origin": origin, "input": {"crs": "EPSG:2180", "unit": "m"}}
+
+    monkeypatch.setattr(remote, "load_cluster_function", lambda name: run)
+    words = [str(sphere_file), "-o", str(tmp_path / "m.glb"), "--cluster", "cluster.yaml"]
+    CliRunner().invoke(reconstruct, words, catch_exceptions=False)
+    assert read_mesh(tmp_path / "m.glb").origin.tolist() == origin
+    assert find_mesh_crs(tmp_path / "m.glb").text == "EPSG:2180"
+
+
 LIES: list[dict[str, object]] = [
     {"spacing": "narrow"},
     {"stages": {"fit": 1e400}},
     {"timeline": {"spans": [{"name": "fit"}]}},
     {"warnings": 7},
     {"owners": {"tiles": "x"}},
+    {"origin": [1.0, 2.0]},
+    {"origin": [0.0, 0.0, 1e400]},
+    {"input": {"crs": 7}},
 ]
 
 

@@ -102,7 +102,7 @@ def test_a_job_that_fails_leaves_the_old_mesh(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def write_half(path: Path, mesh: Mesh) -> None:
+    def write_half(path: Path, mesh: Mesh, *_: object) -> None:
         def fail(*_: object) -> None:
             raise error
 

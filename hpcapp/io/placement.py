@@ -1,0 +1,180 @@
+"""Where a mesh is written, which way up, and the file beside it that brings its place back.
+
+Viewers, game engines and printers hold coordinates in single precision, which has no room for those
+of a map: there what lies far from zero is written near zero. The origin is in a file beside it,
+``mesh.glb.origin.json``, which `read_mesh` adds again::
+
+    {"origin": [512025.0, 5403025.0, 0.0], "unit": "m", "crs": "EPSG:25832"}
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeAlias
+
+import numpy as np
+from msgspec import Meta
+
+from hpcapp.geometry.axes import AXES, find_up
+from hpcapp.geometry.points import FloatArray
+from hpcapp.io.crs import UNKNOWN, Crs
+from hpcapp.io.staging import replacing
+from hpccomponent.errors import InputError, UsageError
+from hpccomponent.foreign_json import decode
+
+if TYPE_CHECKING:
+    from hpcapp.geometry.mesh import Mesh
+    from hpcapp.io.meshes.mesh_stream import MeshStream
+
+Origin: TypeAlias = "str | tuple[float, float, float]"
+"""``auto``, ``keep``, or what is subtracted from the coordinates."""
+
+_Coordinate: TypeAlias = Annotated[float, Meta(ge=-1e300, le=1e300)]
+Place: TypeAlias = tuple[_Coordinate, _Coordinate, _Coordinate]
+"""A place that a file or a report may name: three finite numbers."""
+
+BESIDE = ".origin.json"
+"""Ends the name of the file beside a mesh."""
+
+_MOST_BYTES = 1 << 20  # of that file: the longest WKT has some 10 kB
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """Where a mesh is written, and which way up.
+
+    Parameters
+    ----------
+    origin : str or tuple of float
+        What is subtracted, in the input's coordinates; ``auto`` subtracts the origin of the local
+        frame in formats that are read in single precision; ``keep`` nothing in any format.
+    up : str or None
+        The axis of the input that points up, of `axes.AXES`; by default what `find_up` finds, and z
+        of coordinates that a file gives a meaning.
+    """
+
+    origin: Origin = "auto"
+    up: str | None = None
+
+    @property
+    def is_asked(self) -> bool:
+        """Whether a place is asked for that the format alone would not give."""
+        return not isinstance(self.origin, str)
+
+    def place(self, stream: MeshStream, is_near: bool, turns: bool) -> MeshStream:
+        """Return a mesh where it is written.
+
+        Parameters
+        ----------
+        stream : MeshStream
+            In the input's coordinates.
+        is_near : bool
+            Whether the format is read in single precision.
+        turns : bool
+            Whether the format says which axis is up, so that a mesh is turned.
+        """
+        if self.origin == "keep" or (self.origin == "auto" and not is_near):
+            shift = np.zeros(3)
+        else:
+            shift = stream.origin if self.origin == "auto" else np.array(self.origin, float)
+        up = self.up or "z"
+        if turns and self.up is None and stream.crs.text is None:
+            up = find_up(stream.corners(), stream.box)
+        return replace(stream, origin=stream.origin - shift, shift=shift, up=up)
+
+
+def parse_origin(text: str) -> Origin:
+    """Return what ``--origin`` says.
+
+    Raises
+    ------
+    UsageError
+        It is neither a word nor three finite numbers.
+
+    Examples
+    --------
+    >>> parse_origin("512000,5403000,0")
+    (512000.0, 5403000.0, 0.0)
+    """
+    if text in ("auto", "keep"):
+        return text
+    try:
+        x, y, z = (float(word) for word in text.split(","))
+    except ValueError:
+        x = y = z = np.nan
+    if not np.isfinite([x, y, z]).all():
+        raise UsageError(f"--origin {text!r}: is no place", "give auto, keep, or X,Y,Z")
+    return x, y, z
+
+
+def check_up(axis: str) -> str:
+    """Return an axis; UsageError where it is none."""
+    if axis not in AXES:
+        raise UsageError(f"up {axis!r}: is no axis", f"give one of {', '.join(AXES)}")
+    return axis
+
+
+@dataclass(frozen=True, slots=True)
+class _Beside:
+    """What is in the file beside a mesh."""
+
+    origin: Place
+    unit: str | None = None
+    height_unit: str | None = None
+    crs: str | None = None
+
+
+def note_origin(path: Path, origin: FloatArray, crs: Crs, holds_crs: bool = True) -> None:
+    """Write what a mesh's file does not say into the one beside it; remove one that is out of date.
+
+    Parameters
+    ----------
+    path : Path
+        Of the mesh.
+    origin : ndarray of float64, shape (3,)
+        What was subtracted.
+    crs : Crs
+        What the input's coordinates mean.
+    holds_crs : bool
+        Whether the mesh's file says that, too.
+    """
+    beside = _name_beside(path)
+    if origin.any() or (crs.stated and not holds_crs):
+        with replacing(beside) as file:
+            text = json.dumps({"origin": origin.tolist(), **crs.stated}, indent=1)
+            file.write(text.encode() + b"\n")
+    else:
+        beside.unlink(missing_ok=True)
+
+
+def bring_back(path: Path, mesh: Mesh) -> Mesh:
+    """Return a mesh that was read from a file in the coordinates of its input."""
+    beside = _read_beside(path)
+    return mesh if beside is None else replace(mesh, origin=mesh.origin + beside.origin)
+
+
+def find_crs_beside(path: Path) -> Crs:
+    """Return what the file beside a mesh says of its coordinates."""
+    beside = _read_beside(path)
+    return UNKNOWN if beside is None else Crs(beside.crs, beside.unit, beside.height_unit)
+
+
+def _name_beside(path: Path) -> Path:
+    return path.with_name(path.name + BESIDE)
+
+
+def _read_beside(path: Path) -> _Beside | None:
+    beside = _name_beside(path)
+    if not beside.is_file():
+        return None
+    try:
+        if beside.stat().st_size > _MOST_BYTES:
+            raise ValueError("too large")
+        return decode(beside.read_bytes(), _Beside)
+    except ValueError as error:
+        raise InputError(
+            f"{beside}: does not say where {path.name} is: {error}",
+            "remove it to take the mesh as it is, or write the mesh again",
+        ) from None
