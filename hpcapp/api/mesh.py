@@ -375,11 +375,12 @@ class Mesh:
 
     def _repr_png_(self) -> bytes:
         """Return a picture, for notebooks where no page can be shown."""
-        from hpcapp.pages.picture import EYE
+        from hpcapp.pages.picture import choose_eye
         from hpcapp.pages.png import encode_png
         from hpcapp.pages.render import render_mesh
 
-        return encode_png(render_mesh(thin_mesh(self._plain, _IN_NOTEBOOK), *EYE, _PICTURE, "z"))
+        thin = thin_mesh(self._plain, _IN_NOTEBOOK)
+        return encode_png(render_mesh(thin, *choose_eye(thin, "z"), _PICTURE, "z"))
 
     def _page(self, most: int, points: PointCloud | None = None, *, is_small: bool = False) -> str:
         thin = thin_mesh(self._plain, most)

@@ -118,7 +118,7 @@ def _read(name: str) -> str:
 def _make_controls(scene: Scene, colourings: Sequence[tuple[str, str]]) -> str:
     """Return the controls that mean something for a scene."""
     rows = [("Show", _make_boxes(scene))]
-    if scene.mesh is not None:
+    if colourings:
         options = "".join(
             f'<option value="{escape(name)}">{escape(label)}</option>' for name, label in colourings
         )
@@ -130,7 +130,9 @@ def _make_controls(scene: Scene, colourings: Sequence[tuple[str, str]]) -> str:
             'max="1" step="0.005" aria-label="end of the scale">'
             '<button id="scale-reset" type="button">reset</button></span>',
         ))  # fmt: skip
-        rows.append(("Draw", _box("wireframe", "wireframe") + _box("flat", "facets")))
+    if scene.mesh is not None:
+        backs = _box("backs", '<i id="backs-tint"></i>back faces', True)
+        rows.append(("Draw", _box("wireframe", "wireframe") + _box("flat", "facets") + backs))
     axes = "".join(f'<option value="{axis}">{axis}</option>' for axis in "xyz")
     rows.append((
         "Clip",

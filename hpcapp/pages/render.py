@@ -1,8 +1,8 @@
 """A picture of a mesh without any graphics library.
 
 Faces are smooth where their normals are near those of their vertices, and sharp elsewhere. Back
-faces are drawn in red, so that holes and turned faces stand out. Where most of what is seen are
-backs with fronts behind them, as of a room, they are red glass.
+faces have a tint of their own, so that holes and turned faces stand out. Where they hide fronts, as
+the near walls of a room do, they are left out.
 """
 
 from __future__ import annotations
@@ -18,13 +18,17 @@ from hpcapp.pages.drawing.light import GREY, light_normals
 from hpcapp.pages.drawing.paint import paint
 from hpcapp.pages.drawing.shadow import cast_shadow
 
+HIDDEN = 0.4
+"""Share of what is seen where backs hide fronts, from which on they are left out: rooms have .53
+(one without a ceiling) and more, objects none, sheets up to .28 (stairs, seen from the side where
+they rise)."""
+
 IntArray = NDArray[np.int64]
 Floats = NDArray[np.float32]
 
-_BACK = np.array([0.85, 0.25, 0.20], np.float32)
+_BACK = np.array([0.68, 0.60, 0.54], np.float32)  # as in static/viewer.js
 _FILL = 0.92  # share of the picture's side
 _CREASE = 0.87  # cosine: a face that turns by 30 degrees from its vertex is not smoothed there
-_GLASS = 0.2  # how red backs are through which fronts are seen
 _FACES = 200_000  # that are worked on at once
 
 
@@ -42,7 +46,7 @@ def render_mesh(
     ----------
     mesh : Mesh
         Faces have the colours of their corners, or grey where there are none; their backs are
-        red. Vertices that are not finite are left out with their faces.
+        light brown. Vertices that are not finite are left out with their faces.
     azimuth, elevation : float
         Where the eye is, in degrees.
     size : int
@@ -85,12 +89,11 @@ def draw_mesh(
     used = surface.screen[is_used, 2]
     nearness = float(used.min()), float(used.max())
     picture = paint(camera, surface, nearness, shadow)
-    if surface.backs > 0.5 * surface.samples:
+    if surface.backs > HIDDEN * surface.samples:
         inside = _Surface(surface.screen, _take_fronts(surface.screen, faces), mesh.colours)
         fronts = paint(camera, inside, nearness, shadow)
-        if inside.samples > 0.5 * surface.samples:
-            mixed = _GLASS * picture.astype(np.float32) + (1.0 - _GLASS) * fronts
-            picture = (mixed + 0.5).astype(np.uint8)
+        if inside.samples - surface.samples + surface.backs > HIDDEN * surface.samples:
+            picture = fronts
     return picture, camera.pixels_per_unit
 
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.mesh import Mesh
-from hpcapp.geometry.points import FloatArray, PointCloud
+from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
 from hpcapp.pages.arrays import Packable, pack_array, quantise
 
 MOST_POINTS = 200_000
@@ -24,14 +24,14 @@ Pack = Callable[[Packable], str]  # puts an array on the page, and returns its n
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Field:
-    """Numbers by which the vertices of a mesh can be coloured.
+    """Numbers by which the vertices of a mesh, or points alone, can be coloured.
 
     Parameters
     ----------
     name, label : str
         In the page's program, and for people.
     values : ndarray, shape (v,)
-        NaN where there is no number; of labels, their indices in `labels`.
+        A number a vertex or a point, NaN where there is none; of labels, their indices in `labels`.
     unit : str
         Behind numbers.
     low, high : float, optional
@@ -96,7 +96,7 @@ class Scene:
     mesh : Mesh or None
         Its colours can be shown.
     fields : sequence of Field
-        Of its vertices.
+        Of its vertices; of the points, where there is no mesh.
     points : PointCloud or None
         At most some `MOST_POINTS` of them are drawn.
     up : {"x", "y", "z"}
@@ -119,9 +119,9 @@ class Scene:
     tint: Tint | None = None
 
 
-def fields_of(mesh: Mesh) -> list[Field]:
-    """Return the attributes of a mesh as fields."""
-    return [Field(f"attribute-{name}", name, mesh.attributes[name]) for name in mesh.attributes]
+def fields_of(shown: Mesh | PointCloud) -> list[Field]:
+    """Return the attributes of a mesh or of points as fields."""
+    return [Field(f"attribute-{name}", name, shown.attributes[name]) for name in shown.attributes]
 
 
 def label_field(name: str, label: str, numbers: NDArray[np.integer], words: str) -> Field:
@@ -146,7 +146,7 @@ def pack_scene(scene: Scene) -> tuple[str, list[tuple[str, str]], str]:
     description : str
         JSON, safe inside of a ``script`` element.
     colourings : list of (str, str)
-        Name and label of what the mesh can be coloured by; the first is shown first.
+        Name and label of what mesh or points can be coloured by; the first is shown first.
     arrays : str
         Elements with the numbers.
     """
@@ -159,7 +159,13 @@ def pack_scene(scene: Scene) -> tuple[str, list[tuple[str, str]], str]:
 
     mesh = None if scene.mesh is None else _pack_mesh(scene.mesh, pack)
     fields = [] if scene.mesh is None else _pack_fields(scene, scene.mesh, pack)
-    points = None if scene.points is None else _pack_points(scene.points, pack)
+    points = None
+    if scene.points is not None and len(rows := _pick_points(scene.points)):
+        sample = scene.points.take(rows)
+        if scene.mesh is None:
+            own = [replace(field, values=field.values[rows]) for field in scene.fields]
+            fields = _pack_fields(replace(scene, fields=own), sample, pack)
+        points = _pack_points(sample, pack, is_alone=scene.mesh is None)
     described = {
         "mesh": mesh,
         "fields": fields,
@@ -186,32 +192,39 @@ def _pack_mesh(mesh: Mesh, pack: Pack) -> dict[str, object]:
     }
 
 
-def _pack_points(cloud: PointCloud, pack: Pack) -> dict[str, object] | None:
-    """Pack a sample of points; None where no point is finite."""
+def _pick_points(cloud: PointCloud) -> IntArray:
+    """Return the rows of the finite points that are shown."""
     finite = np.flatnonzero(np.isfinite(cloud.positions).all(axis=1))
-    if not len(finite):
-        return None
-    shown = cloud.take(finite[:: max(1, -(-len(finite) // MOST_POINTS))])
+    return finite[:: max(1, -(-len(finite) // MOST_POINTS))]
+
+
+def _pack_points(shown: PointCloud, pack: Pack, *, is_alone: bool) -> dict[str, object]:
+    """Pack points; the fields hold the colours of points alone."""
     low, high = bound_points(shown.positions)
-    colours = shown.colours
+    colours = None if is_alone else shown.colours
     return {
         "low": low.tolist(),
         "step": (float((high - low).max()) or 1.0) / 65535,
         "positions": pack(quantise(shown.positions, low, high)),
         "colours": None if colours is None else pack(colours.astype(np.uint8)),
         "shown": len(shown),
-        "total": len(cloud),
     }
 
 
-def _pack_fields(scene: Scene, mesh: Mesh, pack: Pack) -> list[Mapping[str, object]]:
-    """Pack what a mesh can be coloured by, what is shown first in front."""
+def _pack_fields(scene: Scene, shown: Mesh | PointCloud, pack: Pack) -> list[Mapping[str, object]]:
+    """Pack what a mesh or points can be coloured by, what is shown first in front."""
     packed: list[Mapping[str, object]] = []
-    if mesh.colours is not None:
-        colours = pack(mesh.colours.astype(np.uint8))
+    if shown.colours is not None:
+        colours = pack(shown.colours.astype(np.uint8))
         packed.append({"name": "colours", "label": "Colours", "kind": "rgb", "array": colours})
     packed.append({"name": "plain", "label": "One colour", "kind": "plain"})
-    packed.append({"name": "normals", "label": "Normals", "kind": "normals"})
+    if isinstance(shown, Mesh):  # the page has them from the faces
+        packed.append({"name": "normals", "label": "Normals", "kind": "normals"})
+    elif shown.normals is not None:
+        turned = np.rint(127.5 * (1.0 + np.nan_to_num(shown.normals))).astype(np.uint8)
+        packed.append(
+            {"name": "normals", "label": "Normals", "kind": "normals", "array": pack(turned)}
+        )
     packed += [_pack_field(field, pack) for field in scene.fields]
     packed.sort(key=lambda field: field["name"] != scene.colouring)  # stable
     return packed

@@ -76,7 +76,7 @@ def make_page(
     sections = [] if report is None else describe_job(facts, has_mesh=False)
     if isinstance(shown, PointCloud):
         sections.insert(0, Section("Points", make_table(_describe_points(shown))))
-        scene = Scene(None, points=shown, up=up, unit=find_shown_unit(path, shown))
+        scene = _show_points(shown, up, find_shown_unit(path, shown))
         return build_page(path.name, f"{len(shown):,} points", scene, sections)
     marked, workers = mark_tiles(shown, path, facts, str(report))
     thin, labels = take_labels(thin_mesh(marked), workers)
@@ -100,6 +100,17 @@ def make_page(
     closed = "watertight" if topology.watertight else "not watertight"
     summary = f"{topology.vertices:,} vertices, {topology.faces:,} faces, {closed}"
     return build_page(path.name, summary, Scene(thin, fields, cloud, up=up, unit=unit), sections)
+
+
+def _show_points(cloud: PointCloud, up: str, unit: str) -> Scene:
+    """Return points alone: in their colours, else by their normals, else by their heights."""
+    axis = "xyz".index(up)
+    heights = cloud.positions[:, axis] + cloud.origin[axis]
+    fields = [Field("height", "Height", heights, unit), *fields_of(cloud)]
+    colouring = "height" if cloud.normals is None else "normals"
+    if cloud.colours is not None:
+        colouring = "colours"
+    return Scene(None, fields, cloud, up=up, colouring=colouring, unit=unit)
 
 
 def _describe_points(cloud: PointCloud) -> dict[str, object]:

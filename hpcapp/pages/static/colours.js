@@ -65,15 +65,16 @@ export function labelColour(number) {
 }
 
 /** Return what `Viewer.colour` asks for; a scale ends at `end`. */
-export function shadeField(viewer, mesh, field, values, end) {
+export function shadeField(viewer, drawn, field, values, end) {
   const put = (rgb, [r, g, b]) => { rgb[0] = r; rgb[1] = g; rgb[2] = b; };
   switch (field?.kind) {
     case 'rgb':
       return (i, rgb) => put(rgb, values.subarray(3 * i, 3 * i + 3));
     case 'normals':
       return (i, rgb) => {
-        const [x, y, z] = viewer.normal(mesh, i);
-        put(rgb, [127.5 + x, 127.5 + y, 127.5 + z]);
+        if (values) return put(rgb, values.subarray(3 * i, 3 * i + 3));
+        const [x, y, z] = viewer.normal(drawn, i);
+        return put(rgb, [127.5 + x, 127.5 + y, 127.5 + z]);
       };
     case 'label': {
       const table = field.labels.map((_, number) => labelColour(number));
@@ -125,7 +126,7 @@ function scale(field, levels, end) {
     const bar = document.createElement('u');
     bar.style.height = `${100 * Math.sqrt(count / most)}%`; // few are to be seen beside many
     bar.style.background = css(shade(stops, (n + 0.5) / BARS));
-    bar.title = `${count.toLocaleString('en')} vertices, ${sayNumber(start + span * n / BARS)} to `
+    bar.title = `${count.toLocaleString('en')} of them, ${sayNumber(start + span * n / BARS)} to `
       + sayNumber(start + span * (n + 1) / BARS, field.unit);
     return bar;
   }));

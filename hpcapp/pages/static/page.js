@@ -1,5 +1,5 @@
 // Decodes what a page holds, and joins its controls to the viewer.
-import { Viewer } from 'hpcapp/viewer.js';
+import { BACK_CSS, Viewer } from 'hpcapp/viewer.js';
 import { endAt, explainTint, legend, markGuesses, placeOf, shadeField, tint } from 'hpcapp/colours.js';
 import { Measuring } from 'hpcapp/measuring.js';
 
@@ -31,7 +31,7 @@ async function show(scene) {
   const viewer = new Viewer(find('view'));
   window.viewer = viewer;
   viewer.pause();
-  let mesh = null;
+  let mesh = null, points = null;
   if (scene.mesh) {
     const [positions, indices] = await Promise.all(
       [readArray(scene.mesh.positions), readArray(scene.mesh.indices)]);
@@ -39,19 +39,22 @@ async function show(scene) {
   }
   if (scene.points) {
     const positions = await readArray(scene.points.positions);
-    const colours = scene.points.colours ? await readArray(scene.points.colours) : null;
-    viewer.setPoints({ ...scene.points, positions, colours });
+    points = viewer.setPoints({ ...scene.points, positions });
+    if (scene.points.colours) {
+      const colours = await readArray(scene.points.colours);
+      viewer.colour(points, shadeField(viewer, points, { kind: 'rgb' }, colours));
+    }
     viewer.show('points', !mesh);
   }
   const dark = matchMedia('(prefers-color-scheme: dark)');
   const paint = () => viewer.setBackground(dark.matches ? '#16181d' : '#ffffff');
   dark.addEventListener('change', paint);
   paint();
-  viewer.look(scene.up);
-  await join(viewer, scene, mesh);
+  await join(viewer, scene, mesh ?? points);
 }
 
-async function join(viewer, scene, mesh) {
+/** Join the controls; `drawn` is what they colour. */
+async function join(viewer, scene, drawn) {
   const listen = (id, event, act) => find(id)?.addEventListener(event, (e) => act(e.target));
   const values = new Map(), ends = new Map();
   const fieldOf = (name) => scene.fields.find((one) => one.name === name);
@@ -70,8 +73,8 @@ async function join(viewer, scene, mesh) {
       ...(isTinted ? [explainTint(scene.tint.text)] : []));
     find('scale-row').hidden = find('scale-name').hidden = field.kind !== 'scale';
     if (field.kind === 'scale') find('scale-end').value = placeOf(field, end);
-    const shading = shadeField(viewer, mesh, field, levels, end);
-    viewer.colour(mesh, isTinted ? tint(shading, viewer.plain, guesses) : shading);
+    const shading = shadeField(viewer, drawn, field, levels, end);
+    viewer.colour(drawn, isTinted ? tint(shading, viewer.plain, guesses) : shading);
     find('legend').dataset.field = name;
   }
   listen('colouring', 'change', recolour);
@@ -86,13 +89,20 @@ async function join(viewer, scene, mesh) {
   listen('show-points', 'change', (box) => viewer.show('points', box.checked));
   listen('show-markers', 'change', (box) => viewer.show('markers', box.checked));
   listen('wireframe', 'change', (box) => viewer.setWireframe(box.checked));
+  const look = (up) => {
+    viewer.look(up);
+    if (find('backs')) find('backs').checked = viewer.hasBacks;
+  };
+  look(scene.up);
+  if (find('backs')) find('backs-tint').style.background = BACK_CSS;
+  listen('backs', 'change', (box) => viewer.setBacks(box.checked));
   listen('flat', 'change', (box) => viewer.setFlat(box.checked));
   listen('point-size', 'input', (range) => viewer.setPointSize(Number(range.value)));
   const clip = () => viewer.clip(
     find('clip-axis').value || null, Number(find('clip-at').value), find('clip-flip').checked);
   for (const id of ['clip-axis', 'clip-at', 'clip-flip']) listen(id, 'input', clip);
-  listen('up', 'change', (select) => viewer.look(select.value));
-  listen('reset', 'click', () => viewer.look());
+  listen('up', 'change', (select) => look(select.value));
+  listen('reset', 'click', () => look());
   listen('picture', 'click', async () => {
     const link = document.createElement('a');
     link.href = URL.createObjectURL(await viewer.picture());
@@ -111,7 +121,7 @@ async function join(viewer, scene, mesh) {
   for (const item of document.querySelectorAll('[data-marker]')) {
     item.addEventListener('click', () => approach(Number(item.dataset.marker)));
   }
-  if (mesh) await recolour();
+  if (find('colouring')) await recolour();
   viewer.resume();
 }
 

@@ -10,13 +10,19 @@ import { OrbitControls } from 'three/addons/controls/OrbitControls.js';
 
 THREE.ColorManagement.enabled = false; // colours are shown as they are stored
 
-const PLAIN = [0.8, 0.82, 0.86];
+const PLAIN = [0.8, 0.82, 0.86], POINT = [30 / 255, 90 / 255, 200 / 255];
+const BACK = [0.68, 0.6, 0.54]; // as in hpcapp/pages/render.py
+const GLANCE = 128; // pixels along a side of the picture by which a room is told
+const HIDDEN = 0.4; // of what is seen, as in hpcapp/pages/render.py
 const SAMPLED = 20000; // places of a mesh by which the view is fitted
 const MARGIN = 1.06; // around what is looked at
 const PICKED = 6; // pixels: so far from a point it is meant
 const UPS = { x: [1, 0, 0], y: [0, 1, 0], z: [0, 0, 1], '-x': [-1, 0, 0], '-y': [0, -1, 0],
   '-z': [0, 0, -1] };
-const TURNED = 0.2; // length of a mean normal away from the eye, by which a mesh is seen from behind
+const TURNED = 0.2; // of a mean normal away from the eye, as in hpcapp/pages/picture.py
+
+/** The colour of back faces, as CSS. */
+export const BACK_CSS = `rgb(${BACK.map((part) => Math.round(255 * part))})`;
 
 /** Normals of the vertices: the sums of the faces' cross products, as int8. */
 export function vertexNormals(positions, indices) {
@@ -70,6 +76,7 @@ export class Viewer {
     this.meshes = [];
     this.points = null;
     this.markers = [];
+    this.frames = 0;
     this.renderer = new THREE.WebGLRenderer({ antialias: true, preserveDrawingBuffer: true });
     this.renderer.outputColorSpace = THREE.LinearSRGBColorSpace;
     this.renderer.localClippingEnabled = true;
@@ -86,9 +93,9 @@ export class Viewer {
     this.up = 'z';
     this.box = new THREE.Box3();
     this.material = new THREE.MeshLambertMaterial({ vertexColors: true, side: THREE.DoubleSide });
-    this.material.onBeforeCompile = (shader) => { // a back face is red: holes and cuts stand out
+    this.material.onBeforeCompile = (shader) => { // a back face is tinted: holes and cuts show
       shader.fragmentShader = shader.fragmentShader.replace('#include <color_fragment>',
-        '#include <color_fragment>\nif (!gl_FrontFacing) diffuseColor.rgb = vec3(.75, .3, .25);');
+        `#include <color_fragment>\nif (!gl_FrontFacing) diffuseColor.rgb = vec3(${BACK});`);
     };
     this.pointMaterial = new THREE.PointsMaterial({ vertexColors: true, sizeAttenuation: false });
     this.setPointSize(2);
@@ -113,14 +120,15 @@ export class Viewer {
     return mesh;
   }
 
-  /** Set the points that are shown beside the meshes; colours are uint8 (n, 3), or null. */
-  setPoints({ positions, step, low, colours }) {
+  /** Set the points that are shown, and return them, for `colour`. */
+  setPoints({ positions, step, low }) {
     const geometry = new THREE.BufferGeometry();
     geometry.setAttribute('position', new THREE.BufferAttribute(positions, 3, true));
-    const shown = colours ?? new Uint8Array(positions.length).map((_, i) => [30, 90, 200][i % 3]);
-    geometry.setAttribute('color', new THREE.BufferAttribute(shown, 3, true));
+    geometry.setAttribute('color', strided(new Uint8Array(4 * positions.length / 3), 4, 3));
     this.points = new THREE.Points(geometry, this.pointMaterial);
     this.#place(this.points, positions, step, low);
+    this.colour(this.points, null);
+    return this.points;
   }
 
   #place(drawn, positions, step, low) {
@@ -135,10 +143,10 @@ export class Viewer {
     this.scene.add(drawn);
   }
 
-  /** Colour the vertices of a mesh: `shade(i, rgb)` writes three bytes; null is one plain colour. */
-  colour(mesh, shade) {
-    const colours = mesh.geometry.attributes.color.data;
-    const rgb = this.plain;
+  /** Colour vertices or points: `shade(i, rgb)` writes three bytes; null is one plain colour. */
+  colour(drawn, shade) {
+    const colours = drawn.geometry.attributes.color.data;
+    const rgb = drawn.isPoints ? POINT.map((part) => 255 * part) : this.plain;
     for (let i = 0; i < colours.count; i++) {
       if (shade) shade(i, rgb);
       colours.array[4 * i] = rgb[0];
@@ -194,6 +202,16 @@ export class Viewer {
     this.render();
   }
 
+  /** Show or leave out faces that are seen from behind. */
+  setBacks(isShown) {
+    this.material.side = isShown ? THREE.DoubleSide : THREE.FrontSide;
+    this.material.needsUpdate = true;
+    this.render();
+  }
+
+  /** Whether back faces are drawn. */
+  get hasBacks() { return this.material.side === THREE.DoubleSide; }
+
   setPointSize(pixels) {
     this.pointMaterial.size = pixels * this.renderer.getPixelRatio();
     this.render();
@@ -218,7 +236,7 @@ export class Viewer {
     this.render();
   }
 
-  /** Look at all that is shown, as large as fits, with the axis `up` upwards. */
+  /** Look at all that is shown, as large as fits, with the axis `up` upwards; into a room, too. */
   look(up = this.up) {
     this.up = up;
     this.controls?.dispose();
@@ -238,10 +256,39 @@ export class Viewer {
     this.controls.zoomToCursor = true;
     this.controls.addEventListener('change', () => this.render());
     this.controls.update();
-    this.render();
+    this.setBacks(!this.#looksAtRoom());
   }
 
-  /** From where to look, by the axis that points up: from above, and at the front of the faces. */
+  /** Whether backs hide fronts in much of what is seen, as the near walls of a room do. */
+  #looksAtRoom() {
+    if (!this.meshes.length) return false;
+    const target = new THREE.WebGLRenderTarget(GLANCE, GLANCE);
+    const facing = new THREE.ShaderMaterial({
+      vertexShader: 'void main() { gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.); }',
+      fragmentShader: 'void main() { gl_FragColor = vec4(gl_FrontFacing, !gl_FrontFacing, 0., 1.); }',
+    });
+    const meshes = new THREE.Scene();
+    meshes.overrideMaterial = facing;
+    const count = (side) => { // pixels of fronts, and of backs
+      facing.side = side;
+      facing.needsUpdate = true;
+      this.renderer.setRenderTarget(target);
+      this.renderer.clear();
+      meshes.children = this.meshes;
+      this.renderer.render(meshes, this.camera);
+      const rgba = new Uint8Array(4 * GLANCE * GLANCE), seen = [0, 0];
+      this.renderer.readRenderTargetPixels(target, 0, 0, GLANCE, GLANCE, rgba);
+      rgba.forEach((part, i) => { if (i % 4 < 2 && part > 127) seen[i % 4] += 1; });
+      return seen;
+    };
+    const [fronts, backs] = count(THREE.DoubleSide), [all] = count(THREE.FrontSide);
+    this.renderer.setRenderTarget(null);
+    target.dispose();
+    facing.dispose();
+    return all - fronts > HIDDEN * (fronts + backs);
+  }
+
+  /** From where to look, by the axis that points up: from above, but at the front of a sheet. */
   #chooseSide() {
     const axis = this.up.at(-1), above = this.camera.up;
     const aside = { x: [0, 0.55, 0.8], y: [0.55, 0, 0.8], z: [0.55, -0.8, 0] }[axis];
@@ -254,7 +301,8 @@ export class Viewer {
       }
     }
     if (mean.dot(back) < -TURNED * count) back.negate();
-    return back.addScaledVector(above, 0.45).normalize();
+    const height = mean.dot(above) < -TURNED * count ? -0.45 : 0.45;
+    return back.addScaledVector(above, height).normalize();
   }
 
   /** How far to move aside and away, that what is shown fills the view as seen from `back`. */
@@ -344,7 +392,7 @@ export class Viewer {
     this.renderer.setSize(width, height);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
-    if (this.renderer.info.render.frame) this.draw(); // at once: a canvas of a new size is empty
+    if (this.frames) this.draw(); // at once: a canvas of a new size is empty
   }
 
   /** Draw nothing until `resume`: a frame of a large mesh takes its time. */
@@ -363,6 +411,7 @@ export class Viewer {
   }
 
   draw() {
+    this.frames += 1;
     this.renderer.render(this.scene, this.camera);
     for (const { label, place } of this.markers) this.#put(label, place);
     if (this.line) this.#drawLine();

@@ -15,7 +15,7 @@ from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
 from hpcapp.pages.job import describe_job
 from hpcapp.pages.page import build_page
-from hpcapp.pages.scene import Field, Marker, Scene, Tint, label_field
+from hpcapp.pages.scene import Field, Marker, Scene, Tint, fields_of, label_field
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -37,12 +37,13 @@ _PIXELS = """() => {
   const gl = viewer.renderer.getContext(), {width, height} = gl.canvas;
   const rgba = new Uint8Array(4 * width * height);
   gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, rgba);
-  const found = {drawn: 0, red: 0, sum: [0, 0, 0], left: 0, hash: 0};
+  const found = {drawn: 0, red: 0, back: 0, sum: [0, 0, 0], left: 0, hash: 0};
   for (let i = 0; i < rgba.length; i += 4) {
     const [r, g, b] = rgba.subarray(i, i + 3);
     if (r > 250 && g > 250 && b > 250) continue;
     found.drawn += 1;
     if (r > 1.8 * b && r > 1.8 * g) found.red += 1;
+    if (r > 1.15 * b && r < 1.5 * b && g > 0.75 * r) found.back += 1;
     [r, g, b].forEach((part, k) => { found.sum[k] += part; });
     if ((i / 4) % width < width / 2) found.left += 1;
     found.hash = (31 * found.hash + r + 3 * g + 7 * b + i) % 1000000007;
@@ -132,12 +133,12 @@ def test_a_mesh_is_drawn_in_the_middle(cube: Page) -> None:
     size = cube.evaluate("viewer.renderer.domElement.width * viewer.renderer.domElement.height")
     assert 0.1 * size < found["drawn"] < 0.7 * size
     assert found["left"] / found["drawn"] == pytest.approx(0.5, abs=0.1)
-    assert found["red"] == 0  # no back face is seen of a closed mesh
+    assert found["back"] == 0  # no back face is seen of a closed mesh
 
 
 def test_a_page_draws_its_first_frame_when_all_is_there(cube: Page) -> None:
-    cube.wait_for_function("viewer.renderer.info.render.frame > 0")
-    assert cube.evaluate("viewer.renderer.info.render.frame") == 1
+    cube.wait_for_function("viewer.frames > 0")
+    assert cube.evaluate("viewer.frames") == 1
 
 
 def test_no_empty_frame_is_shown_when_the_page_gets_another_size(cube: Page) -> None:
@@ -262,7 +263,7 @@ def test_the_picture_is_saved(cube: Page, tmp_path: Path) -> None:
 def test_loading_is_said_until_the_mesh_is_there(cube: Page) -> None:
     assert '<p id="loading" role="status">' in build_page("t", "s", Scene(None))
     cube.wait_for_function("document.querySelector('#loading') === null")
-    assert cube.evaluate("viewer.renderer.info.render.frame") >= 1
+    assert cube.evaluate("viewer.frames") >= 1
 
 
 def test_the_first_view_is_filled(cube: Page) -> None:
@@ -299,7 +300,7 @@ def test_a_plane_cuts_the_mesh_and_shows_its_inside(cube: Page) -> None:
     whole = pixels(cube)
     cube.select_option("#clip-axis", "x")
     half = pixels(cube)
-    assert half["red"] > 0
+    assert half["back"] > 0.1 * half["drawn"]
     assert half["drawn"] < whole["drawn"]
     cube.fill("#clip-at", "0")
     assert pixels(cube)["drawn"] == 0
@@ -307,6 +308,39 @@ def test_a_plane_cuts_the_mesh_and_shows_its_inside(cube: Page) -> None:
     assert pixels(cube)["drawn"] == whole["drawn"]
     cube.select_option("#clip-axis", "")
     assert pixels(cube)["hash"] == whole["hash"]
+
+
+def test_back_faces_are_named_and_can_be_left_out(cube: Page) -> None:
+    assert cube.inner_text("label:has(#backs)").strip() == "back faces"
+    assert cube.evaluate("document.querySelector('#backs-tint').style.background") == (
+        "rgb(173, 153, 138)"
+    )
+    cube.select_option("#clip-axis", "x")
+    both = pixels(cube)
+    cube.uncheck("#backs")
+    fronts = pixels(cube)
+    assert fronts["back"] == 0
+    assert fronts["drawn"] < both["drawn"] - 0.9 * both["back"]
+    cube.check("#backs")
+    assert pixels(cube)["hash"] == both["hash"]
+
+
+@pytest.mark.parametrize(("share", "is_room"), [(0.0, False), (0.27, False), (0.53, True)])
+def test_near_walls_of_a_room_are_left_out(open_page: Open, share: float, is_room: bool) -> None:
+    """A floor, and above a share of it a ceiling."""
+    floor = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    ceiling = floor * [1, share, 1] + [0, 0, 1e-3]
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    vertices = np.concatenate([floor, ceiling])
+    room = Mesh(vertices, np.concatenate([faces, 4 + faces[:, ::-1]]))
+    page = open_page(build_page("R", "s", Scene(room)))
+    assert page.is_checked("#backs") is not is_room
+    found = pixels(page)
+    assert found["drawn"] > 1000
+    assert (found["back"] > 0) is (share > 0.0 and not is_room)
+    page.set_checked("#backs", is_room)
+    page.click("#reset")  # the first view again
+    assert page.is_checked("#backs") is not is_room
 
 
 def test_facets_are_shaded_alike(cube: Page) -> None:
@@ -347,13 +381,21 @@ def test_an_axis_can_point_down(cube: Page) -> None:
 
 
 def test_what_was_scanned_from_one_side_is_seen_from_there(open_page: Open) -> None:
-    """A square that faces y and not -y: its back would be red."""
+    """A square that faces y and not -y: its back would be tinted."""
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]])
     faces = np.array([[0, 2, 1], [0, 3, 2]])
     page = open_page(build_page("S", "s", Scene(Mesh(corners, faces))))
     found = pixels(page)
     assert found["drawn"] > 10_000
-    assert found["red"] == 0
+    assert found["back"] == 0
+
+
+def test_what_is_seen_from_below_only_is_seen_from_there(open_page: Open) -> None:
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    faces = np.array([[0, 2, 1], [0, 3, 2]])
+    found = pixels(open_page(build_page("S", "s", Scene(Mesh(corners, faces)))))
+    assert found["drawn"] > 10_000
+    assert found["back"] == 0
 
 
 def test_a_warning_leads_to_its_place_and_back(cube: Page) -> None:
@@ -382,6 +424,23 @@ def test_points_alone_are_drawn_in_their_colours(open_page: Open) -> None:
     found = pixels(page)
     assert found["drawn"] > 1000
     assert found["red"] > 0.5 * found["drawn"]  # the rest are edges, half white
+
+
+def test_points_alone_take_every_colouring(open_page: Open) -> None:
+    places = np.random.default_rng(0).normal(size=(5000, 3))
+    normals = places / np.linalg.norm(places, axis=1)[:, None]
+    places[7] = np.nan
+    cloud = PointCloud(places, normals, attributes={"x": places[:, 0]})
+    scene = Scene(None, fields_of(cloud), cloud, colouring="normals")
+    page = open_page(build_page("P", "s", scene))
+    first = page.evaluate("[...viewer.points.geometry.attributes.color.data.array.slice(0, 3)]")
+    assert first == pytest.approx(127.5 * (1 + normals[0]), abs=1)
+    seen = {pixels(page)["hash"]}
+    for name in ("plain", "attribute-x"):
+        page.select_option("#colouring", name)
+        page.wait_for_selector(f"#legend[data-field='{name}']", state="attached")
+        seen.add(pixels(page)["hash"])
+    assert len(seen) == 3
 
 
 def test_many_vertices_arrive_as_they_were(open_page: Open) -> None:
