@@ -24,7 +24,7 @@ from hpcapp.io import formats
 from hpcapp.io.crs import UNKNOWN, Crs
 from hpcapp.io.frame import to_local
 from hpcapp.io.meshes.mesh_stream import as_stream
-from hpcapp.io.placement import Placement, check_up, parse_origin
+from hpcapp.io.placement import Placement, check_up, choose_up, parse_origin
 from hpcapp.pages.browser import show_page
 from hpcapp.pages.page import build_page, write_page
 from hpcapp.pages.scene import Scene, fields_of
@@ -111,6 +111,7 @@ class Mesh:
         self._plain = plain.Mesh(local, corners, origin, directions, shades, columns)
         self._job: JobRecord | None = None
         self._crs = UNKNOWN
+        self._up: str | None = None
 
     @cached_property
     def vertices(self) -> FloatArray:
@@ -209,7 +210,7 @@ class Mesh:
         target.check()
         if not target.is_something:
             raise UsageError("simplify has no target", "give faces or tolerance")
-        return wrap_mesh(simplify_mesh(self._plain, target), crs=self._crs)
+        return wrap_mesh(simplify_mesh(self._plain, target), crs=self._crs, up=self._up)
 
     def save(
         self,
@@ -250,7 +251,7 @@ class Mesh:
         """
         plain = self._plain
         words = origin if isinstance(origin, str) else ",".join(map(repr, map(float, origin)))
-        placement = Placement(parse_origin(words), None if up is None else check_up(up))
+        placement = Placement(parse_origin(words), self._up if up is None else check_up(up))
         if size is not None:
             from hpcapp.simplification.size import fit_mesh, read_size
 
@@ -291,7 +292,7 @@ class Mesh:
         *,
         eye: tuple[float, float] | None = None,
         size: int = 800,
-        up: str = "z",
+        up: str | None = None,
     ) -> None:
         """Draw it into a PNG file.
 
@@ -301,14 +302,14 @@ class Mesh:
             Azimuth and elevation of the viewer, in degrees.
         size : int
             Pixels along a side.
-        up : {"x", "y", "z"}
-            The axis that points up.
+        up : {"z", "y", "x", "-z", "-y", "-x"}, optional
+            The axis that points up; by default z, or y of what stands on a flat base there.
         """
         from hpcapp.applications.view.command import check_picture
         from hpcapp.pages.picture import write_picture
 
         check_picture(Path(path), "picture")
-        write_picture(Path(path), self._plain, eye, size, up, self._crs.unit)
+        write_picture(Path(path), self._plain, eye, size, self._choose_up(up), self._crs.unit)
 
     def show(self, points: PointCloud | None = None, *, open_browser: bool = True) -> Path:
         """Open a page with the mesh in a browser, and return its path in the temporary folder.
@@ -379,15 +380,21 @@ class Mesh:
         from hpcapp.pages.png import encode_png
         from hpcapp.pages.render import render_mesh
 
-        thin = thin_mesh(self._plain, _IN_NOTEBOOK)
-        return encode_png(render_mesh(thin, *choose_eye(thin, "z"), _PICTURE, "z"))
+        thin, up = thin_mesh(self._plain, _IN_NOTEBOOK), self._choose_up()
+        return encode_png(render_mesh(thin, *choose_eye(thin, up), _PICTURE, up))
+
+    def _choose_up(self, asked: str | None = None) -> str:
+        """Return the axis that points up."""
+        known = self._up if asked is None else check_up(asked)
+        return choose_up(replace(as_stream(self._plain), crs=self._crs), known)
 
     def _page(self, most: int, points: PointCloud | None = None, *, is_small: bool = False) -> str:
         thin = thin_mesh(self._plain, most)
         summary = f"{len(self._plain.vertices):,} vertices, {len(self._plain.faces):,} faces"
         if thin is not self._plain:
             summary += f"; a copy with {len(thin.faces):,} faces is shown"
-        scene = Scene(thin, fields_of(thin), points, unit=self._crs.unit or "")
+        unit = self._crs.unit or ""
+        scene = Scene(thin, fields_of(thin), points, up=self._choose_up(), unit=unit)
         return build_page("Mesh", summary, scene, is_small=is_small)
 
 
@@ -396,10 +403,11 @@ def wrap_mesh(
     job: JobRecord | None = None,
     topology: Topology | None = None,
     crs: Crs = UNKNOWN,
+    up: str | None = None,
 ) -> Mesh:
     """Return a mesh of the pipeline for users; its topology, where it is known already."""
     wrapped = Mesh.__new__(Mesh)
-    wrapped._plain, wrapped._job, wrapped._crs = mesh, job, crs
+    wrapped._plain, wrapped._job, wrapped._crs, wrapped._up = mesh, job, crs, up
     if topology is not None:
         wrapped.__dict__["_topology"] = topology
     return wrapped
@@ -425,7 +433,9 @@ def read_mesh(path: str | PathLike[str]) -> Mesh:
     UsageError
         The suffix is unknown.
     """
-    return wrap_mesh(formats.read_mesh(path), crs=formats.find_mesh_crs(path))
+    return wrap_mesh(
+        formats.read_mesh(path), crs=formats.find_mesh_crs(path), up=formats.find_mesh_up(path)
+    )
 
 
 def _read_only(array: NDArray[Any]) -> NDArray[Any]:

@@ -8,9 +8,6 @@ import numpy as np
 
 from hpcapp.geometry.points import FloatArray
 
-AXES = ("z", "y", "x", "-z", "-y", "-x")
-"""What may point up."""
-
 _TO_Z: dict[str, list[list[int]]] = {
     "z": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
     "y": [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
@@ -27,7 +24,7 @@ def turn_up(axis: str, to: str = "z") -> FloatArray:
     Parameters
     ----------
     axis, to : str
-        Of `AXES`.
+        Of `axis_names.AXES`.
 
     Examples
     --------

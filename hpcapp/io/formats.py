@@ -106,6 +106,15 @@ def find_mesh_crs(path: str | PathLike[str]) -> Crs:
         return crs if crs.stated else find_crs_beside(file)
 
 
+def find_mesh_up(path: str | PathLike[str]) -> str | None:
+    """Return the axis that points up in a mesh, where its file says so; errors of `read_mesh`."""
+    file = Path(path)
+    reader = find_mesh_reader(file)
+    with translated(file):
+        _refuse_special(file)
+        return reader.find_up(file)
+
+
 def read_mesh(path: str | PathLike[str]) -> Mesh:
     """Read a triangle mesh: .ply, .obj, .off, .stl, .glb, .vtp; polygons become triangle fans.
 

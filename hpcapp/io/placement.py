@@ -17,16 +17,17 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 import numpy as np
 from msgspec import Meta
 
-from hpcapp.geometry.axes import AXES, find_up
+from hpcapp.geometry.axes import find_up
+from hpcapp.geometry.axis_names import AXES
 from hpcapp.geometry.points import FloatArray
 from hpcapp.io.crs import UNKNOWN, Crs
+from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.foreign_json import decode
 
 if TYPE_CHECKING:
     from hpcapp.geometry.mesh import Mesh
-    from hpcapp.io.meshes.mesh_stream import MeshStream
 
 Origin: TypeAlias = "str | tuple[float, float, float]"
 """``auto``, ``keep``, or what is subtracted from the coordinates."""
@@ -51,8 +52,7 @@ class Placement:
         What is subtracted, in the input's coordinates; ``auto`` subtracts the origin of the local
         frame in formats that are read in single precision; ``keep`` nothing in any format.
     up : str or None
-        The axis of the input that points up, of `axes.AXES`; by default what `find_up` finds, and z
-        of coordinates that a file gives a meaning.
+        The axis of the input that points up, of `axis_names.AXES`; by default see `choose_up`.
     """
 
     origin: Origin = "auto"
@@ -79,10 +79,23 @@ class Placement:
             shift = np.zeros(3)
         else:
             shift = stream.origin if self.origin == "auto" else np.array(self.origin, float)
-        up = self.up or "z"
-        if turns and self.up is None and stream.crs.text is None:
-            up = find_up(stream.corners(), stream.box)
+        up = choose_up(stream, self.up) if turns else "z"
         return replace(stream, origin=stream.origin - shift, shift=shift, up=up)
+
+
+def choose_up(mesh: Mesh | MeshStream, asked: str | None = None) -> str:
+    """Return the axis of a mesh that points up: as asked for, z of a map, else what is found.
+
+    Parameters
+    ----------
+    mesh : Mesh or MeshStream
+    asked : str, optional
+        By the user, or said by the mesh's file.
+    """
+    if asked is not None:
+        return asked
+    stream = as_stream(mesh)
+    return "z" if stream.crs.text else find_up(stream.corners(), stream.box)
 
 
 def parse_origin(text: str) -> Origin:

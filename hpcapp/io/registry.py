@@ -75,11 +75,14 @@ class MeshReader:
         Function that tells whether a file has faces, where it may hold points alone.
     finds_crs : str, optional
         Function that tells what coordinates mean, where the format has a place for it.
+    finds_up : str, optional
+        Function that tells which axis points up, where the format says so.
     """
 
     function: str
     finds_faces: str | None = None
     finds_crs: str | None = None
+    finds_up: str | None = None
 
     def read(self, path: Path) -> Mesh:
         """Read a file."""
@@ -96,6 +99,10 @@ class MeshReader:
 
         crs: Crs = UNKNOWN if self.finds_crs is None else _call(self.finds_crs, path)
         return crs
+
+    def find_up(self, path: Path) -> str | None:
+        """Return the axis that points up in a file; None where its format does not say."""
+        return None if self.finds_up is None else str(_call(self.finds_up, path))
 
 
 @dataclass(frozen=True, slots=True)
@@ -303,7 +310,7 @@ FORMATS = (
     Format(
         (".glb",),
         None,
-        MeshReader("meshes.glb_reader:read_glb"),
+        MeshReader("meshes.glb_reader:read_glb", finds_up="meshes.glb_reader:find_glb_up"),
         None,
         MeshWriter("meshes.glb:write_glb", True, True, attributes=True, is_near=True, turns=True),
     ),

@@ -38,8 +38,8 @@ def write_picture(
         Azimuth and elevation, in degrees; for a mesh `choose_eye` by default.
     size : int
         Pixels along a side, for points along the longer one at most.
-    up : {"x", "y", "z"}
-        The axis that points up.
+    up : str
+        The axis of `axis_names.AXES` that points up.
     unit : str, optional
         Of the coordinates, for the scale bar.
 

@@ -51,8 +51,8 @@ def render_mesh(
         Where the eye is, in degrees.
     size : int
         Width and height of the picture in pixels.
-    up : {"x", "y", "z"}
-        The axis that points up.
+    up : str
+        The axis of `axis_names.AXES` that points up.
     zoom : float
         Above 1, the middle of the picture is seen larger.
 

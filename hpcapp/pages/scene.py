@@ -99,8 +99,8 @@ class Scene:
         Of its vertices; of the points, where there is no mesh.
     points : PointCloud or None
         At most some `MOST_POINTS` of them are drawn.
-    up : {"x", "y", "z"}
-        The axis that points up at first.
+    up : str
+        The axis of `axis_names.AXES` that points up at first.
     colouring : str, optional
         The field that is shown at first; by default the colours, where there are some.
     unit : str

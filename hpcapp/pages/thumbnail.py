@@ -76,8 +76,8 @@ def draw_points(
         Azimuth and elevation to see it from, in degrees.
     size : int
         Pixels along the longer side at most.
-    up : {"x", "y", "z"}
-        The axis that points up.
+    up : str
+        The axis of `axis_names.AXES` that points up.
     unit : str, optional
         Of the coordinates, for the scale bar.
 

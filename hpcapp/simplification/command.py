@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from hpcapp.geometry.axis_names import AXES
 from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import UsageError
 
@@ -23,7 +24,7 @@ ORIGIN = click.option(
 )
 UP = click.option(
     "--up",
-    type=click.Choice(["z", "y", "x", "-z", "-y", "-x"]),
+    type=click.Choice(AXES),
     help="The axis that points up, for .glb and .3dtiles.  [default: z, or y of what stands on a "
     "flat base there]",
 )
@@ -79,7 +80,7 @@ def simplify(
     """Simplify a mesh, with all that its vertices carry."""
     from dataclasses import replace
 
-    from hpcapp.io import find_mesh_crs, read_mesh, write_mesh
+    from hpcapp.io import find_mesh_crs, find_mesh_up, read_mesh, write_mesh
     from hpcapp.io.meshes.mesh_stream import as_stream
     from hpcapp.io.output import open_output
     from hpcapp.io.placement import Placement, parse_origin
@@ -90,11 +91,12 @@ def simplify(
     if not target.is_something and size is None:
         raise UsageError("nothing to simplify to", "give --faces, --tolerance or --size")
     target.check()
-    placement = Placement(parse_origin(origin), up)
+    parse_origin(origin)
     most_bytes = None if size is None else read_size(size, output)
     with open_output(output, [mesh]) as path:
         whole = read_mesh(mesh)
         crs = find_mesh_crs(mesh)
+        placement = Placement(parse_origin(origin), up or find_mesh_up(mesh))
         light = simplify_mesh(whole, target)
         if most_bytes is not None:
             light = fit_mesh(light, most_bytes, path.suffix, crs, placement)

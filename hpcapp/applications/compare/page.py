@@ -10,6 +10,7 @@ from pathlib import Path
 from hpcapp.applications.compare.metrics import Measures
 from hpcapp.applications.compare.truth import Truth
 from hpcapp.geometry.mesh import Mesh
+from hpcapp.io.placement import choose_up
 from hpcapp.pages.page import Section, build_page, make_table
 from hpcapp.pages.scene import MOST_POINTS, Field, Scene, fields_of
 from hpcapp.pages.thin import thin_mesh
@@ -90,7 +91,7 @@ def make_comparison(
         )
     scene = Scene(
         thin, [distance, *fields_of(thin)], truth.sample(MOST_POINTS, 0), colouring="distance",
-        unit=truth.unit,
+        up=choose_up(thin), unit=truth.unit,
     )  # fmt: skip
     lines = [
         f'<tr><th>{escape(name)}</th><td class="number">{length}</td>'

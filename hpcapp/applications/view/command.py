@@ -10,6 +10,7 @@ from pathlib import Path
 
 import click
 
+from hpcapp.geometry.axis_names import AXES
 from hpccomponent.cli.terminal import echo_output
 from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import UsageError
@@ -99,8 +100,12 @@ def _parse_eye(
 )
 @click.option("--size", type=click.IntRange(16, 8192), default=800, show_default=True, metavar="N",
               help="Pixels along a side of the picture, of points the longer one.")  # fmt: skip
-@click.option("--up", type=click.Choice(["x", "y", "z"]), default="z", show_default=True,
-              help="The axis that points up.")  # fmt: skip
+@click.option(
+    "--up",
+    type=click.Choice(AXES),
+    help="The axis that points up.  [default: as a .glb says; else z, or y of what stands on a "
+    "flat base there]",
+)
 @click.option("--open/--no-open", "is_opened", default=True, show_default=True,
               help="Open the page in a browser; its path is printed in any case.")  # fmt: skip
 def view(
@@ -111,7 +116,7 @@ def view(
     png: Path | None,
     eye: tuple[float, float] | None,
     size: int,
-    up: str,
+    up: str | None,
     is_opened: bool,
 ) -> None:
     """Look at a mesh or at points on a page that works offline.
@@ -125,12 +130,13 @@ def view(
     for flag, beside in (("--points", points), ("--report", report)):
         if beside is not None and png is not None and output is None:
             raise UsageError(f"{flag} means nothing to a picture", "give -o for a page, too")
-    from hpcapp.applications.view.page import find_shown_unit, make_page, read_shown
+    from hpcapp.applications.view.page import find_shown_unit, find_shown_up, make_page, read_shown
     from hpcapp.pages.browser import show_page
     from hpcapp.pages.page import write_page
     from hpcapp.pages.picture import write_picture
 
     shown = read_shown(file)
+    up = up or find_shown_up(file, shown)
     if png is not None:
         write_picture(png, shown, eye, size, up, find_shown_unit(file, shown))
         log.info("%s: a picture of %s", png, file)

@@ -14,12 +14,15 @@ from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import (
     find_mesh_crs,
+    find_mesh_up,
     holds_faces,
     open_points,
     read_mesh,
     read_points,
     take_finite,
 )
+from hpcapp.io.meshes.mesh_stream import as_stream
+from hpcapp.io.placement import choose_up
 from hpcapp.pages.job import describe_job, find_unit
 from hpcapp.pages.owners import mark_tiles, take_labels
 from hpcapp.pages.page import Section, build_page, make_table
@@ -47,6 +50,13 @@ def find_shown_unit(path: Path, shown: Mesh | PointCloud) -> str:
     """Return the unit of the coordinates in a file; nothing where it does not say that."""
     source = open_points(path) if isinstance(shown, PointCloud) else find_mesh_crs(path)
     return source.unit or ""
+
+
+def find_shown_up(path: Path, shown: Mesh | PointCloud) -> str:
+    """Return the axis that points up: as the file says, else as a mesh stands."""
+    if isinstance(shown, PointCloud):
+        return "z"
+    return choose_up(replace(as_stream(shown), crs=find_mesh_crs(path)), find_mesh_up(path))
 
 
 def make_page(
@@ -104,7 +114,7 @@ def make_page(
 
 def _show_points(cloud: PointCloud, up: str, unit: str) -> Scene:
     """Return points alone: in their colours, else by their normals, else by their heights."""
-    axis = "xyz".index(up)
+    axis = "xyz".index(up[-1])
     heights = cloud.positions[:, axis] + cloud.origin[axis]
     fields = [Field("height", "Height", heights, unit), *fields_of(cloud)]
     colouring = "height" if cloud.normals is None else "normals"

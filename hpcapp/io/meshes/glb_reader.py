@@ -6,13 +6,15 @@ https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hpcapp.geometry.axes import AXES, turn_up
+from hpcapp.geometry.axes import turn_up
+from hpcapp.geometry.axis_names import AXES
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import ByteArray, FloatArray
 from hpcapp.io.columns import Numbers
@@ -39,7 +41,7 @@ def read_glb(path: Path) -> Mesh:
     InputError
         The file is damaged, has no triangles, or needs an extension.
     """
-    try:
+    with _translated(path):
         file = _open(path)
         known: set[int] = set()
         parts = [
@@ -48,6 +50,35 @@ def read_glb(path: Path) -> Mesh:
         if not parts:
             raise InputError(f"{path}: holds no triangles", "give a mesh")
         return _join(parts)
+
+
+def find_glb_up(path: Path) -> str:
+    """Return the axis that points up in the coordinates that `read_glb` gives: y, as glTF has it.
+
+    Of a file of `write_glb` it is the one that was up before.
+
+    Raises
+    ------
+    InputError
+        See `read_glb`.
+    """
+    with _translated(path):
+        file = _open(path)
+        nodes = [file.document["nodes"][root] for root in file.roots]
+        return next((up for node in nodes if (up := _find_turned(node))), "y")
+
+
+def _find_turned(node: dict[str, Any]) -> str | None:
+    """Return the axis that `write_glb` has turned to y in a node; None of other nodes."""
+    up = node.get("extras", {}).get("up")
+    return up if up in AXES else None
+
+
+@contextmanager
+def _translated(path: Path) -> Iterator[None]:
+    """Say of what a damaged file raises that it is damaged."""
+    try:
+        yield
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise InputError(
             f"{path}: is no whole GLB: {type(error).__name__}: {error}", "export it again"
@@ -130,7 +161,7 @@ def _read_node(
     known.add(number)
     node = file.document["nodes"][number]
     matrix = outer @ _matrix(node)
-    if (up := node.get("extras", {}).get("up")) in AXES:
+    if up := _find_turned(node):
         back = np.eye(4)
         back[:3, :3] = turn_up("y", to=up)
         matrix = back @ matrix

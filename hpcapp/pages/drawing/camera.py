@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.geometry.axes import turn_up
 from hpcapp.geometry.points import FloatArray
 
 SAMPLES = 3
@@ -65,19 +66,21 @@ def look_along(azimuth: float, elevation: float, up: str) -> FloatArray:
     ----------
     azimuth, elevation : float
         Where the eye is, in degrees.
-    up : {"x", "y", "z"}
-        The axis that points up.
+    up : str
+        The axis that points up, of `axis_names.AXES`.
     """
     az, el = np.radians([azimuth, elevation])
     eye = np.array([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)])
     right = np.array([-np.sin(az), np.cos(az), 0.0])
     axes = np.stack([right, np.cross(eye, right), eye])  # of a world whose z points up
-    return np.roll(axes, "xyz".index(up) - 2, axis=1)
+    turned: FloatArray = axes @ turn_up(up)
+    return turned
 
 
 def turn_upright(positions: FloatArray, up: str) -> FloatArray:
     """Return positions, shape (..., 3), in a world whose z points up."""
-    return np.roll(positions, 2 - "xyz".index(up), axis=-1)
+    turned: FloatArray = positions @ turn_up(up).T
+    return turned
 
 
 def aim(

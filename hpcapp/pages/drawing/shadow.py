@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 
+from hpcapp.geometry.axes import turn_up
 from hpcapp.geometry.points import FloatArray
 from hpcapp.pages.drawing.camera import SAMPLES, Camera, turn_upright
 from hpcapp.pages.drawing.depth_buffer import DepthBuffer
@@ -60,8 +61,8 @@ def cast_shadow(
 
     Parameters
     ----------
-    up : {"x", "y", "z"}
-        The axis that points up.
+    up : str
+        The axis of `axis_names.AXES` that points up.
     bounds : ndarray of float64, shape (2, 3)
         The box around all that casts it.
     draw : callable
@@ -70,9 +71,10 @@ def cast_shadow(
     axes = turn_upright(camera.axes, up)
     if axes[2, 2] < np.sin(np.radians(_LOWEST)):
         return None
-    low, high = turn_upright(bounds, up)
+    corners = turn_upright(bounds, up)
+    low, high = corners.min(axis=0), corners.max(axis=0)
     extent = float((high - low).max()) or 1.0
-    below_axes = np.roll(np.diag([1.0, -1.0, -1.0]), "xyz".index(up) - 2, axis=1)
+    below_axes = np.diag([1.0, -1.0, -1.0]) @ turn_up(up)
     middle = 0.5 * (low + high) * [1.0, -1.0, -1.0]
     scale = _CELLS / ((1.0 + 2.0 * _MARGIN) * extent)
     side = _CELLS // SAMPLES

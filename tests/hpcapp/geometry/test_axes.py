@@ -9,11 +9,11 @@ import pytest
 from shared_data import shared
 
 from hpcapp.geometry import axes
-from hpcapp.geometry.axes import AXES, find_up, turn_up
+from hpcapp.geometry.axes import find_up, turn_up
+from hpcapp.geometry.axis_names import AXES
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.io import read_mesh
 from hpcapp.io.meshes.mesh_stream import as_stream
-from hpcapp.simplification.command import UP
 
 STATUES = ("boot", "dancing_children", "falcon", "gargoyle", "hand", "laurana")
 OTHERS = (
@@ -98,8 +98,3 @@ def test_turns_are_turns() -> None:
             turn = turn_up(one, to=other)
             assert np.linalg.det(turn) == 1.0
             np.testing.assert_array_equal(turn @ turn_up(other, to=one), np.eye(3))
-
-
-def test_the_option_names_the_axes() -> None:
-    (option,) = UP(lambda: None).__click_params__  # type: ignore[attr-defined]
-    assert tuple(option.type.choices) == AXES

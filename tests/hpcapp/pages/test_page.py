@@ -112,7 +112,8 @@ def test_controls_are_those_of_what_is_there() -> None:
     assert "show-markers" not in mesh_only
     points_only = read(build_page("t", "s", Scene(None, points=PointCloud(CORNERS)))).ids
     assert "show-points" in points_only
-    assert "colouring" not in points_only
+    assert "colouring" in points_only
+    assert "wireframe" not in points_only
 
 
 def test_places_that_are_not_finite_do_no_harm() -> None:

@@ -18,7 +18,7 @@ def test_a_closed_mesh_is_seen_from_above() -> None:
     assert choose_eye(Mesh(CUBE, FACES[:, ::-1]), "z") == EYE
 
 
-@pytest.mark.parametrize(("up", "axis"), [("z", 0), ("x", 1), ("y", 2)])
+@pytest.mark.parametrize(("up", "axis"), [("z", 0), ("x", 1), ("y", 0)])
 def test_a_sheet_is_seen_from_where_its_front_is(up: str, axis: int) -> None:
     """One side of a cube, whose normal points at the eye, or away."""
     is_side = (CUBE[FACES][..., axis] == CUBE[FACES][:, :1, axis]).all(axis=1)

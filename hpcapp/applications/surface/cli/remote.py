@@ -177,13 +177,17 @@ def _show(ctx: click.Context, report: dict[str, Any], mesh: Path, points: Path) 
     page, png = ctx.params["report"], ctx.params["png"]
     if page is None and png is None:
         return
-    from hpcapp.applications.surface.job.report_page import show_files, write_job_page
+    from hpcapp.applications.surface.job.report_page import (
+        find_job_up,
+        show_files,
+        write_job_page,
+    )
     from hpcapp.pages.picture import write_picture
     from hpcapp.pages.report import check_report
 
     check_report(report, "the head's report")
     shown = show_files(mesh, points, report)
     if png is not None:
-        write_picture(png, shown.mesh)
+        write_picture(png, shown.mesh, up=find_job_up(report, shown.mesh))
     if page is not None:
         write_job_page(page, shown, report, Path(ctx.params["output"]).name)

@@ -166,7 +166,7 @@ def _write(
     mesh = carrying.to_stream(outcome.result.surface.stream())
     placed = place_mesh(target, mesh, settings.placement)
     report["warnings"] += describe_losses(target, placed)
-    report["origin"] = placed.shift.tolist()
+    report |= {"origin": placed.shift.tolist(), "up": settings.placement.up}
     report["input"] = describe_input(settings)
     report["command"] = shlex.join(settings.command)
     if verification.machines or verification.liars:
@@ -191,12 +191,17 @@ def _show(
     report: dict[str, Any],
 ) -> None:
     """Write the job's page and picture."""
-    from hpcapp.applications.surface.job.report_page import show_job, write_job_page
+    from hpcapp.applications.surface.job.report_page import (
+        find_job_up,
+        show_job,
+        write_job_page,
+    )
     from hpcapp.pages.picture import write_picture
 
     shown = show_job(loaded, outcome, carrying)
     if settings.png is not None:
-        write_picture(settings.png, shown.mesh, unit=report["input"]["unit"])
+        up = find_job_up(report, shown.mesh)
+        write_picture(settings.png, shown.mesh, up=up, unit=report["input"]["unit"])
     if settings.report is not None:
         whole = {**report, "stages": clock.seconds, "timeline": clock.timeline.to_json()}
         write_job_page(settings.report, shown, whole, Path(settings.output).name)

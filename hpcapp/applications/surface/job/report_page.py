@@ -14,12 +14,14 @@ from scipy.spatial import cKDTree
 
 from hpcapp.applications.surface.attributes.carrying import SUPPORT, Carrying
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
+from hpcapp.geometry.axis_names import AXES
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
 from hpcapp.io import open_points, read_mesh, read_whole, take_finite
 from hpcapp.io.crs import UNKNOWN
 from hpcapp.io.frame import scale_heights
 from hpcapp.io.meshes.mesh_stream import MeshStream, find_vertices, make_mesh
+from hpcapp.io.placement import choose_up
 from hpcapp.pages.job import describe_job, find_unit
 from hpcapp.pages.owners import TILE, Owners, mark_tiles, take_labels
 from hpcapp.pages.page import Section, build_page, make_table, write_page
@@ -177,7 +179,7 @@ def build_job_page(shown: Shown, report: Mapping[str, Any], title: str) -> str:
     own = [one for one in fields_of(shown.mesh) if one.label != SUPPORT]
     scene = Scene(
         shown.mesh, [*fields, *shown.labels, *own], shown.points, markers,
-        up=_find_up(report), unit=unit, tint=tint,
+        up=find_job_up(report, shown.mesh), unit=unit, tint=tint,
     )  # fmt: skip
     sections = describe_job(report, [one.text for one in markers])
     if len(shown.mesh.faces) < shown.faces:
@@ -195,11 +197,12 @@ def _find_reach(report: Mapping[str, Any], spacing: float) -> float:
     return GUESSED * spacing
 
 
-def _find_up(report: Mapping[str, Any]) -> str:
-    """Return the axis that points up, as the input tells; else z."""
+def find_job_up(report: Mapping[str, Any], mesh: Mesh) -> str:
+    """Return the axis that points up: as the user or the input tells, else as the mesh stands."""
     given = report.get("input")
-    axis = str(given.get("up", "")) if isinstance(given, Mapping) else ""
-    return axis[:1] if axis[:1] in ("x", "y", "z") else "z"
+    told = str(given.get("up", "")).partition(" ")[0] if isinstance(given, Mapping) else ""
+    known = [axis for axis in (report.get("up"), told) if axis in AXES]
+    return choose_up(mesh, *known[:1])
 
 
 def find_guesses(

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hpcapp.geometry.axes import AXES
+from hpcapp.geometry.axis_names import AXES
 from hpcapp.geometry.mesh import Mesh
-from hpcapp.io import read_mesh, write_mesh
+from hpcapp.io import find_mesh_up, read_mesh, write_mesh
 from hpcapp.io.meshes.glb import write_glb
 from hpcapp.io.meshes.mesh_stream import as_stream
 from hpcapp.io.placement import Placement
@@ -138,3 +138,15 @@ def test_times_of_gps_keep_their_differences(tmp_path: Path, tetrahedron: Mesh) 
     back = read_mesh(tmp_path / "mesh.glb").attributes["gps_time"]
     np.testing.assert_array_equal(back[[0, 1, 3]], times[[0, 1, 3]])
     assert back[2] == offset["gps_time"]  # NaN, which glTF forbids, is zero
+
+
+def test_a_file_of_another_program_is_y_up(tmp_path: Path, tetrahedron: Mesh) -> None:
+    path = tmp_path / "mesh.glb"
+    write_mesh(path, tetrahedron, Placement(up="-x"))
+    assert find_mesh_up(path) == "-x"
+    foreign = path.read_bytes().replace(b'{"up":"-x"}', b'{"up":"-w"}')
+    path.write_bytes(foreign)
+    assert find_mesh_up(path) == "y"
+    turned = read_mesh(path)  # as it stands there
+    write_mesh(path, turned, Placement(up="y"))
+    np.testing.assert_array_equal(read_glb(path)[1]["POSITION"], turned.vertices)
