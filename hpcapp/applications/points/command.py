@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from hpcapp.applications.points.crop import parse_crop
 from hpccomponent.cli.terminal import echo, echo_json, visible_line
 from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import UsageError
@@ -36,6 +37,16 @@ SAMPLE = click.option(
     metavar="N",
     help="POINTS is a mesh: take N points on its faces in place of its vertices.",
 )
+BOX = click.option(
+    "--box",
+    metavar="X0,Y0,Z0,X1,Y1,Z1",
+    help="Only what lies between two corners, in the coordinates of the input.",
+)
+AROUND = click.option(
+    "--around",
+    metavar="X,Y,Z,R",
+    help="Only what lies within a distance R of a place.",
+)
 
 
 @click.command(
@@ -54,6 +65,8 @@ SAMPLE = click.option(
 )
 @INPUTS
 @SAMPLE
+@BOX
+@AROUND
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
 @click.option(
     "--png",
@@ -74,6 +87,8 @@ SAMPLE = click.option(
 def info(
     points: tuple[str, ...],
     sample: int | None,
+    box: str | None,
+    around: str | None,
     as_json: bool,
     png: Path | None,
     by_spacing: bool,
@@ -86,8 +101,9 @@ def info(
     from hpcapp.io.points.inputs import gather_points
     from hpcapp.pages.thumbnail import write_thumbnail
 
+    crop = parse_crop(box, around)
     with gather_points(points, sample) as path:
-        source = open_points(path)
+        source = crop.take(open_points(path))
         facts, findings, cloud = describe_file(source)
     shown = points[0] if len(points) == 1 else f"{points[0]} and others"
     for line in findings.lines():
@@ -140,6 +156,8 @@ def readable(value: object) -> str:
 )
 @INPUTS
 @SAMPLE
+@BOX
+@AROUND
 @click.option(
     "-o",
     "--output",
@@ -152,7 +170,14 @@ def readable(value: object) -> str:
     metavar="FILE",
     help="Write the outliers, strays and wires that a job drops into a cloud of their own, too.",
 )
-def convert(points: tuple[str, ...], sample: int | None, output: str, rejected: str | None) -> None:
+def convert(
+    points: tuple[str, ...],
+    sample: int | None,
+    box: str | None,
+    around: str | None,
+    output: str,
+    rejected: str | None,
+) -> None:
     """Convert point clouds into one file of another format.
 
     What the output cannot hold is left out, with a warning.
@@ -162,12 +187,12 @@ def convert(points: tuple[str, ...], sample: int | None, output: str, rejected: 
     from hpcapp.io.ply.joined import write_joined
     from hpcapp.io.points.inputs import find_paths, gather_points
 
-    files = find_paths(points)
+    crop, files = parse_crop(box, around), find_paths(points)
     with (
         open_output(output, files, "points") as target,
         gather_points(points, sample) as path,
     ):
-        source = open_points(path)
+        source = crop.take(open_points(path))
         is_ply = target.suffix.lower() == ".ply"
         written = write_joined(target, [source]) if is_ply else _write_whole(target, source)
         for warning in source.findings.lines():

@@ -15,7 +15,8 @@ from typing import Any
 
 import click
 
-from hpcapp.applications.points.command import INPUTS, SAMPLE, readable
+from hpcapp.applications.points.command import AROUND, BOX, INPUTS, SAMPLE, readable
+from hpcapp.applications.points.crop import parse_crop
 from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.methods.method import MAX_GRID, MIN_GRID
 from hpcapp.applications.surface.methods.options import (
@@ -156,6 +157,7 @@ def check_flags(ctx: click.Context) -> None:
         parse_address(ctx.params["dashboard"])
     parse_attributes(ctx.params["attributes"])
     parse_viewpoint(ctx.params["viewpoint"])
+    parse_crop(ctx.params["box"], ctx.params["around"])
     check_page(ctx.params["report"], "--report")
     check_picture(ctx.params["png"], "--png")
     _check_method_options(ctx)
@@ -166,7 +168,7 @@ GROUPS = {
         "output", "grid", "viewpoint", "close", "attributes", "faces", "report", "png",
         "max_memory", "cluster",
     ),
-    "Points": ("sample", "normals", "clean", "outliers", "denoise", "resample"),
+    "Points": ("box", "around", "sample", "normals", "clean", "outliers", "denoise", "resample"),
     "Surface": (
         "voxel_size", "depth", "uniform", "smoothness", "detail", "trim", "fill_holes",
         "tolerance", "size", "method",
@@ -202,6 +204,8 @@ def _add_method_options(command: click.Command) -> click.Command:
 )
 @INPUTS
 @SAMPLE
+@BOX
+@AROUND
 @click.option(
     "-o",
     "--output",
@@ -472,6 +476,7 @@ def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:
             options["max_memory"] = parse_limit(options["max_memory"])
         options["attributes"] = parse_attributes(options["attributes"])
         options["viewpoint"] = parse_viewpoint(options["viewpoint"])
+        crop = parse_crop(options.pop("box"), options.pop("around"))
         Target(options["faces"], options["tolerance"]).check()
         if options["size"] is not None:
             options["size"] = read_size(options["size"], options["output"])
@@ -488,7 +493,9 @@ def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:
             gather_points(names, sample) as points,
             watching.open(title, timeline) as (progress, say),
         ):
-            settings = JobSettings(method=method(**chosen), points=points, inputs=files, **options)
+            settings = JobSettings(
+                method=method(**chosen), points=points, inputs=files, crop=crop, **options
+            )
             report = run_job(settings, progress, machines, timeline)
             say(f"{options['output']}: {report['summary']}")  # the terminal's comes last
             return report

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
+from hpcapp.applications.points.crop import Crop
 from hpcapp.applications.surface.attributes.choice import AttributeChoice
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
 from hpcapp.applications.surface.methods.method import MethodSettings
@@ -64,6 +65,8 @@ class Settings:
         Triangles to simplify the mesh to.
     tolerance : float or None
         How far its surface may move then, in length units of the input.
+    crop : Crop
+        The part of the scan that is asked for.
     """
 
     method: MethodSettings = field(default_factory=Hierarchical)
@@ -86,6 +89,7 @@ class Settings:
     viewpoint: Viewpoint = ()
     faces: int | None = None
     tolerance: float | None = None
+    crop: Crop = field(default_factory=Crop)
 
     def __post_init__(self) -> None:
         for one in fields(self):
