@@ -76,6 +76,8 @@ def reconstruct(
     sample: int | None = None,
     box: Sequence[float] | None = None,
     around: Sequence[float] | None = None,
+    classes: Sequence[int] | None = None,
+    not_classes: Sequence[int] | None = None,
     voxel_size: float | None = None,
     method: str | MethodSettings = DEFAULT_METHOD,
     smoothness: float | None = None,
@@ -119,6 +121,9 @@ def reconstruct(
         points.
     around : sequence of float, optional
         x, y, z of a place and a distance from it, likewise.
+    classes, not_classes : sequence of int, optional
+        The classes of points that are taken, or that are left out: those of LAS, or of the
+        attribute ``classification``.
     voxel_size : float, optional
         Edge of a cell in the unit of the points; takes the place of `grid`.
     method : str, Hierarchical or Paper
@@ -210,7 +215,7 @@ def reconstruct(
         viewpoint=_choose_viewpoint(viewpoints),
         faces=faces,
         tolerance=tolerance,
-        crop=make_crop(box, around),
+        crop=make_crop(box, around, classes, not_classes),
     )
     _check_settings(settings)
     rows = None if isinstance(normals, str) else normals
@@ -227,11 +232,16 @@ def reconstruct(
         with _open_files(settings, names, sample) as (job, source):
             return _run(job, source, lambda clock: _load_file(job, clock), given, reporter,
                         {"input": describe_input(job)})  # fmt: skip
-    cloud = settings.attributes.select(check_cloud(cast(ArrayLike, points), rows), "the cloud")
+    whole = check_cloud(cast(ArrayLike, points), rows)
+    sensor = _find_sensor(settings, settings.attributes.select(whole, "the cloud"))
+    cloud = settings.attributes.select(_crop(settings.crop, whole), "the cloud")
+    del whole
     waiting = [cloud]
     del cloud  # one reference, which the loading gives up to make room
-    return _run(settings, "Mesh", lambda clock: _load_cloud(settings, waiting.pop(), clock), given,
-                reporter, {})  # fmt: skip
+    return _run(
+        settings, "Mesh", lambda clock: _load_cloud(settings, waiting.pop(), sensor, clock),
+        given, reporter, {},
+    )  # fmt: skip
 
 
 def _find_names(points: object) -> list[str]:
@@ -249,7 +259,7 @@ def _open_files(
 ) -> Iterator[tuple[JobSettings, str]]:
     """Yield a job that reads files, and what these are called."""
     asked = {one.name: getattr(settings, one.name) for one in fields(Settings)}
-    with gather_points(names, sample) as path:
+    with gather_points(names, sample, keeps_noise=settings.crop.keeps_noise) as path:
         job = JobSettings(points=path, output="", inputs=find_paths(names), **asked)
         yield job, Path(job.shown).name
 
@@ -260,12 +270,10 @@ def _load_file(settings: JobSettings, clock: StageClock) -> Loaded:
     return loaded
 
 
-def _load_cloud(settings: Settings, cloud: PointCloud, clock: StageClock) -> Loaded:
+def _load_cloud(settings: Settings, cloud: PointCloud, sensor: Sensor, clock: StageClock) -> Loaded:
     if settings.normals == "estimate":
         cloud = replace(cloud, normals=None)
     labels = find_labels(cloud.attributes)
-    sensor = _find_sensor(settings, cloud)
-    cloud = _crop(settings.crop, cloud)
     read = replace(arrange_points(settings, cloud, labels, clock), sensor=sensor)
     del cloud  # makes room
     refuse_too_few(len(read.cloud_pass.cloud), Dropped(0, 0), "points")
@@ -277,7 +285,7 @@ def _load_cloud(settings: Settings, cloud: PointCloud, clock: StageClock) -> Loa
 
 def _crop(crop: Crop, cloud: PointCloud) -> PointCloud:
     """Return the points that are asked for, and those around them, as a file's would be."""
-    if not crop.is_something:
+    if crop == Crop():
         return cloud
     whole = replace(cloud, positions=cloud.positions + cloud.origin, origin=np.zeros(3))
     return read_whole(crop.take(slice_cloud(Path("points"), "arrays", whole), MARGIN))

@@ -47,6 +47,17 @@ AROUND = click.option(
     metavar="X,Y,Z,R",
     help="Only what lies within a distance R of a place.",
 )
+CLASSES = click.option(
+    "--classes",
+    metavar="N,N",
+    help="Only points of these classes, as 2,6: ground and buildings of LAS.",
+)
+NOT_CLASSES = click.option(
+    "--not-classes",
+    metavar="N,N",
+    help="No points of these classes. Noise of LAS, 7 and 18, is left out in any case, unless "
+    "--classes names it.",
+)
 
 
 @click.command(
@@ -67,6 +78,8 @@ AROUND = click.option(
 @SAMPLE
 @BOX
 @AROUND
+@CLASSES
+@NOT_CLASSES
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
 @click.option(
     "--png",
@@ -89,6 +102,8 @@ def info(
     sample: int | None,
     box: str | None,
     around: str | None,
+    classes: str | None,
+    not_classes: str | None,
     as_json: bool,
     png: Path | None,
     by_spacing: bool,
@@ -101,9 +116,9 @@ def info(
     from hpcapp.io.points.inputs import gather_points
     from hpcapp.pages.thumbnail import write_thumbnail
 
-    crop = parse_crop(box, around)
-    with gather_points(points, sample) as path:
-        source = crop.take(open_points(path))
+    crop = parse_crop(box, around, classes, not_classes)
+    with gather_points(points, sample, keeps_noise=crop.keeps_noise) as path:
+        source = crop.take(open_points(path, keeps_noise=crop.keeps_noise))
         facts, findings, cloud = describe_file(source)
     shown = points[0] if len(points) == 1 else f"{points[0]} and others"
     for line in findings.lines():
@@ -158,6 +173,8 @@ def readable(value: object) -> str:
 @SAMPLE
 @BOX
 @AROUND
+@CLASSES
+@NOT_CLASSES
 @click.option(
     "-o",
     "--output",
@@ -175,6 +192,8 @@ def convert(
     sample: int | None,
     box: str | None,
     around: str | None,
+    classes: str | None,
+    not_classes: str | None,
     output: str,
     rejected: str | None,
 ) -> None:
@@ -187,12 +206,12 @@ def convert(
     from hpcapp.io.ply.joined import write_joined
     from hpcapp.io.points.inputs import find_paths, gather_points
 
-    crop, files = parse_crop(box, around), find_paths(points)
+    crop, files = parse_crop(box, around, classes, not_classes), find_paths(points)
     with (
         open_output(output, files, "points") as target,
-        gather_points(points, sample) as path,
+        gather_points(points, sample, keeps_noise=crop.keeps_noise) as path,
     ):
-        source = crop.take(open_points(path))
+        source = crop.take(open_points(path, keeps_noise=crop.keeps_noise))
         is_ply = target.suffix.lower() == ".ply"
         written = write_joined(target, [source]) if is_ply else _write_whole(target, source)
         for warning in source.findings.lines():

@@ -50,7 +50,11 @@ _MAGIC = (
 
 @contextmanager
 def gather_points(
-    names: Sequence[str], sample: int | None = None, *, goes_elsewhere: bool = False
+    names: Sequence[str],
+    sample: int | None = None,
+    *,
+    goes_elsewhere: bool = False,
+    keeps_noise: bool = False,
 ) -> Iterator[Path]:
     """Yield one file with all points that a user has named.
 
@@ -62,6 +66,8 @@ def gather_points(
         The files are meshes: so many points on the faces of each are taken.
     goes_elsewhere : bool
         Another machine reads what is yielded: files that need a library become PLYs.
+    keeps_noise : bool
+        As of `open_points`.
 
     Yields
     ------
@@ -94,7 +100,7 @@ def gather_points(
 
         joined = folder / "points.ply"
         with _named(renamed):
-            sources = [_open(path, sample) for path in paths]
+            sources = [_open(path, sample, keeps_noise) for path in paths]
             write_joined(joined, sources)
             for file, source in zip(files, sources, strict=True):
                 _report(file, source)
@@ -219,9 +225,9 @@ def _decompress(packed: BinaryIO, target: FileIO, file: str) -> None:
         ) from None
 
 
-def _open(path: Path, sample: int | None) -> PointSource:
+def _open(path: Path, sample: int | None, keeps_noise: bool) -> PointSource:
     if sample is None:
-        return open_points(path)
+        return open_points(path, keeps_noise=keeps_noise)
     from hpcapp.io.points.mesh_points import sample_faces, slice_cloud
 
     return slice_cloud(path, "a sampled mesh", sample_faces(read_mesh(path), sample))

@@ -5,7 +5,7 @@ Readers make the sources, `formats` opens them, and `recognition` says what thei
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -20,6 +20,7 @@ from hpcapp.geometry.region import Region, say_place
 from hpcapp.io.batches import batch_points, cut_points, join_points
 from hpcapp.io.crs import Crs
 from hpcapp.io.frame import finite_bounds, scale_heights, to_local
+from hpccomponent.cli.option_names import name_option
 from hpccomponent.errors import InputError
 
 _ROWS_AT_ONCE = 1 << 20
@@ -27,6 +28,9 @@ _SMALL = 1 << 16  # points
 
 SCAN = "scan"
 """The attribute that has the number of each point's scan."""
+
+CLASSES = "classification"
+"""The attribute that has the class of each point, as of LAS."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -220,6 +224,42 @@ class PointSource:
             return batch_points(self._cut(region, wide, max(rows, _SMALL)), rows)
 
         return replace(self, scan=scan, region=wide)
+
+    def of_classes(self, wanted: Sequence[int], unwanted: Sequence[int] = ()) -> PointSource:
+        """Return the points of some classes; where none are wanted, of all but others.
+
+        Returns
+        -------
+        PointSource
+            Where its points have no classes, or none is left, an InputError comes with its parts.
+        """
+
+        def scan(rows: int) -> Iterator[PointCloud]:
+            return batch_points(self._choose(wanted, unwanted, max(rows, _SMALL)), rows)
+
+        return replace(self, scan=scan, records=None)
+
+    def _choose(
+        self, wanted: Sequence[int], unwanted: Sequence[int], rows: int
+    ) -> Iterator[PointCloud]:
+        points, there = 0, set[int]()
+        for part in self.scan(rows):
+            classes = part.attributes.get(CLASSES)
+            if classes is None:
+                raise InputError(
+                    f"{self.path}: the points have no classes",
+                    f"leave {name_option('classes' if wanted else 'not_classes')} out, or export "
+                    "the file with its classification",
+                )
+            is_kept = np.isin(classes, wanted) if wanted else ~np.isin(classes, unwanted)
+            points += int(is_kept.sum())
+            there |= set() if points else set(np.unique(classes[np.isfinite(classes)]).tolist())
+            yield part if is_kept.all() else part.take(is_kept)
+        if not points:
+            raise InputError(
+                f"{self.path}: no points are left by their classes",
+                f"the file has {', '.join(f'{one:g}' for one in sorted(there)) or 'none'}",
+            )
 
     def _cut(self, region: Region, wide: Region, rows: int) -> Iterator[PointCloud]:
         points, corners = 0, list[FloatArray]()

@@ -15,7 +15,15 @@ from typing import Any
 
 import click
 
-from hpcapp.applications.points.command import AROUND, BOX, INPUTS, SAMPLE, readable
+from hpcapp.applications.points.command import (
+    AROUND,
+    BOX,
+    CLASSES,
+    INPUTS,
+    NOT_CLASSES,
+    SAMPLE,
+    readable,
+)
 from hpcapp.applications.points.crop import parse_crop
 from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.methods.method import MAX_GRID, MIN_GRID
@@ -38,6 +46,9 @@ from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import UsageError
 
 log = logging.getLogger("hpcapp")
+
+CROPPED = ("box", "around", "classes", "not_classes")
+"""Options by which a part is asked for, as `parse_crop` takes them."""
 
 POINTS = click.Path(dir_okay=False, path_type=Path)
 
@@ -157,7 +168,7 @@ def check_flags(ctx: click.Context) -> None:
         parse_address(ctx.params["dashboard"])
     parse_attributes(ctx.params["attributes"])
     parse_viewpoint(ctx.params["viewpoint"])
-    parse_crop(ctx.params["box"], ctx.params["around"])
+    parse_crop(*(ctx.params[name] for name in CROPPED))
     check_page(ctx.params["report"], "--report")
     check_picture(ctx.params["png"], "--png")
     _check_method_options(ctx)
@@ -168,7 +179,10 @@ GROUPS = {
         "output", "grid", "viewpoint", "close", "attributes", "faces", "report", "png",
         "max_memory", "cluster",
     ),
-    "Points": ("box", "around", "sample", "normals", "clean", "outliers", "denoise", "resample"),
+    "Points": (
+        "box", "around", "classes", "not_classes", "sample", "normals", "clean", "outliers",
+        "denoise", "resample",
+    ),
     "Surface": (
         "voxel_size", "depth", "uniform", "smoothness", "detail", "trim", "fill_holes",
         "tolerance", "size", "method",
@@ -206,6 +220,8 @@ def _add_method_options(command: click.Command) -> click.Command:
 @SAMPLE
 @BOX
 @AROUND
+@CLASSES
+@NOT_CLASSES
 @click.option(
     "-o",
     "--output",
@@ -476,7 +492,7 @@ def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:
             options["max_memory"] = parse_limit(options["max_memory"])
         options["attributes"] = parse_attributes(options["attributes"])
         options["viewpoint"] = parse_viewpoint(options["viewpoint"])
-        crop = parse_crop(options.pop("box"), options.pop("around"))
+        crop = parse_crop(*(options.pop(name) for name in CROPPED))
         Target(options["faces"], options["tolerance"]).check()
         if options["size"] is not None:
             options["size"] = read_size(options["size"], options["output"])
@@ -490,7 +506,7 @@ def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:
         timeline = Timeline()
         title = f"{Path(names[0]).name} \u2192 {options['output']}"
         with (
-            gather_points(names, sample) as points,
+            gather_points(names, sample, keeps_noise=crop.keeps_noise) as points,
             watching.open(title, timeline) as (progress, say),
         ):
             settings = JobSettings(

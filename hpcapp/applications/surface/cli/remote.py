@@ -112,7 +112,12 @@ def run_on_cluster(ctx: click.Context) -> dict[str, Any]:
     _check_shown(ctx)
     with (
         open_output(ctx.params["output"], files) as target,
-        gather_points(names, ctx.params["sample"], goes_elsewhere=True) as points,
+        gather_points(
+            names,
+            ctx.params["sample"],
+            goes_elsewhere=True,
+            keeps_noise=ctx.params["classes"] is not None,
+        ) as points,
     ):
         check_points(points)
         words = type_for_head(ctx, OF_THIS_MACHINE)

@@ -33,7 +33,7 @@ def crop(asked: Crop, loaded: Loaded, result: Reconstruction, clock: StageClock)
     InputError
         There is no surface.
     """
-    if not asked.is_something:
+    if not asked.has_region:
         return result
     cloud = loaded.cloud
     region = asked.find_region(loaded.crs.height_scale)

@@ -11,4 +11,5 @@ MARGIN = 0.2
 
 def open_source(settings: JobSettings) -> PointSource:
     """Open the points that are asked for, and those around them; z in the unit of x and y."""
-    return settings.crop.take(open_points(settings.points), MARGIN).isotropic()
+    whole = open_points(settings.points, keeps_noise=settings.crop.keeps_noise)
+    return settings.crop.take(whole, MARGIN).isotropic()

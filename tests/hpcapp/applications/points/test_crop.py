@@ -80,3 +80,81 @@ def test_info_and_convert_take_the_part(heap: Path, tmp_path: Path) -> None:
     shown = CliRunner().invoke(hpcapp, ["info", str(heap), "--box", box])
     count = len(read_points(part))
     assert f"{count}" in next(row for row in shown.output.splitlines() if row[:6] == "points")
+
+
+@pytest.fixture
+def town(tmp_path: Path) -> Path:
+    """Points of the classes 1, 2 and 7."""
+    random = np.random.default_rng(2)
+    classes = np.repeat(np.array([1, 2, 7], np.uint8), [40, 30, 20])
+    path = tmp_path / "town.las"
+    cloud = PointCloud(random.random((90, 3)), attributes={"classification": classes})
+    write_points(path, cloud)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("classes", "not_classes", "points", "noise"),
+    [
+        (None, None, 70, 20),
+        ([2], None, 30, 20),
+        ([2, 7], None, 50, 0),
+        (None, [1], 30, 20),
+        (None, [7], 70, 20),
+    ],
+)
+@pytest.mark.parametrize("rows", [1, 7, 1000])
+def test_points_are_chosen_by_class_and_noise_is_counted(
+    town: Path,
+    classes: list[int] | None,
+    not_classes: list[int] | None,
+    points: int,
+    noise: int,
+    rows: int,
+) -> None:
+    crop = make_crop(classes=classes, not_classes=not_classes)
+    source = crop.take(open_points(town, keeps_noise=crop.keeps_noise))
+    for _ in range(2):
+        assert sum(map(len, source.chunks(rows))) == points
+        assert source.findings.dropped.get("noise", 0) == noise
+
+
+def test_noise_of_several_files_is_there_where_it_is_asked_for(town: Path, tmp_path: Path) -> None:
+    other, both = tmp_path / "other.las", tmp_path / "both.ply"
+    other.write_bytes(town.read_bytes())
+    for classes, points in (("7", 40), ("2", 60)):
+        words = ["convert", str(town), str(other), "-o", str(both), "--classes", classes]
+        assert CliRunner().invoke(hpcapp, words).exit_code == 0
+        assert len(read_points(both)) == points
+
+
+def test_a_column_of_any_format_tells_classes(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = "\n".join(f"{i},{i * i % 7},{i % 3},{i % 2}" for i in range(20))
+    path.write_text(f"x,y,z,class\n{rows}\n")
+    assert sum(map(len, make_crop(classes=[1]).take(open_points(path)).chunks(100))) == 10
+
+
+def test_a_file_without_such_classes_is_one_line(heap: Path, town: Path) -> None:
+    with pytest.raises(InputError, match="the points have no classes"):
+        list(make_crop(classes=[2]).take(open_points(heap)).chunks(1000))
+    with pytest.raises(InputError, match="no points are left by their classes") as found:
+        list(make_crop(classes=[6, 9]).take(open_points(town)).chunks(1000))
+    assert found.value.advice == "the file has 1, 2"
+
+
+@pytest.mark.parametrize(
+    ("classes", "not_classes", "said"),
+    [
+        ("2,x", None, "no whole numbers"),
+        ("2.5", None, "no whole numbers"),
+        ("-1", None, "has -1"),
+        (None, "256", "has 256"),
+        ("2", "3", "exclude each other"),
+    ],
+)
+def test_what_is_no_class_is_refused(
+    classes: str | None, not_classes: str | None, said: str
+) -> None:
+    with pytest.raises(UsageError, match=said):
+        parse_crop(None, None, classes, not_classes)

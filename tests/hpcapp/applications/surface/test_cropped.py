@@ -119,3 +119,22 @@ def test_points_support_what_is_left(knot: PointCloud) -> None:
     mesh = package.reconstruct(knot, box=(0, -20, -10, 20, 20, 10), executor="serial")
     assert not mesh.facts["open"]  # closed beyond the box, by guesswork, which is cut off
     assert mesh.facts["support"]["share"] == 1.0
+
+
+def test_classes_are_left_out_of_files_and_arrays(tmp_path: Path) -> None:
+    knot = package.simulate("knot", points=6_000)
+    random = np.random.default_rng(3)
+    leaves = knot.positions[:2_000] + random.normal(0.0, 2.0, (2_000, 3))
+    classes = np.repeat(np.array([6, 5], np.uint8), [6_000, 2_000])
+    both = PointCloud(
+        np.concatenate([knot.positions, leaves]), attributes={"classification": classes}
+    )
+    path, alone = tmp_path / "both.ply", tmp_path / "alone.ply"
+    write_points(path, both)
+    write_points(alone, PointCloud(knot.positions))
+    of_knot = package.reconstruct(alone, executor="serial", attributes="none")
+    bare = package.reconstruct(PointCloud(knot.positions), executor="serial", attributes="none")
+    of_file = package.reconstruct(path, classes=[6], executor="serial", attributes="none")
+    of_cloud = package.reconstruct(both, not_classes=[5], executor="serial", attributes="none")
+    assert np.array_equal(of_file.vertices, of_knot.vertices)
+    assert np.array_equal(of_cloud.vertices, bare.vertices)
