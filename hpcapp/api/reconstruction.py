@@ -259,7 +259,9 @@ def _open_files(
 ) -> Iterator[tuple[JobSettings, str]]:
     """Yield a job that reads files, and what these are called."""
     asked = {one.name: getattr(settings, one.name) for one in fields(Settings)}
-    with gather_points(names, sample, keeps_noise=settings.crop.keeps_noise) as path:
+    crop = settings.crop
+    choose = partial(crop.take, margin=MARGIN)
+    with gather_points(names, sample, keeps_noise=crop.keeps_noise, choose=choose) as path:
         job = JobSettings(points=path, output="", inputs=find_paths(names), **asked)
         yield job, Path(job.shown).name
 

@@ -117,7 +117,7 @@ def info(
     from hpcapp.pages.thumbnail import write_thumbnail
 
     crop = parse_crop(box, around, classes, not_classes)
-    with gather_points(points, sample, keeps_noise=crop.keeps_noise) as path:
+    with gather_points(points, sample, keeps_noise=crop.keeps_noise, choose=crop.take) as path:
         source = crop.take(open_points(path, keeps_noise=crop.keeps_noise))
         facts, findings, cloud = describe_file(source)
     shown = points[0] if len(points) == 1 else f"{points[0]} and others"
@@ -209,7 +209,7 @@ def convert(
     crop, files = parse_crop(box, around, classes, not_classes), find_paths(points)
     with (
         open_output(output, files, "points") as target,
-        gather_points(points, sample, keeps_noise=crop.keeps_noise) as path,
+        gather_points(points, sample, keeps_noise=crop.keeps_noise, choose=crop.take) as path,
     ):
         source = crop.take(open_points(path, keeps_noise=crop.keeps_noise))
         is_ply = target.suffix.lower() == ".ply"

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 
 Number = TypeVar("Number", int, float)
 
+CROPPED = ("box", "around", "classes", "not_classes")
+"""Options by which a part is asked for, as `parse_crop` takes them."""
+
 _BOX, _BALL = 6, 4  # numbers
 _LAST_CLASS = 255
 

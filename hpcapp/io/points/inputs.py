@@ -18,7 +18,7 @@ import re
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from io import FileIO
 from pathlib import Path
@@ -55,6 +55,7 @@ def gather_points(
     *,
     goes_elsewhere: bool = False,
     keeps_noise: bool = False,
+    choose: Callable[[PointSource], PointSource] | None = None,
 ) -> Iterator[Path]:
     """Yield one file with all points that a user has named.
 
@@ -68,6 +69,9 @@ def gather_points(
         Another machine reads what is yielded: files that need a library become PLYs.
     keeps_noise : bool
         As of `open_points`.
+    choose : callable, optional
+        Which of the points are asked for, and are written where a file is written; where the file
+        itself is yielded, it has them all.
 
     Yields
     ------
@@ -99,12 +103,13 @@ def gather_points(
         from hpcapp.io.ply.joined import write_joined
 
         joined = folder / "points.ply"
+        renamed[str(joined)] = _shorten(files)
         with _named(renamed):
             sources = [_open(path, sample, keeps_noise) for path in paths]
-            write_joined(joined, sources)
+            write_joined(joined, sources, choose)
             for file, source in zip(files, sources, strict=True):
                 _report(file, source)
-        with _named({str(joined): _shorten(files)}):
+        with _named(renamed):
             yield joined
 
 

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from hpcapp.applications.points.command import (
     SAMPLE,
     readable,
 )
-from hpcapp.applications.points.crop import parse_crop
+from hpcapp.applications.points.crop import CROPPED, parse_crop
 from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.methods.method import MAX_GRID, MIN_GRID
 from hpcapp.applications.surface.methods.options import (
@@ -46,9 +47,6 @@ from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import UsageError
 
 log = logging.getLogger("hpcapp")
-
-CROPPED = ("box", "around", "classes", "not_classes")
-"""Options by which a part is asked for, as `parse_crop` takes them."""
 
 POINTS = click.Path(dir_okay=False, path_type=Path)
 
@@ -483,6 +481,7 @@ def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:
     with start_early(name, options["workers"]) as machines:
         from hpcapp.applications.surface.cli.run import run_job  # while the machines start
         from hpcapp.applications.surface.job.settings import JobSettings
+        from hpcapp.applications.surface.job.source import MARGIN
         from hpcapp.applications.surface.resolution.memory import parse_limit
         from hpcapp.io.points.inputs import find_paths, gather_points
         from hpcapp.simplification.mesh import Target
@@ -506,7 +505,12 @@ def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:
         timeline = Timeline()
         title = f"{Path(names[0]).name} \u2192 {options['output']}"
         with (
-            gather_points(names, sample, keeps_noise=crop.keeps_noise) as points,
+            gather_points(
+                names,
+                sample,
+                keeps_noise=crop.keeps_noise,
+                choose=partial(crop.take, margin=MARGIN),
+            ) as points,
             watching.open(title, timeline) as (progress, say),
         ):
             settings = JobSettings(

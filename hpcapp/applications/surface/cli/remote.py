@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Collection
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 
+from hpcapp.applications.points.crop import CROPPED, parse_crop
+from hpcapp.applications.surface.job.source import MARGIN
 from hpcapp.applications.surface.methods.options import typed_command, typed_options
 from hpcapp.applications.surface.normals.viewpoint import parse_viewpoint, type_viewpoint
 from hpcapp.backends.cluster import load_cluster_function
@@ -108,6 +111,7 @@ def run_on_cluster(ctx: click.Context) -> dict[str, Any]:
             raise UsageError(f"--{name} means nothing to a cluster file", instead)
     run = load_cluster_function("run")
     files = find_paths(names)
+    crop = parse_crop(*(ctx.params[name] for name in CROPPED))
     check_file(ctx.params["output"])
     _check_shown(ctx)
     with (
@@ -116,7 +120,8 @@ def run_on_cluster(ctx: click.Context) -> dict[str, Any]:
             names,
             ctx.params["sample"],
             goes_elsewhere=True,
-            keeps_noise=ctx.params["classes"] is not None,
+            keeps_noise=crop.keeps_noise,
+            choose=partial(crop.take, margin=MARGIN),
         ) as points,
     ):
         check_points(points)

@@ -12,6 +12,7 @@ from hpcapp.applications.points.crop import make_crop, parse_crop
 from hpcapp.cli import hpcapp
 from hpcapp.geometry.points import PointCloud
 from hpcapp.io import open_points, read_points, write_points
+from hpcapp.io.points.inputs import gather_points
 from hpccomponent.errors import InputError, UsageError
 
 
@@ -80,6 +81,26 @@ def test_info_and_convert_take_the_part(heap: Path, tmp_path: Path) -> None:
     shown = CliRunner().invoke(hpcapp, ["info", str(heap), "--box", box])
     count = len(read_points(part))
     assert f"{count}" in next(row for row in shown.output.splitlines() if row[:6] == "points")
+
+
+def test_of_several_files_only_what_is_asked_for_is_joined(heap: Path, tmp_path: Path) -> None:
+    west, east = tmp_path / "west.ply", tmp_path / "east.ply"
+    whole = read_points(heap)
+    places = whole.positions + whole.origin
+    is_west = places[:, 0] < 2_000_030
+    write_points(west, PointCloud(places[is_west]))  # without units: those of the other
+    write_points(east, PointCloud(places[~is_west]), "EPSG:2229", "ft", height_unit="m")
+    crop = make_crop(None, (2_000_050, 500_025, 305, 12))
+    with gather_points([str(west), str(east)], choose=crop.take) as joined:
+        assert len(read_points(joined)) == sum(map(len, crop.take(open_points(heap)).chunks(1000)))
+    far = make_crop((0, 0, 0, 1, 1, 1))
+    with (
+        pytest.raises(InputError, match=r"west.ply and 1 more: no points in the box") as found,
+        gather_points([str(west), str(east)], choose=far.take),
+    ):
+        pass
+    assert "lie from 2000000" in found.value.advice
+    assert "to 2000099" in found.value.advice or "to 2000100" in found.value.advice
 
 
 @pytest.fixture

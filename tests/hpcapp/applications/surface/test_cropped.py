@@ -92,6 +92,17 @@ def test_workers_that_read_the_file_leave_out_the_same_points(
     assert made[0] == made[1]
 
 
+def test_of_several_files_the_mesh_is_that_of_one(knot: PointCloud, tmp_path: Path) -> None:
+    names = [tmp_path / "one.ply", tmp_path / "two.ply"]
+    for path, part in zip(names, (slice(0, 10_000), slice(10_000, None)), strict=True):
+        write_points(path, knot.view(part))
+    mesh = package.reconstruct(names, box=BOX, executor="serial", attributes="none")
+    write_points(tmp_path / "both.ply", knot)
+    one = package.reconstruct(tmp_path / "both.ply", box=BOX, executor="serial", attributes="none")
+    assert np.array_equal(mesh.vertices, one.vertices)
+    assert np.array_equal(mesh.faces, one.faces)
+
+
 @pytest.mark.parametrize("suffix", [".ply", ".xyz"])
 @pytest.mark.parametrize("memory", [None, 3e8])
 def test_a_box_without_points_is_one_line(
