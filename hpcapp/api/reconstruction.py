@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike
 
 from hpcapp.api.arrays import check_cloud, check_rows
 from hpcapp.api.mesh import JobRecord, Mesh, wrap_mesh
+from hpcapp.applications.points.crop import Crop, make_crop
 from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.attributes.labels import find_labels
 from hpcapp.applications.surface.job.backend_choice import approach_workers
@@ -35,6 +36,7 @@ from hpcapp.applications.surface.job.report import describe_outcome
 from hpcapp.applications.surface.job.scan import Loaded
 from hpcapp.applications.surface.job.settings import JobSettings, Settings
 from hpcapp.applications.surface.job.site import open_site
+from hpcapp.applications.surface.job.source import MARGIN
 from hpcapp.applications.surface.methods.method import MAX_GRID, MIN_GRID, MethodSettings
 from hpcapp.applications.surface.methods.options import option_names
 from hpcapp.applications.surface.methods.table import DEFAULT_METHOD, find_method
@@ -46,7 +48,9 @@ from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY
 from hpcapp.communicator.scheduling.verification import Verification, attempt, repeat_until_trusted
 from hpcapp.geometry.points import PointCloud
 from hpcapp.geometry.validity import Dropped
+from hpcapp.io import read_whole
 from hpcapp.io.points.inputs import find_paths, gather_points
+from hpcapp.io.points.mesh_points import slice_cloud
 from hpcapp.io.points.survey import is_flown_over
 from hpcapp.io.points.usable import refuse_too_few
 from hpcapp.progress import Progress, ProgressObserver, StageClock
@@ -70,6 +74,10 @@ def reconstruct(
     grid: int | None = None,
     *,
     sample: int | None = None,
+    box: Sequence[float] | None = None,
+    around: Sequence[float] | None = None,
+    classes: Sequence[int] | None = None,
+    not_classes: Sequence[int] | None = None,
     voxel_size: float | None = None,
     method: str | MethodSettings = DEFAULT_METHOD,
     smoothness: float | None = None,
@@ -108,6 +116,14 @@ def reconstruct(
         Cells along the longest side, 16 to 4096; by default what the points resolve.
     sample : int, optional
         The files are meshes: so many points on the faces of each are taken.
+    box : sequence of float, optional
+        x, y and z of two corners: the mesh is what lies between them, in the coordinates of the
+        points.
+    around : sequence of float, optional
+        x, y, z of a place and a distance from it, likewise.
+    classes, not_classes : sequence of int, optional
+        The classes of points that are taken, or that are left out: those of LAS, or of the
+        attribute ``classification``.
     voxel_size : float, optional
         Edge of a cell in the unit of the points; takes the place of `grid`.
     method : str, Hierarchical or Paper
@@ -199,6 +215,7 @@ def reconstruct(
         viewpoint=_choose_viewpoint(viewpoints),
         faces=faces,
         tolerance=tolerance,
+        crop=make_crop(box, around, classes, not_classes),
     )
     _check_settings(settings)
     rows = None if isinstance(normals, str) else normals
@@ -215,11 +232,16 @@ def reconstruct(
         with _open_files(settings, names, sample) as (job, source):
             return _run(job, source, lambda clock: _load_file(job, clock), given, reporter,
                         {"input": describe_input(job)})  # fmt: skip
-    cloud = settings.attributes.select(check_cloud(cast(ArrayLike, points), rows), "the cloud")
+    whole = check_cloud(cast(ArrayLike, points), rows)
+    sensor = _find_sensor(settings, settings.attributes.select(whole, "the cloud"))
+    cloud = settings.attributes.select(_crop(settings.crop, whole), "the cloud")
+    del whole
     waiting = [cloud]
     del cloud  # one reference, which the loading gives up to make room
-    return _run(settings, "Mesh", lambda clock: _load_cloud(settings, waiting.pop(), clock), given,
-                reporter, {})  # fmt: skip
+    return _run(
+        settings, "Mesh", lambda clock: _load_cloud(settings, waiting.pop(), sensor, clock),
+        given, reporter, {},
+    )  # fmt: skip
 
 
 def _find_names(points: object) -> list[str]:
@@ -237,7 +259,9 @@ def _open_files(
 ) -> Iterator[tuple[JobSettings, str]]:
     """Yield a job that reads files, and what these are called."""
     asked = {one.name: getattr(settings, one.name) for one in fields(Settings)}
-    with gather_points(names, sample) as path:
+    crop = settings.crop
+    choose = partial(crop.take, margin=MARGIN)
+    with gather_points(names, sample, keeps_noise=crop.keeps_noise, choose=choose) as path:
         job = JobSettings(points=path, output="", inputs=find_paths(names), **asked)
         yield job, Path(job.shown).name
 
@@ -248,11 +272,10 @@ def _load_file(settings: JobSettings, clock: StageClock) -> Loaded:
     return loaded
 
 
-def _load_cloud(settings: Settings, cloud: PointCloud, clock: StageClock) -> Loaded:
+def _load_cloud(settings: Settings, cloud: PointCloud, sensor: Sensor, clock: StageClock) -> Loaded:
     if settings.normals == "estimate":
         cloud = replace(cloud, normals=None)
     labels = find_labels(cloud.attributes)
-    sensor = _find_sensor(settings, cloud)
     read = replace(arrange_points(settings, cloud, labels, clock), sensor=sensor)
     del cloud  # makes room
     refuse_too_few(len(read.cloud_pass.cloud), Dropped(0, 0), "points")
@@ -260,6 +283,14 @@ def _load_cloud(settings: Settings, cloud: PointCloud, clock: StageClock) -> Loa
     for warning in loaded.oriented.warnings:
         log.warning("warning: %s", warning)
     return loaded
+
+
+def _crop(crop: Crop, cloud: PointCloud) -> PointCloud:
+    """Return the points that are asked for, and those around them, as a file's would be."""
+    if crop == Crop():
+        return cloud
+    whole = replace(cloud, positions=cloud.positions + cloud.origin, origin=np.zeros(3))
+    return read_whole(crop.take(slice_cloud(Path("points"), "arrays", whole), MARGIN))
 
 
 def _run(

@@ -64,8 +64,13 @@ def read_points(path: str | PathLike[str]) -> PointCloud:
     return read_whole(open_points(path))
 
 
-def open_points(path: str | PathLike[str]) -> PointSource:
+def open_points(path: str | PathLike[str], *, keeps_noise: bool = False) -> PointSource:
     """Open a point cloud to read it in parts; path and errors as of `read_points`.
+
+    Parameters
+    ----------
+    keeps_noise : bool
+        Whether points stay that the file itself says are noise, by their class.
 
     Returns
     -------
@@ -80,7 +85,7 @@ def open_points(path: str | PathLike[str]) -> PointSource:
     reader = find_point_reader(Path(path))
     with translated(Path(path)):
         _refuse_special(Path(path))
-        return recognise(reader.open(Path(path)))
+        return recognise(reader.open(Path(path), keeps_noise=keeps_noise))
 
 
 def holds_faces(path: str | PathLike[str]) -> bool:

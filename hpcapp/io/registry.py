@@ -52,16 +52,20 @@ class PointReader:
         Whether the start of a file says how many points there are.
     needs_library : bool
         Whether that is a library that is not everywhere where this package is.
+    knows_noise : bool
+        Whether classes of the format say that a point is none.
     """
 
     function: str
     least_bytes: float
     states_count: bool = False
     needs_library: bool = False
+    knows_noise: bool = False
 
-    def open(self, path: Path) -> PointSource:
-        """Open a file."""
-        source: PointSource = _call(self.function, path)
+    def open(self, path: Path, *, keeps_noise: bool = False) -> PointSource:
+        """Open a file, without the points of a class of noise unless these are kept."""
+        more = {"keeps_noise": keeps_noise} if self.knows_noise else {}
+        source: PointSource = _call(self.function, path, **more)
         return source
 
 
@@ -263,10 +267,15 @@ FORMATS = (
     ),
     Format((".csv", ".xyzn", ".xyzrgb", ".xyzi", ".pwn"), _TEXT),
     Format((".ptx",), PointReader("text.ptx:open_ptx", 6)),
-    Format((".las",), PointReader("las.points:open_las", 20, states_count=True), None, _LAS),
+    Format(
+        (".las",),
+        PointReader("las.points:open_las", 20, states_count=True, knows_noise=True),
+        None,
+        _LAS,
+    ),
     Format(
         (".laz",),
-        PointReader("las.points:open_las", 0.25, states_count=True, needs_library=True),
+        PointReader("las.points:open_las", 0.25, True, needs_library=True, knows_noise=True),
         None,
         _LAS,
     ),

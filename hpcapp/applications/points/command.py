@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from hpcapp.applications.points.crop import parse_crop
 from hpccomponent.cli.terminal import echo, echo_json, visible_line
 from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import UsageError
@@ -36,6 +37,27 @@ SAMPLE = click.option(
     metavar="N",
     help="POINTS is a mesh: take N points on its faces in place of its vertices.",
 )
+BOX = click.option(
+    "--box",
+    metavar="X0,Y0,Z0,X1,Y1,Z1",
+    help="Only what lies between two corners, in the coordinates of the input.",
+)
+AROUND = click.option(
+    "--around",
+    metavar="X,Y,Z,R",
+    help="Only what lies within a distance R of a place.",
+)
+CLASSES = click.option(
+    "--classes",
+    metavar="N,N",
+    help="Only points of these classes, as 2,6: ground and buildings of LAS.",
+)
+NOT_CLASSES = click.option(
+    "--not-classes",
+    metavar="N,N",
+    help="No points of these classes. Noise of LAS, 7 and 18, is left out in any case, unless "
+    "--classes names it.",
+)
 
 
 @click.command(
@@ -54,6 +76,10 @@ SAMPLE = click.option(
 )
 @INPUTS
 @SAMPLE
+@BOX
+@AROUND
+@CLASSES
+@NOT_CLASSES
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
 @click.option(
     "--png",
@@ -74,6 +100,10 @@ SAMPLE = click.option(
 def info(
     points: tuple[str, ...],
     sample: int | None,
+    box: str | None,
+    around: str | None,
+    classes: str | None,
+    not_classes: str | None,
     as_json: bool,
     png: Path | None,
     by_spacing: bool,
@@ -86,8 +116,9 @@ def info(
     from hpcapp.io.points.inputs import gather_points
     from hpcapp.pages.thumbnail import write_thumbnail
 
-    with gather_points(points, sample) as path:
-        source = open_points(path)
+    crop = parse_crop(box, around, classes, not_classes)
+    with gather_points(points, sample, keeps_noise=crop.keeps_noise, choose=crop.take) as path:
+        source = crop.take(open_points(path, keeps_noise=crop.keeps_noise))
         facts, findings, cloud = describe_file(source)
     shown = points[0] if len(points) == 1 else f"{points[0]} and others"
     for line in findings.lines():
@@ -140,6 +171,10 @@ def readable(value: object) -> str:
 )
 @INPUTS
 @SAMPLE
+@BOX
+@AROUND
+@CLASSES
+@NOT_CLASSES
 @click.option(
     "-o",
     "--output",
@@ -152,7 +187,16 @@ def readable(value: object) -> str:
     metavar="FILE",
     help="Write the outliers, strays and wires that a job drops into a cloud of their own, too.",
 )
-def convert(points: tuple[str, ...], sample: int | None, output: str, rejected: str | None) -> None:
+def convert(
+    points: tuple[str, ...],
+    sample: int | None,
+    box: str | None,
+    around: str | None,
+    classes: str | None,
+    not_classes: str | None,
+    output: str,
+    rejected: str | None,
+) -> None:
     """Convert point clouds into one file of another format.
 
     What the output cannot hold is left out, with a warning.
@@ -162,12 +206,12 @@ def convert(points: tuple[str, ...], sample: int | None, output: str, rejected: 
     from hpcapp.io.ply.joined import write_joined
     from hpcapp.io.points.inputs import find_paths, gather_points
 
-    files = find_paths(points)
+    crop, files = parse_crop(box, around, classes, not_classes), find_paths(points)
     with (
         open_output(output, files, "points") as target,
-        gather_points(points, sample) as path,
+        gather_points(points, sample, keeps_noise=crop.keeps_noise, choose=crop.take) as path,
     ):
-        source = open_points(path)
+        source = crop.take(open_points(path, keeps_noise=crop.keeps_noise))
         is_ply = target.suffix.lower() == ".ply"
         written = write_joined(target, [source]) if is_ply else _write_whole(target, source)
         for warning in source.findings.lines():

@@ -3,7 +3,8 @@
 ::
 
     read ─> clean ─> orient ─> mend ─> measure                         a cloud (load, prepare)
-       ─> resolve ─> partition ─> fit ─> extract ─> close ─> simplify  a surface (reconstruct_cloud)
+       ─> resolve ─> partition ─> fit ─> extract ─> close              a surface (reconstruct_cloud)
+       ─> crop ─> simplify                                             what was asked of it
        ─> carry ─> write ─> check                                      a mesh (deliver)
 
 A stage is a call of its name, in the room of its name. Folders, files and machines are opened
@@ -32,11 +33,11 @@ from hpcapp.applications.surface.job.scan import Loaded, PointFolder, Scan
 from hpcapp.applications.surface.job.settings import JobSettings, Settings
 from hpcapp.applications.surface.job.simplify import fit_surface, simplify
 from hpcapp.applications.surface.job.site import Site, open_method, preprocess
+from hpcapp.applications.surface.job.source import open_source
 from hpcapp.applications.surface.methods.method import Method
 from hpcapp.applications.surface.normals.sides import orient_cloud
 from hpcapp.applications.surface.resolution.asked import find_grid
 from hpcapp.applications.surface.stitching.topology import Topology
-from hpcapp.io import open_points
 from hpcapp.progress import StageClock
 from hpcapp.workforce import Workforce
 from hpccomponent.runtime.background import Deferred
@@ -54,7 +55,7 @@ def load(settings: JobSettings, clock: StageClock, folder: PointFolder | None = 
         Where the points are put; into memory by default. They are the same, bit for bit. With
         `resume`, what is in the folder is taken, if it is whole.
     """
-    source = open_points(settings.points).isotropic()
+    source = open_source(settings)
     if folder is not None and settings.resume and (left := find_loaded(settings, source, folder)):
         return left
     loaded = prepare(settings, read_file(settings, source, folder, clock), clock)
@@ -112,6 +113,10 @@ def reconstruct_cloud(
         method = open_method(settings, site, grid, len(loaded.cloud), clock)
         cloud = preprocess(settings, loaded.cloud, clock)
         result = make_surface(cloud, method, site.backend.workforce, clock, checks)
+        if settings.crop.has_region:
+            from hpcapp.applications.surface.job.crop import crop  # stands on scipy
+
+            result = crop(settings.crop, loaded, result, clock)
         warnings = warn_of(settings, loaded, checks(), result)
         result, more = simplify(settings.target, result, clock)
         yield Outcome(result, grid, site.backend, site.choice, warnings + more)

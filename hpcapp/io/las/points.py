@@ -24,12 +24,12 @@ _COORDINATES = 12  # bytes of a point that hold its coordinates
 _A_CORE = 1 << 17  # compressed points that are taken at once: some chunks, which stay in the cache
 
 
-def open_las(path: Path) -> PointSource:
+def open_las(path: Path, *, keeps_noise: bool = False) -> PointSource:
     """Open the points of a LAS, LAZ or COPC file.
 
-    Points that are flagged as withheld, and those of the classes for noise, are left out and
-    counted. Waveforms are passed over. COPC is read in the order of the file, which is that of its
-    octree.
+    Points that are flagged as withheld, and those of the classes for noise unless these are kept,
+    are left out and counted. Waveforms are passed over. COPC is read in the order of the file,
+    which is that of its octree.
 
     Returns
     -------
@@ -54,7 +54,7 @@ def open_las(path: Path) -> PointSource:
         findings.dropped.clear()  # they are counted anew
         at_once = _A_CORE * available_cores() if header.is_compressed else rows
         parts = _read_points(path, header, layout, min(rows, at_once), findings)
-        return batch_points(_decode_parts(parts, layout, findings), rows)
+        return batch_points(_decode_parts(parts, layout, findings, keeps_noise), rows)
 
     source = PointSource(
         path,
@@ -74,12 +74,13 @@ def open_las(path: Path) -> PointSource:
 
 
 def _decode_parts(
-    parts: Iterator[NDArray[np.void]], layout: LasLayout, findings: Findings
+    parts: Iterator[NDArray[np.void]], layout: LasLayout, findings: Findings, keeps_noise: bool
 ) -> Iterator[PointCloud]:
     """Yield the points that are some; first, a part without points."""
     yield layout.decode(np.empty(0, layout.dtype))
     for points in parts:
         withheld, noise = layout.select(points)
+        noise &= not keeps_noise
         left_out = withheld | noise
         if left_out.any():
             findings.drop("withheld", int(withheld.sum()))

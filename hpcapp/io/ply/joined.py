@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,16 +22,23 @@ from hpccomponent.errors import InputError
 
 log = logging.getLogger("hpcapp")
 
+Choose = Callable[[PointSource], PointSource]
+
 _ROWS_AT_ONCE = 1 << 18
 _COUNT_DIGITS = 20  # the count is known when the last point is written
 
 
-def write_joined(path: Path, sources: Sequence[PointSource]) -> int:
+def write_joined(path: Path, sources: Sequence[PointSource], choose: Choose | None = None) -> int:
     """Write the points of sources, one after the other, as one PLY; return their number.
 
     Memory is bounded where all sources stream. Coordinates are written as ``double``, in those of
     the sources; normals as ``float``. Points of sources without colours are white where others have
     some; other columns that only some have are left out, with a warning.
+
+    Parameters
+    ----------
+    choose : callable, optional
+        Takes all of them as one source, and returns those of its points that are written.
 
     Raises
     ------
@@ -42,18 +49,17 @@ def write_joined(path: Path, sources: Sequence[PointSource]) -> int:
     layout = _find_common(sources)
     properties = VertexProperties.of(layout)
     dtype = np.dtype([*((axis, "<f8") for axis in AXES), *properties.fields])
-    scans = np.cumsum([0, *(len(source.scans) for source in sources)])
+    joined = _chain(path, sources, layout)
     count = 0
     with replacing(path) as file:
         file.write(_make_header(0, properties, sources))
-        for source, first_scan in zip(sources, scans, strict=False):
-            for part in source.chunks(_ROWS_AT_ONCE):
-                rows = np.empty(len(part), dtype)
-                for axis, values in zip(AXES, part.positions.T, strict=True):
-                    rows[axis] = values
-                properties.fill(rows, _select(part, layout, int(first_scan)))
-                file.write(rows.data)
-                count += len(part)
+        for part in (joined if choose is None else choose(joined)).chunks(_ROWS_AT_ONCE):
+            rows = np.empty(len(part), dtype)
+            for axis, values in zip(AXES, part.positions.T, strict=True):
+                rows[axis] = values
+            properties.fill(rows, part)
+            file.write(rows.data)
+            count += len(part)
         file.seek(0)
         file.write(_make_header(count, properties, sources))
     return count
@@ -106,6 +112,32 @@ def _find_layout(source: PointSource, more: Mapping[str, Int32Array]) -> PointCl
     return replace(layout, attributes={**more, **layout.attributes})
 
 
+def _chain(path: Path, sources: Sequence[PointSource], layout: PointCloud) -> PointSource:
+    """Return the points of sources, one after the other, with the columns of a layout."""
+    first_scans = np.cumsum([0, *(len(source.scans) for source in sources)])
+
+    def scan(rows: int) -> Iterator[PointCloud]:
+        for source, first_scan in zip(sources, first_scans, strict=False):
+            for part in source.chunks(rows):
+                yield _select(part, layout, int(first_scan))
+
+    frame = _find_frame(sources)
+    return PointSource(
+        path, None, True, layout.normals is not None, scan,
+        crs=frame.text, unit=frame.unit, height_unit=frame.height_unit,
+    )  # fmt: skip
+
+
+def _find_frame(sources: Sequence[PointSource]) -> Crs:
+    """Return what the coordinates of sources mean, by those that say it."""
+    return Crs(
+        *(
+            next((value for source in sources if (value := getattr(source, what))), None)
+            for what in ("crs", "unit", "height_unit")
+        )
+    )
+
+
 def _select(part: PointCloud, layout: PointCloud, first_scan: int) -> PointCloud:
     """Return the columns that are written of a part; scans are numbered on."""
     columns = dict(part.attributes)
@@ -125,17 +157,13 @@ def _select(part: PointCloud, layout: PointCloud, first_scan: int) -> PointCloud
 
 def _make_header(count: int, properties: VertexProperties, sources: Sequence[PointSource]) -> bytes:
     """Return the header; as long for any count."""
-    known = [
-        next((value for source in sources if (value := getattr(source, what))), None)
-        for what in ("crs", "unit", "height_unit")
-    ]
     scans = [scan for source in sources for scan in source.scans]
     joined = [f"comment joined {_name_formats(sources)}"] if len(sources) > 1 else []
     filling = "comment ".ljust(8 + _COUNT_DIGITS - len(str(count)), "-")
     return ply_header(
         [
             *joined,
-            *keep(Crs(*known), scans),
+            *keep(_find_frame(sources), scans),
             *coordinate_lines(count, True),
             *properties.lines,
             filling,

@@ -18,7 +18,7 @@ import re
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from io import FileIO
 from pathlib import Path
@@ -50,7 +50,12 @@ _MAGIC = (
 
 @contextmanager
 def gather_points(
-    names: Sequence[str], sample: int | None = None, *, goes_elsewhere: bool = False
+    names: Sequence[str],
+    sample: int | None = None,
+    *,
+    goes_elsewhere: bool = False,
+    keeps_noise: bool = False,
+    choose: Callable[[PointSource], PointSource] | None = None,
 ) -> Iterator[Path]:
     """Yield one file with all points that a user has named.
 
@@ -62,6 +67,11 @@ def gather_points(
         The files are meshes: so many points on the faces of each are taken.
     goes_elsewhere : bool
         Another machine reads what is yielded: files that need a library become PLYs.
+    keeps_noise : bool
+        As of `open_points`.
+    choose : callable, optional
+        Which of the points are asked for, and are written where a file is written; where the file
+        itself is yielded, it has them all.
 
     Yields
     ------
@@ -93,12 +103,13 @@ def gather_points(
         from hpcapp.io.ply.joined import write_joined
 
         joined = folder / "points.ply"
+        renamed[str(joined)] = _shorten(files)
         with _named(renamed):
-            sources = [_open(path, sample) for path in paths]
-            write_joined(joined, sources)
+            sources = [_open(path, sample, keeps_noise) for path in paths]
+            write_joined(joined, sources, choose)
             for file, source in zip(files, sources, strict=True):
                 _report(file, source)
-        with _named({str(joined): _shorten(files)}):
+        with _named(renamed):
             yield joined
 
 
@@ -219,9 +230,9 @@ def _decompress(packed: BinaryIO, target: FileIO, file: str) -> None:
         ) from None
 
 
-def _open(path: Path, sample: int | None) -> PointSource:
+def _open(path: Path, sample: int | None, keeps_noise: bool) -> PointSource:
     if sample is None:
-        return open_points(path)
+        return open_points(path, keeps_noise=keeps_noise)
     from hpcapp.io.points.mesh_points import sample_faces, slice_cloud
 
     return slice_cloud(path, "a sampled mesh", sample_faces(read_mesh(path), sample))

@@ -5,17 +5,22 @@ Readers make the sources, `formats` opens them, and `recognition` says what thei
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
+from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.point_records import PointRecords
 from hpcapp.geometry.points import FloatArray, PointCloud
-from hpcapp.io.batches import cut_points, join_points
+from hpcapp.geometry.region import Region, say_place
+from hpcapp.io.batches import batch_points, cut_points, join_points
 from hpcapp.io.crs import Crs
-from hpcapp.io.frame import scale_heights, to_local
+from hpcapp.io.frame import finite_bounds, scale_heights, to_local
+from hpccomponent.cli.option_names import name_option
 from hpccomponent.errors import InputError
 
 _ROWS_AT_ONCE = 1 << 20
@@ -23,6 +28,9 @@ _SMALL = 1 << 16  # points
 
 SCAN = "scan"
 """The attribute that has the number of each point's scan."""
+
+CLASSES = "classification"
+"""The attribute that has the class of each point, as of LAS."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,6 +125,8 @@ class PointSource:
         Whether x and y are coordinates of a map.
     height_unit : str or None
         Of z, where it is stated of that alone.
+    region : Region or None
+        Points beyond it are left out of the parts, and are to be left out of `records`.
     """
 
     path: Path
@@ -137,6 +147,7 @@ class PointSource:
     is_flown: bool = False
     is_projected: bool = False
     height_unit: str | None = None
+    region: Region | None = None
 
     @property
     def frame(self) -> Crs:
@@ -190,6 +201,79 @@ class PointSource:
             return (scale_heights(part, factor) for part in self.scan(rows))
 
         return replace(self, is_double=True, scan=scan, scans=tuple(scans), records=None)
+
+    def within(self, region: Region, margin: float = 0.0) -> PointSource:
+        """Return the points in a region, and those around it that shape the surface at its edge.
+
+        Parameters
+        ----------
+        region : Region
+            In the file's coordinates.
+        margin : float
+            How far around it, in its longest sides.
+
+        Returns
+        -------
+        PointSource
+            Where there are no points, an InputError comes after its parts, with the extent of the
+            file.
+        """
+        wide = region.widen(margin * region.longest)
+
+        def scan(rows: int) -> Iterator[PointCloud]:
+            return batch_points(self._cut(region, wide, max(rows, _SMALL)), rows)
+
+        return replace(self, scan=scan, region=wide)
+
+    def of_classes(self, wanted: Sequence[int], unwanted: Sequence[int] = ()) -> PointSource:
+        """Return the points of some classes; where none are wanted, of all but others.
+
+        Returns
+        -------
+        PointSource
+            Where its points have no classes, or none is left, an InputError comes with its parts.
+        """
+
+        def scan(rows: int) -> Iterator[PointCloud]:
+            return batch_points(self._choose(wanted, unwanted, max(rows, _SMALL)), rows)
+
+        return replace(self, scan=scan, records=None)
+
+    def _choose(
+        self, wanted: Sequence[int], unwanted: Sequence[int], rows: int
+    ) -> Iterator[PointCloud]:
+        points, there = 0, set[int]()
+        for part in self.scan(rows):
+            classes = part.attributes.get(CLASSES)
+            if classes is None:
+                raise InputError(
+                    f"{self.path}: the points have no classes",
+                    f"leave {name_option('classes' if wanted else 'not_classes')} out, or export "
+                    "the file with its classification",
+                )
+            is_kept = np.isin(classes, wanted) if wanted else ~np.isin(classes, unwanted)
+            points += int(is_kept.sum())
+            there |= set() if points else set(np.unique(classes[np.isfinite(classes)]).tolist())
+            yield part if is_kept.all() else part.take(is_kept)
+        if not points:
+            raise InputError(
+                f"{self.path}: no points are left by their classes",
+                f"the file has {', '.join(f'{one:g}' for one in sorted(there)) or 'none'}",
+            )
+
+    def _cut(self, region: Region, wide: Region, rows: int) -> Iterator[PointCloud]:
+        points, corners = 0, list[FloatArray]()
+        for part in self.scan(rows):
+            near = part.take(wide.find(part.positions))
+            points += len(near)
+            corners += finite_bounds(part.positions) if len(part) and not points else ()
+            yield near
+        if not points and corners:
+            low, high = bound_points(np.stack(corners))
+            raise InputError(
+                f"{self.path}: no points in {region}",
+                f"those of the file lie from {say_place(low)} to {say_place(high)}",
+            )
 
     def check(self) -> None:
         """Find out, given `records`, whether all of the file but its points is as it should be."""

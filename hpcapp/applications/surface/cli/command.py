@@ -10,12 +10,22 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 
-from hpcapp.applications.points.command import INPUTS, SAMPLE, readable
+from hpcapp.applications.points.command import (
+    AROUND,
+    BOX,
+    CLASSES,
+    INPUTS,
+    NOT_CLASSES,
+    SAMPLE,
+    readable,
+)
+from hpcapp.applications.points.crop import CROPPED, parse_crop
 from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.methods.method import MAX_GRID, MIN_GRID
 from hpcapp.applications.surface.methods.options import (
@@ -161,6 +171,7 @@ def check_flags(ctx: click.Context) -> None:
         from hpcapp.io.placement import parse_origin
 
         parse_origin(ctx.params["origin"])
+    parse_crop(*(ctx.params[name] for name in CROPPED))
     check_page(ctx.params["report"], "--report")
     check_picture(ctx.params["png"], "--png")
     _check_method_options(ctx)
@@ -171,7 +182,10 @@ GROUPS = {
         "output", "grid", "viewpoint", "close", "attributes", "faces", "report", "png",
         "max_memory", "cluster",
     ),
-    "Points": ("sample", "normals", "clean", "outliers", "denoise", "resample"),
+    "Points": (
+        "box", "around", "classes", "not_classes", "sample", "normals", "clean", "outliers",
+        "denoise", "resample",
+    ),
     "Surface": (
         "voxel_size", "depth", "uniform", "smoothness", "detail", "trim", "fill_holes",
         "tolerance", "size", "origin", "up", "method",
@@ -207,6 +221,10 @@ def _add_method_options(command: click.Command) -> click.Command:
 )
 @INPUTS
 @SAMPLE
+@BOX
+@AROUND
+@CLASSES
+@NOT_CLASSES
 @click.option(
     "-o",
     "--output",
@@ -470,6 +488,7 @@ def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:
     with start_early(name, options["workers"]) as machines:
         from hpcapp.applications.surface.cli.run import run_job  # while the machines start
         from hpcapp.applications.surface.job.settings import JobSettings
+        from hpcapp.applications.surface.job.source import MARGIN
         from hpcapp.applications.surface.resolution.memory import parse_limit
         from hpcapp.io.placement import Placement, parse_origin
         from hpcapp.io.points.inputs import find_paths, gather_points
@@ -481,6 +500,7 @@ def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:
         options["attributes"] = parse_attributes(options["attributes"])
         options["viewpoint"] = parse_viewpoint(options["viewpoint"])
         options["placement"] = Placement(parse_origin(options.pop("origin")), options.pop("up"))
+        crop = parse_crop(*(options.pop(name) for name in CROPPED))
         Target(options["faces"], options["tolerance"]).check()
         if options["size"] is not None:
             options["size"] = read_size(options["size"], options["output"])
@@ -494,10 +514,17 @@ def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:
         timeline = Timeline()
         title = f"{Path(names[0]).name} \u2192 {options['output']}"
         with (
-            gather_points(names, sample) as points,
+            gather_points(
+                names,
+                sample,
+                keeps_noise=crop.keeps_noise,
+                choose=partial(crop.take, margin=MARGIN),
+            ) as points,
             watching.open(title, timeline) as (progress, say),
         ):
-            settings = JobSettings(method=method(**chosen), points=points, inputs=files, **options)
+            settings = JobSettings(
+                method=method(**chosen), points=points, inputs=files, crop=crop, **options
+            )
             report = run_job(settings, progress, machines, timeline)
             say(f"{options['output']}: {report['summary']}")  # the terminal's comes last
             return report

@@ -5,12 +5,15 @@ from __future__ import annotations
 import shlex
 from collections.abc import Collection
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
 
+from hpcapp.applications.points.crop import CROPPED, parse_crop
+from hpcapp.applications.surface.job.source import MARGIN
 from hpcapp.applications.surface.methods.options import typed_command, typed_options
 from hpcapp.applications.surface.normals.viewpoint import parse_viewpoint, type_viewpoint
 from hpcapp.backends.cluster import load_cluster_function
@@ -114,11 +117,18 @@ def run_on_cluster(ctx: click.Context) -> dict[str, Any]:
             raise UsageError(f"--{name} means nothing to a cluster file", instead)
     run = load_cluster_function("run")
     files = find_paths(names)
+    crop = parse_crop(*(ctx.params[name] for name in CROPPED))
     check_file(ctx.params["output"])
     _check_shown(ctx)
     with (
         open_output(ctx.params["output"], files) as target,
-        gather_points(names, ctx.params["sample"], goes_elsewhere=True) as points,
+        gather_points(
+            names,
+            ctx.params["sample"],
+            goes_elsewhere=True,
+            keeps_noise=crop.keeps_noise,
+            choose=partial(crop.take, margin=MARGIN),
+        ) as points,
     ):
         check_points(points)
         words = type_for_head(ctx, OF_THIS_MACHINE)

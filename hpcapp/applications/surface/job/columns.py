@@ -14,8 +14,9 @@ from pathlib import Path
 from hpcapp.applications.surface.attributes.carrying import Evaluate
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.job.settings import JobSettings
+from hpcapp.applications.surface.job.source import open_source
 from hpcapp.geometry.points import PointCloud
-from hpcapp.io import PointSource, open_points
+from hpcapp.io import PointSource
 from hpccomponent.files.private_files import make_private_folder
 
 
@@ -74,7 +75,7 @@ class Columns:
         folder = Path(str(cloud.place)).parent / f"columns-{secrets.token_hex(4)}"
         make_private_folder(folder)
         columns, search = ColumnBlocks(folder, cloud, self.layout), LabelSearch()
-        for part in open_points(self.file.points).isotropic().chunks(at_once):
+        for part in open_source(self.file).chunks(at_once):
             chosen = self.file.attributes.select(part, self.file.shown)
             search.add(chosen.attributes)
             local = chosen.positions - cloud.origin if cloud.origin.any() else chosen.positions

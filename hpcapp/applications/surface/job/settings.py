@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
+from hpcapp.applications.points.crop import Crop
 from hpcapp.applications.surface.attributes.choice import AttributeChoice
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
 from hpcapp.applications.surface.methods.method import MethodSettings
@@ -67,6 +68,8 @@ class Settings:
         How far its surface may move then, in length units of the input.
     placement : Placement
         Where the mesh is written, and which way up.
+    crop : Crop
+        The part of the scan that is asked for.
     """
 
     method: MethodSettings = field(default_factory=Hierarchical)
@@ -90,6 +93,7 @@ class Settings:
     faces: int | None = None
     tolerance: float | None = None
     placement: Placement = field(default_factory=Placement)
+    crop: Crop = field(default_factory=Crop)
 
     def __post_init__(self) -> None:
         for one in fields(self):

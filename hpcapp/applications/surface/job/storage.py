@@ -136,7 +136,7 @@ def _name_job(settings: JobSettings) -> str:
         *map(_identify, settings.files), settings.points.stat().st_size, settings.grid,
         settings.depth, settings.voxel_size, repr(settings.method), settings.outliers,
         settings.denoise, settings.resample, settings.normals, settings.viewpoint,
-        settings.attributes.has_confidence, kernel_id(),
+        settings.attributes.has_confidence, repr(settings.crop), kernel_id(),
     )  # fmt: skip
 
 

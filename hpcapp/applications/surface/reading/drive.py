@@ -52,6 +52,7 @@ from hpccomponent.errors import InputError
 Task = Callable[..., Any]
 
 _NOWHERE = np.zeros((0, 3))
+_LOOKED_AT = 1 << 20  # points at once
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,6 +170,8 @@ def _put_together(
         sum(part.non_finite for part in found), sum(part.bad_normals for part in found)
     )
     if not usable + dropped.total:
+        for _ in source.chunks(_LOOKED_AT):
+            """Where nothing is in the region that is asked for, it says so."""
         raise InputError(f"{source.path} holds no points", "check that the right file was exported")
     sample = np.concatenate(samples)
     box = unite_boxes([part.box for part in found])
@@ -188,7 +191,7 @@ def _run(
         path = str(source.path.resolve())  # workers need not be where this process is
         records = replace(source.records, path=path)
         ranges = workers.cut_rows(source.records.count)
-        there = [FileRange(records, some.start, some.stop) for some in ranges]
+        there = [FileRange(records, some.start, some.stop, source.region) for some in ranges]
         yield from workers.map(task, [(points, *more(i)) for i, points in enumerate(there)])
         return
     for i, part in enumerate(source.chunks(workers.points)):

@@ -56,7 +56,7 @@ def surveyed_range(points: Any, before: int, step: int) -> Declared:
     def agrees(found: RangeSurvey) -> bool:
         usable = found.usable
         return (
-            usable + found.non_finite + found.bad_normals == len(points)
+            points.counts_all(usable + found.non_finite + found.bad_normals)
             and len(found.sample) == len(range(-before % step, usable, step))
             and bounds_some(found.frame, usable + found.bad_normals)
             and bounds_some(found.box, usable)

@@ -32,6 +32,7 @@ from hpcapp.applications.surface.types.result_patterns import (
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.point_records import PointRecords
 from hpcapp.geometry.points import FloatArray, PointCloud
+from hpcapp.geometry.region import Region
 from hpcapp.geometry.validity import Dropped, Reach, are_usable, select_usable
 from hpccomponent.protocol.records import record
 from hpccomponent.runtime.tasks import declare
@@ -50,11 +51,14 @@ class FileRange:
     records : PointRecords
     start, stop : int
         Of its records.
+    region : Region or None
+        Points beyond it are left out.
     """
 
     records: PointRecords
     start: int
     stop: int
+    region: Region | None = None
 
     def __len__(self) -> int:
         return self.stop - self.start
@@ -67,7 +71,12 @@ class FileRange:
     def pieces(self) -> Iterator[PointCloud]:
         """Yield the points in their order, some at a time."""
         for start in range(self.start, self.stop, _AT_ONCE):
-            yield self.records.read(start, min(start + _AT_ONCE, self.stop), ("normals",))
+            part = self.records.read(start, min(start + _AT_ONCE, self.stop), ("normals",))
+            yield part if self.region is None else part.take(self.region.find(part.positions))
+
+    def counts_all(self, points: int) -> bool:
+        """Tell whether so many points may be all that it gives."""
+        return points == len(self) if self.region is None else points <= len(self)
 
 
 @record("surface.sent_range")
@@ -97,6 +106,10 @@ class SentRange:
             yield PointCloud(
                 self.positions[rows], None if self.normals is None else self.normals[rows]
             )
+
+    def counts_all(self, points: int) -> bool:
+        """Tell whether so many points may be all that it gives."""
+        return points == len(self)
 
 
 FilePoints = FileRange | SentRange

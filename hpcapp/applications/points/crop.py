@@ -1,0 +1,179 @@
+"""What ``--box``, ``--around`` and the options of classes ask for.
+
+This module is imported for every ``--help``: nothing heavy is imported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeVar
+
+from hpccomponent.cli.option_names import name_option
+from hpccomponent.errors import UsageError
+from hpccomponent.ranges import FARTHEST, is_place
+
+if TYPE_CHECKING:
+    from hpcapp.geometry.region import Region
+    from hpcapp.io import PointSource
+
+Number = TypeVar("Number", int, float)
+
+CROPPED = ("box", "around", "classes", "not_classes")
+"""Options by which a part is asked for, as `parse_crop` takes them."""
+
+_BOX, _BALL = 6, 4  # numbers
+_LAST_CLASS = 255
+
+
+@dataclass(frozen=True, slots=True)
+class Crop:
+    """The part of a scan that is asked for, in its coordinates; all of it by default.
+
+    Parameters
+    ----------
+    box : tuple of float
+        x, y and z of two corners; none where no box is asked for.
+    around : tuple of float
+        x, y, z of a place and a distance from it, or none.
+    classes : tuple of int
+        The only ones; all where there are none.
+    not_classes : tuple of int
+        Those that are left out.
+    """
+
+    box: tuple[float, ...] = ()
+    around: tuple[float, ...] = ()
+    classes: tuple[int, ...] = ()
+    not_classes: tuple[int, ...] = ()
+
+    @property
+    def has_region(self) -> bool:
+        """Whether only a place is asked for."""
+        return bool(self.box or self.around)
+
+    @property
+    def keeps_noise(self) -> bool:
+        """Whether classes of noise are asked for by their numbers."""
+        from hpcapp.io.las.layout import NOISE  # numpy takes its time
+
+        return not set(NOISE).isdisjoint(self.classes)
+
+    def find_region(self, height_unit: float) -> Region:
+        """Return the part, given how long a unit of z is in units of x and y."""
+        import numpy as np
+
+        from hpcapp.geometry.region import Region
+
+        if self.box:
+            return Region.box(np.array(self.box[:3]), np.array(self.box[3:]), height_unit)
+        return Region.ball(np.array(self.around[:3]), self.around[3], height_unit)
+
+    def take(self, source: PointSource, margin: float = 0.0) -> PointSource:
+        """Return the points of a source that are asked for.
+
+        Parameters
+        ----------
+        source : PointSource
+            Opened with the noise, if `keeps_noise`.
+        margin : float
+            See `PointSource.within`.
+        """
+        if self.classes or self.not_classes:
+            source = source.of_classes(self.classes, self.not_classes)
+        if not self.has_region:
+            return source
+        return source.within(self.find_region(source.frame.height_scale), margin)
+
+
+def make_crop(
+    box: Sequence[float] | None = None,
+    around: Sequence[float] | None = None,
+    classes: Sequence[int] | None = None,
+    not_classes: Sequence[int] | None = None,
+) -> Crop:
+    """Return what numbers ask for.
+
+    Raises
+    ------
+    UsageError
+        There are not as many as it takes, one is none, they hold nothing, or exclude each other.
+    """
+    if classes is not None and not_classes is not None:
+        raise UsageError(
+            f"{name_option('classes')} and {name_option('not_classes')} exclude each other",
+            "give one of them",
+        )
+    kept, left_out = _check_classes("classes", classes), _check_classes("not_classes", not_classes)
+    if box is not None and around is not None:
+        raise UsageError(
+            f"{name_option('box')} and {name_option('around')} exclude each other",
+            "give one of them",
+        )
+    if box is not None:
+        _check("box", box, _BOX, "two corners as X0,Y0,Z0,X1,Y1,Z1")
+        if any(a == b for a, b in zip(box[:3], box[3:], strict=True)):
+            raise UsageError(
+                f"{name_option('box')}: the corners have a coordinate in common, so that nothing "
+                "is between them",
+                "give two opposite corners",
+            )
+        return Crop(tuple(map(float, box)), (), kept, left_out)
+    if around is not None:
+        _check("around", around, _BALL, "a place and a distance as X,Y,Z,R")
+        if not around[3] > 0.0:
+            raise UsageError(f"{name_option('around')}: R is {around[3]:g}", "give more than 0")
+        return Crop((), tuple(map(float, around)), kept, left_out)
+    return Crop((), (), kept, left_out)
+
+
+def parse_crop(
+    box: str | None, around: str | None, classes: str | None = None, not_classes: str | None = None
+) -> Crop:
+    """Return what was typed; errors as of `make_crop`.
+
+    Examples
+    --------
+    >>> parse_crop("0,0,0,1,2,3", None).box
+    (0.0, 0.0, 0.0, 1.0, 2.0, 3.0)
+    """
+    return make_crop(
+        _parse("box", box, float, "1.5,0,-2"),
+        _parse("around", around, float, "1.5,0,-2"),
+        _parse("classes", classes, int, "2,6"),
+        _parse("not_classes", not_classes, int, "2,6"),
+    )
+
+
+def _parse(
+    name: str, text: str | None, kind: Callable[[str], Number], example: str
+) -> list[Number] | None:
+    if text is None:
+        return None
+    try:
+        return [kind(number) for number in text.split(",")]
+    except ValueError:
+        what = "numbers" if kind is float else "whole numbers"
+        raise UsageError(
+            f"{name_option(name, text)}: these are no {what}", f"write them as {example}"
+        ) from None
+
+
+def _check_classes(name: str, classes: Sequence[int] | None) -> tuple[int, ...]:
+    if classes is None:
+        return ()
+    if not classes or not all(0 <= one <= _LAST_CLASS for one in classes):
+        raise UsageError(
+            f"{name_option(name)} has {','.join(map(str, classes)) or 'none'}",
+            f"give numbers of classes from 0 to {_LAST_CLASS}",
+        )
+    return tuple(map(int, classes))
+
+
+def _check(name: str, numbers: Sequence[float], count: int, what: str) -> None:
+    if len(numbers) != count or not is_place(*numbers):
+        raise UsageError(
+            f"{name_option(name)} has {','.join(f'{n:.9g}' for n in numbers)}, not {count} numbers "
+            f"up to {FARTHEST:.0e}",
+            f"give {what}",
+        )

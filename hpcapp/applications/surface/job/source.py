@@ -1,0 +1,15 @@
+"""The points of a job's input that it takes."""
+
+from __future__ import annotations
+
+from hpcapp.applications.surface.job.settings import JobSettings
+from hpcapp.io import PointSource, open_points
+
+MARGIN = 0.2
+"""How far around a region points are taken, in its longest sides: ``benchmarks/crop_margin.py``."""
+
+
+def open_source(settings: JobSettings) -> PointSource:
+    """Open the points that are asked for, and those around them; z in the unit of x and y."""
+    whole = open_points(settings.points, keeps_noise=settings.crop.keeps_noise)
+    return settings.crop.take(whole, MARGIN).isotropic()
