@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 import hpcapp
 from hpcapp.api.mesh import Mesh
 from hpcapp.geometry.clipping import clip_mesh
+from hpcapp.geometry.mesh import Mesh as Plain
 from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
 from hpcapp.geometry.region import Region
 
@@ -43,7 +44,8 @@ def measure_edge(whole: Mesh, part: Mesh, box: Box) -> tuple[float, float]:
     """Return the RMS distance within a spacing of the border, and farther in, in spacings."""
     region = Region.box(np.array(box[:3]), np.array(box[3:]))
     spacing = float(whole.facts["spacing"])
-    ours = clip_mesh(np.array(whole.vertices), np.array(whole.faces), region)
+    cut = clip_mesh(Plain(np.array(whole.vertices), np.array(whole.faces)), region)
+    ours = cut.vertices, cut.faces
     theirs = np.array(part.vertices), np.array(part.faces)
     gaps: list[FloatArray] = []
     squares: list[FloatArray] = []

@@ -76,6 +76,7 @@ def reconstruct(
     sample: int | None = None,
     box: Sequence[float] | None = None,
     around: Sequence[float] | None = None,
+    polygon: str | PathLike[str] | None = None,
     classes: Sequence[int] | None = None,
     not_classes: Sequence[int] | None = None,
     voxel_size: float | None = None,
@@ -121,6 +122,9 @@ def reconstruct(
         points.
     around : sequence of float, optional
         x, y, z of a place and a distance from it, likewise.
+    polygon : path-like or str, optional
+        A file of polygons (GeoJSON, WKT or a shapefile), or WKT itself: the mesh is what lies
+        above and below them.
     classes, not_classes : sequence of int, optional
         The classes of points that are taken, or that are left out: those of LAS, or of the
         attribute ``classification``.
@@ -215,7 +219,7 @@ def reconstruct(
         viewpoint=_choose_viewpoint(viewpoints),
         faces=faces,
         tolerance=tolerance,
-        crop=make_crop(box, around, classes, not_classes),
+        crop=make_crop(box, around, polygon, classes, not_classes),
     )
     _check_settings(settings)
     rows = None if isinstance(normals, str) else normals

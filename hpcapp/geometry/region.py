@@ -3,11 +3,44 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
+from hpcapp.geometry.clipping import Cutter, Piece, clip_ball, clip_box
 from hpcapp.geometry.points import BoolArray, FloatArray
+from hpcapp.geometry.splitting import refine_at_sphere
 from hpccomponent.protocol.records import record
+
+
+class Area(Cutter, Protocol):
+    """A part of space that a user asks for, in the coordinates of the points."""
+
+    @property
+    def longest(self) -> float:
+        """How large it is, in the unit of x and y: margins are shares of it."""
+        ...
+
+    @property
+    def on_the_wire(self) -> Region | None:
+        """What workers are told of it, where they can find its points themselves."""
+        ...
+
+    def find(self, positions: FloatArray) -> BoolArray:
+        """Tell which points of shape (n, 3) lie in it, its border included; NaN never does."""
+        ...
+
+    def meets(self, lows: FloatArray, highs: FloatArray) -> BoolArray:
+        """Tell which boxes, by corners of shape (n, 3), may have a part in it."""
+        ...
+
+    def widen(self, margin: float) -> Area:
+        """Return what lies within a margin of it, in the unit of x and y."""
+        ...
+
+    def localise(self, origin: FloatArray) -> Area:
+        """Return it in a local frame in which z has the unit of x and y, as `origin` has."""
+        ...
 
 
 @record("surface.region")
@@ -64,6 +97,23 @@ class Region:
         if self.radius < np.inf:
             inside &= self.beyond(positions) <= 0.0
         return inside
+
+    def meets(self, lows: FloatArray, highs: FloatArray) -> BoolArray:
+        """Tell which boxes, by corners of shape (n, 3), may have a part in it."""
+        meets: BoolArray = np.all((lows <= self.high) & (highs >= self.low), axis=1)
+        return meets
+
+    def cut(self, piece: Piece) -> Piece:
+        """Return what of a mesh, in its frame with z in the unit of x and y, lies in it."""
+        if self.radius < np.inf:
+            fine = refine_at_sphere(piece, self.centre, self.radius)
+            return clip_ball(fine, self.centre, self.radius)
+        return clip_box(piece, self.low, self.high)
+
+    @property
+    def on_the_wire(self) -> Region | None:
+        """What workers are told of it: all."""
+        return self
 
     def beyond(self, positions: FloatArray) -> FloatArray:
         """Return how far beyond the radius points are, shape (n,); negative within."""

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import click
 
+from hpcapp.applications.points.command import AROUND, BOX, POLYGON
+from hpcapp.applications.points.crop import parse_crop
 from hpcapp.geometry.axis_names import AXES
 from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import UsageError
@@ -58,6 +60,9 @@ UP = click.option(
     help="Mesh to write: .ply, .obj, .glb, .vtp, .3mf, .off, .stl, .tiles or .3dtiles; - writes a "
     "PLY to standard output.",
 )
+@BOX
+@AROUND
+@POLYGON
 @click.option("--faces", type=click.IntRange(4), metavar="N", help="Simplify it to N triangles.")
 @click.option(
     "--tolerance",
@@ -71,13 +76,16 @@ UP = click.option(
 def simplify(
     mesh: Path,
     output: str,
+    box: str | None,
+    around: str | None,
+    polygon: str | None,
     faces: int | None,
     tolerance: float | None,
     size: str | None,
     origin: str,
     up: str | None,
 ) -> None:
-    """Simplify a mesh, with all that its vertices carry."""
+    """Simplify a mesh, or a part, with all that its vertices carry."""
     from dataclasses import replace
 
     from hpcapp.io import find_mesh_crs, find_mesh_up, read_mesh, write_mesh
@@ -87,16 +95,16 @@ def simplify(
     from hpcapp.simplification.mesh import Target, simplify_mesh
     from hpcapp.simplification.size import fit_mesh, read_size
 
-    target = Target(faces, tolerance)
-    if not target.is_something and size is None:
+    target, crop = Target(faces, tolerance), parse_crop(box, around, polygon)
+    if not target.is_something and size is None and not crop.has_region:
         raise UsageError("nothing to simplify to", "give --faces, --tolerance or --size")
     target.check()
     parse_origin(origin)
     most_bytes = None if size is None else read_size(size, output)
     with open_output(output, [mesh]) as path:
-        whole = read_mesh(mesh)
         crs = find_mesh_crs(mesh)
         placement = Placement(parse_origin(origin), up or find_mesh_up(mesh))
+        whole = crop.cut(read_mesh(mesh), crs.height_scale, str(mesh))
         light = simplify_mesh(whole, target)
         if most_bytes is not None:
             light = fit_mesh(light, most_bytes, path.suffix, crs, placement)

@@ -47,6 +47,11 @@ AROUND = click.option(
     metavar="X,Y,Z,R",
     help="Only what lies within a distance R of a place.",
 )
+POLYGON = click.option(
+    "--polygon",
+    metavar="FILE",
+    help="Only what lies above and below polygons: .geojson, .wkt or .shp, or WKT itself.",
+)
 CLASSES = click.option(
     "--classes",
     metavar="N,N",
@@ -78,6 +83,7 @@ NOT_CLASSES = click.option(
 @SAMPLE
 @BOX
 @AROUND
+@POLYGON
 @CLASSES
 @NOT_CLASSES
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
@@ -102,6 +108,7 @@ def info(
     sample: int | None,
     box: str | None,
     around: str | None,
+    polygon: str | None,
     classes: str | None,
     not_classes: str | None,
     as_json: bool,
@@ -116,7 +123,7 @@ def info(
     from hpcapp.io.points.inputs import gather_points
     from hpcapp.pages.thumbnail import write_thumbnail
 
-    crop = parse_crop(box, around, classes, not_classes)
+    crop = parse_crop(box, around, polygon, classes, not_classes)
     with gather_points(points, sample, keeps_noise=crop.keeps_noise, choose=crop.take) as path:
         source = crop.take(open_points(path, keeps_noise=crop.keeps_noise))
         facts, findings, cloud = describe_file(source)
@@ -173,6 +180,7 @@ def readable(value: object) -> str:
 @SAMPLE
 @BOX
 @AROUND
+@POLYGON
 @CLASSES
 @NOT_CLASSES
 @click.option(
@@ -192,6 +200,7 @@ def convert(
     sample: int | None,
     box: str | None,
     around: str | None,
+    polygon: str | None,
     classes: str | None,
     not_classes: str | None,
     output: str,
@@ -206,7 +215,7 @@ def convert(
     from hpcapp.io.ply.joined import write_joined
     from hpcapp.io.points.inputs import find_paths, gather_points
 
-    crop, files = parse_crop(box, around, classes, not_classes), find_paths(points)
+    crop, files = parse_crop(box, around, polygon, classes, not_classes), find_paths(points)
     with (
         open_output(output, files, "points") as target,
         gather_points(points, sample, keeps_noise=crop.keeps_noise, choose=crop.take) as path,

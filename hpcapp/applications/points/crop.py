@@ -1,4 +1,4 @@
-"""What ``--box``, ``--around`` and the options of classes ask for.
+"""What ``--box``, ``--around``, ``--polygon`` and the options of classes ask for.
 
 This module is imported for every ``--help``: nothing heavy is imported.
 """
@@ -6,20 +6,22 @@ This module is imported for every ``--help``: nothing heavy is imported.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from os import PathLike, fspath
 from typing import TYPE_CHECKING, TypeVar
 
 from hpccomponent.cli.option_names import name_option
-from hpccomponent.errors import UsageError
+from hpccomponent.errors import InputError, UsageError
 from hpccomponent.ranges import FARTHEST, is_place
 
 if TYPE_CHECKING:
-    from hpcapp.geometry.region import Region
+    from hpcapp.geometry.mesh import Mesh
+    from hpcapp.geometry.region import Area
     from hpcapp.io import PointSource
 
 Number = TypeVar("Number", int, float)
 
-CROPPED = ("box", "around", "classes", "not_classes")
+CROPPED = ("box", "around", "polygon", "classes", "not_classes")
 """Options by which a part is asked for, as `parse_crop` takes them."""
 
 _BOX, _BALL = 6, 4  # numbers
@@ -36,6 +38,8 @@ class Crop:
         x, y and z of two corners; none where no box is asked for.
     around : tuple of float
         x, y, z of a place and a distance from it, or none.
+    polygon : str
+        Polygons in WKT, of which all heights are meant, or none.
     classes : tuple of int
         The only ones; all where there are none.
     not_classes : tuple of int
@@ -44,13 +48,14 @@ class Crop:
 
     box: tuple[float, ...] = ()
     around: tuple[float, ...] = ()
+    polygon: str = ""
     classes: tuple[int, ...] = ()
     not_classes: tuple[int, ...] = ()
 
     @property
     def has_region(self) -> bool:
         """Whether only a place is asked for."""
-        return bool(self.box or self.around)
+        return bool(self.box or self.around or self.polygon)
 
     @property
     def keeps_noise(self) -> bool:
@@ -59,12 +64,15 @@ class Crop:
 
         return not set(NOISE).isdisjoint(self.classes)
 
-    def find_region(self, height_unit: float) -> Region:
+    def find_region(self, height_unit: float) -> Area:
         """Return the part, given how long a unit of z is in units of x and y."""
         import numpy as np
 
+        from hpcapp.geometry.prism import Prism
         from hpcapp.geometry.region import Region
 
+        if self.polygon:
+            return Prism.of_text(self.polygon)
         if self.box:
             return Region.box(np.array(self.box[:3]), np.array(self.box[3:]), height_unit)
         return Region.ball(np.array(self.around[:3]), self.around[3], height_unit)
@@ -85,31 +93,59 @@ class Crop:
             return source
         return source.within(self.find_region(source.frame.height_scale), margin)
 
+    def cut(self, mesh: Mesh, height_unit: float, name: str) -> Mesh:
+        """Return what of a mesh, in the unit of its file, lies where only a place is asked for.
+
+        Raises
+        ------
+        InputError
+            There is nothing.
+        """
+        import numpy as np
+
+        from hpcapp.geometry.bounds import bound_points
+        from hpcapp.geometry.clipping import clip_mesh
+        from hpcapp.geometry.region import say_place
+
+        if not self.has_region:
+            return mesh
+        region, scales = self.find_region(height_unit), np.array([1.0, 1.0, height_unit])
+        isotropic = replace(mesh, vertices=mesh.vertices * scales)
+        part = clip_mesh(isotropic, region.localise(mesh.origin * scales))
+        if not len(part.faces):
+            low, high = (end + mesh.origin for end in bound_points(mesh.vertices))
+            raise InputError(
+                f"{name}: no surface in {region}",
+                f"the mesh lies from {say_place(low)} to {say_place(high)}",
+            )
+        return replace(part, vertices=part.vertices / scales)
+
+
+EVERYTHING = Crop()
+
 
 def make_crop(
     box: Sequence[float] | None = None,
     around: Sequence[float] | None = None,
+    polygon: str | PathLike[str] | None = None,
     classes: Sequence[int] | None = None,
     not_classes: Sequence[int] | None = None,
 ) -> Crop:
-    """Return what numbers ask for.
+    """Return what numbers and a file of polygons ask for.
 
     Raises
     ------
     UsageError
         There are not as many as it takes, one is none, they hold nothing, or exclude each other.
+    InputError, MissingLibraryError
+        See `read_outline`.
     """
-    if classes is not None and not_classes is not None:
-        raise UsageError(
-            f"{name_option('classes')} and {name_option('not_classes')} exclude each other",
-            "give one of them",
-        )
-    kept, left_out = _check_classes("classes", classes), _check_classes("not_classes", not_classes)
-    if box is not None and around is not None:
-        raise UsageError(
-            f"{name_option('box')} and {name_option('around')} exclude each other",
-            "give one of them",
-        )
+    _refuse_two(classes=classes, not_classes=not_classes)
+    _refuse_two(box=box, around=around, polygon=polygon)
+    chosen = Crop(
+        classes=_check_classes("classes", classes),
+        not_classes=_check_classes("not_classes", not_classes),
+    )
     if box is not None:
         _check("box", box, _BOX, "two corners as X0,Y0,Z0,X1,Y1,Z1")
         if any(a == b for a, b in zip(box[:3], box[3:], strict=True)):
@@ -118,28 +154,43 @@ def make_crop(
                 "is between them",
                 "give two opposite corners",
             )
-        return Crop(tuple(map(float, box)), (), kept, left_out)
+        return replace(chosen, box=tuple(map(float, box)))
     if around is not None:
         _check("around", around, _BALL, "a place and a distance as X,Y,Z,R")
         if not around[3] > 0.0:
             raise UsageError(f"{name_option('around')}: R is {around[3]:g}", "give more than 0")
-        return Crop((), tuple(map(float, around)), kept, left_out)
-    return Crop((), (), kept, left_out)
+        return replace(chosen, around=tuple(map(float, around)))
+    if polygon is not None:
+        from hpcapp.io.outlines import read_outline
+
+        return replace(chosen, polygon=read_outline(fspath(polygon)))
+    return chosen
+
+
+def _refuse_two(**given: object) -> None:
+    names = [name_option(name) for name, value in given.items() if value is not None]
+    if len(names) > 1:
+        raise UsageError(f"{' and '.join(names)} exclude each other", "give one of them")
 
 
 def parse_crop(
-    box: str | None, around: str | None, classes: str | None = None, not_classes: str | None = None
+    box: str | None = None,
+    around: str | None = None,
+    polygon: str | None = None,
+    classes: str | None = None,
+    not_classes: str | None = None,
 ) -> Crop:
     """Return what was typed; errors as of `make_crop`.
 
     Examples
     --------
-    >>> parse_crop("0,0,0,1,2,3", None).box
+    >>> parse_crop("0,0,0,1,2,3").box
     (0.0, 0.0, 0.0, 1.0, 2.0, 3.0)
     """
     return make_crop(
         _parse("box", box, float, "1.5,0,-2"),
         _parse("around", around, float, "1.5,0,-2"),
+        polygon,
         _parse("classes", classes, int, "2,6"),
         _parse("not_classes", not_classes, int, "2,6"),
     )

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import click
 
+from hpcapp.applications.points.command import AROUND, BOX, POLYGON
+from hpcapp.applications.points.crop import parse_crop
 from hpcapp.geometry.axis_names import AXES
 from hpccomponent.cli.terminal import echo_output
 from hpccomponent.cli.verb import Verb
@@ -100,6 +102,9 @@ def _parse_eye(
 )
 @click.option("--size", type=click.IntRange(16, 8192), default=800, show_default=True, metavar="N",
               help="Pixels along a side of the picture, of points the longer one.")  # fmt: skip
+@BOX
+@AROUND
+@POLYGON
 @click.option(
     "--up",
     type=click.Choice(AXES),
@@ -116,6 +121,9 @@ def view(
     png: Path | None,
     eye: tuple[float, float] | None,
     size: int,
+    box: str | None,
+    around: str | None,
+    polygon: str | None,
     up: str | None,
     is_opened: bool,
 ) -> None:
@@ -135,14 +143,15 @@ def view(
     from hpcapp.pages.page import write_page
     from hpcapp.pages.picture import write_picture
 
-    shown = read_shown(file)
+    crop = parse_crop(box, around, polygon)
+    shown = read_shown(file, crop)
     up = up or find_shown_up(file, shown)
     if png is not None:
         write_picture(png, shown, eye, size, up, find_shown_unit(file, shown))
         log.info("%s: a picture of %s", png, file)
         if output is None:
             return
-    page = make_page(file, shown, points, report, up)
+    page = make_page(file, shown, points, report, up, crop)
     path = _temporary_page(file) if output is None else output
     write_page(path, page)
     echo_output(str(path))

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
+from hpcapp.applications.points.crop import EVERYTHING, Crop
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.mesh import Mesh
@@ -18,7 +19,7 @@ from hpcapp.io import (
     holds_faces,
     open_points,
     read_mesh,
-    read_points,
+    read_whole,
     take_finite,
 )
 from hpcapp.io.meshes.mesh_stream import as_stream
@@ -31,8 +32,8 @@ from hpcapp.pages.scene import Field, Scene, fields_of
 from hpcapp.pages.thin import thin_mesh
 
 
-def read_shown(path: Path) -> Mesh | PointCloud:
-    """Read a file as a mesh where it holds faces, and as finite points otherwise.
+def read_shown(path: Path, crop: Crop = EVERYTHING) -> Mesh | PointCloud:
+    """Read a file as a mesh where it holds faces, and as finite points otherwise; a part of it.
 
     Raises
     ------
@@ -42,8 +43,8 @@ def read_shown(path: Path) -> Mesh | PointCloud:
         The suffix is unknown.
     """
     if holds_faces(path):
-        return read_mesh(path)
-    return take_finite(read_points(path), str(path))
+        return crop.cut(read_mesh(path), find_mesh_crs(path).height_scale, str(path))
+    return _read_finite(path, crop)
 
 
 def find_shown_unit(path: Path, shown: Mesh | PointCloud) -> str:
@@ -65,6 +66,7 @@ def make_page(
     points: Path | None = None,
     report: Path | None = None,
     up: str = "z",
+    crop: Crop = EVERYTHING,
 ) -> str:
     """Return the page of a file, as HTML.
 
@@ -76,6 +78,8 @@ def make_page(
         Shown beside a mesh.
     report : Path, optional
         Of the job that made the mesh, as JSON.
+    crop : Crop, optional
+        The part that is shown.
 
     Raises
     ------
@@ -102,7 +106,7 @@ def make_page(
     if len(thin.faces) < len(shown.faces):
         rows["shown"] = f"a copy with {len(thin.faces):,} faces"
     sections.insert(0, Section("Mesh", make_table(rows)))
-    cloud = None if points is None else _read_beside(points, shown)
+    cloud = None if points is None else _read_beside(points, shown, crop)
     stated = find_unit(facts) if points is None else open_points(points).unit
     unit = stated or find_shown_unit(path, shown)
     measured = [] if cloud is None else [_measure(thin, cloud, unit)]
@@ -145,9 +149,13 @@ def _describe_box(positions: FloatArray, origin: FloatArray) -> dict[str, str]:
     return {"lowest": say(low + origin), "highest": say(high + origin), "extent": say(high - low)}
 
 
-def _read_beside(path: Path, mesh: Mesh) -> PointCloud:
+def _read_finite(path: Path, crop: Crop) -> PointCloud:
+    return take_finite(read_whole(crop.take(open_points(path))), str(path))
+
+
+def _read_beside(path: Path, mesh: Mesh, crop: Crop) -> PointCloud:
     """Read points into the frame of a mesh."""
-    cloud = take_finite(read_points(path), str(path))
+    cloud = _read_finite(path, crop)
     return replace(cloud, positions=cloud.positions + (cloud.origin - mesh.origin))
 
 

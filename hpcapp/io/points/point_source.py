@@ -16,7 +16,7 @@ import numpy as np
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.point_records import PointRecords
 from hpcapp.geometry.points import FloatArray, PointCloud
-from hpcapp.geometry.region import Region, say_place
+from hpcapp.geometry.region import Area, Region, say_place
 from hpcapp.io.batches import batch_points, cut_points, join_points
 from hpcapp.io.crs import Crs
 from hpcapp.io.frame import finite_bounds, scale_heights, to_local
@@ -126,7 +126,7 @@ class PointSource:
     height_unit : str or None
         Of z, where it is stated of that alone.
     region : Region or None
-        Points beyond it are left out of the parts, and are to be left out of `records`.
+        Points beyond it are to be left out of `records`, as they are of the parts.
     """
 
     path: Path
@@ -202,15 +202,15 @@ class PointSource:
 
         return replace(self, is_double=True, scan=scan, scans=tuple(scans), records=None)
 
-    def within(self, region: Region, margin: float = 0.0) -> PointSource:
+    def within(self, region: Area, margin: float = 0.0) -> PointSource:
         """Return the points in a region, and those around it that shape the surface at its edge.
 
         Parameters
         ----------
-        region : Region
+        region : Area
             In the file's coordinates.
         margin : float
-            How far around it, in its longest sides.
+            How far around it, in `Area.longest`.
 
         Returns
         -------
@@ -223,7 +223,9 @@ class PointSource:
         def scan(rows: int) -> Iterator[PointCloud]:
             return batch_points(self._cut(region, wide, max(rows, _SMALL)), rows)
 
-        return replace(self, scan=scan, region=wide)
+        on_the_wire = wide.on_the_wire
+        records = None if on_the_wire is None else self.records
+        return replace(self, scan=scan, region=on_the_wire, records=records)
 
     def of_classes(self, wanted: Sequence[int], unwanted: Sequence[int] = ()) -> PointSource:
         """Return the points of some classes; where none are wanted, of all but others.
@@ -261,7 +263,7 @@ class PointSource:
                 f"the file has {', '.join(f'{one:g}' for one in sorted(there)) or 'none'}",
             )
 
-    def _cut(self, region: Region, wide: Region, rows: int) -> Iterator[PointCloud]:
+    def _cut(self, region: Area, wide: Area, rows: int) -> Iterator[PointCloud]:
         points, corners = 0, list[FloatArray]()
         for part in self.scan(rows):
             near = part.take(wide.find(part.positions))

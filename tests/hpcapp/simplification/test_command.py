@@ -74,3 +74,31 @@ def test_bad_input_leaves_nothing(plane: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="nowhere"):
         run("nowhere.ply", "-o", tmp_path / "light.ply", "--faces", "50")
     assert not (tmp_path / "light.ply").exists()
+
+
+def test_a_part_of_a_mesh_is_left_as_fine_as_it_is(plane: Path, tmp_path: Path) -> None:
+    part, light = tmp_path / "part.ply", tmp_path / "light.ply"
+    run(plane, "-o", part, "--polygon", "POLYGON ((0.5 0.5, 9.5 0.5, 0.5 9.5, 0.5 0.5))")
+    mesh = read_mesh(part)
+    assert mesh.vertices[:, :2].min() == pytest.approx(0.5)
+    assert mesh.vertices[:, :2].sum(axis=1).max() == pytest.approx(10.0)
+    run(plane, "-o", light, "--box", "0,0,-1,5,5,1", "--faces", "10")
+    assert len(read_mesh(light).faces) <= 11
+    assert read_mesh(light).vertices.max() == 5.0
+
+
+def test_a_ball_of_a_mesh_in_two_units_is_one_of_feet(tmp_path: Path) -> None:
+    path, part = tmp_path / "wall.ply", tmp_path / "part.ply"
+    wall = Mesh(np.array([[-9.0, 0, -9], [9, 0, -9], [9, 0, 9], [-9, 0, 9]]),
+                np.array([[0, 1, 2], [0, 2, 3]]))  # fmt: skip
+    write_mesh(path, replace(as_stream(wall), crs=Crs("EPSG:2229", "ft", "m")))
+    run(path, "-o", part, "--around", "0,0,0,3")
+    reach = np.linalg.norm(read_mesh(part).vertices * (1.0, 1.0, 1 / 0.3048), axis=1)
+    assert reach.max() == pytest.approx(3.0, abs=1e-4)
+    assert find_mesh_crs(part).height_unit == "m"
+
+
+def test_a_part_that_holds_nothing_is_one_line(plane: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no surface in the ball") as found:
+        run(plane, "-o", tmp_path / "none.ply", "--around", "50,0,0,3")
+    assert "lies from 0 0 0 to 10 10 0" in found.value.advice

@@ -22,6 +22,7 @@ from hpcapp.applications.points.command import (
     CLASSES,
     INPUTS,
     NOT_CLASSES,
+    POLYGON,
     SAMPLE,
     readable,
 )
@@ -183,8 +184,8 @@ GROUPS = {
         "max_memory", "cluster",
     ),
     "Points": (
-        "box", "around", "classes", "not_classes", "sample", "normals", "clean", "outliers",
-        "denoise", "resample",
+        "box", "around", "polygon", "classes", "not_classes", "sample", "normals", "clean",
+        "outliers", "denoise", "resample",
     ),
     "Surface": (
         "voxel_size", "depth", "uniform", "smoothness", "detail", "trim", "fill_holes",
@@ -223,6 +224,7 @@ def _add_method_options(command: click.Command) -> click.Command:
 @SAMPLE
 @BOX
 @AROUND
+@POLYGON
 @CLASSES
 @NOT_CLASSES
 @click.option(

@@ -80,7 +80,7 @@ def check_points(points: Path, sample: int | None = None) -> None:
 
 
 def type_for_head(ctx: click.Context, without: Collection[str]) -> list[str]:
-    """Return the options that were typed, with the places of the trajectories that they name.
+    """Return the options that were typed, with what is in the files that they name.
 
     Parameters
     ----------
@@ -89,7 +89,10 @@ def type_for_head(ctx: click.Context, without: Collection[str]) -> list[str]:
     without : collection of str
         Names of parameters that are left out.
     """
-    words = typed_options(ctx, (*without, "viewpoint"))
+    words = typed_options(ctx, (*without, "viewpoint", "polygon"))
+    crop = parse_crop(*(ctx.params[name] for name in CROPPED))
+    if crop.polygon:
+        words += ["--polygon", crop.polygon]
     return words + type_viewpoint(parse_viewpoint(ctx.params["viewpoint"]))
 
 

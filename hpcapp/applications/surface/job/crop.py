@@ -15,9 +15,9 @@ from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.job.outcome import Reconstruction
 from hpcapp.applications.surface.job.scan import Loaded
 from hpcapp.applications.surface.stitching.surface import Surface
-from hpcapp.geometry.clipping import clip_mesh, find_beyond
+from hpcapp.geometry.clipping import Cutter, clip_mesh, find_beyond
 from hpcapp.geometry.mesh import Mesh
-from hpcapp.geometry.region import Region, say_place
+from hpcapp.geometry.region import say_place
 from hpcapp.io.meshes.mesh_stream import MeshStream
 from hpcapp.progress import StageClock
 from hpccomponent.errors import InputError
@@ -38,7 +38,8 @@ def crop(asked: Crop, loaded: Loaded, result: Reconstruction, clock: StageClock)
     with clock.stage("crop"), result.surface.open_stream() as stream:
         mesh = crop_stream(stream, region.localise(cloud.origin))
         if not len(mesh.faces):
-            low, high = ((end + cloud.origin) / region.scales for end in (cloud.low, cloud.high))
+            scales = (1.0, 1.0, loaded.crs.height_scale)
+            low, high = ((end + cloud.origin) / scales for end in (cloud.low, cloud.high))
             raise InputError(
                 f"no surface in {region}",
                 f"the points around it lie from {say_place(low)} to {say_place(high)}",
@@ -61,12 +62,12 @@ def _measure_support(mesh: Mesh, cloud: ArrangedCloud, facts: Mapping[str, Any])
     return Support(share, float(found.nearest[is_bare].max(initial=0.0)), reach)
 
 
-def crop_stream(stream: MeshStream, region: Region) -> Mesh:
+def crop_stream(stream: MeshStream, region: Cutter) -> Mesh:
     """Cut a mesh that may be larger than memory; what is left of it must fit.
 
     Parameters
     ----------
-    region : Region
+    region : Cutter
         In the local frame.
     """
     beyond = np.concatenate(
@@ -84,4 +85,5 @@ def crop_stream(stream: MeshStream, region: Region) -> Mesh:
         some = used[slice(*np.searchsorted(used, (start, start + len(block))))]
         vertices.append(block.positions[some - start])
         start += len(block)
-    return Mesh(*clip_mesh(np.concatenate(vertices), corners.reshape(-1, 3), region), stream.origin)
+    near = Mesh(np.concatenate(vertices), corners.reshape(-1, 3), stream.origin)
+    return clip_mesh(near, region)

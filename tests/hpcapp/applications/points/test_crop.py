@@ -178,4 +178,4 @@ def test_what_is_no_class_is_refused(
     classes: str | None, not_classes: str | None, said: str
 ) -> None:
     with pytest.raises(UsageError, match=said):
-        parse_crop(None, None, classes, not_classes)
+        parse_crop(classes=classes, not_classes=not_classes)

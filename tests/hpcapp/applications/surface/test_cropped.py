@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
+from clipped_meshes import sample
+from scipy.spatial import cKDTree
 
 import hpcapp as package
-from hpcapp.applications.points.crop import Crop
+from hpcapp.applications.points.crop import Crop, make_crop
 from hpcapp.applications.surface.cli.run import run_job
 from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.geometry.points import PointCloud
+from hpcapp.geometry.prism import Prism
 from hpcapp.io import read_mesh, write_points
 from hpcapp.progress import Progress
 from hpccomponent.errors import InputError
@@ -124,6 +129,46 @@ def test_a_box_without_points_is_one_line(
 def test_a_box_beside_the_surface_is_one_line(knot: PointCloud) -> None:
     with pytest.raises(InputError, match="no surface in the box"):
         package.reconstruct(knot, box=(17.0, -10, -10, 30, 10, 10), executor="serial")
+
+
+def test_a_mesh_ends_on_a_polygon_as_if_the_whole_had_been_meshed(
+    knot: PointCloud, tmp_path: Path
+) -> None:
+    path = tmp_path / "scan.ply"
+    write_points(path, PointCloud(knot.positions + ON_A_MAP, knot.normals))
+    shape = shapely.Polygon(
+        [(2, -6), (15, -3), (9, 8), (7, 2), (3, 5)], [[(9, -2), (11, 0), (9, 1)]]
+    )
+    on_map = shapely.transform(shape, lambda places: places + ON_A_MAP[:2])
+    whole = package.reconstruct(path, executor="serial")
+    cell = whole.facts["step"]
+    mesh = package.reconstruct(path, polygon=on_map.wkt, executor="serial", voxel_size=cell)
+    corners = shapely.points(np.array(mesh.vertices)[:, :2])
+    assert shapely.distance(on_map, corners).max() < 1e-6
+    assert (shapely.distance(on_map.boundary, corners) < 1e-6).sum() > 100
+    inside = Prism(on_map).find(np.array(whole.vertices))
+    places = sample(np.array(mesh.vertices), np.array(mesh.faces), 400_000)
+    distance, _ = cKDTree(places).query(np.array(whole.vertices)[inside])
+    assert np.sqrt((distance**2).mean()) < 0.07 * whole.facts["spacing"]
+
+
+@pytest.mark.parametrize("backend", ["serial", "zmq"])
+def test_points_in_a_polygon_are_the_same_for_all_workers(
+    knot: PointCloud, tmp_path: Path, backend: str
+) -> None:
+    path, outline = tmp_path / "scan.ply", tmp_path / "part.wkt"
+    write_points(path, knot)
+    outline.write_text("POLYGON ((2 -6, 15 -3, 9 8, 7 2, 3 5, 2 -6))")
+    crop, is_here = make_crop(polygon=outline), backend == "serial"
+    job = JobSettings(
+        points=path, output=str(tmp_path / "mesh.ply"), crop=crop, backend=backend,
+        workers=1 if is_here else 2, max_memory=3e8,
+    )  # fmt: skip
+    run_job(job, Progress())
+    memory = replace(job, output=str(tmp_path / "same.ply"), max_memory=None, backend="serial",
+                     workers=1)  # fmt: skip
+    run_job(memory, Progress())
+    assert (tmp_path / "mesh.ply").read_bytes() == (tmp_path / "same.ply").read_bytes()
 
 
 def test_points_support_what_is_left(knot: PointCloud) -> None:

@@ -196,3 +196,14 @@ def test_lengths_have_the_unit_of_the_points(tmp_path: Path) -> None:
         scene = read_scene(page)
         assert scene["unit"] == "m"
         assert all(one["unit"] == "m" for one in scene["fields"] if one["name"] == "distance")
+
+
+def test_a_part_is_shown_of_a_mesh_and_of_its_points(tmp_path: Path) -> None:
+    places = np.random.default_rng(0).random((500, 3)) * 10.0
+    write_points(tmp_path / "c.ply", PointCloud(places))
+    write_mesh(tmp_path / "m.ply", Mesh(CORNERS * 10.0, FACES))
+    page, box = tmp_path / "p.html", ("--box", "0,0,0,4.5,4.5,4.5")
+    run(tmp_path / "c.ply", *box, "-o", page, "--no-open")
+    assert f"{(places <= 4.5).all(axis=1).sum()} points" in page.read_text()
+    run(tmp_path / "m.ply", "--points", tmp_path / "c.ply", *box, "-o", page, "--no-open")
+    assert "4.5  4.5" in page.read_text()

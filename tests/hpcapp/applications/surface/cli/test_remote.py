@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from hpcapp.applications.points.crop import make_crop
 from hpcapp.applications.surface.cli import remote
 from hpcapp.applications.surface.cli.command import reconstruct
 from hpcapp.applications.surface.cli.remote_check import check_job
@@ -140,6 +141,14 @@ def test_the_places_of_trajectories_and_cameras_travel(
     assert check_job(*here, ["--viewpoint=above", "--no-clean"]) == [
         "--no-clean", "--viewpoint", "above",
     ]  # fmt: skip
+
+
+def test_polygons_travel_as_text(tmp_path: Path, sphere_file: Path, cluster: Cluster) -> None:
+    yard = tmp_path / "yard.wkt"
+    yard.write_text("POLYGON ((0 0, 1 0, 1.25 1, 0 0))")
+    submit(tmp_path, sphere_file, "--polygon", str(yard))
+    assert cluster.options[0] == "--polygon"
+    assert make_crop(polygon=cluster.options[1]) == make_crop(polygon=yard)
 
 
 def test_points_that_will_not_do_are_refused_before_anything_travels(
