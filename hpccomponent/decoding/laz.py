@@ -3,7 +3,8 @@
 Arguments are the library, the byte at which the points begin, how many the header announces, and
 the record of the compressor in hexadecimal. A request is a number of bytes of whole points, which
 come next; so many fill the memory from its start. After the last of them, ``more`` tells by 1
-whether the file holds more points than it announces.
+whether the file holds more points than it announces. ``chunks`` and three numbers for each, its
+first byte, its length and its points, fill the memory likewise, wherever these are; lazrs only.
 """
 
 from __future__ import annotations
@@ -51,12 +52,15 @@ def main() -> None:
 
 def _open(path: str, memory: memoryview, arguments: list[str]) -> Answer:
     library, start, count, record = arguments
+    layout = bytes.fromhex(record)
     opener = _open_lazrs if library == "lazrs" else _open_laszip
-    fill, has_more = opener(path, int(start), int(count), bytes.fromhex(record))
+    fill, has_more = opener(path, int(start), int(count), layout)
 
     def answer(request: list[str]) -> int:
         if request[0] == "more":
             return int(has_more())
+        if request[0] == "chunks":
+            return _fill_chunks(path, memory, layout, list(map(int, request[1:])))
         size = int(request[0])
         fill(memory[:size])
         return size
@@ -85,6 +89,27 @@ def _open_lazrs(path: str, start: int, count: int, record: bytes) -> _Opened:
     file.seek(start)
     fill: _Fill = lazrs.ParLasZipDecompressor(file, record).decompress_many
     return fill, lambda: _holds_more(path, start + 8, count, chunks, record)
+
+
+def _fill_chunks(path: str, memory: memoryview, record: bytes, numbers: list[int]) -> int:
+    """Decompress chunks, of which all is untrusted; return how many bytes of points these are."""
+    import lazrs
+
+    chunks = list(zip(numbers[::3], numbers[1::3], numbers[2::3], strict=True))
+    items = read_items(record)
+    size = sum(size for _, size, _ in items) * sum(points for _, _, points in chunks)
+    if size > len(memory):
+        raise ValueError("its nodes hold more points than they announce")
+    with open(path, "rb") as file:
+        parts = []
+        for at, length, _ in chunks:
+            if int.from_bytes(record[:2], "little") == _LAYERED:
+                _check_layers(file, at, [length], items)
+            file.seek(at)
+            parts.append(file.read(length))
+    table = [(points, length) for _, length, points in chunks]
+    lazrs.decompress_points_with_chunk_table(b"".join(parts), record, memory[:size], table)
+    return size
 
 
 def _holds_more(

@@ -87,11 +87,11 @@ class Crop:
         margin : float
             See `PointSource.within`.
         """
+        if self.has_region:
+            source = source.within(self.find_region(source.frame.height_scale), margin)
         if self.classes or self.not_classes:
             source = source.of_classes(self.classes, self.not_classes)
-        if not self.has_region:
-            return source
-        return source.within(self.find_region(source.frame.height_scale), margin)
+        return source
 
     def cut(self, mesh: Mesh, height_unit: float, name: str) -> Mesh:
         """Return what of a mesh, in the unit of its file, lies where only a place is asked for.

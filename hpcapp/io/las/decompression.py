@@ -5,13 +5,14 @@ Both run in a process of their own: what a damaged file makes them do ends there
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 
 from hpcapp.extras import how_to_install
 from hpcapp.geometry.points import ByteArray
+from hpcapp.io.las.copc import Chunk
 from hpcapp.io.las.header import LasHeader
 from hpcapp.io.points.point_source import Findings
 from hpccomponent.decoding.laz import ONE_STREAM, read_items
@@ -20,6 +21,9 @@ from hpccomponent.errors import InputError, MissingLibraryError
 
 Take = Callable[[int], ByteArray]
 """Takes so many bytes of points, which come next; they are there until it is called again."""
+
+TakeChunks = Callable[[Sequence[Chunk]], ByteArray]
+"""Takes the points of chunks, likewise."""
 
 
 def find_library(header: LasHeader, path: Path) -> str:
@@ -86,6 +90,29 @@ def open_decompressor(
                     "are left out"
                 )
             return decoder.memory[:size]
+
+        yield take
+
+
+@contextmanager
+def open_chunks(path: Path, header: LasHeader, rows: int) -> Iterator[TakeChunks]:
+    """Open the chunks of a COPC file, of which so many points are taken at once at most.
+
+    Yields
+    ------
+    callable
+        Raises an InputError where the points cannot be decompressed.
+    """
+    arguments = ["lazrs", str(header.points_start), str(header.count), _find_record(header).hex()]
+
+    def refuse(why: str) -> InputError:
+        return _damaged(path, why)
+
+    with open_decoder("laz", path, rows * header.record_length, arguments, refuse) as decoder:
+
+        def take(chunks: Sequence[Chunk]) -> ByteArray:
+            words = [n for chunk in chunks for n in (chunk.at, chunk.size, chunk.points)]
+            return decoder.memory[: decoder.ask("chunks", *words)]
 
         yield take
 

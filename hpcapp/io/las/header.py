@@ -61,6 +61,8 @@ class LasHeader:
         How many points it announces.
     scales, offsets : ndarray of float64, shape (3,)
         Coordinates are integers times scale plus offset.
+    low, high : ndarray of float64, shape (3,)
+        Between which the points lie.
     records : dict of tuple of str and int to bytes
         Payloads of the variable length records that say something about points, by user and
         number.
@@ -76,6 +78,8 @@ class LasHeader:
     count: int
     scales: FloatArray
     offsets: FloatArray
+    low: FloatArray
+    high: FloatArray
     records: Records
     has_tail: bool
 
@@ -121,7 +125,8 @@ def read_header(file: BinaryIO, path: Path, findings: Findings) -> LasHeader:
         records = {**long, **records}
     header = LasHeader(
         (major, minor), bits & ~_COMPRESSED, bool(bits & _COMPRESSED), points_start, length, count,
-        np.array(rest[:3]), np.array(rest[3:6]), records,
+        np.array(rest[:3]), np.array(rest[3:6]), np.array(rest[7:12:2]), np.array(rest[6:12:2]),
+        records,
         minor >= 3 and (extended is None or extended[1] > 0 or bits & 0x3F in _WAVEFORMS),
     )  # fmt: skip
     _check_scales(header, path)

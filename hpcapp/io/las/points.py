@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
@@ -12,11 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.geometry.points import ByteArray, PointCloud
+from hpcapp.geometry.region import Area
 from hpcapp.io.batches import batch_points
-from hpcapp.io.las.decompression import Take, find_library, open_decompressor
+from hpcapp.io.las.copc import Chunk, find_chunks, has_octree
+from hpcapp.io.las.decompression import Take, find_library, open_chunks, open_decompressor
 from hpcapp.io.las.header import LasHeader, find_crs, read_header
 from hpcapp.io.las.layout import LasLayout, find_layout
-from hpcapp.io.points.point_source import Findings, PointSource, Scan, keep_small
+from hpcapp.io.points.point_source import Findings, Octree, PointSource, Read, Scan, keep_small
 from hpccomponent.errors import InputError
 from hpccomponent.limits import available_cores
 
@@ -29,7 +31,7 @@ def open_las(path: Path, *, keeps_noise: bool = False) -> PointSource:
 
     Points that are flagged as withheld, and those of the classes for noise unless these are kept,
     are left out and counted. Waveforms are passed over. COPC is read in the order of the file,
-    which is that of its octree.
+    which is that of its octree; of a part of space, the nodes that reach into it.
 
     Returns
     -------
@@ -56,6 +58,15 @@ def open_las(path: Path, *, keeps_noise: bool = False) -> PointSource:
         parts = _read_points(path, header, layout, min(rows, at_once), findings)
         return batch_points(_decode_parts(parts, layout, findings, keeps_noise), rows)
 
+    def read_nodes(area: Area) -> Read:
+        def read(rows: int) -> Iterator[PointCloud]:
+            findings.dropped.clear()
+            parts = _read_chunks(path, header, layout, find_chunks(path, header, area))
+            return batch_points(_decode_parts(parts, layout, findings, keeps_noise), rows)
+
+        return read
+
+    is_octree = has_octree(header) and find_library(header, path) == "lazrs"
     source = PointSource(
         path,
         header.count,
@@ -69,6 +80,7 @@ def open_las(path: Path, *, keeps_noise: bool = False) -> PointSource:
         unit=crs.unit if crs else None,
         height_unit=crs.height_unit if crs else None,
         findings=findings,
+        octree=Octree(header.low, header.high, read_nodes) if is_octree else None,
     )
     return keep_small(source) if header.is_compressed else source
 
@@ -133,6 +145,23 @@ def _read_points(
         for start in range(0, header.count, rows):
             size = min(rows, header.count - start) * header.record_length
             yield take(size).view(layout.dtype)
+
+
+def _read_chunks(
+    path: Path, header: LasHeader, layout: LasLayout, chunks: Sequence[Chunk]
+) -> Iterator[NDArray[np.void]]:
+    """Yield the points of chunks, some at a time; each part may overwrite the one before."""
+    if not chunks:
+        return
+    rows = max(_A_CORE * available_cores(), max(chunk.points for chunk in chunks))
+    with open_chunks(path, header, rows) as take:
+        waiting: list[Chunk] = []
+        for chunk in chunks:
+            if waiting and sum(one.points for one in [*waiting, chunk]) > rows:
+                yield take(waiting).view(layout.dtype)
+                waiting = []
+            waiting.append(chunk)
+        yield take(waiting).view(layout.dtype)
 
 
 @contextmanager

@@ -23,6 +23,9 @@ from hpcapp.io.frame import finite_bounds, scale_heights, to_local
 from hpccomponent.cli.option_names import name_option
 from hpccomponent.errors import InputError
 
+Read = Callable[[int], Iterator[PointCloud]]
+"""Given a number of rows, yields points in parts of so many, the last of fewer."""
+
 _ROWS_AT_ONCE = 1 << 20
 _SMALL = 1 << 16  # points
 
@@ -51,6 +54,28 @@ class Scan:
     points: int | None = None
     scanner: FloatArray | None = None
     grid: tuple[int, int] | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Octree:
+    """What a file knows of where its points are, so that it need not be read to its end.
+
+    Parameters
+    ----------
+    low, high : ndarray of float64, shape (3,)
+        Between which all points lie, as the file says.
+    read : callable
+        Given a part of space, returns what yields the points of those nodes that reach into it, in
+        the order of the file.
+    """
+
+    low: FloatArray
+    high: FloatArray
+    read: Callable[[Area], Read]
+
+    def through(self, change: Callable[[Read], Read]) -> Octree:
+        """Return one whose points go through what changes them."""
+        return replace(self, read=lambda area: change(self.read(area)))
 
 
 @dataclass(slots=True, eq=False)
@@ -94,9 +119,8 @@ class PointSource:
         How many points the file says it has; None where it says nothing.
     is_double : bool
         Whether coordinates may have more digits than float32 holds.
-    scan : callable
-        Given a number of rows, yields the file's points in parts of so many, the last of fewer;
-        a file without points is one empty part.
+    scan : Read
+        Of all of the file's points; a file without points is one empty part.
     records : PointRecords or None
         Where the points are; None where one must be read to find the next.
     check_rest : callable
@@ -125,6 +149,8 @@ class PointSource:
         Whether x and y are coordinates of a map.
     height_unit : str or None
         Of z, where it is stated of that alone.
+    octree : Octree or None
+        Where the file has one: of the same points as `scan`.
     region : Region or None
         Points beyond it are to be left out of `records`, as they are of the parts.
     """
@@ -133,7 +159,7 @@ class PointSource:
     count: int | None
     is_double: bool
     has_normals: bool
-    scan: Callable[[int], Iterator[PointCloud]]
+    scan: Read
     records: PointRecords | None = None
     check_rest: Callable[[], None] | None = None
     format: str = ""
@@ -147,6 +173,7 @@ class PointSource:
     is_flown: bool = False
     is_projected: bool = False
     height_unit: str | None = None
+    octree: Octree | None = None
     region: Region | None = None
 
     @property
@@ -184,7 +211,7 @@ class PointSource:
         def scan(rows: int) -> Iterator[PointCloud]:
             return (replace(part, normals=None) for part in self.scan(rows))
 
-        return replace(self, scan=scan, has_normals=False, records=records)
+        return replace(self, scan=scan, has_normals=False, records=records, octree=None)
 
     def isotropic(self) -> PointSource:
         """Return the same points with z in the unit of x and y; `frame` stays that of the file."""
@@ -200,7 +227,9 @@ class PointSource:
         def scan(rows: int) -> Iterator[PointCloud]:
             return (scale_heights(part, factor) for part in self.scan(rows))
 
-        return replace(self, is_double=True, scan=scan, scans=tuple(scans), records=None)
+        return replace(
+            self, is_double=True, scan=scan, scans=tuple(scans), records=None, octree=None
+        )
 
     def within(self, region: Area, margin: float = 0.0) -> PointSource:
         """Return the points in a region, and those around it that shape the surface at its edge.
@@ -225,7 +254,7 @@ class PointSource:
 
         on_the_wire = wide.on_the_wire
         records = None if on_the_wire is None else self.records
-        return replace(self, scan=scan, region=on_the_wire, records=records)
+        return replace(self, scan=scan, region=on_the_wire, records=records, octree=None)
 
     def of_classes(self, wanted: Sequence[int], unwanted: Sequence[int] = ()) -> PointSource:
         """Return the points of some classes; where none are wanted, of all but others.
@@ -239,7 +268,7 @@ class PointSource:
         def scan(rows: int) -> Iterator[PointCloud]:
             return batch_points(self._choose(wanted, unwanted, max(rows, _SMALL)), rows)
 
-        return replace(self, scan=scan, records=None)
+        return replace(self, scan=scan, records=None, octree=None)
 
     def _choose(
         self, wanted: Sequence[int], unwanted: Sequence[int], rows: int
@@ -264,8 +293,10 @@ class PointSource:
             )
 
     def _cut(self, region: Area, wide: Area, rows: int) -> Iterator[PointCloud]:
-        points, corners = 0, list[FloatArray]()
-        for part in self.scan(rows):
+        points, corners, read = 0, list[FloatArray](), self.scan
+        if self.octree is not None:
+            corners, read = [self.octree.low, self.octree.high], self.octree.read(wide)
+        for part in read(rows):
             near = part.take(wide.find(part.positions))
             points += len(near)
             corners += finite_bounds(part.positions) if len(part) and not points else ()
@@ -299,7 +330,7 @@ def keep_small(source: PointSource) -> PointSource:
         source.findings.dropped.update(dropped)
         yield from cut_points(whole, rows)
 
-    return replace(source, scan=scan)
+    return replace(source, scan=scan, octree=None)
 
 
 def read_whole(source: PointSource) -> PointCloud:

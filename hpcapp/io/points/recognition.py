@@ -40,7 +40,7 @@ from hpcapp.geometry.points import BoolArray, FloatArray, PointCloud
 from hpcapp.io.batches import join_points
 from hpcapp.io.columns import Numbers
 from hpcapp.io.points.column_roles import ColourScale, judge_colours, judge_normals
-from hpcapp.io.points.point_source import Findings, PointSource, translated
+from hpcapp.io.points.point_source import Findings, PointSource, Read, translated
 from hpcapp.io.points.survey import EVIDENCE, is_flown_over, is_projected
 
 _ROWS = 1 << 16  # of a part that is looked at
@@ -149,17 +149,21 @@ def recognise(source: PointSource) -> PointSource:
     decisions = _Decisions(scale, use, missing)
     unit = _find_unit(source, usable.positions)
 
-    def scan(rows: int) -> Iterator[PointCloud]:
-        findings.dropped.clear()
-        findings.dropped.update(counted)
-        for part in source.scan(rows):
-            yield decisions.apply(part, findings)
+    def apply(read: Read) -> Read:
+        def scan(rows: int) -> Iterator[PointCloud]:
+            findings.dropped.clear()
+            findings.dropped.update(counted)
+            for part in read(rows):
+                yield decisions.apply(part, findings)
+
+        return scan
 
     records = _keep_records(source.records, decisions)
     return replace(
         source,
         has_normals=source.has_normals and use not in ("colours", "nothing"),
-        scan=scan,
+        scan=apply(source.scan),
+        octree=None if source.octree is None else source.octree.through(apply),
         records=records,
         check_rest=None if records is None else source.check_rest,
         unit=unit,
