@@ -18,7 +18,7 @@ from hpccomponent.errors import UsageError
 log = logging.getLogger("hpcapp")
 
 DEFAULT = ParameterSource.DEFAULT
-SCENES = ("terrain", "forest", "town", "room", "object")
+SCENES = ("terrain", "yard", "heap", "forest", "town", "room", "object")
 SCANNERS = ("airborne", "terrestrial", "handheld", "structured-light")
 RAW_OPTIONS = {"flying", "strays"}
 SCENE_OPTIONS = {"points", "noise", "drift", "seed", *RAW_OPTIONS}

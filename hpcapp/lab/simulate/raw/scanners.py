@@ -184,7 +184,7 @@ def _shoot(scene: Scene, count: int, rng: np.random.Generator) -> Pulses:
     )
 
 
-_OUTDOORS = ("terrain", "forest", "town")
+_OUTDOORS = ("terrain", "yard", "heap", "forest", "town")
 
 SCANNERS: Mapping[str, Scanner] = MappingProxyType(
     {

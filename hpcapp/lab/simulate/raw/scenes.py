@@ -27,10 +27,13 @@ from hpcapp.lab.simulate.shapes import find_shape
 
 Walk = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 
+_NODE = 0.5  # metres between two heights of the ground
 _BORDER = 0.5  # metres of ground that go on beyond what is scanned
 _EYE_LEVEL = 1.7  # metres
 _TRUNK_RADIUS = 0.2  # metres
 _CLEARING = 2.5  # metres between trunks, and from a stand to a trunk
+HEAP, PIT = 100.0, 20.0
+"""Cubic metres that lie on the yard in the scene ``heap``, and that have been dug out of it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,6 +87,33 @@ def _make_terrain(rng: np.random.Generator, shape: str) -> Scene:
     del shape
     ground = _make_hills(rng, extent=100.0, relief=4.0)
     return _outdoors("terrain", 100.0, (ground.as_part(),), _stand_on(ground, [(50.0, 50.0)]))
+
+
+def _make_yard(rng: np.random.Generator, shape: str) -> Scene:
+    del rng, shape
+    return _fence("yard", _lay_yard())
+
+
+def _make_heap(rng: np.random.Generator, shape: str) -> Scene:
+    del rng, shape
+    yard = _lay_yard()
+    y, x = np.indices(yard.shape) * _NODE
+    heap = np.maximum(5.0 - np.hypot(x - 24.0, y - 22.0), 0.0)  # a cone
+    pit = np.maximum(9.0 - (x - 11.0) ** 2 - (y - 12.0) ** 2, 0.0)  # a bowl
+    # a height of one at a node is a volume of the square of the step
+    heap, pit = (size * part / (part.sum() * _NODE**2) for size, part in ((HEAP, heap), (PIT, pit)))
+    return _fence("heap", yard + heap - pit)
+
+
+def _lay_yard() -> FloatArray:
+    """Return the heights of a yard 40 m wide, which are the same for every seed."""
+    return _draw_hills(np.random.default_rng(0), extent=40.0, relief=1.0)
+
+
+def _fence(name: str, heights: FloatArray) -> Scene:
+    ground = HeightField(heights, _NODE)
+    stands = _stand_on(ground, [(6.0, 20.0), (34.0, 34.0), (30.0, 6.0)])
+    return _outdoors(name, 40.0, (ground.as_part(),), stands)
 
 
 def _make_forest(rng: np.random.Generator, shape: str) -> Scene:
@@ -176,6 +206,8 @@ def _make_object(rng: np.random.Generator, shape: str) -> Scene:
 SCENES: Mapping[str, Callable[[np.random.Generator, str], Scene]] = MappingProxyType(
     {
         "terrain": _make_terrain,
+        "yard": _make_yard,
+        "heap": _make_heap,
         "forest": _make_forest,
         "town": _make_town,
         "room": _make_room,
@@ -186,9 +218,12 @@ SCENES: Mapping[str, Callable[[np.random.Generator, str], Scene]] = MappingProxy
 
 
 def _make_hills(rng: np.random.Generator, extent: float, relief: float) -> HeightField:
-    """Return ground of waves of 20 m to 80 m, and of a tenth of both."""
-    step = 0.5
-    y, x = np.mgrid[: int(extent / step) + 1, : int(extent / step) + 1] * step
+    return HeightField(_draw_hills(rng, extent, relief), _NODE)
+
+
+def _draw_hills(rng: np.random.Generator, extent: float, relief: float) -> FloatArray:
+    """Return heights of ground of waves of 20 m to 80 m, and of a tenth of both."""
+    y, x = np.mgrid[: int(extent / _NODE) + 1, : int(extent / _NODE) + 1] * _NODE
     heights = np.zeros(x.shape)
     for scale, height in ((20.0, relief), (2.0, 0.04 * relief)):
         length = scale * rng.uniform(1.0, 4.0, 16)
@@ -197,7 +232,7 @@ def _make_hills(rng: np.random.Generator, extent: float, relief: float) -> Heigh
             along = x * np.cos(angle[wave]) + y * np.sin(angle[wave])
             turn = 2.0 * np.pi * along / length[wave] + phase[wave]
             heights += 0.25 * height * length[wave] / (4.0 * scale) * np.sin(turn)
-    return HeightField(heights, step)
+    return heights
 
 
 def _stand_on(ground: HeightField, places: list[tuple[float, float]]) -> FloatArray:

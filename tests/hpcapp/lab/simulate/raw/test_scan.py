@@ -169,7 +169,7 @@ def test_points_do_not_depend_on_the_number_of_cores(monkeypatch: pytest.MonkeyP
     [
         ("room", "airborne", {}, "terrestrial or handheld"),
         ("terrain", "structured-light", {}, "airborne or terrestrial"),
-        ("moon", None, {}, "terrain, forest"),
+        ("moon", None, {}, "terrain, yard"),
         ("room", "sonar", {}, "no scanner"),
         ("object", None, {"shape": "cube-ish"}, "no shape"),
         ("terrain", None, {"flying": 0.1}, "met an edge"),
