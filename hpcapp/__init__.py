@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from hpcapp.api.awaiting import reconstruct_async
-    from hpcapp.api.comparison import Comparison, compare
+    from hpcapp.api.comparison import Change, Comparison, compare, compare_epochs
     from hpcapp.api.mesh import Mesh, read_mesh
     from hpcapp.api.reconstruction import reconstruct
     from hpcapp.api.simulation import simulate
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Cancellation",
+    "Change",
     "Comparison",
     "Hierarchical",
     "HpcError",
@@ -53,6 +54,7 @@ __all__ = [
     "PointCloud",
     "UsageError",
     "compare",
+    "compare_epochs",
     "open_executor",
     "read_mesh",
     "read_points",
@@ -65,7 +67,7 @@ __all__ = [
 _ERRORS = "hpccomponent.errors"
 _HOMES = {
     "hpcapp.api.awaiting": ("reconstruct_async",),
-    "hpcapp.api.comparison": ("Comparison", "compare"),
+    "hpcapp.api.comparison": ("Change", "Comparison", "compare", "compare_epochs"),
     "hpcapp.api.mesh": ("Mesh", "read_mesh"),
     "hpcapp.api.reconstruction": ("reconstruct",),
     "hpcapp.api.simulation": ("simulate",),

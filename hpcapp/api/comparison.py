@@ -1,4 +1,4 @@
-"""``hpcapp.compare``: how far a mesh is from the truth, in units of the input."""
+"""``hpcapp.compare`` and ``hpcapp.compare_epochs``: distances and volumes, in the input's units."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import replace
 from os import PathLike, fspath
 from pathlib import Path
 from types import MappingProxyType
+from typing import Literal
 
 from numpy.typing import ArrayLike
 
@@ -14,10 +15,12 @@ from hpcapp.api.arrays import check_cloud
 from hpcapp.api.mesh import Mesh, unwrap_mesh
 from hpcapp.applications.compare.metrics import F_THRESHOLDS, Measures, as_json, measure_mesh
 from hpcapp.applications.compare.truth import MeshTruth, PointTruth, Truth, check_usable, open_truth
+from hpcapp.applications.compare.volume.epochs import Epoch, measure_epochs, open_epoch
+from hpcapp.applications.compare.volume.measure import Change
 from hpcapp.geometry import mesh as plain
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import formats
-from hpccomponent.errors import InputError
+from hpccomponent.errors import InputError, UsageError
 from hpccomponent.ranges import check_range
 
 _LEAST_SAMPLES = 100
@@ -160,3 +163,59 @@ def _open_truth(
         )
     cloud = check_cloud(truth, None, "truth")
     return PointTruth(replace(cloud, positions=cloud.positions + (cloud.origin - origin)))
+
+
+def compare_epochs(
+    new: Mesh | PointCloud | ArrayLike | str | PathLike[str],
+    old: Mesh | PointCloud | ArrayLike | str | PathLike[str],
+    *,
+    up: Literal["x", "y", "z"] = "z",
+    cell: float | None = None,
+    registration: float | None = None,
+) -> Change:
+    """Measure what changed between two epochs, as ``hpcapp compare --volume`` does.
+
+    Parameters
+    ----------
+    new, old : Mesh, PointCloud, array_like of shape (n, 3), str or PathLike
+        Two meshes, two clouds, or one of each; or the files of them.
+    up : {"x", "y", "z"}
+        The axis that points up.
+    cell : float, optional
+        Width of a cell seen from above; by default as the sparser epoch needs.
+    registration : float, optional
+        Standard deviation of the shift between both; by default the shift where nothing changed.
+
+    Raises
+    ------
+    InputError
+        They have hardly any ground in common, or only one of them is closed.
+    UsageError
+        Another argument is out of its range, or a suffix is unknown.
+
+    Examples
+    --------
+    >>> import hpcapp, numpy as np
+    >>> ground = np.random.default_rng(0).random((20000, 3)) * [10, 10, 0.01]
+    >>> higher = ground + np.outer(np.hypot(*(ground[:, :2] - 5).T) < 2, [0, 0, 1])
+    >>> change = hpcapp.compare_epochs(higher, ground)
+    >>> abs(change.fill.volume - 4 * np.pi) < change.fill.uncertainty
+    True
+    """
+    if up not in ("x", "y", "z"):
+        raise UsageError(f"up is {up!r}", "choose 'x', 'y' or 'z'")
+    if cell is not None:
+        check_range("cell", cell, 0.0, is_open=True)
+    if registration is not None:
+        check_range("registration", registration, 0.0)
+    epochs = _open_epoch(new, "new"), _open_epoch(old, "old")
+    return measure_epochs(*epochs, up, cell, registration).change
+
+
+def _open_epoch(epoch: Mesh | PointCloud | ArrayLike | str | PathLike[str], name: str) -> Epoch:
+    if isinstance(epoch, str | PathLike):
+        return open_epoch(fspath(epoch))
+    if isinstance(epoch, Mesh):
+        check_usable(mesh := unwrap_mesh(epoch), Path(name))
+        return Epoch(name, mesh)
+    return Epoch(name, check_cloud(epoch, None, name))

@@ -40,6 +40,8 @@ class Field:
         What whole numbers stand for.
     is_signed : bool
         Whether both sides of zero are to be told apart: the scale has zero in its middle.
+    sides : tuple of str
+        What is below zero, and what is above.
     """
 
     name: str
@@ -50,6 +52,7 @@ class Field:
     high: float | None = None
     labels: Sequence[str] | None = None
     is_signed: bool = False
+    sides: tuple[str, str] = ("inside", "outside")
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,6 +253,7 @@ def _pack_field(field: Field, pack: Pack) -> Mapping[str, object]:
         "from": start,
         "to": end,
         "signed": field.is_signed,
+        "sides": field.sides,
         "unit": field.unit,
         "lacks": not bool(is_known.all()),
         "array": pack(np.where(is_known, levels, _LEVELS + 1).astype(np.uint16)),

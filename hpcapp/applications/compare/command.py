@@ -1,4 +1,4 @@
-"""The verb ``compare``: how far a mesh is from the truth.
+"""The verb ``compare``: how far a mesh is from the truth, or what changed between two epochs.
 
 This module is imported for every ``--help``: numpy and all that stands on it are imported inside.
 """
@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+from click.core import ParameterSource
 
-from hpcapp.applications.view.command import check_page
+from hpcapp.applications.view.command import check_page, check_picture
 from hpccomponent.cli.terminal import echo, echo_json
 from hpccomponent.cli.verb import Verb
-from hpccomponent.errors import InputError
+from hpccomponent.errors import InputError, UsageError
 
 if TYPE_CHECKING:
     from hpcapp.applications.compare.metrics import Measures
@@ -25,29 +26,41 @@ if TYPE_CHECKING:
 log = logging.getLogger("hpcapp")
 
 _THRESHOLDS = (0.02, 0.1, 0.5)
+GROUPS = {
+    "Distances": ("samples", "seed", "thresholds"),
+    "Volumes": ("is_volume", "up", "cell", "registration", "png"),
+    "Both": ("as_json", "html"),
+}
 
 
 @click.command(
     cls=Verb,
+    groups=GROUPS,
     examples=[
         (
             "hpcapp compare mesh.ply truth.ply",
             "Print the distances, and the share within thresholds.",
         ),
         (
-            "hpcapp compare mesh.ply shape:knot --json",
-            "Measure against a model of 'hpcapp simulate'.",
-        ),
-        (
             "hpcapp compare mesh.ply scan.laz --html compare.html",
             "Show on a page where the mesh is off its points.",
+        ),
+        (
+            "hpcapp compare june.laz may.laz --volume --png change.png",
+            "Measure what was cut and filled since.",
         ),
     ],
 )
 @click.argument(
-    "mesh", type=click.Path(dir_okay=False, path_type=Path), help="The mesh to be judged."
+    "mesh",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="The mesh to be judged; of volumes the new mesh or points.",
 )
-@click.argument("truth", help="A mesh, points, or shape:NAME, a model of 'hpcapp simulate'.")
+@click.argument(
+    "truth",
+    help="A mesh, points, or shape:NAME, a model of 'hpcapp simulate'; of volumes the old mesh or "
+    "points.",
+)
 @click.option(
     "--samples",
     type=click.IntRange(100, 10_000_000),
@@ -68,28 +81,72 @@ _THRESHOLDS = (0.02, 0.1, 0.5)
     metavar="PERCENT",
     help="Of an F-score, in per cent of the diagonal; may be given several times.",
 )
+@click.option("--volume", "is_volume", is_flag=True,
+              help="Measure cut, fill and net volume between two epochs.")  # fmt: skip
+@click.option("--up", type=click.Choice(["x", "y", "z"]), default="z", show_default=True,
+              help="The axis that points up.")  # fmt: skip
+@click.option(
+    "--cell",
+    type=click.FloatRange(0, min_open=True),
+    metavar="LENGTH",
+    help="Width of a cell seen from above.  [default: as the sparser epoch needs]",
+)
+@click.option(
+    "--registration",
+    type=click.FloatRange(0),
+    metavar="LENGTH",
+    help="Standard deviation of the shift between both, as control points tell it.  "
+    "[default: the shift where nothing changed]",
+)
+@click.option(
+    "--png",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Draw what changed into a picture.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
 @click.option(
     "--html",
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="PAGE",
-    help="Write a page with the mesh, coloured by its distance.",
+    help="Write a page with the mesh, coloured by its distance or by what changed.",
 )
+@click.pass_context
 def compare(
+    ctx: click.Context,
+    /,
     mesh: Path,
     truth: str,
     samples: int,
     seed: int,
     thresholds: tuple[float, ...],
+    is_volume: bool,
+    up: str,
+    cell: float | None,
+    registration: float | None,
+    png: Path | None,
     as_json: bool,
     html: Path | None,
 ) -> None:
-    """Measure the distances between a mesh and the truth.
+    """Measure distances from the truth, or volumes that changed.
 
     Distances are taken from points spread evenly over either surface to the other surface, exactly,
-    and are in per cent of the diagonal of TRUTH's bounding box.
+    and are in per cent of the diagonal of TRUTH's bounding box. Volumes (--volume) lie between
+    MESH, the new epoch, and TRUTH, the old one.
     """
     check_page(html, "--html")
+    check_picture(png, "--png")
+    kind, other = ("Distances", "Volumes") if is_volume else ("Volumes", "Distances")
+    for name in GROUPS[kind]:
+        if ctx.get_parameter_source(name) is not ParameterSource.DEFAULT:
+            flag = "--threshold" if name == "thresholds" else f"--{name}"
+            raise UsageError(
+                f"{flag} is for {kind.lower()}, not for {other.lower()}",
+                "leave it out" if is_volume else "add --volume, or leave it out",
+            )
+    if is_volume:
+        _measure_volume(str(mesh), truth, up, cell, registration, png, html, as_json)
+        return
     from hpcapp.applications.compare.metrics import as_json as to_json
     from hpcapp.progress import Progress, StageClock
     from hpcapp.progress_display import open_progress
@@ -103,6 +160,53 @@ def compare(
         echo(_tabulate(measures, unit))
     if html is not None:
         log.info("%s: the mesh, coloured by its distance", html)
+
+
+def _measure_volume(
+    new: str,
+    old: str,
+    up: str,
+    cell: float | None,
+    registration: float | None,
+    png: Path | None,
+    html: Path | None,
+    as_json: bool,
+) -> None:
+    from hpcapp.applications.compare.volume import page
+    from hpcapp.applications.compare.volume.epochs import measure_epochs, open_epoch
+    from hpcapp.applications.compare.volume.measure import as_json as to_json
+    from hpcapp.pages.page import write_page
+    from hpcapp.progress import Progress, StageClock
+    from hpcapp.progress_display import open_progress
+
+    with open_progress(sys.stderr) as display:
+        clock = StageClock(Progress(display))
+        with clock.stage("read"):
+            epochs = open_epoch(new), open_epoch(old)
+        with clock.stage("measure"):
+            measured = measure_epochs(*epochs, up, cell, registration)
+        if html is not None or png is not None:
+            with clock.stage("show"):
+                if html is not None:
+                    write_page(html, page.make_page(new, old, measured, up))
+                if png is not None:
+                    page.write_picture(png, measured, up)
+    change, unit = measured.change, measured.unit
+    if as_json:
+        echo_json(to_json(change, unit))
+    else:
+        table = [page.HEAD, *page.list_volumes(change, unit)]
+        widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+        for name, *cells in table:
+            columns = (f"{one:>{w}}" for one, w in zip(cells, widths[1:], strict=True))
+            echo("  ".join([f"{name:{widths[0]}}", *columns]))
+        for note in page.list_notes(change, unit):
+            echo(note)
+    if doubted := page.doubt(change, unit):
+        log.warning("%s", doubted)
+    for path, what in ((html, "a page"), (png, "a picture")):
+        if path is not None:
+            log.info("%s: %s of what changed", path, what)
 
 
 def _compare(

@@ -148,7 +148,7 @@ export function legend(field, levels, end) {
     const cut = end < limitOf(field) * (1 - 1e-6)
       ? `; ends at ${sayNumber(end)}, the largest is ${sayNumber(limitOf(field))}` : '';
     return [scale(field, levels, end),
-      make('span', '', (field.signed ? 'blue: inside, red: outside; ' : '')
+      make('span', '', (field.signed ? `blue: ${field.sides[0]}, red: ${field.sides[1]}; ` : '')
         + (field.unit ? `in ${field.unit}` : "in the file's units") + cut),
       ...(field.lacks ? [swatch(css(NONE), 'none')] : [])];
   }

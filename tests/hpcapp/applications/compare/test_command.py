@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from PIL import Image
 
 from hpcapp.applications.compare.command import compare
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import PointCloud
-from hpcapp.io import write_mesh, write_points
+from hpcapp.io import read_points, write_mesh, write_points
 from hpccomponent.errors import InputError, UsageError
 
 CORNERS = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
@@ -155,3 +156,67 @@ def test_progress_is_told_as_it_comes(cube: Path) -> None:
     stages = [line.split(":")[0] for line in done.stderr.splitlines() if ": done in" in line]
     assert stages == ["read", "truth to mesh", "mesh to truth", "check"]
     assert "done in" not in done.stdout
+
+
+@pytest.fixture
+def epochs(tmp_path: Path) -> tuple[Path, Path]:
+    rng = np.random.default_rng(0)
+    paths = tmp_path / "june.ply", tmp_path / "may.ply"
+    for path, height in zip(paths, (1.0, 0.0), strict=True):
+        points = rng.random((20_000, 3)) * [10.0, 10.0, 0.02]
+        points[:, 2] += height * (np.hypot(*(points[:, :2] - 5.0).T) < 2.0)
+        write_points(path, PointCloud(points, origin=FAR))
+    return paths
+
+
+def test_volumes_are_a_table_json_a_page_and_a_picture(
+    epochs: tuple[Path, Path], tmp_path: Path
+) -> None:
+    page, picture = tmp_path / "p.html", tmp_path / "p.png"
+    table = run(*epochs, "--volume", "--html", page, "--png", picture).splitlines()
+    found = json.loads(run(*epochs, "--volume", "--json"))
+    fill = found["fill"]
+    assert abs(fill["volume"] - 4.0 * np.pi) < fill["uncertainty"] < 0.5
+    assert table[2].split()[:2] == ["fill", f"{fill['volume']:.1f}"]
+    assert "nothing is counted on" in table[-1]
+    text = page.read_text()
+    assert f"{fill['volume']:.1f}" in text
+    scene = json.loads(text.split('id="scene">')[1].split("</script>")[0])
+    assert scene["fields"][0]["name"] == "change"
+    assert scene["fields"][0]["sides"] == ["cut", "fill"]
+    assert 0.8 < scene["fields"][0]["high"] < 1.2
+    with Image.open(picture) as drawn:
+        pixels = np.asarray(drawn.convert("RGB")).reshape(-1, 3).astype(int)
+    red = (pixels[:, 0] - pixels[:, 1:].max(axis=1) > 60).mean()
+    blue = (pixels[:, 2] - pixels[:, :2].max(axis=1) > 60).mean()
+    assert red > 0.01 > 10.0 * blue  # the heap, and of blue the patch in the caption
+
+
+def test_a_shift_is_warned_of(
+    epochs: tuple[Path, Path], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    cloud = read_points(epochs[0])
+    moved = cloud.positions + np.array([0.0, 0.0, 0.1])
+    write_points(tmp_path / "moved.ply", PointCloud(moved, origin=cloud.origin))
+    run(*epochs, "--volume")
+    assert "register the two" not in caplog.text
+    run(tmp_path / "moved.ply", epochs[1], "--volume")
+    assert "register the two" in caplog.records.pop().getMessage()
+    found = json.loads(
+        run(tmp_path / "moved.ply", epochs[1], "--volume", "--registration", "0.01", "--json")
+    )
+    assert found["registration"] == 0.01
+    assert found["net"]["volume"] == pytest.approx(4.0 * np.pi + 10.0, rel=0.05)
+
+
+def test_options_of_the_other_kind_are_refused(epochs: tuple[Path, Path], cube: Path) -> None:
+    for words, problem in (
+        ((*epochs, "--volume", "--samples", "500"), "--samples is for distances"),
+        ((*epochs, "--volume", "--threshold", "1"), "--threshold is for distances"),
+        ((cube, cube, "--cell", "1"), "--cell is for volumes"),
+        ((cube, cube, "--png", "c.png"), "--png is for volumes"),
+    ):
+        with pytest.raises(UsageError, match=problem):
+            run(*words)
+    with pytest.raises(UsageError, match="is no scan"):
+        run(cube, "shape:knot", "--volume")

@@ -1,0 +1,1 @@
+"""What two epochs of one place differ by: cut, fill and net volume, and how sure they are."""

@@ -1,0 +1,253 @@
+"""Two epochs of one place, as meshes or as points, and what changed between them."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from hpcapp.applications.compare.truth import SHAPE, MeshTruth, check_usable
+from hpcapp.applications.compare.volume.lattice import (
+    Heights,
+    Lattice,
+    drop_heights,
+    fit_heights,
+)
+from hpcapp.applications.compare.volume.measure import Change, widen
+from hpcapp.applications.compare.volume.solids import measure_solids
+from hpcapp.applications.compare.volume.terrain import FEWEST_CELLS, measure_terrain
+from hpcapp.applications.surface.attributes.carrying import SUPPORT
+from hpcapp.applications.surface.job.report_page import GUESSED
+from hpcapp.applications.surface.stitching.topology import check_mesh
+from hpcapp.geometry.bounds import bound_points
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import BoolArray, FloatArray, IntArray, PointCloud
+from hpcapp.io import find_mesh_crs, holds_faces, open_points, read_mesh, read_points, take_finite
+from hpcapp.pages.thin import thin_mesh
+from hpccomponent.errors import InputError, UsageError
+
+log = logging.getLogger("hpcapp")
+
+_PER_CELL = 4.0  # points where they are sparse: as many as a plane needs, without its neighbours
+_SPARSE = 0.9  # share of the points that are denser
+_NEAREST = 16  # points that tell a density
+_TOLD = 200_000  # points whose density is told
+_ACROSS = 500  # cells along the longer side of meshes, at least
+_MOST_CELLS = 4_000_000
+_MOST_FACES = 500_000  # of a closed mesh that is shown: its distances are exact, 10 µs each
+_FEW_LAYERS = 0.01  # share of the common area: crowns and walls beyond are more than an oversight
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Epoch:
+    """One of two scans of a place.
+
+    Parameters
+    ----------
+    name : str
+        For errors.
+    surface : Mesh or PointCloud
+    unit : str
+        Of length; nothing where it is not known.
+    """
+
+    name: str
+    surface: Mesh | PointCloud
+    unit: str = ""
+
+    @property
+    def positions(self) -> FloatArray:
+        """The points, or the vertices of faces, shape (n, 3)."""
+        if isinstance(self.surface, PointCloud):
+            return self.surface.positions
+        return self.surface.vertices[np.unique(self.surface.faces)]
+
+    def turn(self, up: str, origin: FloatArray) -> Epoch:
+        """Return the epoch in a frame with this origin, with z up."""
+        turned = np.roll(self.surface.origin - origin, _find_turn(up))
+        if isinstance(self.surface, PointCloud):
+            places = np.roll(self.surface.positions, _find_turn(up), axis=1) + turned
+            return replace(self, surface=PointCloud(places))
+        places = np.roll(self.surface.vertices, _find_turn(up), axis=1) + turned
+        return replace(self, surface=replace(self.surface, vertices=places, origin=np.zeros(3)))
+
+    def choose_step(self) -> float:
+        """Return the width of cells that its points or faces are dense enough for."""
+        places = self.positions[:, :2]
+        every = -(-len(places) // _TOLD)
+        told = places[::every]
+        nearest = min(_NEAREST, len(told) - 1)
+        radius = float(np.quantile(KDTree(told).query(told, k=nearest + 1)[0][:, -1], _SPARSE))
+        step = radius * float(np.sqrt(np.pi * _PER_CELL / (nearest * every)))
+        if isinstance(self.surface, PointCloud):
+            return step
+        return min(step, float(np.ptp(places, axis=0).max()) / _ACROSS)
+
+    def read_heights(self, lattice: Lattice) -> Heights:
+        """Return its heights; guesswork of a mesh, which no point supports, is none."""
+        if isinstance(self.surface, PointCloud):
+            return fit_heights(self.surface.positions, lattice)
+        support = self.surface.attributes.get(SUPPORT)
+        if support is None:
+            return drop_heights(self.surface, lattice)
+        is_known: BoolArray = support <= GUESSED
+        corners = is_known[self.surface.faces]
+        return drop_heights(self.surface, lattice, corners[:, 0] & corners[:, 1] & corners[:, 2])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """What changed, and how to show it.
+
+    Parameters
+    ----------
+    change : Change
+    unit : str
+        Of length; nothing where it is not known.
+    show : callable
+        Returns the new surface in the frame of the input, and how far each vertex is in front of
+        the old one, shape (v,): NaN where that is not there.
+    """
+
+    change: Change
+    unit: str
+    show: Callable[[], tuple[Mesh, FloatArray]]
+
+
+def open_epoch(name: str) -> Epoch:
+    """Read a mesh, or points.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or has nothing in it.
+    UsageError
+        It is a shape, or its suffix is unknown.
+    """
+    if name.startswith(SHAPE):
+        raise UsageError(f"{name} is no scan", "give two meshes or two clouds of one place")
+    path = Path(name)
+    if holds_faces(path):
+        mesh = read_mesh(path)
+        check_usable(mesh, path)
+        return Epoch(name, mesh, find_mesh_crs(path).unit or "")
+    return Epoch(name, take_finite(read_points(path), name), open_points(path).unit or "")
+
+
+def measure_epochs(
+    new: Epoch,
+    old: Epoch,
+    up: str = "z",
+    step: float | None = None,
+    registration: float | None = None,
+) -> Measured:
+    """Measure what changed between two epochs of one place.
+
+    Parameters
+    ----------
+    up : {"x", "y", "z"}
+        The axis that points up.
+    step : float, optional
+        Width of a cell; by default as wide as the sparser epoch needs.
+    registration : float, optional
+        See `find_errors`.
+
+    Raises
+    ------
+    InputError
+        They have hardly any ground in common, or one is closed and the other is not.
+    """
+    origin, unit = new.surface.origin, new.unit or old.unit
+    turned = new.turn(up, origin), old.turn(up, origin)
+    solids = [_find_solid(epoch) for epoch in turned]
+    if solids[0] is not None and solids[1] is not None:
+        shown = [_turn_back(solid, up, origin) for solid in (solids[0], solids[1])]
+        change = measure_solids(solids[0], solids[1], registration, step)
+        return Measured(change, unit, lambda: _show_solid(shown[0], shown[1]))
+    if solids[0] is not None or solids[1] is not None:
+        closed, other = (new, old) if solids[0] is not None else (old, new)
+        raise InputError(
+            f"{closed.name} is a closed mesh and {other.name} is none",
+            "compare two closed meshes, or two terrains: points can be meshed, and holes filled, "
+            "by hpcapp reconstruct --close",
+        )
+    change, mesh, rise = _measure_heights(turned[0], turned[1], step, registration)
+    return Measured(change, unit, lambda: (_turn_back(mesh, up, origin), rise))
+
+
+def _measure_heights(
+    new: Epoch, old: Epoch, step: float | None, registration: float | None
+) -> tuple[Change, Mesh, FloatArray]:
+    """Return what changed between two terrains, and the new one as a mesh with its rise."""
+    low, high = bound_points(np.concatenate([new.positions, old.positions]))
+    least = float(np.sqrt(np.prod((high - low)[:2]) / _MOST_CELLS))
+    width = step or max(new.choose_step(), old.choose_step(), least)
+    if width < least:
+        raise UsageError(
+            f"cells {width:.3g} wide are more than {_MOST_CELLS:,}", f"give {least:.2g} or more"
+        )
+    changes = []
+    for one in (2.0 * width, width):
+        lattice = Lattice.over(low[:2], high[:2], one)
+        heights = new.read_heights(lattice), old.read_heights(lattice)
+        common = int(np.count_nonzero(np.isfinite(heights[0].values + heights[1].values)))
+        if common < FEWEST_CELLS * (width / one) ** 2:
+            raise InputError(
+                f"{new.name} and {old.name} have {common} cells in common, {one:.3g} wide",
+                f"give two scans of one place in one frame, or a --cell below {width:.2g}",
+            )
+        changes.append(measure_terrain(*heights, lattice, registration)[0])
+    change = widen(changes[1], changes[0])
+    if change.layered > _FEW_LAYERS * change.common:
+        log.warning(
+            "heights differ by more than a cell is wide on %.2g %% of the common area: crowns "
+            "and walls are counted as ground unless they are left out",
+            100.0 * change.layered / change.common,
+        )
+    mesh, rows = _mesh_heights(heights[0].values, lattice)
+    return change, mesh, (heights[0].values - heights[1].values).ravel()[rows]
+
+
+def _mesh_heights(heights: FloatArray, lattice: Lattice) -> tuple[Mesh, IntArray]:
+    """Return faces between the cells that have heights, and the cell of each vertex."""
+    places = np.concatenate([lattice.middles, heights[..., None]], axis=2).reshape(-1, 3)
+    number = np.arange(lattice.count).reshape(lattice.shape)
+    a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
+    faces = np.concatenate(
+        [np.stack(corners, axis=-1).reshape(-1, 3) for corners in ((a, b, d), (a, d, c))]
+    )
+    kept = faces[np.isfinite(places[faces, 2]).all(axis=1)]
+    rows, corner = np.unique(kept, return_inverse=True)
+    return Mesh(places[rows], corner.reshape(-1, 3)), rows
+
+
+def _find_solid(epoch: Epoch) -> Mesh | None:
+    """Return a closed mesh with its faces outwards; None of what is none."""
+    mesh = epoch.surface
+    if isinstance(mesh, PointCloud):
+        return None
+    topology = check_mesh(mesh)
+    if not (topology.watertight and topology.oriented):
+        return None
+    return mesh if topology.outward else replace(mesh, faces=mesh.faces[:, ::-1])
+
+
+def _show_solid(new: Mesh, old: Mesh) -> tuple[Mesh, FloatArray]:
+    shown = thin_mesh(new, _MOST_FACES)
+    truth = MeshTruth(old)
+    sides = truth.find_sides(shown.vertices)
+    distances = truth.distance(shown.vertices)
+    return shown, distances if sides is None else sides * distances
+
+
+def _find_turn(up: str) -> int:
+    return 2 - "xyz".index(up)
+
+
+def _turn_back(mesh: Mesh, up: str, origin: FloatArray) -> Mesh:
+    places = np.roll(mesh.vertices, -_find_turn(up), axis=1)
+    return Mesh(places, mesh.faces, origin, None, mesh.colours, mesh.attributes)

@@ -1,0 +1,141 @@
+"""What changed between two epochs for people: a table, a page and a picture."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from html import escape
+from pathlib import Path
+
+import numpy as np
+
+from hpcapp.applications.compare.volume.epochs import Measured
+from hpcapp.applications.compare.volume.measure import Change
+from hpcapp.geometry.points import ByteArray, FloatArray
+from hpcapp.pages.drawing.camera import look_along
+from hpcapp.pages.drawing.caption import add_caption
+from hpcapp.pages.drawing.scale_bar import add_scale_bar
+from hpcapp.pages.page import Section, build_page
+from hpcapp.pages.png import write_png
+from hpcapp.pages.render import draw_mesh
+from hpcapp.pages.scene import Field, Scene, fields_of
+from hpcapp.wording import say_number
+
+HEAD = ("", "volume", "uncertainty", "area")
+_CUT, _SAME, _FILL, _UNKNOWN = (38, 92, 186), (236, 236, 232), (196, 42, 38), (150, 150, 150)
+_TOP = 0.95  # share of what changed that the colours tell apart
+_SIZE = 1000  # pixels along a side
+_EYES = {"terrain": (-120.0, 50.0), "closed": (30.0, 20.0)}  # azimuth and elevation, in degrees
+
+
+def list_volumes(change: Change, unit: str) -> list[tuple[str, str, str, str]]:
+    """Return the rows of a table: name, volume, uncertainty and area."""
+    cubed, squared = _raise_unit(unit)
+    return [
+        (name, say_number(one.volume, cubed), f"± {say_number(one.uncertainty, cubed)}",
+         say_number(one.area, squared))
+        for name, one in (("cut", change.cut), ("fill", change.fill), ("net", change.net))
+    ]  # fmt: skip
+
+
+def list_notes(change: Change, unit: str) -> list[str]:
+    """Return what the volumes mean, and what they leave out, a sentence each."""
+    _, squared = _raise_unit(unit)
+
+    def say(number: float) -> str:
+        return say_number(number, unit)
+
+    moved = ", ".join(say_number(along) for along in change.shift)
+    notes = [
+        f"{100.0 * change.confidence:.0f} % of such volumes are off by their uncertainty at most",
+        f"where nothing changed, NEW is shifted by {moved}{f' {unit}' if unit else ''} (x, y, z) "
+        f"and scatters by {say(change.noise)}; from {say(change.detectable)} on a place has "
+        "changed",
+    ]
+    if change.kind == "closed":
+        if change.offset:
+            notes.append(f"and lies {say(change.offset)} outside of OLD all over")
+        return [*notes, "both are closed: what one of them encloses alone is counted"]
+    notes.append(
+        f"both cover {say_number(change.common, squared)} in cells {say(change.cell)} wide; "
+        f"nothing is counted on {say_number(change.only_new, squared)} that only NEW covers, and "
+        f"on {say_number(change.only_old, squared)} that only OLD covers"
+    )
+    return notes
+
+
+def doubt(change: Change, unit: str) -> str | None:
+    """Say that the epochs are not registered, where most of the uncertainty is a shift."""
+    if 2.0 * change.net.from_shift <= change.net.uncertainty:
+        return None
+    moved = " ".join(say_number(along, unit) for along in change.shift)
+    return (
+        f"most of the uncertainty is a shift of NEW by {moved}: register the two, or say how well "
+        "they are registered by --registration"
+    )
+
+
+def make_page(new: str, old: str, measured: Measured, up: str) -> str:
+    """Return a page (HTML) with the new surface, coloured by what changed."""
+    mesh, values = measured.show()
+    field = Field(
+        "change", "Change", values, measured.unit, is_signed=True, sides=("cut", "fill"),
+        high=_find_end(measured.change, values),
+    )  # fmt: skip
+    scene = Scene(mesh, [field, *fields_of(mesh)], up=up, colouring="change", unit=measured.unit)
+    rows = "".join(
+        f"<tr><th>{escape(name)}</th>"
+        + "".join(f'<td class="number">{escape(cell)}</td>' for cell in cells)
+        + "</tr>\n"
+        for name, *cells in list_volumes(measured.change, measured.unit)
+    )
+    head = "".join(f'<th class="number">{name}</th>' for name in HEAD[1:])
+    notes = "".join(f"<p>{escape(n)}</p>" for n in list_notes(measured.change, measured.unit))
+    if doubted := doubt(measured.change, measured.unit):
+        notes = f"<p>{escape(doubted)}</p>{notes}"
+    table = f"<table>\n<tr><th></th>{head}</tr>\n{rows}</table>\n{notes}"
+    return build_page(
+        Path(new).name, f"what changed since {old}", scene, [Section("Volumes", table)]
+    )
+
+
+def write_picture(path: Path, measured: Measured, up: str) -> None:
+    """Draw the new surface, coloured by what changed, with the volumes.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    mesh, values = measured.show()
+    end = _find_end(measured.change, values)
+    shown = replace(mesh, colours=_colour(values, end))
+    axes = look_along(*_EYES[measured.change.kind], up)
+    picture, pixels_per_unit = draw_mesh(shown, axes, _SIZE, up)
+    names = {"cut": _CUT, "fill": _FILL}
+    lines = [
+        (names.get(name), f"{name}  {volume} {uncertainty}  on {area}")
+        for name, volume, uncertainty, area in list_volumes(measured.change, measured.unit)
+    ]
+    if measured.change.only_new:
+        lines.append((_UNKNOWN, "not in OLD"))
+    write_png(path, add_caption(add_scale_bar(picture, pixels_per_unit, measured.unit), lines))
+
+
+def _find_end(change: Change, values: FloatArray) -> float:
+    """Return the change that has the darkest colour: most of those that are one are below."""
+    changed = np.abs(values[np.abs(np.nan_to_num(values)) > change.detectable])
+    return float(np.quantile(changed, _TOP)) if len(changed) else change.detectable or 1.0
+
+
+def _colour(values: FloatArray, end: float) -> ByteArray:
+    """Return colours from blue (cut) by white to red (fill), grey where nothing is known."""
+    share = np.clip(np.nan_to_num(values) / end, -1.0, 1.0)[:, None]
+    ends = np.where(share < 0.0, np.array(_CUT), np.array(_FILL))
+    mixed = np.abs(share) * ends + (1.0 - np.abs(share)) * np.array(_SAME)
+    mixed[~np.isfinite(values)] = _UNKNOWN
+    colours: ByteArray = np.rint(mixed).astype(np.uint8)
+    return colours
+
+
+def _raise_unit(unit: str) -> tuple[str, str]:
+    return (f"{unit}³", f"{unit}²") if unit else ("", "")
