@@ -18,7 +18,13 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from hpcapp.api.awaiting import reconstruct_async
-    from hpcapp.api.comparison import Change, Comparison, compare, compare_epochs
+    from hpcapp.api.comparison import (
+        Change,
+        Comparison,
+        SolidChange,
+        compare,
+        compare_epochs,
+    )
     from hpcapp.api.mesh import Mesh, read_mesh
     from hpcapp.api.reconstruction import reconstruct
     from hpcapp.api.simulation import simulate
@@ -52,6 +58,7 @@ __all__ = [
     "OutputError",
     "Paper",
     "PointCloud",
+    "SolidChange",
     "UsageError",
     "compare",
     "compare_epochs",
@@ -67,7 +74,7 @@ __all__ = [
 _ERRORS = "hpccomponent.errors"
 _HOMES = {
     "hpcapp.api.awaiting": ("reconstruct_async",),
-    "hpcapp.api.comparison": ("Change", "Comparison", "compare", "compare_epochs"),
+    "hpcapp.api.comparison": ("Change", "Comparison", "SolidChange", "compare", "compare_epochs"),
     "hpcapp.api.mesh": ("Mesh", "read_mesh"),
     "hpcapp.api.reconstruction": ("reconstruct",),
     "hpcapp.api.simulation": ("simulate",),

@@ -16,7 +16,7 @@ from hpcapp.api.mesh import Mesh, unwrap_mesh
 from hpcapp.applications.compare.metrics import F_THRESHOLDS, Measures, as_json, measure_mesh
 from hpcapp.applications.compare.truth import MeshTruth, PointTruth, Truth, check_usable, open_truth
 from hpcapp.applications.compare.volume.epochs import Epoch, measure_epochs, open_epoch
-from hpcapp.applications.compare.volume.measure import Change
+from hpcapp.applications.compare.volume.measure import Change, SolidChange
 from hpcapp.geometry import mesh as plain
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import formats
@@ -172,8 +172,11 @@ def compare_epochs(
     up: Literal["x", "y", "z"] = "z",
     cell: float | None = None,
     registration: float | None = None,
-) -> Change:
+) -> Change | SolidChange:
     """Measure what changed between two epochs, as ``hpcapp compare --volume`` does.
+
+    Of two closed meshes that is what they enclose (`SolidChange`); of all others, what was cut and
+    filled of a terrain (`Change`).
 
     Parameters
     ----------
@@ -182,7 +185,7 @@ def compare_epochs(
     up : {"x", "y", "z"}
         The axis that points up.
     cell : float, optional
-        Width of a cell seen from above; by default as the sparser epoch needs.
+        Width of a cell of terrain, seen from above; by default as the sparser epoch needs.
     registration : float, optional
         Standard deviation of the shift between both; by default the shift where nothing changed.
 
@@ -191,7 +194,7 @@ def compare_epochs(
     InputError
         They have hardly any ground in common, or only one of them is closed.
     UsageError
-        Another argument is out of its range, or a suffix is unknown.
+        Another argument is out of its range or does not fit, or a suffix is unknown.
 
     Examples
     --------

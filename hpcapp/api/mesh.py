@@ -16,7 +16,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hpcapp.api.arrays import check_colours, check_column, check_faces, check_rows
-from hpcapp.applications.surface.stitching.topology import Topology, check_mesh, signed_volume
+from hpcapp.applications.surface.stitching.topology import (
+    Topology,
+    check_mesh,
+    signed_volume,
+    surface_area,
+)
 from hpcapp.geometry import mesh as plain
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.points import ByteArray, FloatArray, IntArray, PointCloud
@@ -156,8 +161,7 @@ class Mesh:
     @cached_property
     def area(self) -> float:
         """Of all faces, in squared units of the input."""
-        a, b, c = self._plain.vertices[self._plain.faces].transpose(1, 0, 2)
-        return float(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+        return surface_area(self._plain)
 
     @property
     def is_watertight(self) -> bool:

@@ -89,7 +89,7 @@ GROUPS = {
     "--cell",
     type=click.FloatRange(0, min_open=True),
     metavar="LENGTH",
-    help="Width of a cell seen from above.  [default: as the sparser epoch needs]",
+    help="Width of a cell of terrain, seen from above.  [default: as the sparser epoch needs]",
 )
 @click.option(
     "--registration",
@@ -195,11 +195,11 @@ def _measure_volume(
     if as_json:
         echo_json(to_json(change, unit))
     else:
-        table = [page.HEAD, *page.list_volumes(change, unit)]
+        table = [page.HEAD, *page.list_rows(change, unit)]
         widths = [max(map(len, column)) for column in zip(*table, strict=True)]
         for name, *cells in table:
             columns = (f"{one:>{w}}" for one, w in zip(cells, widths[1:], strict=True))
-            echo("  ".join([f"{name:{widths[0]}}", *columns]))
+            echo("  ".join([f"{name:{widths[0]}}", *columns]).rstrip())
         for note in page.list_notes(change, unit):
             echo(note)
     if doubted := page.doubt(change, unit):

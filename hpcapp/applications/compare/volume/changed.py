@@ -6,7 +6,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from hpcapp.applications.compare.volume.errors import Errors, Samples
+from hpcapp.applications.compare.volume.errors import STAYED, Errors, Samples
 from hpcapp.geometry.points import IntArray
 
 
@@ -14,8 +14,8 @@ def find_changed(samples: Samples, errors: Errors, pairs: IntArray) -> IntArray:
     """Return 1 for what was filled, -1 for what was cut, and 0 where no change is told.
 
     A region begins with neighbours whose changes each stand out of the noise. It grows ring by
-    ring as long as the volume of the next ring does: the foot of a heap is thinner than the noise
-    of a single piece, and is part of the heap all the same.
+    ring as long as the volume of the next ring does, too: the foot of a heap is thinner than the
+    noise of a single piece, and is part of the heap all the same.
 
     Parameters
     ----------
@@ -36,7 +36,9 @@ def find_changed(samples: Samples, errors: Errors, pairs: IntArray) -> IntArray:
         ring = np.flatnonzero(claim)
         owner = claim[ring]
         volume = samples.area * np.bincount(owner, change[ring], len(sides))
-        is_growing = sides * volume > errors.bound_noise(samples, ring, owner, len(sides))
+        is_growing = sides * volume > STAYED * errors.find_deviations(
+            samples, ring, owner, len(sides)
+        )
         if not is_growing.any():
             return sides[region]
         ring = ring[is_growing[owner]]

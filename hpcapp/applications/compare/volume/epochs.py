@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from hpcapp.applications.compare.volume.lattice import (
     drop_heights,
     fit_heights,
 )
-from hpcapp.applications.compare.volume.measure import Change, widen
+from hpcapp.applications.compare.volume.measure import Change, SolidChange, widen
 from hpcapp.applications.compare.volume.solids import measure_solids
 from hpcapp.applications.compare.volume.terrain import FEWEST_CELLS, measure_terrain
 from hpcapp.applications.surface.attributes.carrying import SUPPORT
@@ -105,7 +106,7 @@ class Measured:
 
     Parameters
     ----------
-    change : Change
+    change : Change or SolidChange
     unit : str
         Of length; nothing where it is not known.
     show : callable
@@ -113,7 +114,7 @@ class Measured:
         the old one, shape (v,): NaN where that is not there.
     """
 
-    change: Change
+    change: Change | SolidChange
     unit: str
     show: Callable[[], tuple[Mesh, FloatArray]]
 
@@ -152,7 +153,7 @@ def measure_epochs(
     up : {"x", "y", "z"}
         The axis that points up.
     step : float, optional
-        Width of a cell; by default as wide as the sparser epoch needs.
+        Width of a cell of terrain; by default as wide as the sparser epoch needs.
     registration : float, optional
         See `find_errors`.
 
@@ -160,23 +161,26 @@ def measure_epochs(
     ------
     InputError
         They have hardly any ground in common, or one is closed and the other is not.
+    UsageError
+        Cells are too small, or their width is given for closed meshes.
     """
     origin, unit = new.surface.origin, new.unit or old.unit
-    turned = new.turn(up, origin), old.turn(up, origin)
-    solids = [_find_solid(epoch) for epoch in turned]
-    if solids[0] is not None and solids[1] is not None:
-        shown = [_turn_back(solid, up, origin) for solid in (solids[0], solids[1])]
-        change = measure_solids(solids[0], solids[1], registration, step)
-        return Measured(change, unit, lambda: _show_solid(shown[0], shown[1]))
-    if solids[0] is not None or solids[1] is not None:
-        closed, other = (new, old) if solids[0] is not None else (old, new)
+    new_solid, old_solid = _find_solid(new, origin), _find_solid(old, origin)
+    if new_solid is not None and old_solid is not None:
+        if step is not None:
+            raise UsageError("closed meshes have no cells seen from above", "leave --cell out")
+        change = measure_solids(new_solid, old_solid, registration)
+        return Measured(change, unit, partial(_show_solid, new_solid, old_solid))
+    if new_solid is not None or old_solid is not None:
+        closed, other = (new, old) if new_solid is not None else (old, new)
         raise InputError(
             f"{closed.name} is a closed mesh and {other.name} is none",
             "compare two closed meshes, or two terrains: points can be meshed, and holes filled, "
             "by hpcapp reconstruct --close",
         )
-    change, mesh, rise = _measure_heights(turned[0], turned[1], step, registration)
-    return Measured(change, unit, lambda: (_turn_back(mesh, up, origin), rise))
+    turned = new.turn(up, origin), old.turn(up, origin)
+    rise, mesh, heights = _measure_heights(turned[0], turned[1], step, registration)
+    return Measured(rise, unit, lambda: (_turn_back(mesh, up, origin), heights))
 
 
 def _measure_heights(
@@ -225,11 +229,12 @@ def _mesh_heights(heights: FloatArray, lattice: Lattice) -> tuple[Mesh, IntArray
     return Mesh(places[rows], corner.reshape(-1, 3)), rows
 
 
-def _find_solid(epoch: Epoch) -> Mesh | None:
-    """Return a closed mesh with its faces outwards; None of what is none."""
+def _find_solid(epoch: Epoch, origin: FloatArray) -> Mesh | None:
+    """Return a closed mesh in a frame with this origin, faces outwards; None of what is none."""
     mesh = epoch.surface
     if isinstance(mesh, PointCloud):
         return None
+    mesh = replace(mesh, vertices=mesh.vertices + (mesh.origin - origin), origin=origin)
     topology = check_mesh(mesh)
     if not (topology.watertight and topology.oriented):
         return None

@@ -20,7 +20,8 @@ CONFIDENCE = 0.95
 """Of the uncertainties that are said."""
 LIKELY = float(norm.isf(0.5 - 0.5 * CONFIDENCE))
 """Standard deviations within which such a share of a normal distribution is."""
-_STAYED = 3.0  # standard deviations within which nothing changed: of noise 3 in 1,000 are beyond
+STAYED = 3.0
+"""Standard deviations within which nothing changed: of noise 3 in 1,000 are beyond."""
 _TO_DEVIATION = 1.0 / float(norm.isf(0.25))  # from the median of absolute errors
 _ROUNDS = 50
 _AXES = 3
@@ -87,12 +88,13 @@ class Errors:
 
     def sum_noise(self, samples: Samples, rows: IntArray) -> float:
         """Return the rest of the uncertainty of that volume."""
-        return float(self.bound_noise(samples, rows, np.zeros(len(rows), dtype=np.int64), 1)[0])
+        owner = np.zeros(len(rows), dtype=np.int64)
+        return LIKELY * float(self.find_deviations(samples, rows, owner, 1)[0])
 
-    def bound_noise(
+    def find_deviations(
         self, samples: Samples, rows: IntArray, owner: IntArray, count: int
     ) -> FloatArray:
-        """Return the uncertainties of so many volumes, less the bias, at that `CONFIDENCE`.
+        """Return the standard deviations of so many volumes, less the bias.
 
         Parameters
         ----------
@@ -107,15 +109,15 @@ class Errors:
             self._spread(np.stack(columns, axis=1))
             + np.bincount(owner, samples.relief[rows], count)
         )
-        bounds: FloatArray = LIKELY * np.sqrt(variance + self.density * area)
-        return bounds
+        deviations: FloatArray = np.sqrt(variance + self.density * area)
+        return deviations
 
     def detect(self, samples: Samples) -> FloatArray:
         """Return the smallest change of each sample, less the bias, that is none of the noise.
 
-        So far away that, among as many samples, half a one is expected by noise alone.
+        So far away that, at that `CONFIDENCE`, none among as many samples is by noise alone.
         """
-        far = float(norm.isf(0.25 / len(samples.change)))
+        far = float(norm.isf(0.5 * (1.0 - CONFIDENCE) / len(samples.change)))
         noise = self.noise * samples.spread
         limits: FloatArray = far * np.sqrt(self._spread(samples.effect) + noise**2)
         return limits
@@ -155,12 +157,12 @@ def _fit_shift(samples: Samples) -> tuple[FloatArray, BoolArray]:
     shift = np.zeros(effect.shape[1])
     residual = change - np.median(change)
     scale = _TO_DEVIATION * float(np.median(np.abs(residual)))
-    stayed = np.abs(residual) <= _STAYED * scale + least
+    stayed = np.abs(residual) <= STAYED * scale + least
     for _ in range(_ROUNDS):
         shift = np.linalg.lstsq(effect[stayed], change[stayed], rcond=1e-9)[0].astype(np.float64)
         residual = np.abs(change - effect @ shift)
         scale = _TO_DEVIATION * float(np.median(residual[stayed]))
-        last, stayed = stayed, residual <= _STAYED * scale + least
+        last, stayed = stayed, residual <= STAYED * scale + least
         if np.array_equal(last, stayed):
             break
     return shift, stayed

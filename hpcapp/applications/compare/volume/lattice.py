@@ -13,6 +13,8 @@ from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 _OFFSET = (0.3819660112501051, 0.4142135623730951)
 """Of the lattice, in cells: irrational, so that no line through a middle meets an edge of a mesh
 whose coordinates are round."""
+PLANES_PER_POINT = 9.0
+"""A point has its part in the planes of so many cells: in a sum of heights their errors add up."""
 _FEWEST = 4  # points of a plane: one more than it has numbers
 _AWAY = 0.5  # cells between the middle and the mean of the points that tell its height
 _RIDGE = 1e-6  # cells squared, of a spread: points on one line have no slope across
@@ -126,8 +128,7 @@ def fit_heights(points: FloatArray, lattice: Lattice) -> Heights:
     # two layers one width apart scatter by half of it
     is_layered = is_known & (scatter > 0.25 * lattice.step**2)
     values = np.where(is_known, heights, np.nan)
-    # each point has its part in the planes of nine cells, so that their errors add up
-    relief = 9.0 * np.maximum(scatter - noise, 0.0) / count
+    relief = PLANES_PER_POINT * np.maximum(scatter - noise, 0.0) / count
     return Heights(values, noise * (1.0 + away) / count, relief, is_layered)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from math import hypot
 
 import numpy as np
@@ -39,15 +39,18 @@ class Volume:
     from_shift: float
     area: float
 
+    @property
+    def is_significant(self) -> bool:
+        """Whether it is more than its uncertainty."""
+        return abs(self.volume) > self.uncertainty
+
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """What two epochs of one place differ by.
+    """What two epochs of a terrain differ by.
 
     Parameters
     ----------
-    kind : {"terrain", "closed"}
-        Heights along up, or what two closed meshes enclose.
     cut, fill, net : Volume
         What is gone, what was added, and the second less the first.
     common, only_new, only_old : float
@@ -56,9 +59,6 @@ class Change:
         Area with several heights over one place, of which the highest or the mean counts.
     shift : tuple of 3 floats
         Of the new epoch against the old one, where nothing changed, along x, y and z.
-    offset : float or None
-        Of closed meshes: how far all of the surface lies outside of the old one, where nothing
-        changed.
     registration : float or None
         What the user says of it.
     noise : float
@@ -71,7 +71,6 @@ class Change:
         Share of the volumes that are within their uncertainty.
     """
 
-    kind: str
     cut: Volume
     fill: Volume
     net: Volume
@@ -80,11 +79,43 @@ class Change:
     only_old: float
     layered: float
     shift: tuple[float, float, float]
-    offset: float | None
     registration: float | None
     noise: float
     detectable: float
     cell: float
+    confidence: float = CONFIDENCE
+
+
+@dataclass(frozen=True, slots=True)
+class SolidChange:
+    """What two closed meshes differ by.
+
+    Parameters
+    ----------
+    new, old, net : Volume
+        What they enclose, and the first less the second; of the areas of their surfaces.
+    shift : tuple of 3 floats
+        Of the new mesh against the old one, where nothing changed, along x, y and z.
+    offset : float
+        How far all of the new surface lies outside of the old one, where nothing changed.
+    registration : float or None
+        What the user says of it.
+    noise : float
+        Standard deviation of a distance where nothing changed.
+    detectable : float
+        The smallest distance that noise alone does not make.
+    confidence : float
+        Share of the volumes that are within their uncertainty.
+    """
+
+    new: Volume
+    old: Volume
+    net: Volume
+    shift: tuple[float, float, float]
+    offset: float
+    registration: float | None
+    noise: float
+    detectable: float
     confidence: float = CONFIDENCE
 
 
@@ -133,9 +164,19 @@ def widen(change: Change, coarse: Change) -> Change:
     )
 
 
-def as_json(change: Change, unit: str) -> dict[str, object]:
+def list_volumes(change: Change | SolidChange) -> dict[str, Volume]:
+    """Return the volumes of a change by their names."""
+    values = {field.name: getattr(change, field.name) for field in fields(change)}
+    return {name: value for name, value in values.items() if isinstance(value, Volume)}
+
+
+def as_json(change: Change | SolidChange, unit: str) -> dict[str, object]:
     """Return a change as plain values."""
-    return asdict(change) | {"unit": unit or None}
+    volumes = {
+        name: asdict(one) | {"is_significant": one.is_significant}
+        for name, one in list_volumes(change).items()
+    }
+    return asdict(change) | volumes | {"unit": unit or None}
 
 
 def name_shift(shift: FloatArray) -> tuple[float, float, float]:

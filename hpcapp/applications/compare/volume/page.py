@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from hpcapp.applications.compare.volume.epochs import Measured
-from hpcapp.applications.compare.volume.measure import Change
+from hpcapp.applications.compare.volume.measure import Change, SolidChange, list_volumes
 from hpcapp.geometry.points import ByteArray, FloatArray
 from hpcapp.pages.drawing.camera import look_along
-from hpcapp.pages.drawing.caption import add_caption
+from hpcapp.pages.drawing.caption import Colour, add_caption
 from hpcapp.pages.drawing.scale_bar import add_scale_bar
 from hpcapp.pages.page import Section, build_page
 from hpcapp.pages.png import write_png
@@ -20,24 +20,25 @@ from hpcapp.pages.render import draw_mesh
 from hpcapp.pages.scene import Field, Scene, fields_of
 from hpcapp.wording import say_number
 
-HEAD = ("", "volume", "uncertainty", "area")
+HEAD = ("", "volume", "uncertainty", "area", "")
 _CUT, _SAME, _FILL, _UNKNOWN = (38, 92, 186), (236, 236, 232), (196, 42, 38), (150, 150, 150)
 _TOP = 0.95  # share of what changed that the colours tell apart
 _SIZE = 1000  # pixels along a side
-_EYES = {"terrain": (-120.0, 50.0), "closed": (30.0, 20.0)}  # azimuth and elevation, in degrees
+_SIDES = {Change: ("cut", "fill"), SolidChange: ("inside OLD", "outside of OLD")}
+_EYE = (-120.0, 50.0)  # azimuth and elevation, in degrees
 
 
-def list_volumes(change: Change, unit: str) -> list[tuple[str, str, str, str]]:
-    """Return the rows of a table: name, volume, uncertainty and area."""
+def list_rows(change: Change | SolidChange, unit: str) -> list[tuple[str, str, str, str, str]]:
+    """Return the rows of a table: name, volume, uncertainty, area, and what is no change."""
     cubed, squared = _raise_unit(unit)
     return [
         (name, say_number(one.volume, cubed), f"± {say_number(one.uncertainty, cubed)}",
-         say_number(one.area, squared))
-        for name, one in (("cut", change.cut), ("fill", change.fill), ("net", change.net))
+         say_number(one.area, squared), "" if one.is_significant else "no change is told")
+        for name, one in list_volumes(change).items()
     ]  # fmt: skip
 
 
-def list_notes(change: Change, unit: str) -> list[str]:
+def list_notes(change: Change | SolidChange, unit: str) -> list[str]:
     """Return what the volumes mean, and what they leave out, a sentence each."""
     _, squared = _raise_unit(unit)
 
@@ -45,28 +46,39 @@ def list_notes(change: Change, unit: str) -> list[str]:
         return say_number(number, unit)
 
     moved = ", ".join(say_number(along) for along in change.shift)
-    notes = [
-        f"{100.0 * change.confidence:.0f} % of such volumes are off by their uncertainty at most",
+    known = (
+        f"{100.0 * change.confidence:.0f} % of such volumes are off by their uncertainty at most"
+    )
+    where = (
         f"where nothing changed, NEW is shifted by {moved}{f' {unit}' if unit else ''} (x, y, z) "
-        f"and scatters by {say(change.noise)}; from {say(change.detectable)} on a place has "
-        "changed",
-    ]
-    if change.kind == "closed":
-        if change.offset:
-            notes.append(f"and lies {say(change.offset)} outside of OLD all over")
-        return [*notes, "both are closed: what one of them encloses alone is counted"]
-    notes.append(
+        f"and scatters by {say(change.noise)}"
+    )
+    if isinstance(change, SolidChange):
+        return [
+            known,
+            f"{where}; it lies {say(change.offset)} outside of OLD all over",
+            "both are closed: net is what NEW encloses less what OLD encloses, and does not depend "
+            "on where they lie",
+        ]
+    return [
+        known,
+        f"{where}; from {say(change.detectable)} on a place has changed",
         f"both cover {say_number(change.common, squared)} in cells {say(change.cell)} wide; "
         f"nothing is counted on {say_number(change.only_new, squared)} that only NEW covers, and "
-        f"on {say_number(change.only_old, squared)} that only OLD covers"
-    )
-    return notes
+        f"on {say_number(change.only_old, squared)} that only OLD covers",
+    ]
 
 
-def doubt(change: Change, unit: str) -> str | None:
-    """Say that the epochs are not registered, where most of the uncertainty is a shift."""
+def doubt(change: Change | SolidChange, unit: str) -> str | None:
+    """Say where most of the uncertainty is how the epochs lie to each other."""
     if 2.0 * change.net.from_shift <= change.net.uncertainty:
         return None
+    if isinstance(change, SolidChange):
+        return (
+            f"most of the uncertainty is that NEW lies {say_number(change.offset, unit)} outside "
+            "of OLD all over, as other noise or another scanner makes it: if it did grow, say so "
+            "by --registration 0"
+        )
     moved = " ".join(say_number(along, unit) for along in change.shift)
     return (
         f"most of the uncertainty is a shift of NEW by {moved}: register the two, or say how well "
@@ -78,15 +90,15 @@ def make_page(new: str, old: str, measured: Measured, up: str) -> str:
     """Return a page (HTML) with the new surface, coloured by what changed."""
     mesh, values = measured.show()
     field = Field(
-        "change", "Change", values, measured.unit, is_signed=True, sides=("cut", "fill"),
-        high=_find_end(measured.change, values),
+        "change", "Change", values, measured.unit, is_signed=True,
+        sides=_SIDES[type(measured.change)], high=_find_end(measured.change, values),
     )  # fmt: skip
     scene = Scene(mesh, [field, *fields_of(mesh)], up=up, colouring="change", unit=measured.unit)
     rows = "".join(
         f"<tr><th>{escape(name)}</th>"
         + "".join(f'<td class="number">{escape(cell)}</td>' for cell in cells)
         + "</tr>\n"
-        for name, *cells in list_volumes(measured.change, measured.unit)
+        for name, *cells in list_rows(measured.change, measured.unit)
     )
     head = "".join(f'<th class="number">{name}</th>' for name in HEAD[1:])
     notes = "".join(f"<p>{escape(n)}</p>" for n in list_notes(measured.change, measured.unit))
@@ -107,21 +119,20 @@ def write_picture(path: Path, measured: Measured, up: str) -> None:
         The file cannot be written.
     """
     mesh, values = measured.show()
-    end = _find_end(measured.change, values)
-    shown = replace(mesh, colours=_colour(values, end))
-    axes = look_along(*_EYES[measured.change.kind], up)
+    shown = replace(mesh, colours=_colour(values, _find_end(measured.change, values)))
+    axes = look_along(*_EYE, up)
     picture, pixels_per_unit = draw_mesh(shown, axes, _SIZE, up)
-    names = {"cut": _CUT, "fill": _FILL}
-    lines = [
-        (names.get(name), f"{name}  {volume} {uncertainty}  on {area}")
-        for name, volume, uncertainty, area in list_volumes(measured.change, measured.unit)
+    lines: list[tuple[Colour | None, str]] = [
+        (None, f"{name}  {volume} {uncertainty}  {told or f'on {area}'}")
+        for name, volume, uncertainty, area, told in list_rows(measured.change, measured.unit)
     ]
-    if measured.change.only_new:
+    lines += zip((_CUT, _FILL), _SIDES[type(measured.change)], strict=True)
+    if not np.isfinite(values).all():
         lines.append((_UNKNOWN, "not in OLD"))
     write_png(path, add_caption(add_scale_bar(picture, pixels_per_unit, measured.unit), lines))
 
 
-def _find_end(change: Change, values: FloatArray) -> float:
+def _find_end(change: Change | SolidChange, values: FloatArray) -> float:
     """Return the change that has the darkest colour: most of those that are one are below."""
     changed = np.abs(values[np.abs(np.nan_to_num(values)) > change.detectable])
     return float(np.quantile(changed, _TOP)) if len(changed) else change.detectable or 1.0

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from hpcapp.applications.compare.volume.errors import Samples
-from hpcapp.applications.compare.volume.lattice import Heights, Lattice
+from hpcapp.applications.compare.volume.lattice import PLANES_PER_POINT, Heights, Lattice
 from hpcapp.applications.compare.volume.measure import Change, measure_samples, name_shift
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 
@@ -35,23 +35,24 @@ def measure_terrain(
     is_common = has_new & has_old
     area = lattice.step**2
     rows, columns = np.nonzero(is_common)
+    relief = (new.relief + old.relief)[is_common]
     samples = Samples(
         (new.values - old.values)[is_common],
         _find_effects(0.5 * (new.values + old.values), is_common, lattice.step),
         np.stack([columns, rows, np.zeros_like(rows)], axis=1).astype(np.float64),
         area,
-        _find_spread((new.variances + old.variances)[is_common]),
-        (new.relief + old.relief)[is_common],
+        _find_spread((new.variances + old.variances)[is_common] + relief / PLANES_PER_POINT),
+        relief,
     )
     errors, side, (cut, fill, net) = measure_samples(samples, _pair_cells(is_common), registration)
     whole = np.zeros(lattice.shape, dtype=np.int64)
     whole[is_common] = side
     change = Change(
-        "terrain", cut, fill, net, area * len(rows),
+        cut, fill, net, area * len(rows),
         area * int(np.count_nonzero(has_new & ~has_old)),
         area * int(np.count_nonzero(has_old & ~has_new)),
         area * int(np.count_nonzero(is_common & (new.is_layered | old.is_layered))),
-        name_shift(errors.shift), None, registration, errors.noise,
+        name_shift(errors.shift), registration, errors.noise,
         float(np.median(errors.detect(samples))), lattice.step,
     )  # fmt: skip
     return change, whole

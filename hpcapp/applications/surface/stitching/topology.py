@@ -128,6 +128,12 @@ def signed_volume(mesh: Mesh) -> float:
     return kernels.signed_volume(mesh.vertices, mesh.faces, mesh.vertices.mean(axis=0))
 
 
+def surface_area(mesh: Mesh) -> float:
+    """Return the area of all faces, in squared length units of the input."""
+    a, b, c = mesh.vertices[mesh.faces].transpose(1, 0, 2)
+    return float(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+
+
 def count_loops(tails: IntArray, heads: IntArray) -> int:
     """Count the loops that some edges form.
 

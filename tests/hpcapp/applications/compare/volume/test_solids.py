@@ -7,8 +7,8 @@ import pytest
 from skimage.measure import marching_cubes
 
 import hpcapp
-from hpcapp.applications.compare.volume.measure import Volume
-from hpccomponent.errors import InputError
+from hpcapp.applications.compare.volume.measure import SolidChange
+from hpccomponent.errors import InputError, UsageError
 
 CORNERS = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
 FACES = np.array([
@@ -18,69 +18,104 @@ FACES = np.array([
 FAR = np.array([4e5, 5e6, 0.0])
 
 
-def block(*sides: float, at: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> hpcapp.Mesh:
-    return hpcapp.Mesh(CORNERS * sides + at + FAR, FACES)
+TRUE = {"bracket": 99_470.0, "knot": 1_927.0, "box": 1.6967}
+"""Volumes of the shapes, by a grid of 160 and of 80 cells."""
 
 
-def ball(radius: float) -> hpcapp.Mesh:
+def block() -> hpcapp.Mesh:
+    return hpcapp.Mesh(CORNERS + FAR, FACES)
+
+
+def ball(radius: float, at: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> hpcapp.Mesh:
     axis = np.linspace(-1.3, 1.3, 50)
     value = np.linalg.norm(np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1), axis=-1)
     # scikit-image has no types
     vertices, faces, _, _ = marching_cubes(value, 1.0)  # type: ignore[no-untyped-call]
     vertices -= vertices.mean(axis=0)
-    return hpcapp.Mesh(radius * vertices / np.linalg.norm(vertices, axis=1)[:, None], faces)
+    return hpcapp.Mesh(at + radius * vertices / np.linalg.norm(vertices, axis=1)[:, None], faces)
 
 
-def near(part: Volume, volume: float) -> bool:
-    return abs(part.volume - volume) <= 1.01 * part.uncertainty + 1e-9  # samples are 50,000
+def measure(new: hpcapp.Mesh, old: hpcapp.Mesh, registration: float | None = None) -> SolidChange:
+    change = hpcapp.compare_epochs(new, old, registration=registration)
+    assert isinstance(change, SolidChange)
+    return change
 
 
-def test_what_only_one_of_them_encloses_is_cut_or_filled() -> None:
-    higher = hpcapp.compare_epochs(block(1.0, 1.0, 1.1), block(1.0, 1.0, 1.0))
-    assert higher.kind == "closed"
-    assert higher.net.volume == pytest.approx(0.1)
-    assert near(higher.fill, 0.1)
-    assert near(higher.cut, 0.0)
-    assert higher.fill.area == pytest.approx(1.4, abs=0.05)  # the top, and the sides below it
-    assert max(higher.fill.uncertainty, higher.cut.uncertainty) < 0.01
-    lower = hpcapp.compare_epochs(block(1.0, 1.0, 1.0), block(1.0, 1.0, 1.1))
-    assert near(lower.cut, 0.1)
-    assert lower.net.volume == pytest.approx(-0.1)
-    assert lower.only_new == lower.only_old == 0.0
+def mesh_scan(shape: str, grid: int, noise: float = 0.001, seed: int = 0) -> hpcapp.Mesh:
+    scan = hpcapp.simulate(shape, points=20_000, noise=noise, seed=seed)
+    return hpcapp.reconstruct(scan, grid=grid)
 
 
-def test_faces_may_look_inwards() -> None:
-    inward = hpcapp.Mesh(block(1.0, 1.0, 1.1).vertices, FACES[:, ::-1])
-    change = hpcapp.compare_epochs(inward, block(1.0, 1.0, 1.0))
-    assert change.net.volume == pytest.approx(0.1)
-    assert near(change.fill, 0.1)
+def add_block(mesh: hpcapp.Mesh, side: float) -> hpcapp.Mesh:
+    """Return a mesh, and a block of fine faces beside it."""
+    value = np.pad(np.ones((14, 14, 14)), 1)
+    # scikit-image has no types
+    vertices, faces, _, _ = marching_cubes(value, 0.5)  # type: ignore[no-untyped-call]
+    place = mesh.bounds[1] + side + (vertices - vertices.mean(axis=0)) * side / 14.0
+    return hpcapp.Mesh(
+        np.concatenate([mesh.vertices, place]),
+        np.concatenate([mesh.faces, faces[:, ::-1] + len(mesh.vertices)]),
+    )
 
 
-def test_a_shift_is_found_and_is_uncertain() -> None:
-    old = block(1.0, 1.0, 1.0)
-    moved = hpcapp.compare_epochs(block(1.0, 1.0, 1.0, at=(0.02, -0.01, 0.03)), old)
-    assert moved.shift == pytest.approx((0.02, -0.01, 0.03), abs=2e-3)
-    assert moved.net.volume == pytest.approx(0.0, abs=1e-9)
-    assert near(moved.cut, 0.0)
-    assert near(moved.fill, 0.0)
+def test_one_scan_meshed_at_two_grids_has_not_changed() -> None:
+    for shape in ("bracket", "knot"):
+        fine, coarse = mesh_scan(shape, 64), mesh_scan(shape, 48)
+        for new, old in ((fine, coarse), (coarse, fine)):
+            change = measure(new, old)
+            assert not change.net.is_significant
+            assert change.net.uncertainty < 0.12 * change.old.volume
+
+
+def test_two_scans_with_other_noise_have_not_changed() -> None:
+    change = measure(mesh_scan("bracket", 64, 0.006, seed=1), mesh_scan("bracket", 64))
+    assert not change.net.is_significant
+    assert change.offset > 0.02  # noise makes walls thicker
+
+
+def test_what_was_added_is_told() -> None:
+    old = mesh_scan("bracket", 64)
+    side = 0.5 * old.volume ** (1.0 / 3.0)
+    change = measure(add_block(mesh_scan("bracket", 64, seed=1), side), old)
+    assert change.net.is_significant
+    assert abs(change.net.volume - side**3) < change.net.uncertainty < 0.5 * side**3
+
+
+@pytest.mark.parametrize("shape", ["bracket", "knot", "box"])
+@pytest.mark.parametrize("grid", [40, 56])
+def test_a_volume_is_within_what_the_width_of_faces_makes_of_it(shape: str, grid: int) -> None:
+    change = measure(mesh_scan(shape, grid), mesh_scan(shape, grid, seed=1))
+    assert abs(change.new.volume - TRUE[shape]) < change.new.uncertainty
+    # moved by half, it would no longer be so at the coarser grids of thin walls
+    assert change.new.uncertainty < 0.12 * change.new.volume
+
+
+def test_where_a_mesh_lies_does_not_matter() -> None:
+    old = ball(1.0)
+    for new in (ball(1.0, (0.02, -0.01, 0.03)), hpcapp.Mesh(old.vertices, old.faces[:, ::-1])):
+        change = measure(new, old)
+        assert change.shift == pytest.approx(new.vertices.mean(axis=0), abs=2e-3)
+        assert change.net.volume == pytest.approx(0.0, abs=1e-9)
+        assert not change.net.is_significant
+        assert change.net.area == pytest.approx(4.0 * np.pi, rel=0.01)
 
 
 def test_swelling_all_over_is_uncertain_unless_the_user_vouches() -> None:
     old, new = ball(1.0), ball(1.05)
     swelling = 4.0 / 3.0 * np.pi * (1.05**3 - 1.0)
-    doubted = hpcapp.compare_epochs(new, old)
+    doubted, sure = measure(new, old), measure(new, old, 0.0)
     assert doubted.offset == pytest.approx(0.05, abs=0.002)
-    assert near(doubted.fill, 0.0)
-    assert near(doubted.net, 0.0)
-    sure = hpcapp.compare_epochs(new, old, registration=0.0)
+    assert not doubted.net.is_significant
+    assert sure.net.is_significant
     assert sure.net.volume == pytest.approx(swelling, rel=0.01)
-    assert sure.fill.volume == pytest.approx(swelling, rel=0.01)
-    assert sure.fill.uncertainty < 0.01 * swelling
+    assert sure.net.from_shift == 0.0
 
 
-def test_only_one_that_is_closed_is_refused() -> None:
-    solid = block(1.0, 1.0, 1.0)
+def test_what_does_not_fit_is_refused() -> None:
+    solid = block()
     for other in (hpcapp.Mesh(solid.vertices, FACES[2:]), np.random.default_rng(0).random((99, 3))):
         for epochs in ((solid, other), (other, solid)):
             with pytest.raises(InputError, match="is a closed mesh and"):
                 hpcapp.compare_epochs(*epochs)
+    with pytest.raises(UsageError, match="no cells"):
+        hpcapp.compare_epochs(solid, solid, cell=0.1)
