@@ -18,16 +18,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from hpcapp.api.awaiting import reconstruct_async
-    from hpcapp.api.comparison import (
-        Change,
-        Comparison,
-        SolidChange,
-        compare,
-        compare_epochs,
-    )
+    from hpcapp.api.comparison import Comparison, compare, compare_epochs
     from hpcapp.api.mesh import Mesh, read_mesh
     from hpcapp.api.reconstruction import reconstruct
     from hpcapp.api.simulation import simulate
+    from hpcapp.applications.compare.volume.measure import Change, SolidChange
     from hpcapp.applications.surface.hierarchical.settings import Hierarchical
     from hpcapp.applications.surface.paper.settings import Paper
     from hpcapp.backends.selection import open_executor
@@ -74,10 +69,11 @@ __all__ = [
 _ERRORS = "hpccomponent.errors"
 _HOMES = {
     "hpcapp.api.awaiting": ("reconstruct_async",),
-    "hpcapp.api.comparison": ("Change", "Comparison", "SolidChange", "compare", "compare_epochs"),
+    "hpcapp.api.comparison": ("Comparison", "compare", "compare_epochs"),
     "hpcapp.api.mesh": ("Mesh", "read_mesh"),
     "hpcapp.api.reconstruction": ("reconstruct",),
     "hpcapp.api.simulation": ("simulate",),
+    "hpcapp.applications.compare.volume.measure": ("Change", "SolidChange"),
     "hpcapp.applications.surface.hierarchical.settings": ("Hierarchical",),
     "hpcapp.applications.surface.paper.settings": ("Paper",),
     "hpcapp.geometry.points": ("PointCloud",),

@@ -31,13 +31,14 @@ SHIPPED = {
     "convert": "hpcapp.applications.points.command:convert",
     "simplify": "hpcapp.simplification.command:simplify",
     "view": "hpcapp.applications.view.command:view",
+    "heights": "hpcapp.applications.heights.command:heights",
     "compare": "hpcapp.applications.compare.command:compare",
     "reproduce": "hpcapp.lab.reproduce.command:reproduce",
 }
 EXIT_FAILED, EXIT_USAGE = 1, 2
 # The verbs as help shows them; those of a plug-in come last.
 SECTIONS = {
-    "Mesh": ("reconstruct", "simplify", "convert"),
+    "Mesh": ("reconstruct", "simplify", "convert", "heights"),
     "Look": ("info", "view", "compare"),
     "Clusters": (
         "validate", "plan", "doctor", "up", "status", "ls", "scale", "ssh", "exec", "put", "get",

@@ -89,7 +89,9 @@ def no_leaks(request: pytest.FixtureRequest) -> Iterator[None]:
 
 def is_shared(descriptor: str) -> bool:
     """Tell what the interpreter or a library opens once and keeps for all tests."""
-    return "/dev/urandom" in descriptor or ".hypothesis" in descriptor or "/dev/null" in descriptor
+    return any(
+        name in descriptor for name in ("/dev/urandom", ".hypothesis", "/dev/null", "proj.db")
+    )
 
 
 @pytest.fixture

@@ -24,15 +24,16 @@ FILE = click.Path(dir_okay=False, path_type=Path)
 
 def check_page(path: Path | None, flag: str) -> None:
     """Refuse, before the work, a page whose suffix is wrong or that cannot be written there."""
-    _check(path, flag, (".html", ".htm"), "page")
+    check_output(path, flag, (".html", ".htm"), "page")
 
 
 def check_picture(path: Path | None, flag: str) -> None:
     """Refuse, before the work, a picture that is no PNG or that cannot be written there."""
-    _check(path, flag, (".png",), "picture")
+    check_output(path, flag, (".png",), "picture")
 
 
-def _check(path: Path | None, flag: str, suffixes: tuple[str, ...], what: str) -> None:
+def check_output(path: Path | None, flag: str, suffixes: tuple[str, ...], what: str) -> None:
+    """Refuse, before the work, a file whose suffix is wrong or that cannot be written there."""
     if path is None:
         return
     if path.suffix.lower() not in suffixes:

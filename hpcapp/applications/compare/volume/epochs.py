@@ -27,20 +27,26 @@ from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray, PointCloud
-from hpcapp.io import find_mesh_crs, holds_faces, open_points, read_mesh, read_points, take_finite
+from hpcapp.io import find_mesh_crs, holds_faces, open_points, read_mesh, read_whole, take_finite
+from hpcapp.io.crs import UNKNOWN, Crs
 from hpcapp.pages.thin import thin_mesh
 from hpccomponent.errors import InputError, UsageError
 
 log = logging.getLogger("hpcapp")
 
-_PER_CELL = 4.0  # points where they are sparse: as many as a plane needs, without its neighbours
+PER_CELL = 4.0
+"""Points where they are sparse: as many as a plane needs, without its neighbours. Half or double
+of it widens an uncertainty, and makes none wrong (`benchmarks/volumes.py`)."""
 _SPARSE = 0.9  # share of the points that are denser
 _NEAREST = 16  # points that tell a density
 _TOLD = 200_000  # points whose density is told
 _ACROSS = 500  # cells along the longer side of meshes, at least
-_MOST_CELLS = 4_000_000
+MOST_CELLS = 4_000_000
+"""Of one lattice: points take 400 bytes of memory for each."""
 _MOST_FACES = 500_000  # of a closed mesh that is shown: its distances are exact, 10 µs each
-_FEW_LAYERS = 0.01  # share of the common area: crowns and walls beyond are more than an oversight
+FEW_LAYERS = 0.01
+"""Share of the area with several heights: bare ground has none, a town 0.43, a forest 0.99
+(`benchmarks/volumes.py`)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,13 +58,13 @@ class Epoch:
     name : str
         For errors.
     surface : Mesh or PointCloud
-    unit : str
-        Of length; nothing where it is not known.
+        With heights as long as the other coordinates.
+    crs : Crs
     """
 
     name: str
     surface: Mesh | PointCloud
-    unit: str = ""
+    crs: Crs = UNKNOWN
 
     @property
     def positions(self) -> FloatArray:
@@ -77,13 +83,21 @@ class Epoch:
         return replace(self, surface=replace(self.surface, vertices=places, origin=np.zeros(3)))
 
     def choose_step(self) -> float:
-        """Return the width of cells that its points or faces are dense enough for."""
+        """Return the width of cells that its points or faces are dense enough for.
+
+        Raises
+        ------
+        InputError
+            All of it is over one place.
+        """
         places = self.positions[:, :2]
         every = -(-len(places) // _TOLD)
-        told = places[::every]
+        told = np.unique(places[::every], axis=0)
+        if len(told) == 1:
+            raise InputError(f"{self.name}: all of it is over one place", "give one with an extent")
         nearest = min(_NEAREST, len(told) - 1)
         radius = float(np.quantile(KDTree(told).query(told, k=nearest + 1)[0][:, -1], _SPARSE))
-        step = radius * float(np.sqrt(np.pi * _PER_CELL / (nearest * every)))
+        step = radius * float(np.sqrt(np.pi * PER_CELL / (nearest * every)))
         if isinstance(self.surface, PointCloud):
             return step
         return min(step, float(np.ptp(places, axis=0).max()) / _ACROSS)
@@ -135,8 +149,12 @@ def open_epoch(name: str) -> Epoch:
     if holds_faces(path):
         mesh = read_mesh(path)
         check_usable(mesh, path)
-        return Epoch(name, mesh, find_mesh_crs(path).unit or "")
-    return Epoch(name, take_finite(read_points(path), name), open_points(path).unit or "")
+        crs = find_mesh_crs(path)
+        places = mesh.vertices * (1.0, 1.0, crs.height_scale)
+        origin = mesh.origin * (1.0, 1.0, crs.height_scale)
+        return Epoch(name, replace(mesh, vertices=places, origin=origin), crs)
+    source = open_points(path)
+    return Epoch(name, take_finite(read_whole(source.isotropic()), name), source.frame)
 
 
 def measure_epochs(
@@ -164,7 +182,7 @@ def measure_epochs(
     UsageError
         Cells are too small, or their width is given for closed meshes.
     """
-    origin, unit = new.surface.origin, new.unit or old.unit
+    origin, unit = new.surface.origin, new.crs.unit or old.crs.unit or ""
     new_solid, old_solid = _find_solid(new, origin), _find_solid(old, origin)
     if new_solid is not None and old_solid is not None:
         if step is not None:
@@ -188,11 +206,11 @@ def _measure_heights(
 ) -> tuple[Change, Mesh, FloatArray]:
     """Return what changed between two terrains, and the new one as a mesh with its rise."""
     low, high = bound_points(np.concatenate([new.positions, old.positions]))
-    least = float(np.sqrt(np.prod((high - low)[:2]) / _MOST_CELLS))
+    least = float(np.sqrt(np.prod((high - low)[:2]) / MOST_CELLS))
     width = step or max(new.choose_step(), old.choose_step(), least)
     if width < least:
         raise UsageError(
-            f"cells {width:.3g} wide are more than {_MOST_CELLS:,}", f"give {least:.2g} or more"
+            f"cells {width:.3g} wide are more than {MOST_CELLS:,}", f"give {least:.2g} or more"
         )
     changes = []
     for one in (2.0 * width, width):
@@ -206,7 +224,7 @@ def _measure_heights(
             )
         changes.append(measure_terrain(*heights, lattice, registration)[0])
     change = widen(changes[1], changes[0])
-    if change.layered > _FEW_LAYERS * change.common:
+    if change.layered > FEW_LAYERS * change.common:
         log.warning(
             "heights differ by more than a cell is wide on %.2g %% of the common area: crowns "
             "and walls are counted as ground unless they are left out",

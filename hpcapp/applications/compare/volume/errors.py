@@ -21,11 +21,12 @@ CONFIDENCE = 0.95
 LIKELY = float(norm.isf(0.5 - 0.5 * CONFIDENCE))
 """Standard deviations within which such a share of a normal distribution is."""
 STAYED = 3.0
-"""Standard deviations within which nothing changed: of noise 3 in 1,000 are beyond."""
+"""Standard deviations within which nothing changed: of noise 3 in 1,000 are beyond. With half or
+double of it two volumes of three are wrong (`benchmarks/volumes.py`)."""
 _TO_DEVIATION = 1.0 / float(norm.isf(0.25))  # from the median of absolute errors
 _ROUNDS = 50
 _AXES = 3
-_FEWEST_BLOCKS = 30  # whose sums tell a variance to a quarter
+FEWEST_BLOCKS = 30  # whose sums tell a variance to a quarter
 _ROUNDING = 1e-9  # of the extent of the differences: no noise is less
 
 
@@ -176,7 +177,7 @@ def _sum_noise(samples: Samples, residual: FloatArray, stayed: BoolArray) -> flo
         keys = pack_places(np.floor(places / width).astype(np.int64))
         _, block = np.unique(keys, return_inverse=True)
         sums = np.bincount(block, residual)
-        if width > 1.0 and len(sums) < _FEWEST_BLOCKS:
+        if width > 1.0 and len(sums) < FEWEST_BLOCKS:
             return most
         most = max(most, samples.area * float((sums**2).sum()) / len(residual))
         width *= 2.0

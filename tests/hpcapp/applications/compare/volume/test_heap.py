@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import hpcapp
+from hpcapp.applications.compare.volume.epochs import FEW_LAYERS
 from hpcapp.applications.compare.volume.measure import Change, Volume
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray
@@ -175,8 +176,19 @@ def test_several_heights_over_one_place_are_named(caplog: pytest.LogCaptureFixtu
     caplog.set_level(logging.WARNING, "hpcapp")
     for scene in ("forest", "town"):
         points = scan(scene, 40_000, 0.03, 0)
-        measure(points[::2], points[1::2])
+        change = measure(points[::2], points[1::2])
+        assert change.layered > 2.0 * FEW_LAYERS * change.common
         assert "differ by more than a cell is wide" in caplog.records.pop().getMessage()
+
+
+def test_bare_ground_has_one_height() -> None:
+    change = measure(*pair())
+    assert change.layered < 0.5 * FEW_LAYERS * change.common
+
+
+def test_cells_hold_four_points_where_they_are_sparse() -> None:
+    """Half or double of it would be another width."""
+    assert measure(*pair()).cell == pytest.approx(np.sqrt(4.0 * 1600.0 / 20_000), rel=0.2)
 
 
 def test_what_cannot_be_compared_is_refused() -> None:

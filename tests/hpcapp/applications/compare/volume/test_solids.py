@@ -18,7 +18,7 @@ FACES = np.array([
 FAR = np.array([4e5, 5e6, 0.0])
 
 
-TRUE = {"bracket": 99_470.0, "knot": 1_927.0, "box": 1.6967}
+TRUE = {"bracket": 99_470.0, "knot": 1_927.0, "box": 1.6967, "flange": 150_764.0}
 """Volumes of the shapes, by a grid of 160 and of 80 cells."""
 
 
@@ -86,8 +86,14 @@ def test_what_was_added_is_told() -> None:
 def test_a_volume_is_within_what_the_width_of_faces_makes_of_it(shape: str, grid: int) -> None:
     change = measure(mesh_scan(shape, grid), mesh_scan(shape, grid, seed=1))
     assert abs(change.new.volume - TRUE[shape]) < change.new.uncertainty
-    # moved by half, it would no longer be so at the coarser grids of thin walls
     assert change.new.uncertainty < 0.12 * change.new.volume
+
+
+def test_walls_as_thin_as_a_cell_take_all_of_what_is_said() -> None:
+    """Half of it would not hold the error, and double of it would be of no use."""
+    change = measure(mesh_scan("flange", 40, 0.0), mesh_scan("flange", 40, 0.0))
+    off = abs(change.new.volume - TRUE["flange"])
+    assert 0.55 * change.new.uncertainty < off < 0.9 * change.new.uncertainty
 
 
 def test_where_a_mesh_lies_does_not_matter() -> None:

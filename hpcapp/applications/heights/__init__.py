@@ -1,0 +1,1 @@
+"""Heights of a terrain for maps: a GeoTIFF and contours."""

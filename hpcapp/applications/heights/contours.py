@@ -1,0 +1,75 @@
+"""Contours of a grid of heights, as GeoJSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from math import ceil, floor, log10
+from pathlib import Path
+
+import numpy as np
+from skimage.measure import find_contours
+
+from hpcapp.applications.heights.geotiff import Crs
+from hpcapp.applications.heights.grid import HeightGrid
+from hpcapp.geometry.points import FloatArray
+from hpcapp.io.staging import replacing
+from hpccomponent.errors import UsageError
+
+_MOST_LEVELS = 10_000
+
+
+def write_contours(path: Path, grid: HeightGrid, interval: float, crs: Crs | None) -> int:
+    """Write the lines of all heights that are multiples of an interval, and return how many.
+
+    Coordinates are those of the map: where EPSG has a code for it, a member ``crs`` says so, as
+    GDAL reads it. They are rounded to a thousandth of a cell.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    UsageError
+        There are too many heights.
+    """
+    features = [
+        {
+            "type": "Feature",
+            "properties": {"height": height},
+            "geometry": {"type": "LineString", "coordinates": line.tolist()},
+        }
+        for height, line in find_lines(grid, interval)
+    ]
+    collection: dict[str, object] = {"type": "FeatureCollection"}
+    code = None if crs is None else crs.to_epsg()
+    if code is not None:
+        name = f"urn:ogc:def:crs:EPSG::{code}"
+        collection["crs"] = {"type": "name", "properties": {"name": name}}
+    with replacing(path) as file:
+        file.write(json.dumps(collection | {"features": features}).encode())
+    return len(features)
+
+
+def find_lines(grid: HeightGrid, interval: float) -> Iterator[tuple[float, FloatArray]]:
+    """Yield each line with its height: x and y on the map, shape (n, 2).
+
+    Raises
+    ------
+    UsageError
+        There are too many heights.
+    """
+    low, high = float(np.nanmin(grid.values)), float(np.nanmax(grid.values))
+    if (high - low) / interval > _MOST_LEVELS:
+        raise UsageError(
+            f"an interval of {interval:g} makes more than {_MOST_LEVELS:,} heights",
+            "give a larger --interval",
+        )
+    decimals = 3 - floor(log10(grid.step))
+    for number in range(ceil(low / interval), floor(high / interval) + 1):
+        height = number * interval
+        # scikit-image has no types
+        for line in find_contours(grid.values, height):  # type: ignore[no-untyped-call]
+            rows, columns = line.T
+            places = [grid.west + (columns + 0.5) * grid.step,
+                      grid.north - (rows + 0.5) * grid.step]  # fmt: skip
+            yield height, np.stack(places, axis=1).round(decimals)

@@ -1,0 +1,85 @@
+"""Write heights as a GeoTIFF, in the coordinate reference system of their file."""
+
+from __future__ import annotations
+
+import logging
+import math
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hpcapp.applications.heights.grid import HeightGrid
+from hpcapp.extras import how_to_install
+from hpcapp.io.staging import replacing
+from hpccomponent.errors import MissingLibraryError, OutputError
+
+log = logging.getLogger("hpcapp")
+
+_Foreign = Any  # of rasterio, which has no stubs
+Crs = Any
+"""A coordinate reference system of rasterio."""
+
+
+def load_rasterio(path: Path) -> _Foreign:
+    """Import the library.
+
+    Raises
+    ------
+    MissingLibraryError
+        It is not installed.
+    """
+    try:
+        return import_module("rasterio")
+    except ImportError as error:
+        raise MissingLibraryError(
+            f"{path}: GeoTIFF needs the package rasterio", how_to_install("gis")
+        ) from error
+
+
+def read_crs(text: str | None, path: Path) -> Crs | None:
+    """Return a coordinate reference system as rasterio has it; None, with a warning, of others.
+
+    Parameters
+    ----------
+    path : Path
+        The GeoTIFF that is to state it.
+    """
+    rasterio = load_rasterio(path)
+    if text is None:
+        log.warning("%s: states no coordinate reference system: the input has none", path)
+        return None
+    try:
+        return rasterio.crs.CRS.from_user_input(text)
+    except rasterio.errors.CRSError:
+        log.warning("%s: states no coordinate reference system: %r is none by name", path, text)
+        return None
+
+
+def write_geotiff(path: Path, grid: HeightGrid, crs: Crs | None) -> None:
+    """Write heights as one band in single precision; NaN is where there are none.
+
+    Raises
+    ------
+    MissingLibraryError
+        rasterio is not installed.
+    OutputError
+        The file cannot be written.
+    """
+    rasterio = load_rasterio(path)
+    rows, columns = grid.values.shape
+    transform = rasterio.Affine(grid.step, 0.0, grid.west, 0.0, -grid.step, grid.north)
+    with replacing(path) as file:
+        try:
+            with rasterio.open(
+                file.name, "w", driver="GTiff", width=columns, height=rows, count=1,
+                dtype="float32", nodata=math.nan, crs=crs,
+                transform=transform, compress="deflate", predictor=3, tiled=True,
+            ) as image:  # fmt: skip
+                image.write(grid.values.astype(np.float32), 1)
+                image.set_band_description(1, "height")
+                image.units = (grid.crs.height_unit or grid.crs.unit or "",)
+        except rasterio.errors.RasterioError as error:
+            why = str(error).partition("\n")[0]
+            raise OutputError(f"{path}: cannot be written: {why}", "check for room") from error
