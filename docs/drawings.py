@@ -308,9 +308,10 @@ def _draw_cuts(title: str, cuts: list[tuple[FloatArray, FloatArray, str]]) -> Dr
     dots = (positions.positions[:: len(positions) // DOTS, :2] - origin[:2]) / side
     panels = []
     for step, (low, high, words) in enumerate(cuts):
-        corners = np.unique(np.round(np.hstack([low[:, :2], high[:, :2]]), 9), axis=0)
+        corners: FloatArray = np.hstack([low[:, :2], high[:, :2]])
+        corners = np.unique(corners.round(9), axis=0)
         row, column = divmod(step, 3)
-        shares = (corners - np.tile(origin[:2], 2)) / side
+        shares: FloatArray = (corners - np.tile(origin[:2], 2)) / side
         x, y = 20.0 + 110.0 * column, 40.0 + (PANEL + 30.0) * row
         panels.append(Cut(x, y, dots, shares[:, :2], shares[:, 2:], words))
     return Drawing(title, 40.0 + 2.0 * (PANEL + 30.0), tuple(panels))
