@@ -108,7 +108,8 @@ def reconstruct(
     ----------
     points : str, PathLike, sequence of these, PointCloud, or array_like of shape (n, 3)
         Files, or patterns as ``scans/*.laz``; a cloud, which brings its normals, and the colours
-        and attributes that the mesh is to carry; or coordinates in any unit and any frame.
+        and attributes that the mesh is to carry; one of Open3D or trimesh, likewise; or
+        coordinates in any unit and any frame.
     normals : str or array_like of shape (n, 3)
         ``auto`` estimates those that are missing and mends those that contradict each other,
         ``file`` takes those of the files or the cloud as they are, ``estimate`` takes none of them.
