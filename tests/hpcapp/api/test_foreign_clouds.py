@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -46,7 +47,7 @@ def test_empty_columns_of_open3d_are_none(scan: hpcapp.PointCloud) -> None:
         (SimpleNamespace(to_legacy=None), "points.to_legacy()"),
     ],
 )
-def test_what_is_no_cloud_is_refused_with_the_line_to_write(given: object, line: str) -> None:
+def test_what_is_no_cloud_is_refused_with_the_line_to_write(given: Any, line: str) -> None:
     with pytest.raises(hpcapp.UsageError) as refused:
         hpcapp.reconstruct(given)
     assert line in str(refused.value)
