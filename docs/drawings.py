@@ -1,8 +1,8 @@
 """The drawings of the paper's architecture and of ours: python docs/drawings.py [FOLDER].
 
 Each drawing is a table of frames, boxes and arrows, on a card of 360 pixels' width; one
-colour means one role, in the paper's drawings and in ours. They are written as SVG that follows
-the reader's light or dark scheme.
+colour means one role, in the paper's drawings and in ours. How points are cut is drawn from a run
+on ``examples/knot.ply``. They are written as SVG that follows the reader's light or dark scheme.
 """
 
 from __future__ import annotations
@@ -13,9 +13,20 @@ from html import escape
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
+from hpcapp.applications.surface.field.pyramid import build_pyramid
+from hpcapp.applications.surface.paper.kdtree import partition_by_count
+from hpcapp.geometry.lattice import unpack_keys
+from hpcapp.geometry.points import FloatArray, PointCloud
+from hpcapp.io import read_points
+
 WIDTH = 360
 LINE = 17  # between lines of text
 FIGURES = Path(__file__).parent / "figures"
+SCAN = Path(__file__).parents[1] / "examples" / "knot.ply"
+PANEL, STEPS = 100.0, 6  # side of a panel, and how many there are
+DOTS = 900  # points that are drawn
 
 Role = Literal["master", "worker", "loader", "data", "frame"]
 
@@ -26,12 +37,15 @@ text { font: 12.5px system-ui, "Segoe UI", "DejaVu Sans", sans-serif; fill: #1c2
 .master { fill: #dbe9fb; stroke: #3f76bf } .worker { fill: #dcf2e0; stroke: #3b8d52 }
 .loader { fill: #fbeccd; stroke: #b07d1a } .data { fill: #ece6f6; stroke: #7a5cae }
 .arrow { stroke: #566270; stroke-width: 1.5; fill: none } .head { fill: #566270 }
+.dots { stroke: #7a5cae; stroke-width: 1.5; stroke-linecap: round }
+.cell { fill: none; stroke: #3f76bf; stroke-width: .7 }
 @media (prefers-color-scheme: dark) {
 text { fill: #e7ecf2 } .note { fill: #a7b2bf }
 .card { fill: #16191d; stroke: #39414b } .frame { fill: #1f242a; stroke: #5a6572 }
 .master { fill: #1c3557; stroke: #6fa3e6 } .worker { fill: #1b3d26; stroke: #66bb7d }
 .loader { fill: #453512; stroke: #d8a441 } .data { fill: #342a4a; stroke: #a78bda }
 .arrow { stroke: #a7b2bf } .head { fill: #a7b2bf }
+.dots { stroke: #a78bda } .cell { stroke: #6fa3e6 }
 }
 """
 
@@ -99,7 +113,40 @@ class Note:
         return _write(self.x, self.y, self.words, "note")
 
 
-Part = Box | Arrow | Note
+@dataclass(frozen=True, slots=True, eq=False)
+class Cut:
+    """Points and the boxes that they are cut into, as seen along z.
+
+    Parameters
+    ----------
+    points : ndarray of float64, shape (n, 2)
+        In shares of the panel, from its lower left corner, as are the boxes.
+    low, high : ndarray of float64, shape (b, 2)
+        Corners of the boxes.
+    """
+
+    x: float
+    y: float
+    points: FloatArray
+    low: FloatArray
+    high: FloatArray
+    words: str
+
+    def draw(self) -> str:
+        """Return the panel as SVG."""
+        place = np.array([self.x, self.y + PANEL])
+        dots = place + [PANEL, -PANEL] * self.points
+        path = "".join(f"M{x:.1f} {y:.1f}h0" for x, y in dots)
+        first, sizes = place + [PANEL, -PANEL] * self.low, PANEL * (self.high - self.low)
+        cells = "".join(
+            f"M{x:.1f} {y:.1f}h{w:.1f}v{-h:.1f}h{-w:.1f}z"
+            for x, y, w, h in np.hstack([first, sizes])
+        )
+        words = _write(self.x + 0.5 * PANEL, self.y + PANEL + LINE, self.words, "note")
+        return f'<path class="dots" d="{path}"/>\n<path class="cell" d="{cells}"/>\n{words}'
+
+
+Part = Box | Arrow | Note | Cut
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,6 +301,54 @@ PARTS_OURS = Drawing(
     ),
 )
 
+
+def _draw_cuts(title: str, cuts: list[tuple[FloatArray, FloatArray, str]]) -> Drawing:
+    """Return a drawing of the knot, cut ever finer; boxes are in its coordinates."""
+    positions, origin, side = _read_knot()
+    dots = (positions.positions[:: len(positions) // DOTS, :2] - origin[:2]) / side
+    panels = []
+    for step, (low, high, words) in enumerate(cuts):
+        corners: FloatArray = np.hstack([low[:, :2], high[:, :2]])
+        corners = np.unique(corners.round(9), axis=0)
+        row, column = divmod(step, 3)
+        shares: FloatArray = (corners - np.tile(origin[:2], 2)) / side
+        x, y = 20.0 + 110.0 * column, 40.0 + (PANEL + 30.0) * row
+        panels.append(Cut(x, y, dots, shares[:, :2], shares[:, 2:], words))
+    return Drawing(title, 40.0 + 2.0 * (PANEL + 30.0), tuple(panels))
+
+
+def _read_knot() -> tuple[PointCloud, FloatArray, float]:
+    """Return the points, and the lowest corner and the side of the cube around them."""
+    cloud = read_points(SCAN)
+    low, high = cloud.positions.min(axis=0), cloud.positions.max(axis=0)
+    side = 1.001 * float((high - low).max())  # no point on the far sides
+    return cloud, 0.5 * (low + high - side), side
+
+
+def draw_kd_tree() -> Drawing:
+    """Return the paper's Figure 3: boxes halved along their longest axes, the fullest first."""
+    cloud, _, _ = _read_knot()
+    cuts = []
+    for count in (1, 2, 4, 8, 16, 64):
+        patches = partition_by_count(cloud.positions, count)
+        cuts.append(
+            (patches.box_low, patches.box_high, "1 box" if count == 1 else f"{count} boxes")
+        )
+    return _draw_cuts("The paper: a kd-tree cuts boxes in halves", cuts)
+
+
+def draw_pyramid() -> Drawing:
+    """Return what is here in its place: the cells of a pyramid that hold points."""
+    cloud, origin, side = _read_knot()
+    pyramid = build_pyramid(cloud, origin, side / 2 ** (STEPS - 1), STEPS)
+    cuts = []
+    for depth in reversed(range(STEPS)):
+        size = pyramid.cell_size * 2**depth
+        low = origin + size * unpack_keys(pyramid.levels[depth].cells)
+        cuts.append((low, low + size, f"{len(low)} cell" + "s" * (len(low) > 1)))
+    return _draw_cuts("Here: a pyramid of cubes of one lattice", cuts)
+
+
 #: What is written, by the name of its file.
 DRAWINGS = {
     "figure_flow_paper.svg": FLOW_PAPER,
@@ -262,6 +357,8 @@ DRAWINGS = {
     "figure_work_ours.svg": WORK_OURS,
     "figure_parts_paper.svg": PARTS_PAPER,
     "figure_parts_ours.svg": PARTS_OURS,
+    "figure_cuts_paper.svg": draw_kd_tree(),
+    "figure_cuts_ours.svg": draw_pyramid(),
 }
 
 

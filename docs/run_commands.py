@@ -2,8 +2,9 @@
 
 Blocks marked ``sh`` are run, those of one page one after the other in a temporary folder, by the
 programs of the environment that runs this script. Each line of a block marked ``output`` must be
-among those that the ``sh`` block before it prints; dates, times, build names, widths of columns and
-the temporary folder, ``/home/me`` on a page, may differ. Blocks marked ``text`` need what a page
+among those that the ``sh`` block before it prints, but for ``...``; dates, times, build names,
+widths of columns and the temporary folder, ``/home/me`` on a page, may differ, and numbers by a
+twentieth. Blocks marked ``text`` need what a page
 cannot assume (a cluster, a clone), or are output that is not compared. A page must leave no
 cluster of folders behind.
 """
@@ -28,9 +29,11 @@ BETWEEN = "==== the next block"
 VARYING = (
     (re.compile(r"\d{4}-\d\d-\d\d[ T]\d\d:\d\d(:\d\d)?"), "DATE"),
     (re.compile(r"\b(\d+s|\d+[hm]\d\d|\d+\.\d+ s)\b"), "TIME"),
-    (re.compile(r"\b(native|portable)(-[0-9a-f]+)?\b"), "BUILD"),
+    (re.compile(r"\b(native|portable)(-[0-9a-z._]+)*"), "BUILD"),
     (re.compile(r" +"), " "),
 )
+NUMBER = re.compile(r"\d[\d,]*(?:\.\d+)?(?:e[-+]?\d+)?")
+TOLERANCE = 0.05
 
 
 class Block(NamedTuple):
@@ -128,9 +131,34 @@ def _take_down(folder: Path) -> str:
 
 
 def _missing(expected: Sequence[str], printed: Sequence[str]) -> list[str]:
-    """Return the lines of a page that were not printed, in whatever order."""
-    found = set(map(_normalise, printed))
-    return [line for line in expected if _normalise(line) not in found]
+    """Return the lines of a page that were not printed, in whatever order.
+
+    Examples
+    --------
+    >>> _missing(["1,000 points", "...", "2 pieces"], ["1,049 points", "3 pieces"])
+    ['2 pieces']
+    """
+    found: dict[str, list[list[float]]] = {}
+    for line in printed:
+        words, numbers = _split_numbers(line)
+        found.setdefault(words, []).append(numbers)
+    lacking = []
+    for line in expected:
+        words, numbers = _split_numbers(line)
+        alike = (
+            all(abs(a - b) <= TOLERANCE * abs(b) for a, b in zip(seen, numbers, strict=True))
+            for seen in found.get(words, [])
+        )
+        if words != "..." and not any(alike):
+            lacking.append(line)
+    return lacking
+
+
+def _split_numbers(line: str) -> tuple[str, list[float]]:
+    """Return the words of a line, each number a sign, and the numbers."""
+    words = _normalise(line)
+    numbers = [float(number.replace(",", "")) for number in NUMBER.findall(words)]
+    return NUMBER.sub("#", words), numbers
 
 
 def _normalise(line: str) -> str:

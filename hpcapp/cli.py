@@ -41,8 +41,8 @@ SECTIONS = {
     "Mesh": ("reconstruct", "simplify", "convert", "heights"),
     "Look": ("info", "view", "compare"),
     "Clusters": (
-        "validate", "plan", "doctor", "up", "status", "ls", "scale", "ssh", "exec", "put", "get",
-        "adopt", "down", "reap",
+        "init", "validate", "plan", "doctor", "up", "status", "ls", "scale", "ssh", "exec", "put",
+        "get", "adopt", "down", "reap",
     ),
     "Jobs on a cluster": ("submit", "jobs", "logs", "attach", "cancel", "fetch"),
     "Paper and lab": ("simulate", "reproduce", "quadrature"),

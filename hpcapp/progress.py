@@ -43,6 +43,9 @@ LoadPart = Callable[[], MeshPart]
 class ProgressObserver:
     """Is told of a job's progress; overrides what it wants to know of."""
 
+    shows_parts = False
+    """Whether it looks at parts of the result: then they come in smaller ones."""
+
     def on_begin(self, stage: str) -> None:
         """Take the news that a stage begins."""
 
@@ -86,6 +89,11 @@ class Progress:
         """Announce that a part of the result is there."""
         for observer in self._observers:
             observer.on_part(load)
+
+    @property
+    def shows_parts(self) -> bool:
+        """Whether anybody looks at parts of the result."""
+        return any(observer.shows_parts for observer in self._observers)
 
     def wait_for_viewers(self) -> None:
         """Let who looks at parts fetch the last ones, for a bounded time."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +17,7 @@ def check_cloud(
     points: ArrayLike | PointCloud, normals: ArrayLike | None, name: str = "points"
 ) -> PointCloud:
     """Return the arrays as a cloud in its local frame; InputError names the argument at fault."""
+    points = _adopt(points, name)
     if isinstance(points, PointCloud):
         if normals is not None:
             raise UsageError("normals stands beside a cloud", "give the cloud its normals")
@@ -43,6 +44,35 @@ def check_cloud(
             "leave those points out",
         )
     return cloud
+
+
+def _adopt(points: Any, name: str) -> ArrayLike | PointCloud:
+    """Return a cloud of Open3D, trimesh or a library alike as ours; all else as it is."""
+    places = getattr(points, "points", getattr(points, "vertices", None))
+    if places is None:
+        if hasattr(points, "to_legacy"):
+            raise UsageError(f"{name} is a {_name(points)}", f"give {name}.to_legacy()")
+        return cast(ArrayLike, points)
+    if any(len(getattr(points, faces, ())) for faces in ("faces", "triangles")):
+        raise UsageError(
+            f"{name} is a {_name(points)}, which has faces",
+            "sample points on them first: mesh.sample(100_000) of trimesh, "
+            "mesh.sample_points_uniformly(100_000) of Open3D",
+        )
+    normals, colours = (getattr(points, column, None) for column in ("normals", "colors"))
+    normals = None if normals is None or not len(normals) else check_rows("normals", normals)
+    if colours is None or not len(colours):
+        return PointCloud(check_rows(name, places), normals)
+    values = np.asarray(colours)[:, :3]
+    if values.dtype.kind == "f":  # from 0 to 1
+        values = np.rint(255.0 * values.clip(0.0, 1.0)).astype(np.uint8)
+    return PointCloud(check_rows(name, places), normals, values)
+
+
+def _name(value: object) -> str:
+    """Return the type of an object as its user knows it."""
+    kind = type(value)
+    return f"{kind.__module__.partition('.')[0]} {kind.__name__}"
 
 
 def _check_normals(normals: ArrayLike | None) -> FloatArray | None:

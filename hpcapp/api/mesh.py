@@ -53,14 +53,14 @@ class JobRecord:
     ----------
     source : str
         What was meshed, for titles.
-    cloud : ArrangedCloud
-        Its points, with normals.
+    cloud : ArrangedCloud or None
+        Its points, with normals; None where they lay in a folder, which is gone.
     facts : dict
         The report.
     """
 
     source: str
-    cloud: ArrangedCloud
+    cloud: ArrangedCloud | None
     facts: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -274,18 +274,23 @@ class Mesh:
         Raises
         ------
         UsageError, OutputError
-            The path is no page, or cannot be written.
+            The path is no page, or cannot be written; or the points were larger than `max_memory`.
         """
         from hpcapp.applications.view.command import check_page
 
         page = Path(path)
         check_page(page, "page")
-        if self._job is None:
+        job = self._job
+        if job is None:
             write_page(page, self._page(MOST_FACES))
             return
+        if job.cloud is None:
+            raise UsageError(
+                "the points lay in a folder, which is gone with the job",
+                "hpcapp reconstruct --report writes the page of such a job",
+            )
         from hpcapp.applications.surface.job.report_page import show_cloud, write_job_page
 
-        job = self._job
         spacing = float(job.facts.get("spacing") or 0.0)
         write_job_page(page, show_cloud(as_stream(self._plain), job.cloud, spacing), job.facts,
                        job.source)  # fmt: skip

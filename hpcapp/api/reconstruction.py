@@ -13,7 +13,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import fields, replace
 from functools import partial
 from os import PathLike, fspath
@@ -28,8 +28,10 @@ from hpcapp.api.mesh import JobRecord, Mesh, wrap_mesh
 from hpcapp.applications.points.crop import Crop, make_crop
 from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.attributes.labels import find_labels
+from hpcapp.applications.surface.cli.run import load_stored
 from hpcapp.applications.surface.job.backend_choice import approach_workers
 from hpcapp.applications.surface.job.carry import carry_columns
+from hpcapp.applications.surface.job.outcome import Outcome
 from hpcapp.applications.surface.job.read import arrange_points
 from hpcapp.applications.surface.job.recognised import describe_input
 from hpcapp.applications.surface.job.report import describe_outcome
@@ -37,12 +39,14 @@ from hpcapp.applications.surface.job.scan import Loaded
 from hpcapp.applications.surface.job.settings import JobSettings, Settings
 from hpcapp.applications.surface.job.site import open_site
 from hpcapp.applications.surface.job.source import MARGIN
+from hpcapp.applications.surface.job.storage import JobStorage, open_storage
 from hpcapp.applications.surface.methods.method import MAX_GRID, MIN_GRID, MethodSettings
 from hpcapp.applications.surface.methods.options import option_names
 from hpcapp.applications.surface.methods.table import DEFAULT_METHOD, find_method
 from hpcapp.applications.surface.normals.sensor import Sensor, sensor_of
 from hpcapp.applications.surface.normals.viewpoint import Viewpoint, parse_viewpoint
-from hpcapp.applications.surface.pipeline import load, prepare, reconstruct_cloud
+from hpcapp.applications.surface.pipeline import prepare, reconstruct_cloud
+from hpcapp.applications.surface.resolution.memory import parse_limit
 from hpcapp.cancellation import Cancellation
 from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY
 from hpcapp.communicator.scheduling.verification import Verification, attempt, repeat_until_trusted
@@ -99,6 +103,9 @@ def reconstruct(
     workers: int | None = None,
     policy: str = DEFAULT_POLICY,
     verify: float | None = None,
+    max_memory: str | float | None = None,
+    temp_dir: PathName | None = None,
+    resume: bool = False,
     on_progress: OnProgress | None = None,
     cancel: Cancellation | None = None,
 ) -> Mesh:
@@ -108,7 +115,8 @@ def reconstruct(
     ----------
     points : str, PathLike, sequence of these, PointCloud, or array_like of shape (n, 3)
         Files, or patterns as ``scans/*.laz``; a cloud, which brings its normals, and the colours
-        and attributes that the mesh is to carry; or coordinates in any unit and any frame.
+        and attributes that the mesh is to carry; one of Open3D or trimesh, likewise; or
+        coordinates in any unit and any frame.
     normals : str or array_like of shape (n, 3)
         ``auto`` estimates those that are missing and mends those that contradict each other,
         ``file`` takes those of the files or the cloud as they are, ``estimate`` takes none of them.
@@ -158,6 +166,14 @@ def reconstruct(
     verify : float, optional
         The share of the tasks that run again on another machine, from 0 to 1; by default 0.02 on
         a cluster with three workers or more.
+    max_memory : str or float, optional
+        Of this process and of each worker: ``"2G"``, or bytes. Files that need more lie in a
+        folder meanwhile; the mesh itself is returned in memory.
+    temp_dir : str or PathLike, optional
+        Where points and finished tiles of files lie meanwhile, as with ``--temp-dir``.
+    resume : bool
+        Whether to go on from what an earlier call has left in `temp_dir`, and to leave it there
+        where this one fails.
     on_progress : callable, optional
         Told (stage, parts done, parts in all) as the work proceeds, in the calling thread; what it
         raises ends the job.
@@ -219,6 +235,9 @@ def reconstruct(
         viewpoint=_choose_viewpoint(viewpoints),
         faces=faces,
         tolerance=tolerance,
+        max_memory=None if max_memory is None else parse_limit(str(max_memory)),
+        temp_dir=None if temp_dir is None else fspath(temp_dir),
+        resume=resume,
         crop=make_crop(box, around, polygon, classes, not_classes),
     )
     _check_settings(settings)
@@ -228,14 +247,15 @@ def reconstruct(
         raise UsageError("sample is for files", "leave it out")
     if sample is not None:
         check_range("sample", sample, 1)
+    if not names and (temp_dir is not None or resume):
+        raise UsageError("temp_dir and resume are for files", "leave them out")
     if names and rows is not None:
         raise UsageError("normals stands beside files, which have their own", "leave it out")
     reporter = _Reporter(on_progress or (lambda *_: None), cancel or Cancellation())
     given = None if isinstance(executor, str) else executor
     if names:
         with _open_files(settings, names, sample) as (job, source):
-            return _run(job, source, lambda clock: _load_file(job, clock), given, reporter,
-                        {"input": describe_input(job)})  # fmt: skip
+            return _run_files(job, source, given, reporter)
     whole = check_cloud(cast(ArrayLike, points), rows)
     sensor = _find_sensor(settings, settings.attributes.select(whole, "the cloud"))
     cloud = settings.attributes.select(_crop(settings.crop, whole), "the cloud")
@@ -244,7 +264,7 @@ def reconstruct(
     del cloud  # one reference, which the loading gives up to make room
     return _run(
         settings, "Mesh", lambda clock: _load_cloud(settings, waiting.pop(), sensor, clock),
-        given, reporter, {},
+        given, reporter,
     )  # fmt: skip
 
 
@@ -270,12 +290,6 @@ def _open_files(
         yield job, Path(job.shown).name
 
 
-def _load_file(settings: JobSettings, clock: StageClock) -> Loaded:
-    loaded = load(settings, clock)
-    loaded.report(settings.shown)
-    return loaded
-
-
 def _load_cloud(settings: Settings, cloud: PointCloud, sensor: Sensor, clock: StageClock) -> Loaded:
     if settings.normals == "estimate":
         cloud = replace(cloud, normals=None)
@@ -297,13 +311,36 @@ def _crop(crop: Crop, cloud: PointCloud) -> PointCloud:
     return read_whole(crop.take(slice_cloud(Path("points"), "arrays", whole), MARGIN))
 
 
+def _run_files(
+    settings: JobSettings, source: str, executor: Executor | Client | None, reporter: _Reporter
+) -> Mesh:
+    """Run a job that reads files; they lie in memory unless `max_memory` or `temp_dir` is given."""
+    verification = _choose_verification(executor, settings.verify)
+
+    def run(is_first: bool) -> Mesh:
+        job = settings if is_first else replace(settings, resume=False)
+        clock, in_memory = StageClock(Progress(reporter)), nullcontext(JobStorage(None, None))
+        is_bounded = job.max_memory is not None or job.temp_dir is not None or job.resume
+        with (
+            open_storage(job) if is_bounded else in_memory as storage,
+            attempt(verification, lambda error: error is reporter.raised),
+            approach_workers(job, verification=verification) as opener,
+            load_stored(job, storage, opener, clock, executor, reporter.cancellation) as (
+                loaded, site,
+            ),
+            reconstruct_cloud(job, loaded, site, clock) as outcome,
+        ):  # fmt: skip
+            return _wrap(job, source, loaded, outcome, clock, {"input": describe_input(job)})
+
+    return repeat_until_trusted(verification, run)
+
+
 def _run(
     settings: Settings,
     source: str,
     load_points: Callable[[StageClock], Loaded],
     executor: Executor | Client | None,
     reporter: _Reporter,
-    facts: dict[str, Any],
 ) -> Mesh:
     """Run a job whose points are loaded by a function."""
     clock = StageClock(Progress(reporter))
@@ -320,15 +357,27 @@ def _run(
                 attempt(verification, lambda error: error is reporter.raised),
                 reconstruct_cloud(settings, loaded, site, clock) as outcome,
             ):
-                carrying = carry_columns(settings, loaded, outcome, clock)
-                mesh = outcome.result.surface.mesh(carrying)
-                topology = outcome.result.surface.check()
-                report = describe_outcome(settings, loaded, outcome, topology, carrying) | facts
-                report["stages"] = dict(clock.seconds)
-                record = JobRecord(source, loaded.cloud, report)
-                return wrap_mesh(mesh, record, topology, carrying.crs)
+                return _wrap(settings, source, loaded, outcome, clock, {})
 
         return repeat_until_trusted(verification, run)
+
+
+def _wrap(
+    settings: Settings,
+    source: str,
+    loaded: Loaded,
+    outcome: Outcome,
+    clock: StageClock,
+    facts: dict[str, Any],
+) -> Mesh:
+    """Return what came of a job, with its report."""
+    carrying = carry_columns(settings, loaded, outcome, clock)
+    mesh = outcome.result.surface.mesh(carrying)
+    topology = outcome.result.surface.check()
+    report = describe_outcome(settings, loaded, outcome, topology, carrying) | facts
+    report["stages"] = dict(clock.seconds)
+    kept = loaded.cloud if loaded.cloud.is_here else None  # a folder of points goes with the job
+    return wrap_mesh(mesh, JobRecord(source, kept, report), topology, carrying.crs)
 
 
 def _choose_verification(given: object, verify: float | None) -> Verification:

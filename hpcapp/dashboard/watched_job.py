@@ -60,6 +60,8 @@ class WatchedJob(ProgressObserver):
         The pages that are open.
     """
 
+    shows_parts = True
+
     def __init__(self, timeline: Timeline, title: str) -> None:
         self.timeline = timeline
         self.title = title

@@ -18,7 +18,7 @@ ByteArray = NDArray[np.uint8]
 Int8Array = NDArray[np.int8]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class PointCloud:
     """Points in a local frame, with what a scan knows of them.
 
@@ -44,6 +44,12 @@ class PointCloud:
 
     def __len__(self) -> int:
         return len(self.positions)
+
+    def __repr__(self) -> str:
+        columns = [
+            name for name in ("normals", "colours") if getattr(self, name) is not None
+        ] + list(self.attributes)
+        return f"PointCloud({', '.join([f'{len(self):,} points', *columns])})"
 
     def view(self, rows: slice) -> PointCloud:
         """Return a run of the points, without a copy."""

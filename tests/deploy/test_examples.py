@@ -12,7 +12,7 @@ from hpcdeploy.spec.cluster import read_spec
 from hpcdeploy.spec.provider import AwsSpec, Ec2Spec, EucalyptusSpec, LocalSpec, SshSpec
 
 ROOT = Path(__file__).parents[2]
-EXAMPLES = sorted((ROOT / "deploy/examples").glob("*.yaml"))
+EXAMPLES = sorted((ROOT / "deploy/hpcdeploy/examples").glob("*.yaml"))
 PROVIDERS = (AwsSpec, EucalyptusSpec, Ec2Spec, SshSpec, LocalSpec)
 
 
@@ -27,7 +27,7 @@ def test_an_example_is_valid(path: Path) -> None:
 
 
 def test_the_papers_table_1_has_a_head_that_works_and_three_workers() -> None:
-    spec = read_spec(ROOT / "deploy/examples/paper-table-1.yaml")
+    spec = read_spec(ROOT / "deploy/hpcdeploy/examples/paper-table-1.yaml")
     assert spec.head.component
     assert spec.worker_count == spec.worker_min == 3
 

@@ -13,6 +13,7 @@ from hpcapp.applications.surface.cloud.arranged import MemoryCloud
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
 from hpcapp.applications.surface.cloud.spacing import estimate_spacing
 from hpcapp.applications.surface.cloud.surface_check import check_surface
+from hpcapp.applications.surface.normals.sides import CONTRADICTING, measure_opposed
 from hpcapp.applications.surface.reading.reach import drop_far
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.points import FloatArray, PointCloud
@@ -31,7 +32,8 @@ def describe_file(source: PointSource) -> tuple[dict[str, object], Findings, Poi
     facts : dict
         JSON values. ``format``; ``columns``: as what each of them was taken, by its name;
         ``normals``: where they are from, ``file`` or ``faces``, or None; ``is_oriented``:
-        False where their signs are not known, None without them; ``attributes``: names
+        False where their signs are not known or contradict each other, None without them;
+        ``opposed_normals``: share of neighbours whose normals do, or None; ``attributes``: names
         of other columns that are kept; ``scans``: for each its ``points``, ``scanner`` and
         ``grid``, or None; ``grid`` of the first; ``crs``; ``unit``; ``height_unit``: of z, where
         it is stated of that alone; ``up``: which way that is, and why; ``dropped``: points that
@@ -50,12 +52,17 @@ def describe_file(source: PointSource) -> tuple[dict[str, object], Findings, Poi
     upright = scale_heights(cloud, source.frame.height_scale)
     warnings = [*source.findings.warnings, *_tell_no_surface(upright)]
     findings = Findings(warnings, _count_dropped(source, cloud))
+    scale = measure_spacing(upright)
+    opposed = _measure_opposed(upright, scale["spacing"])
     facts = {
         "format": source.format,
         **describe(cloud),
-        **measure_spacing(upright),
+        **scale,
         "normals": source.normals_from if cloud.normals is not None else None,
-        "is_oriented": source.oriented if cloud.normals is not None else None,
+        "is_oriented": None
+        if cloud.normals is None
+        else source.oriented and (opposed is None or opposed <= CONTRADICTING),
+        "opposed_normals": opposed,
         "attributes": list(cloud.attributes),
         "columns": {name: tell_use(name, cloud) for name in source.columns},
         "scans": [
@@ -90,6 +97,14 @@ def _tell_no_surface(cloud: PointCloud) -> list[str]:
     except InputError:  # they are too few, or too far
         return []
     return [] if problem is None else [str(problem)]
+
+
+def _measure_opposed(cloud: PointCloud, spacing: object) -> float | None:
+    """Return the share of neighbours whose normals oppose each other, where a job would ask."""
+    if cloud.normals is None or not isinstance(spacing, float):
+        return None
+    usable, _ = drop_unusable(cloud, "the cloud")
+    return measure_opposed(MemoryPass(MemoryCloud.as_they_are(usable)), spacing)
 
 
 def _count_dropped(source: PointSource, cloud: PointCloud) -> dict[str, int]:

@@ -147,6 +147,7 @@ def make_surface(
         quadrics = method.fit(partition, workforce, advance)
     with clock.stage("extract"):
         surface = method.extract(partition, quadrics, workforce, advance)
+    with clock.stage("close"):
         surface = method.close(partition, surface, workforce, advance)
     return Reconstruction(surface, len(cloud), method.facts(partition))
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 import hpcapp
 from hpcapp.applications.surface.cli.run import run_job
+from hpcapp.applications.surface.job import storage
 from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.normals.viewpoint import parse_viewpoint
 from hpcapp.cli import _run
@@ -122,7 +123,7 @@ def test_progress_counts_each_stage_from_none_to_all(sphere: PointCloud) -> None
         sphere.positions, sphere.normals, grid=32, on_progress=lambda *told: seen.append(told)
     )
     stages = list(dict.fromkeys(stage for stage, _, _ in seen))
-    assert stages[-1] == "extract"
+    assert stages[-2:] == ["extract", "close"]
     for stage in stages:
         told = [(done, total) for name, done, total in seen if name == stage]
         assert told[0] == (0, 1)
@@ -334,3 +335,32 @@ def test_no_error_speaks_of_flags(call: Callable[[], object]) -> None:
     with pytest.raises(HpcError) as caught:
         call()
     assert "--" not in str(caught.value)
+
+
+def test_files_larger_than_memory_give_the_same_mesh(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scan = tmp_path / "scan.ply"
+    hpcapp.write_points(scan, hpcapp.simulate("torus", points=20_000))
+    whole = hpcapp.reconstruct(scan, grid=64)
+    monkeypatch.setattr(storage, "fits_memory", lambda *_: False)
+    bounded = hpcapp.reconstruct(
+        scan, grid=64, max_memory="1G", temp_dir=tmp_path / "left", resume=True
+    )
+    np.testing.assert_array_equal(bounded.vertices, whole.vertices)
+    np.testing.assert_array_equal(bounded.faces, whole.faces)
+    assert list((tmp_path / "left").iterdir()) == []
+    with pytest.raises(hpcapp.UsageError, match="hpcapp reconstruct --report"):
+        bounded.report(tmp_path / "page.html")
+
+
+@pytest.mark.parametrize("asked", [{"temp_dir": "here"}, {"resume": True}])
+def test_a_folder_is_for_files(asked: dict[str, Any], sphere: PointCloud) -> None:
+    with pytest.raises(hpcapp.UsageError, match="are for files"):
+        hpcapp.reconstruct(sphere.positions, sphere.normals, **asked)
+
+
+def test_going_on_needs_a_folder(tmp_path: Path) -> None:
+    hpcapp.write_points(tmp_path / "scan.ply", hpcapp.simulate("torus", points=500))
+    with pytest.raises(hpcapp.UsageError, match="temp-dir"):
+        hpcapp.reconstruct(tmp_path / "scan.ply", resume=True)

@@ -9,19 +9,20 @@ from __future__ import annotations
 
 import logging
 import shlex
-from contextlib import ExitStack, nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hpcapp.applications.surface.job.backend_choice import Job, approach_workers
+from hpcapp.applications.surface.job.backend_choice import Job, Opener, approach_workers
 from hpcapp.applications.surface.job.folder import choose_tile, find_point_workers
 from hpcapp.applications.surface.job.recognised import describe_input
 from hpcapp.applications.surface.job.report import describe_outcome
 from hpcapp.applications.surface.job.scan import Loaded, PointFolder
 from hpcapp.applications.surface.job.settings import JobSettings
-from hpcapp.applications.surface.job.site import open_site
+from hpcapp.applications.surface.job.site import Site, open_site
 from hpcapp.applications.surface.job.storage import JobStorage, open_storage
 from hpcapp.applications.surface.kernels.freed_memory import keep_memory
 from hpcapp.applications.surface.methods.method import TILE_POINTS
@@ -29,6 +30,7 @@ from hpcapp.applications.surface.pipeline import deliver, load, reconstruct_clou
 from hpcapp.applications.surface.resolution.asked import guess_grid
 from hpcapp.applications.surface.resolution.memory import count_most_points
 from hpcapp.backends.selection import Backend
+from hpcapp.cancellation import Cancellation
 from hpcapp.communicator.scheduling.verification import Verification, attempt, repeat_until_trusted
 from hpcapp.io import describe_losses, place_mesh
 from hpcapp.io.output import open_output
@@ -36,6 +38,10 @@ from hpcapp.progress import Progress, StageClock
 from hpcapp.timeline import Timeline
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
+    from distributed import Client
+
     from hpcapp.applications.surface.attributes.carrying import Carrying
     from hpcapp.applications.surface.job.outcome import Outcome
     from hpcapp.backends.local_cluster import LocalMachines
@@ -119,11 +125,36 @@ def _run_in(
 
     Where they lie in a folder, workers are there before them, to go through them.
     """
-    guess, checkpoint = _guess_job(settings), storage.checkpoint
-    with approach_workers(settings, guess, machines, verification) as opener, ExitStack() as stack:
+    with (
+        approach_workers(settings, guess_job(settings), machines, verification) as opener,
+        load_stored(settings, storage, opener, clock) as (loaded, site),
+        reconstruct_cloud(settings, loaded, site, clock) as outcome,
+    ):
+        return _write(settings, loaded, outcome, target, clock, verification)
+
+
+@contextmanager
+def load_stored(
+    settings: JobSettings,
+    storage: JobStorage,
+    opener: Opener,
+    clock: StageClock,
+    executor: Executor | Client | None = None,
+    cancellation: Cancellation | None = None,
+) -> Iterator[tuple[Loaded, Callable[[int], AbstractContextManager[Site]]]]:
+    """Load the points of a job to where it has room for them; see `open_site` for the others.
+
+    Yields
+    ------
+    loaded : Loaded
+    site : callable
+        Opens where it runs, as `reconstruct_cloud` asks for.
+    """
+    checkpoint = storage.checkpoint
+    with ExitStack() as stack:
         opened = folder = None
         if storage.folder is not None:
-            backend, choice = stack.enter_context(opener.open(guess))
+            backend, choice = stack.enter_context(opener.open(guess_job(settings), executor))
             opened = backend.record(clock.timeline), choice
             if backend.workforce.in_process and not storage.is_needed:
                 checkpoint = None if settings.temp_dir is None else checkpoint
@@ -131,11 +162,10 @@ def _run_in(
                 folder = _open_folder(settings, storage.folder, opened[0])
         loaded = load(settings, clock, folder)
         loaded.report(settings.shown)
-        site = partial(
-            open_site, len(loaded.cloud), opener, clock, checkpoint=checkpoint, opened=opened
-        )
-        with reconstruct_cloud(settings, loaded, site, clock) as outcome:
-            return _write(settings, loaded, outcome, target, clock, verification)
+        yield loaded, partial(
+            open_site, len(loaded.cloud), opener, clock,
+            checkpoint=checkpoint, opened=opened, executor=executor, cancellation=cancellation,
+        )  # fmt: skip
 
 
 def _open_folder(settings: JobSettings, path: Path, backend: Backend) -> PointFolder:
@@ -145,7 +175,7 @@ def _open_folder(settings: JobSettings, path: Path, backend: Backend) -> PointFo
     return PointFolder(path, find_point_workers(settings.points, path, backend, points))
 
 
-def _guess_job(settings: JobSettings) -> Job:
+def guess_job(settings: JobSettings) -> Job:
     """Return what can be known of a job before its points are read: as much as it may be."""
     points = count_most_points(settings.points)
     is_chosen = settings.depth is not None or settings.grid is not None

@@ -159,7 +159,7 @@ class SlabFields:
         supported: BoolArray = find_keys(cells, pack_places(inside.astype(np.int64))) < len(cells)
         return supported
 
-    def cut(self, first: int, end: int, quadrics: int) -> list[int]:
+    def cut(self, first: int, end: int, quadrics: int, least: int = 1) -> list[int]:
         """Cut layers of bricks along x into slabs.
 
         Parameters
@@ -167,7 +167,9 @@ class SlabFields:
         first, end : int
             Layers from `first` to before `end`.
         quadrics : int
-            Of the finest level, about so many in each slab.
+            Of the finest level, about so many in each slab, or fewer.
+        least : int
+            So many slabs at least.
 
         Returns
         -------
@@ -176,7 +178,7 @@ class SlabFields:
         """
         vertices, grid = self.pyramid.vertices[0], self.grid
         most = max(1, (end - first) // (_LEAST_LAYERS * grid.rim))
-        count = min(-(-len(vertices) // quadrics), most)
+        count = min(max(-(-len(vertices) // quadrics), least), most)
         rows = np.arange(1, count) * len(vertices) // max(count, 1)
         # (s - 1,): x of the vertices between equal runs of these, and the layers of bricks there.
         corners = self.pyramid.cell_size * unpack_keys(vertices[rows])[:, 0]

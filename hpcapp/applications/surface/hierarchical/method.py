@@ -260,7 +260,7 @@ class HierarchicalMethod:
             What `fit` has returned.
         workforce : Workforce
         advance : callable
-            Told (tiles done, tiles in all); of one tile, slabs.
+            Told (tiles done, tiles in all); of one tile, its steps.
 
         Returns
         -------

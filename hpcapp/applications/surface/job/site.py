@@ -16,7 +16,7 @@ from hpcapp.applications.surface.job.backend_choice import Choice, Job, Opener
 from hpcapp.applications.surface.job.folder import all_see_folder, choose_tile
 from hpcapp.applications.surface.job.settings import Settings, choose_steps, choose_threads
 from hpcapp.applications.surface.kernels.build import kernel_id
-from hpcapp.applications.surface.methods.method import Method, Resources
+from hpcapp.applications.surface.methods.method import Method, Resources, show_nothing
 from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
 from hpcapp.backends.selection import Backend
 from hpcapp.cancellation import Cancellation
@@ -119,9 +119,8 @@ def open_method(
     backend, workforce = site.backend, site.backend.workforce
     threads = choose_threads(workforce, points)
     tile_points = choose_tile(settings, backend)
-    method = settings.method.open(
-        grid, Resources(threads, tile_points, site.checkpoint, clock.progress.show_part)
-    )
+    show_part = clock.progress.show_part if clock.progress.shows_parts else show_nothing
+    method = settings.method.open(grid, Resources(threads, tile_points, site.checkpoint, show_part))
     log.info(
         "method %s, grid %d, backend %s, workers %d, policy %s, kernels %s",
         settings.method.name, grid, backend.name, workforce.workers, settings.policy, kernel_id(),

@@ -32,10 +32,16 @@ SLAB_QUADRICS = 1_000_000
 """Of the finest level, in a slab: 0.1 GB with what their fits take."""
 
 
-def cut_slabs(fields: SlabFields, kinds: BrickKinds) -> list[int]:
-    """Return the bounds of the slabs that some bricks are cut into, in layers along x."""
+def cut_slabs(fields: SlabFields, kinds: BrickKinds, least: int = 1) -> list[int]:
+    """Return the bounds of the slabs that some bricks are cut into, in layers along x.
+
+    Parameters
+    ----------
+    least : int
+        So many slabs at least, where there are layers enough.
+    """
     first = int(kinds.first[0])
-    return fields.cut(first, first + len(kinds.kinds), SLAB_QUADRICS)
+    return fields.cut(first, first + len(kinds.kinds), SLAB_QUADRICS, least)
 
 
 def grow_slabs(

@@ -192,7 +192,7 @@ def test_without_keys_the_plan_of_the_file_is_shown_before_it_is_refused(
     assert json.loads(capsys.readouterr().out)["is_looked_up"] is False
 
 
-EXAMPLES = sorted((Path(__file__).parents[4] / "deploy/examples").glob("*.yaml"))
+EXAMPLES = sorted((Path(__file__).parents[4] / "deploy/hpcdeploy/examples").glob("*.yaml"))
 PRICES = {
     "aws": "cost: together $0.63",
     "ec2": "cost: together $0.7200 an hour",

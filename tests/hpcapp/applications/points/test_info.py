@@ -28,6 +28,21 @@ def test_a_grid_is_measured() -> None:
     assert not facts["has_colours"]
 
 
+@pytest.mark.parametrize(("flipped", "is_oriented"), [(0.035, True), (0.09, False)])
+def test_normals_that_contradict_each_other_have_no_side(
+    flipped: float, is_oriented: bool, tmp_path: Path
+) -> None:
+    """Opposed are 6.8 and 16 % of the pairs."""
+    rng = np.random.default_rng(3)
+    normals = rng.normal(size=(20_000, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    signs = np.where(rng.random(20_000) < flipped, -1.0, 1.0)[:, None]
+    np.savetxt(tmp_path / "ball.xyzn", np.hstack([normals, signs * normals]))
+    facts, _, _ = describe_file(open_points(tmp_path / "ball.xyzn"))
+    assert facts["opposed_normals"] == pytest.approx(2 * flipped * (1 - flipped), abs=0.015)
+    assert facts["is_oriented"] is is_oriented
+
+
 def test_a_warning_says_what_is_no_surface(tmp_path: Path) -> None:
     path = tmp_path / "grid.xyz"
     np.savetxt(path, grid())

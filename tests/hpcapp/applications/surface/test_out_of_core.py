@@ -355,7 +355,7 @@ class Memory(ProgressObserver):
 
     def on_end(self, stage: str, seconds: float) -> None:
         """Look only at what comes after the extraction."""
-        if stage == "extract":
+        if stage == "close":
             tracemalloc.reset_peak()
         more = tracemalloc.get_traced_memory()[1] - getattr(self, "_before", 0)
         self.growth = max(0, more)  # the far field may be let go before the end, or after it

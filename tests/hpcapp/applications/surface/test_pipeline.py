@@ -20,7 +20,7 @@ SERIAL = Workforce(SerialExecutor())
 def test_the_stages_run_in_the_papers_order(sphere: PointCloud) -> None:
     clock = StageClock(Progress())
     result = make_surface(MemoryCloud.as_they_are(sphere), PaperMethod(grid=24), SERIAL, clock)
-    assert list(clock.seconds) == ["partition", "fit", "extract"]
+    assert list(clock.seconds) == ["partition", "fit", "extract", "close"]
     assert result.points == len(sphere)
     assert result.facts["patches"] >= 1
     topology = result.surface.check()
