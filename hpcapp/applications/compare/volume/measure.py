@@ -27,7 +27,8 @@ class Volume:
     volume : float
         In cubed length units.
     uncertainty : float
-        At the confidence of the `Change`, either way.
+        At the confidence of the `Change`, either way; of nothing, what a single cell would need to
+        be told.
     from_shift : float
         What of the uncertainty is the shift that was measured where nothing changed.
     area : float
@@ -129,10 +130,12 @@ def measure_samples(
         _sum_volume(samples, errors, rows)
         for rows in (np.flatnonzero(side < 0), np.flatnonzero(side > 0), np.flatnonzero(side))
     )
-    return errors, side, (replace(cut, volume=-cut.volume), fill, net)
+    return errors, side, (replace(cut, volume=0.0 - cut.volume), fill, net)
 
 
 def _sum_volume(samples: Samples, errors: Errors, rows: IntArray) -> Volume:
+    if not len(rows):  # the smallest that would be told is uncertain
+        return Volume(0.0, samples.area * float(np.median(errors.detect(samples))), 0.0, 0.0)
     volume = samples.area * float(samples.change[rows].sum())
     bias = errors.sum_bias(samples, rows)
     return Volume(

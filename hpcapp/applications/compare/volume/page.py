@@ -62,7 +62,9 @@ def list_notes(change: Change | SolidChange, unit: str) -> list[str]:
         ]
     return [
         known,
-        f"{where}; from {say(change.detectable)} on a place has changed",
+        f"{where}; from {say(change.detectable)} on a place has changed, and a layer that is "
+        f"thinner is not told, which all over would be "
+        f"{say_number(change.detectable * change.common, _raise_unit(unit)[0])}",
         f"both cover {say_number(change.common, squared)} in cells {say(change.cell)} wide; "
         f"nothing is counted on {say_number(change.only_new, squared)} that only NEW covers, and "
         f"on {say_number(change.only_old, squared)} that only OLD covers",
