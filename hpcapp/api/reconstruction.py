@@ -179,7 +179,7 @@ def reconstruct(
         raises ends the job.
     cancel : Cancellation, optional
         Ends the job when another thread calls its ``cancel()``: at the end of the step that is
-        running, within seconds.
+        running: within a second for a million points, within a minute for ten.
 
     Returns
     -------
