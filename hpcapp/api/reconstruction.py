@@ -83,6 +83,7 @@ def reconstruct(
     polygon: str | PathLike[str] | None = None,
     classes: Sequence[int] | None = None,
     not_classes: Sequence[int] | None = None,
+    ground: bool = False,
     voxel_size: float | None = None,
     method: str | MethodSettings = DEFAULT_METHOD,
     smoothness: float | None = None,
@@ -136,6 +137,8 @@ def reconstruct(
     classes, not_classes : sequence of int, optional
         The classes of points that are taken, or that are left out: those of LAS, or of the
         attribute ``classification``.
+    ground : bool
+        Only the bare ground: class 2 of the points, or what a cloth simulation finds.
     voxel_size : float, optional
         Edge of a cell in the unit of the points; takes the place of `grid`.
     method : str, Hierarchical or Paper
@@ -238,8 +241,9 @@ def reconstruct(
         max_memory=None if max_memory is None else parse_limit(str(max_memory)),
         temp_dir=None if temp_dir is None else fspath(temp_dir),
         resume=resume,
-        crop=make_crop(box, around, polygon, classes, not_classes),
+        crop=make_crop(box, around, polygon, classes, not_classes, ground),
     )
+    settings = settings.for_ground()
     _check_settings(settings)
     rows = None if isinstance(normals, str) else normals
     names = _find_names(points)
@@ -284,7 +288,7 @@ def _open_files(
     """Yield a job that reads files, and what these are called."""
     asked = {one.name: getattr(settings, one.name) for one in fields(Settings)}
     crop = settings.crop
-    choose = partial(crop.take, margin=MARGIN)
+    choose = partial(crop.narrow, margin=MARGIN)
     with gather_points(names, sample, keeps_noise=crop.keeps_noise, choose=choose) as path:
         job = JobSettings(points=path, output="", inputs=find_paths(names), **asked)
         yield job, Path(job.shown).name

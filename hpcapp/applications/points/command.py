@@ -63,6 +63,11 @@ NOT_CLASSES = click.option(
     help="No points of these classes. Noise of LAS, 7 and 18, is left out in any case, unless "
     "--classes names it.",
 )
+GROUND = click.option(
+    "--ground",
+    is_flag=True,
+    help="Only the bare ground: class 2 of the file, or what a cloth simulation finds.",
+)
 
 
 @click.command(
@@ -86,6 +91,7 @@ NOT_CLASSES = click.option(
 @POLYGON
 @CLASSES
 @NOT_CLASSES
+@GROUND
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
 @click.option(
     "--png",
@@ -111,6 +117,7 @@ def info(
     polygon: str | None,
     classes: str | None,
     not_classes: str | None,
+    ground: bool,
     as_json: bool,
     png: Path | None,
     by_spacing: bool,
@@ -123,8 +130,8 @@ def info(
     from hpcapp.io.points.inputs import gather_points
     from hpcapp.pages.thumbnail import write_thumbnail
 
-    crop = parse_crop(box, around, polygon, classes, not_classes)
-    with gather_points(points, sample, keeps_noise=crop.keeps_noise, choose=crop.take) as path:
+    crop = parse_crop(box, around, polygon, classes, not_classes, ground)
+    with gather_points(points, sample, keeps_noise=crop.keeps_noise, choose=crop.narrow) as path:
         source = crop.take(open_points(path, keeps_noise=crop.keeps_noise))
         facts, findings, cloud = describe_file(source)
     shown = points[0] if len(points) == 1 else f"{points[0]} and others"
@@ -183,6 +190,7 @@ def readable(value: object) -> str:
 @POLYGON
 @CLASSES
 @NOT_CLASSES
+@GROUND
 @click.option(
     "-o",
     "--output",
@@ -203,6 +211,7 @@ def convert(
     polygon: str | None,
     classes: str | None,
     not_classes: str | None,
+    ground: bool,
     output: str,
     rejected: str | None,
 ) -> None:
@@ -215,10 +224,10 @@ def convert(
     from hpcapp.io.ply.joined import write_joined
     from hpcapp.io.points.inputs import find_paths, gather_points
 
-    crop, files = parse_crop(box, around, polygon, classes, not_classes), find_paths(points)
+    crop, files = parse_crop(box, around, polygon, classes, not_classes, ground), find_paths(points)
     with (
         open_output(output, files, "points") as target,
-        gather_points(points, sample, keeps_noise=crop.keeps_noise, choose=crop.take) as path,
+        gather_points(points, sample, keeps_noise=crop.keeps_noise, choose=crop.narrow) as path,
     ):
         source = crop.take(open_points(path, keeps_noise=crop.keeps_noise))
         is_ply = target.suffix.lower() == ".ply"

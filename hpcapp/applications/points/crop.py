@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 Number = TypeVar("Number", int, float)
 
-CROPPED = ("box", "around", "polygon", "classes", "not_classes")
+CROPPED = ("box", "around", "polygon", "classes", "not_classes", "ground")
 """Options by which a part is asked for, as `parse_crop` takes them."""
 
 _BOX, _BALL = 6, 4  # numbers
@@ -44,6 +44,8 @@ class Crop:
         The only ones; all where there are none.
     not_classes : tuple of int
         Those that are left out.
+    ground : bool
+        Whether only the bare ground is asked for.
     """
 
     box: tuple[float, ...] = ()
@@ -51,6 +53,7 @@ class Crop:
     polygon: str = ""
     classes: tuple[int, ...] = ()
     not_classes: tuple[int, ...] = ()
+    ground: bool = False
 
     @property
     def has_region(self) -> bool:
@@ -77,8 +80,8 @@ class Crop:
             return Region.box(np.array(self.box[:3]), np.array(self.box[3:]), height_unit)
         return Region.ball(np.array(self.around[:3]), self.around[3], height_unit)
 
-    def take(self, source: PointSource, margin: float = 0.0) -> PointSource:
-        """Return the points of a source that are asked for.
+    def narrow(self, source: PointSource, margin: float = 0.0) -> PointSource:
+        """Return the points of a source that are asked for by place and class.
 
         Parameters
         ----------
@@ -92,6 +95,15 @@ class Crop:
         if self.classes or self.not_classes:
             source = source.of_classes(self.classes, self.not_classes)
         return source
+
+    def take(self, source: PointSource, margin: float = 0.0) -> PointSource:
+        """Return the same, of which the bare ground alone where that is asked for."""
+        source = self.narrow(source, margin)
+        if not self.ground:
+            return source
+        from hpcapp.applications.points.ground import take_ground
+
+        return take_ground(source, (self, margin))
 
     def cut(self, mesh: Mesh, height_unit: float, name: str) -> Mesh:
         """Return what of a mesh, in the unit of its file, lies where only a place is asked for.
@@ -130,6 +142,7 @@ def make_crop(
     polygon: str | PathLike[str] | None = None,
     classes: Sequence[int] | None = None,
     not_classes: Sequence[int] | None = None,
+    ground: bool = False,
 ) -> Crop:
     """Return what numbers and a file of polygons ask for.
 
@@ -141,10 +154,12 @@ def make_crop(
         See `read_outline`.
     """
     _refuse_two(classes=classes, not_classes=not_classes)
+    _refuse_two(classes=classes, ground=ground or None)
     _refuse_two(box=box, around=around, polygon=polygon)
     chosen = Crop(
         classes=_check_classes("classes", classes),
         not_classes=_check_classes("not_classes", not_classes),
+        ground=ground,
     )
     if box is not None:
         _check("box", box, _BOX, "two corners as X0,Y0,Z0,X1,Y1,Z1")
@@ -179,6 +194,7 @@ def parse_crop(
     polygon: str | None = None,
     classes: str | None = None,
     not_classes: str | None = None,
+    ground: bool = False,
 ) -> Crop:
     """Return what was typed; errors as of `make_crop`.
 
@@ -193,6 +209,7 @@ def parse_crop(
         polygon,
         _parse("classes", classes, int, "2,6"),
         _parse("not_classes", not_classes, int, "2,6"),
+        ground,
     )
 
 

@@ -35,6 +35,9 @@ SCAN = "scan"
 CLASSES = "classification"
 """The attribute that has the class of each point, as of LAS."""
 
+NOT_GROUND = "not_ground"
+"""Why points are left out where the bare ground is asked for."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scan:
@@ -104,8 +107,12 @@ class Findings:
             self.dropped[reason] = self.dropped.get(reason, 0) + points
 
     def lines(self) -> list[str]:
-        """Return a line for each warning, and for each reason why points were dropped."""
-        dropped = [f"dropped {points} points: {reason}" for reason, points in self.dropped.items()]
+        """Return a line for each warning, and for each reason why points were dropped unasked."""
+        dropped = [
+            f"dropped {points} points: {reason}"
+            for reason, points in self.dropped.items()
+            if reason != NOT_GROUND
+        ]
         return self.warnings + dropped
 
 

@@ -20,6 +20,7 @@ from hpcapp.applications.points.command import (
     AROUND,
     BOX,
     CLASSES,
+    GROUND,
     INPUTS,
     NOT_CLASSES,
     POLYGON,
@@ -184,8 +185,8 @@ GROUPS = {
         "max_memory", "cluster",
     ),
     "Points": (
-        "box", "around", "polygon", "classes", "not_classes", "sample", "normals", "clean",
-        "outliers", "denoise", "resample",
+        "box", "around", "polygon", "classes", "not_classes", "ground", "sample", "normals",
+        "clean", "outliers", "denoise", "resample",
     ),
     "Surface": (
         "voxel_size", "depth", "uniform", "smoothness", "detail", "trim", "fill_holes",
@@ -227,6 +228,7 @@ def _add_method_options(command: click.Command) -> click.Command:
 @POLYGON
 @CLASSES
 @NOT_CLASSES
+@GROUND
 @click.option(
     "-o",
     "--output",
@@ -520,13 +522,13 @@ def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:
                 names,
                 sample,
                 keeps_noise=crop.keeps_noise,
-                choose=partial(crop.take, margin=MARGIN),
+                choose=partial(crop.narrow, margin=MARGIN),
             ) as points,
             watching.open(title, timeline) as (progress, say),
         ):
             settings = JobSettings(
                 method=method(**chosen), points=points, inputs=files, crop=crop, **options
             )
-            report = run_job(settings, progress, machines, timeline)
+            report = run_job(settings.for_ground(), progress, machines, timeline)
             say(f"{options['output']}: {report['summary']}")  # the terminal's comes last
             return report

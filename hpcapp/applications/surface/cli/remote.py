@@ -130,7 +130,7 @@ def run_on_cluster(ctx: click.Context) -> dict[str, Any]:
             ctx.params["sample"],
             goes_elsewhere=True,
             keeps_noise=crop.keeps_noise,
-            choose=partial(crop.take, margin=MARGIN),
+            choose=partial(crop.narrow, margin=MARGIN),
         ) as points,
     ):
         check_points(points)

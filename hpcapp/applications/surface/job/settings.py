@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Self, TypeAlias
 
 from hpcapp.applications.points.crop import Crop
 from hpcapp.applications.surface.attributes.choice import AttributeChoice
@@ -100,6 +100,18 @@ class Settings:
             value = getattr(self, one.name)
             if isinstance(value, float):
                 check_range(one.name, value)
+
+    def for_ground(self) -> Self:
+        """Return the same; where bare ground is asked for it is seen from above, and open.
+
+        What else has been asked for stays.
+        """
+        if not self.crop.ground:
+            return self
+        method = self.method
+        if isinstance(method, Hierarchical) and method.close == "auto":
+            method = replace(method, close="no")
+        return replace(self, method=method, viewpoint=self.viewpoint or "above")
 
     @property
     def target(self) -> Target:
