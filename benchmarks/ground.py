@@ -19,7 +19,7 @@ from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io.points.mesh_points import sample_faces, slice_cloud
 from hpcapp.lab.simulate.raw.scan import RawScan, RawSettings, scan_scene
 
-SCENES = ("terrain", "forest", "town")
+SCENES = ("terrain", "forest", "town", "yard")
 _POINTS, _PLACES = 100_000, 400_000
 
 

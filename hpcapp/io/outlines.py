@@ -44,7 +44,7 @@ def read_outline(given: str) -> str:
     elif path.suffix.lower() not in OUTLINE_SUFFIXES:
         raise InputError(
             f"{name_option('polygon', given)}: neither WKT nor a file of a known kind",
-            f"give one of {', '.join(OUTLINE_SUFFIXES)}, or a text as 'POLYGON ((0 0, 9 0, 9 9))'",
+            f"give one of {', '.join(OUTLINE_SUFFIXES)}, or 'POLYGON ((0 0, 9 0, 9 9, 0 0))'",
         )
     else:
         with translated(path):

@@ -104,8 +104,8 @@ def simplify(
     with open_output(output, [mesh]) as path:
         crs = find_mesh_crs(mesh)
         placement = Placement(parse_origin(origin), up or find_mesh_up(mesh))
-        whole = crop.cut(read_mesh(mesh), crs.height_scale, str(mesh))
-        light = simplify_mesh(whole, target)
+        whole = read_mesh(mesh)
+        light = simplify_mesh(crop.cut(whole, crs.height_scale, str(mesh)), target)
         if most_bytes is not None:
             light = fit_mesh(light, most_bytes, path.suffix, crs, placement)
         write_mesh(path, replace(as_stream(light), crs=crs), placement)
