@@ -162,6 +162,8 @@ class MeshWriter:
         Of files, in place of one file.
     has_frame : bool
         Whether a file says where its mesh lies, and what coordinates mean.
+    textures : bool
+        Whether a texture is held.
     """
 
     function: str
@@ -170,6 +172,7 @@ class MeshWriter:
     attributes: bool = False
     makes_folder: bool = False
     has_frame: bool = True
+    textures: bool = False
 
     def write(self, path: Path, mesh: MeshStream) -> None:
         """Write a file."""
@@ -274,7 +277,7 @@ FORMATS = (
         PointReader("points.mesh_points:open_obj", 8),
         MeshReader("meshes.obj:read_obj", "meshes.obj:holds_obj_faces"),
         None,
-        MeshWriter("meshes.obj:write_obj", normals=True, colours=True),
+        MeshWriter("meshes.obj:write_obj", normals=True, colours=True, textures=True),
     ),
     Format(
         (".off",),
@@ -299,7 +302,9 @@ FORMATS = (
         None,
         MeshReader("meshes.glb_reader:read_glb"),
         None,
-        MeshWriter("meshes.glb:write_glb", normals=True, colours=True, attributes=True),
+        MeshWriter(
+            "meshes.glb:write_glb", normals=True, colours=True, attributes=True, textures=True
+        ),
     ),
     Format(
         (".vtp",),

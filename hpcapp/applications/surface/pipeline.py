@@ -32,6 +32,7 @@ from hpcapp.applications.surface.job.scan import Loaded, PointFolder, Scan
 from hpcapp.applications.surface.job.settings import JobSettings, Settings
 from hpcapp.applications.surface.job.simplify import fit_surface, simplify
 from hpcapp.applications.surface.job.site import Site, open_method, preprocess
+from hpcapp.applications.surface.job.texture import write_textured
 from hpcapp.applications.surface.methods.method import Method
 from hpcapp.applications.surface.normals.sides import orient_cloud
 from hpcapp.applications.surface.resolution.asked import find_grid
@@ -113,8 +114,9 @@ def reconstruct_cloud(
         cloud = preprocess(settings, loaded.cloud, clock)
         result = make_surface(cloud, method, site.backend.workforce, clock, checks)
         warnings = warn_of(settings, loaded, checks(), result)
+        fine = None if settings.texture is None else result.surface
         result, more = simplify(settings.target, result, clock)
-        yield Outcome(result, grid, site.backend, site.choice, warnings + more)
+        yield Outcome(result, grid, site.backend, site.choice, warnings + more, fine)
 
 
 def make_surface(
@@ -154,7 +156,10 @@ def deliver(
     if settings.size is not None:
         with clock.stage("fit size"):
             outcome = fit_surface(outcome, settings.size, target.suffix, carrying)
-    with clock.stage("write"):
-        outcome.result.surface.write(target, outcome.backend.workforce, carrying)
+    if settings.texture is not None:
+        outcome = write_textured(settings, outcome, carrying, target, clock)
+    else:
+        with clock.stage("write"):
+            outcome.result.surface.write(target, outcome.backend.workforce, carrying)
     with clock.stage("check"):  # most of it is done while workers write
         return outcome, carrying, outcome.result.surface.check()

@@ -14,12 +14,14 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io.columns import Numbers
+from hpcapp.io.meshes.glb_texture import add_texture
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.staging import replacing
 from hpccomponent.cli.option_names import name_option
@@ -55,7 +57,7 @@ def write_glb(path: Path, mesh: Mesh | MeshStream, turns_up: bool = False) -> No
         Vertices are written in single precision, in the local frame; the origin is the
         translation of the node. Colours keep their bytes, attributes become ``float`` under their
         names in capitals, after an underscore; NaN, which glTF forbids, becomes zero. What the
-        input's coordinates mean is in the extras of the asset.
+        input's coordinates mean is in the extras of the asset. A texture is in the file.
     turns_up : bool
         Whether the node turns z, which is up, into the y of glTF, and leaves the origin out, as
         3D Tiles want it.
@@ -70,9 +72,12 @@ def write_glb(path: Path, mesh: Mesh | MeshStream, turns_up: bool = False) -> No
     arrays = list(_list_arrays(stream.layout, names))
     sizes = [stream.vertex_count * array.size for array in arrays] + [12 * stream.face_count]
     node = _place(stream.origin, turns_up)
-    text = json.dumps(_describe(stream, node, names, arrays, sizes), separators=(",", ":")).encode()
+    document = _describe(stream, node, names, arrays, sizes)
+    texture = [] if stream.texture is None else add_texture(document, stream.texture)
+    text = json.dumps(document, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
-    total = 12 + 8 + len(text) + 8 + sum(sizes)
+    size = sum(sizes) + sum(map(len, texture))
+    total = 12 + 8 + len(text) + 8 + size
     if total > _MOST_BYTES:
         raise OutputError(
             f"{path}: {total} bytes are too many for a GLB",
@@ -80,7 +85,7 @@ def write_glb(path: Path, mesh: Mesh | MeshStream, turns_up: bool = False) -> No
         )
     with replacing(path) as file:
         file.write(_MAGIC + _integers(_VERSION, total) + _integers(len(text)) + _JSON + text)
-        file.write(_integers(sum(sizes)) + _BINARY)
+        file.write(_integers(size) + _BINARY)
         starts = [file.tell(), *sizes]
         places = [sum(starts[: number + 1]) for number in range(len(arrays))]
         for vertices in stream.vertices():
@@ -90,6 +95,7 @@ def write_glb(path: Path, mesh: Mesh | MeshStream, turns_up: bool = False) -> No
         file.seek(sum(starts[:-1]))
         for faces in stream.faces():
             file.write(np.ascontiguousarray(faces, "<u4").data)
+        file.writelines(texture)
 
 
 def _name_attributes(layout: PointCloud) -> dict[str, str]:
@@ -128,7 +134,7 @@ def _describe(
     names: dict[str, str],
     arrays: list[_Array],
     sizes: list[int],
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """Return the JSON of a mesh."""
     accessors: list[dict[str, object]] = []
     for number, array in enumerate(arrays):
@@ -144,7 +150,7 @@ def _describe(
             low, high = np.asarray(stream.box, np.float32).tolist()
             accessor |= {"min": low, "max": high}
         accessors.append(accessor)
-    # No material: readers that find one look for its texture, and set colours aside.
+    # No material but for a texture: readers that find one set the colours of vertices aside.
     primitive = {
         "attributes": {array.semantic: number for number, array in enumerate(arrays)},
         "indices": len(arrays),

@@ -11,6 +11,7 @@ from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
 from hpcapp.io.crs import UNKNOWN, Crs
 from hpcapp.io.frame import finite_bounds, scale_heights
+from hpcapp.io.meshes.texture import Texture
 
 _ROWS_AT_ONCE = 1 << 16
 
@@ -35,6 +36,8 @@ class MeshStream:
         Without points: tells which normals, colours and attributes the vertices carry.
     crs : Crs
         What the input's coordinates mean.
+    texture : Texture, optional
+        What is laid on the faces.
     """
 
     vertex_count: int
@@ -46,6 +49,7 @@ class MeshStream:
     corners: Callable[[], Iterator[FloatArray]]
     layout: PointCloud = field(default_factory=lambda: PointCloud(np.empty((0, 3))))
     crs: Crs = UNKNOWN
+    texture: Texture | None = None
 
 
 def as_stream(mesh: Mesh | MeshStream) -> MeshStream:

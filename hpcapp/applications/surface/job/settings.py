@@ -64,6 +64,8 @@ class Settings:
         Triangles to simplify the mesh to.
     tolerance : float or None
         How far its surface may move then, in length units of the input.
+    texture : int or None
+        Pixels along a side of the picture that shows what it had before.
     """
 
     method: MethodSettings = field(default_factory=Hierarchical)
@@ -86,6 +88,7 @@ class Settings:
     viewpoint: Viewpoint = ()
     faces: int | None = None
     tolerance: float | None = None
+    texture: int | None = None
 
     def __post_init__(self) -> None:
         for one in fields(self):
