@@ -278,6 +278,16 @@ def check_writable(path: str | PathLike[str], kind: Literal["mesh", "points"] = 
     check_place(file)
 
 
+def check_holds_texture(output: str) -> None:
+    """Raise UsageError where an output does not hold a texture; ``-`` is a PLY."""
+    path = Path("mesh.ply" if output == "-" else output)
+    if not find_mesh_writer(path).textures:
+        others = list_suffixes(lambda one: one.mesh_writer and one.mesh_writer.textures)
+        raise UsageError(
+            f"{output}: {path.suffix} holds no texture", f"write {' or '.join(others)}"
+        )
+
+
 def _refuse_special(path: Path) -> None:
     """Refuse pipes and devices: a reader looks at its file twice, and would wait for ever."""
     if path.exists() and not path.is_file():

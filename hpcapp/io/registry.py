@@ -177,6 +177,8 @@ class MeshWriter:
         Whether it says which axis points up, so that a mesh is turned.
     is_bare : bool
         Whether it holds triangles in single precision and no word of what they mean.
+    textures : bool
+        Whether a texture is held.
     """
 
     function: str
@@ -187,6 +189,7 @@ class MeshWriter:
     is_near: bool = False
     turns: bool = False
     is_bare: bool = False
+    textures: bool = False
 
     def write(self, path: Path, mesh: MeshStream) -> None:
         """Write a file."""
@@ -296,7 +299,7 @@ FORMATS = (
         PointReader("points.mesh_points:open_obj", 8),
         MeshReader("meshes.obj:read_obj", "meshes.obj:holds_obj_faces"),
         None,
-        MeshWriter("meshes.obj:write_obj", normals=True, colours=True, is_near=True),
+        MeshWriter("meshes.obj:write_obj", True, True, is_near=True, textures=True),
     ),
     Format(
         (".off",),
@@ -321,7 +324,9 @@ FORMATS = (
         None,
         MeshReader("meshes.glb_reader:read_glb", finds_up="meshes.glb_reader:find_glb_up"),
         None,
-        MeshWriter("meshes.glb:write_glb", True, True, attributes=True, is_near=True, turns=True),
+        MeshWriter(
+            "meshes.glb:write_glb", True, True, True, is_near=True, turns=True, textures=True
+        ),
     ),
     Format(
         (".vtp",),

@@ -11,7 +11,7 @@ from packaging.requirements import Requirement
 
 from hpcapp.extras import how_to_install
 
-SAID = ("las", "e57", "gis", "dashboard", "plots", "dask", "ray")
+SAID = ("las", "e57", "gis", "ground", "dashboard", "plots", "texture", "dask", "ray")
 
 
 @pytest.mark.parametrize("extra", SAID)

@@ -118,8 +118,9 @@ def reconstruct_cloud(
 
             result = crop(settings.crop, loaded, result, clock)
         warnings = warn_of(settings, loaded, checks(), result)
+        fine = None if settings.texture is None else result.surface
         result, more = simplify(settings.target, result, clock)
-        yield Outcome(result, grid, site.backend, site.choice, warnings + more)
+        yield Outcome(result, grid, site.backend, site.choice, warnings + more, fine)
 
 
 def make_surface(
@@ -160,7 +161,12 @@ def deliver(
     if settings.size is not None:
         with clock.stage("fit size"):
             outcome = fit_surface(outcome, settings.size, target.suffix, carrying)
-    with clock.stage("write"):
-        outcome.result.surface.write(target, outcome.backend.workforce, carrying)
+    if settings.texture is not None:
+        from hpcapp.applications.surface.job.texture import write_textured  # stands on scipy
+
+        outcome = write_textured(settings, outcome, carrying, target, clock)
+    else:
+        with clock.stage("write"):
+            outcome.result.surface.write(target, outcome.backend.workforce, carrying)
     with clock.stage("check"):  # most of it is done while workers write
         return outcome, carrying, outcome.result.surface.check()

@@ -14,6 +14,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import PointCloud
 from hpcapp.io.columns import Numbers
 from hpcapp.io.frame import choose_origin
+from hpcapp.io.meshes.glb_texture import add_texture
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.staging import replacing
 from hpccomponent.cli.option_names import name_option
@@ -59,7 +61,7 @@ def write_glb(path: Path, mesh: Mesh | MeshStream) -> None:
         bytes, attributes become ``float`` under their names in capitals, after an underscore; NaN,
         which glTF forbids, becomes zero. From those that lie far from zero, as the times of GPS do,
         a number in the extras of the mesh is subtracted. What the input's coordinates mean is in
-        the extras of the asset.
+        the extras of the asset. A texture is in the file.
 
     Raises
     ------
@@ -71,10 +73,12 @@ def write_glb(path: Path, mesh: Mesh | MeshStream) -> None:
     arrays = list(_list_arrays(stream.layout, names))
     sizes = [stream.vertex_count * array.size for array in arrays] + [12 * stream.face_count]
     offsets = _find_offsets(stream)
-    described = _describe(stream, names, offsets, arrays, sizes)
-    text = json.dumps(described, separators=(",", ":")).encode()
+    document = _describe(stream, names, offsets, arrays, sizes)
+    texture = [] if stream.texture is None else add_texture(document, stream.texture)
+    text = json.dumps(document, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
-    total = 12 + 8 + len(text) + 8 + sum(sizes)
+    size = sum(sizes) + sum(map(len, texture))
+    total = 12 + 8 + len(text) + 8 + size
     if total > _MOST_BYTES:
         raise OutputError(
             f"{path}: {total} bytes are too many for a GLB",
@@ -82,7 +86,7 @@ def write_glb(path: Path, mesh: Mesh | MeshStream) -> None:
         )
     with replacing(path) as file:
         file.write(_MAGIC + _integers(_VERSION, total) + _integers(len(text)) + _JSON + text)
-        file.write(_integers(sum(sizes)) + _BINARY)
+        file.write(_integers(size) + _BINARY)
         starts = [file.tell(), *sizes]
         places = [sum(starts[: number + 1]) for number in range(len(arrays))]
         for vertices in stream.vertices():
@@ -92,6 +96,7 @@ def write_glb(path: Path, mesh: Mesh | MeshStream) -> None:
         file.seek(sum(starts[:-1]))
         for faces in stream.faces():
             file.write(np.ascontiguousarray(faces, "<u4").data)
+        file.writelines(texture)
 
 
 def _name_attributes(layout: PointCloud) -> dict[str, str]:
@@ -144,7 +149,7 @@ def _describe(
     offsets: dict[str, float],
     arrays: list[_Array],
     sizes: list[int],
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """Return the JSON of a mesh."""
     accessors: list[dict[str, object]] = []
     for number, array in enumerate(arrays):
@@ -160,7 +165,7 @@ def _describe(
             low, high = np.asarray(stream.box, np.float32).tolist()
             accessor |= {"min": low, "max": high}
         accessors.append(accessor)
-    # No material: readers that find one look for its texture, and set colours aside.
+    # No material but for a texture: readers that find one set the colours of vertices aside.
     primitive = {
         "attributes": {array.semantic: number for number, array in enumerate(arrays)},
         "indices": len(arrays),

@@ -11,6 +11,7 @@ from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
 from hpcapp.io.crs import UNKNOWN, Crs
 from hpcapp.io.frame import finite_bounds, scale_heights
+from hpcapp.io.meshes.texture import Texture
 
 _ROWS_AT_ONCE = 1 << 16
 
@@ -39,6 +40,8 @@ class MeshStream:
         What was subtracted from the input's coordinates, to be written elsewhere.
     up : str
         The axis that points up, of `axis_names.AXES`.
+    texture : Texture, optional
+        What is laid on the faces.
     """
 
     vertex_count: int
@@ -52,6 +55,7 @@ class MeshStream:
     crs: Crs = UNKNOWN
     shift: FloatArray = field(default_factory=lambda: np.zeros(3))
     up: str = "z"
+    texture: Texture | None = None
 
     @property
     def said(self) -> dict[str, str]:

@@ -11,6 +11,7 @@ from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray
 from hpcapp.io.columns import Ragged
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
+from hpcapp.io.meshes.mtl import write_material
 from hpcapp.io.meshes.polygons import mesh_of_polygons
 from hpcapp.io.rows import Line, line_error, numbered, parse_index, parse_table, write_rows
 from hpcapp.io.staging import replacing
@@ -75,7 +76,7 @@ def write_obj(path: Path, mesh: Mesh | MeshStream) -> None:
 
     Coordinates are written to the last digit if an origin was subtracted, else to the nine digits
     that tell one ``float`` from another; colours behind them, from 0 to 1. Comments say what
-    coordinates mean.
+    coordinates mean. A texture lies in files beside it (see `write_material`).
     """
     stream = as_stream(mesh)
     formats = [coordinate_format(stream.origin)] * 3
@@ -83,9 +84,14 @@ def write_obj(path: Path, mesh: Mesh | MeshStream) -> None:
         formats += ["%.4f"] * 3
     row = "v " + " ".join(formats) + "\n"
     has_normals = stream.layout.normals is not None
-    face = "f %d//%d %d//%d %d//%d\n" if has_normals else "f %d %d %d\n"
+    corner = "%d//%d" if has_normals else "%d"
+    texture = stream.texture
+    if texture is not None:
+        corner = corner.replace("//", "/%d/") if has_normals else "%d/%d"
+    face = f"f {corner} {corner} {corner}\n"
+    material = [] if texture is None else write_material(path, texture)
     with replacing(path) as file:
-        file.writelines(comment_lines(stream))
+        file.writelines([*comment_lines(stream), *material])
         for vertices in stream.vertices():
             places = vertices.positions + stream.origin
             if vertices.colours is not None:
@@ -93,8 +99,10 @@ def write_obj(path: Path, mesh: Mesh | MeshStream) -> None:
             file.writelines(write_rows(row, places))
             if vertices.normals is not None:
                 file.writelines(write_rows("vn %.6g %.6g %.6g\n", vertices.normals))
+        if texture is not None:
+            file.writelines(write_rows("vt %.7g %.7g\n", abs(texture.places - (0.0, 1.0))))
         for faces in stream.faces():
-            corners = np.repeat(faces, 2, axis=1) if has_normals else faces
+            corners = np.repeat(faces, corner.count("%"), axis=1)
             file.writelines(write_rows(face, corners + 1))
 
 

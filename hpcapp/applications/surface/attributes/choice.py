@@ -40,6 +40,8 @@ class AttributeChoice:
         Distances of the nearest points.
     has_confidence : bool
         How sure the sides of the normals are, where they are estimated or mended.
+    is_picture : bool
+        Colours alone: they are for a texture.
     """
 
     is_auto: bool = True
@@ -47,6 +49,23 @@ class AttributeChoice:
     has_normals: bool = False
     has_support: bool = False
     has_confidence: bool = False
+    is_picture: bool = False
+
+    def for_texture(self) -> AttributeChoice:
+        """Return what of it a texture holds, in place of the vertices.
+
+        Raises
+        ------
+        UsageError
+            Something else is asked for by its name.
+        """
+        is_plain = not (self.has_normals or self.has_support or self.has_confidence)
+        if not is_plain or set(self.names) - {_COLOURS[0]}:
+            raise UsageError(
+                f"--texture holds colours, and no other {name_option('attributes')}",
+                "name auto, none or colours, or leave the texture out",
+            )
+        return replace(self, is_picture=True)
 
     def name_confidence(self, layout: PointCloud) -> str | None:
         """Return by which name points keep how sure their sides are; None where they need not.
@@ -88,13 +107,16 @@ class AttributeChoice:
                     f"{name_option('attributes', name)}: the points have no such column",
                     f"{there}; {' and '.join(_MADE)} can always be had",
                 )
-        automatic = [name for name in known if self.is_auto and name not in _OF_THE_SCAN]
+        automatic = [name for name in known if self.is_auto and self._suits(name)]
         wanted = {*self.names, *automatic, *[CONFIDENCE] * self.has_confidence}
         return replace(
             cloud,
             colours=cloud.colours if _COLOURS[0] in wanted else None,
             attributes={name: c for name, c in cloud.attributes.items() if name in wanted},
         )
+
+    def _suits(self, name: str) -> bool:
+        return name == _COLOURS[0] if self.is_picture else name not in _OF_THE_SCAN
 
 
 def parse_attributes(text: str) -> AttributeChoice:

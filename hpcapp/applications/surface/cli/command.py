@@ -44,6 +44,7 @@ from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY, POLICIES
 from hpcapp.dashboard import DEFAULT_ADDRESS
 from hpcapp.progress import Progress
 from hpcapp.simplification.command import ORIGIN, UP
+from hpcapp.texture.request import LEAST_PIXELS, MOST_PIXELS, check_library, check_texture
 from hpcapp.timeline import Timeline
 from hpccomponent.cli.terminal import echo_json
 from hpccomponent.cli.verb import Verb
@@ -80,6 +81,18 @@ def _is_typed(ctx: click.Context, name: str) -> bool:
 
 def _flag(name: str) -> str:
     return "--" + name.replace("_", "-")
+
+
+def _check_texture(ctx: click.Context) -> None:
+    """Raise UsageError where no texture can come of what was asked for."""
+    output = ctx.params["output"]
+    check_texture(output, *(ctx.params[name] for name in ("faces", "tolerance", "size")))
+    if ctx.params["cluster"] is not None and Path(output).suffix.lower() != ".glb":
+        raise UsageError(
+            f"{output} with --texture is several files, and one comes from a cluster",
+            "write a .glb",
+        )
+    parse_attributes(ctx.params["attributes"]).for_texture()
 
 
 def _only_without_cluster(ctx: click.Context) -> None:
@@ -157,6 +170,8 @@ def check_flags(ctx: click.Context) -> None:
         raise UsageError("-o - and --json both want the standard output", "give one of them")
     if ctx.params["details"] and not ctx.params["as_json"] and ctx.params["cluster"] is None:
         raise UsageError("--details means nothing without --json", "give --json too")
+    if ctx.params["texture"] is not None:
+        _check_texture(ctx)
     if ctx.params["cluster"] is not None:
         _only_without_cluster(ctx)
     if ctx.params["backend"] != "auto":
@@ -190,7 +205,7 @@ GROUPS = {
     ),
     "Surface": (
         "voxel_size", "depth", "uniform", "smoothness", "detail", "trim", "fill_holes",
-        "tolerance", "size", "origin", "up", "method",
+        "tolerance", "size", "texture", "origin", "up", "method",
     ),
     "With --method paper": option_names(find_method("paper")),
     "Where it runs": ("backend", "workers", "policy", "verify", "temp_dir", "resume"),
@@ -371,6 +386,13 @@ def _add_method_options(command: click.Command) -> click.Command:
 @ORIGIN
 @UP
 @click.option(
+    "--texture",
+    type=click.IntRange(LEAST_PIXELS, MOST_PIXELS),
+    metavar="PIXELS",
+    help="With --faces or --tolerance: bake the colours of all points and the normals of the mesh "
+    "as it was into a picture of so many pixels a side, in a .glb or beside an .obj.",
+)
+@click.option(
     "--events",
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",
@@ -502,6 +524,9 @@ def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:
         if options["max_memory"] is not None:
             options["max_memory"] = parse_limit(options["max_memory"])
         options["attributes"] = parse_attributes(options["attributes"])
+        if options["texture"] is not None:
+            check_library()
+            options["attributes"] = options["attributes"].for_texture()
         options["viewpoint"] = parse_viewpoint(options["viewpoint"])
         options["placement"] = Placement(parse_origin(options.pop("origin")), options.pop("up"))
         crop = parse_crop(*(options.pop(name) for name in CROPPED))

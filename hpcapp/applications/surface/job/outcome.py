@@ -44,6 +44,8 @@ class Outcome:
         Why it is this one.
     warnings : list of str
         What should make the user doubt the mesh; logged already.
+    fine : Surface or None
+        What the surface was before it was simplified, where a texture is made of it.
     """
 
     result: Reconstruction
@@ -51,3 +53,4 @@ class Outcome:
     backend: Backend
     choice: Choice
     warnings: list[str]
+    fine: Surface | None = None

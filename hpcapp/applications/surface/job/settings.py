@@ -66,6 +66,8 @@ class Settings:
         Triangles to simplify the mesh to.
     tolerance : float or None
         How far its surface may move then, in length units of the input.
+    texture : int or None
+        Pixels along a side of the picture that shows what it had before.
     placement : Placement
         Where the mesh is written, and which way up.
     crop : Crop
@@ -92,6 +94,7 @@ class Settings:
     viewpoint: Viewpoint = ()
     faces: int | None = None
     tolerance: float | None = None
+    texture: int | None = None
     placement: Placement = field(default_factory=Placement)
     crop: Crop = field(default_factory=Crop)
 

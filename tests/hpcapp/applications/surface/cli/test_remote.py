@@ -254,6 +254,16 @@ def test_a_report_of_a_head_that_lies_makes_no_page(
     assert (tmp_path / "m.ply").exists()  # what has come stays
 
 
+def test_a_texture_in_files_of_its_own_is_not_made_there(
+    tmp_path: Path, sphere_file: Path, cluster: Cluster
+) -> None:
+    words = [str(sphere_file), "-o", str(tmp_path / "m.obj"), "--cluster", "cluster.yaml"]
+    words += ["--faces", "100", "--texture", "256"]
+    with pytest.raises(UsageError, match=r"write a \.glb"):
+        CliRunner().invoke(reconstruct, words, catch_exceptions=False)
+    assert cluster.options == []
+
+
 def test_a_mesh_that_is_not_read_here_has_no_page_here(
     tmp_path: Path, sphere_file: Path, cluster: Cluster
 ) -> None:

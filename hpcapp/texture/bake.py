@@ -1,0 +1,238 @@
+"""The colours and normals of a fine surface in the texels of a light mesh.
+
+::
+
+    light mesh ─> atlas ─> texels ─> places on the mesh ─┬─> points near them ─> colours
+                                                         └─> fine vertices near them ─> normals
+
+Some texels at a time: memory is that of the pictures, and of the fine vertices, of which no more
+are taken than there are texels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import ceil
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import BoolArray, ByteArray, FloatArray
+from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
+from hpcapp.io.meshes.texture import Texture
+from hpcapp.texture.atlas import Atlas, unwrap
+from hpcapp.texture.tangents import find_tangents, normalise
+from hpcapp.texture.texels import Texels, cover
+from hpcapp.wording import say_count, say_number, say_share
+
+_NEAR = 5
+"""Fine vertices around a place, of which the farthest weighs nothing: more blur, fewer show the
+triangles."""
+_STEEPEST = 0.1  # cosine between the two surfaces: a map holds no normals that look inwards
+
+FindColours = Callable[[FloatArray], ByteArray]
+"""Returns the colours of places on the mesh, shape (n, 3)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Baked:
+    """A mesh with its texture, and how well it fills it.
+
+    Parameters
+    ----------
+    mesh : MeshStream
+        Vertices on the rims of charts are there more than once.
+    charts : int
+    filled : float
+        Share of the texels that lie on the mesh, 0 to 1.
+    texel : float
+        Side of one, in length units of the mesh.
+    """
+
+    mesh: MeshStream
+    charts: int
+    filled: float
+    texel: float
+
+    @property
+    def pixels(self) -> int:
+        """Along a side of the pictures."""
+        assert self.mesh.texture is not None  # noqa: S101 - it was baked
+        return len(self.mesh.texture.normals)
+
+    def describe(self, spacing: float | None = None) -> str:
+        """Say how large a texel is, beside the spacing of the points where it is known."""
+        charts = say_count(self.charts, "chart")
+        beside = "" if spacing is None else f"; points are {say_number(spacing)} apart"
+        return (
+            f"texture: {charts} on {say_share(self.filled)} of {self.pixels:,} x {self.pixels:,} "
+            f"texels, each {say_number(self.texel)} wide{beside}"
+        )
+
+    def to_json(self) -> dict[str, float]:
+        """Return what the report says of it."""
+        sizes = {"filled": self.filled, "texel": self.texel}
+        return {"pixels": self.pixels, "charts": self.charts, **sizes}
+
+
+class FineNormals:
+    """The normals of a fine surface, as a function of the place.
+
+    Parameters
+    ----------
+    fine : MeshStream
+        With normals.
+    most : int
+        So many of its vertices are kept in memory, with some 100 bytes each.
+    threads : int
+        The values do not depend on it.
+    """
+
+    def __init__(self, fine: MeshStream, most: int, threads: int) -> None:
+        places, normals = [np.empty((0, 3))], [np.empty((0, 3))]
+        step, start = ceil(fine.vertex_count / most), 0
+        for block in fine.vertices():
+            some = slice(-start % step, None, step)
+            if block.normals is not None:
+                places.append(block.positions[some].copy())
+                normals.append(block.normals[some].copy())
+            start += len(block)
+        self._normals = np.concatenate(normals)
+        self._threads = threads
+        self._tree = cKDTree(np.concatenate(places), compact_nodes=False, balanced_tree=False)
+
+    def find(self, places: FloatArray, around: FloatArray) -> FloatArray:
+        """Return unit normals at places.
+
+        Parameters
+        ----------
+        places : ndarray of float64, shape (n, 3)
+        around : ndarray of float64, shape (n, 3)
+            The normals of the light surface there: fine vertices that look away from them are of
+            another side.
+        """
+        most = min(_NEAR, self._tree.n)
+        far, near = self._tree.query(places, np.arange(1, most + 1), workers=self._threads)
+        last = far[:, -1:]
+        shares = 1.0 - np.divide(far, last, out=np.zeros_like(far), where=last > 0.0)
+        total = 1e-9 * around
+        for neighbour, rows in enumerate(near.T):
+            normals = self._normals[rows]
+            facing = np.maximum((normals * around).sum(axis=1), 0.0)
+            total += (shares[:, neighbour] * facing)[:, None] * normals
+        return normalise(total)
+
+
+def bake(
+    light: Mesh,
+    find_normals: FineNormals,
+    find_colours: FindColours | None,
+    pixels: int,
+    advance: Callable[[int, int], object] = lambda *_: None,
+) -> Baked:
+    """Give a light mesh a texture.
+
+    Parameters
+    ----------
+    light : Mesh
+        With normals.
+    find_normals : FineNormals
+    find_colours : callable or None
+        None where there are no colours: then the texture has none.
+    pixels : int
+        Along a side.
+    advance : callable
+        Told how many faces are done, and how many there are.
+
+    Raises
+    ------
+    UsageError
+        The mesh has too many triangles.
+    """
+    atlas = unwrap(light, pixels)
+    mesh = _split(light, atlas)
+    assert mesh.normals is not None  # noqa: S101 - it is asked for
+    tangents = find_tangents(mesh.vertices, mesh.faces, mesh.normals, atlas.places)
+    colours = None if find_colours is None else np.zeros((pixels * pixels, 3), np.uint8)
+    normals = np.zeros((pixels * pixels, 3), np.uint8)
+    is_empty = np.ones(pixels * pixels, np.bool_)
+    for texels in cover(atlas.places, atlas.faces, pixels):
+        places = _blend(texels, mesh.vertices, mesh.faces)
+        around = normalise(_blend(texels, mesh.normals, mesh.faces))
+        right = _blend(texels, tangents, mesh.faces)
+        normals[texels.cells] = _encode(find_normals.find(places, around), right, around)
+        if colours is not None and find_colours is not None:
+            colours[texels.cells] = find_colours(places)
+        is_empty[texels.cells] = False
+        advance(int(texels.faces[-1]) + 1, len(mesh.faces))
+    filled = 1.0 - float(is_empty.mean())
+    shown = [picture for picture in (colours, normals) if picture is not None]
+    _fill(shown, is_empty.reshape(pixels, pixels))
+    square = (pixels, pixels, 3)
+    texture = Texture(
+        atlas.places,
+        tangents,
+        None if colours is None else colours.reshape(square),
+        normals.reshape(square),
+    )
+    texel = float(np.sqrt(_measure_area(mesh) / max(filled, 1e-9))) / pixels
+    return Baked(replace(as_stream(mesh), texture=texture), atlas.charts, filled, texel)
+
+
+def _split(mesh: Mesh, atlas: Atlas) -> Mesh:
+    """Return a mesh with the vertices of an atlas."""
+    normals = None if mesh.normals is None else mesh.normals[atlas.sources]
+    return Mesh(mesh.vertices[atlas.sources], atlas.faces, mesh.origin, normals)
+
+
+def _measure_area(mesh: Mesh) -> float:
+    a, b, c = mesh.vertices[mesh.faces].transpose(1, 0, 2)
+    cross = np.cross(b - a, c - a)
+    return float(0.5 * np.sqrt((cross * cross).sum(axis=1)).sum())
+
+
+def _blend(texels: Texels, rows: FloatArray, faces: FloatArray) -> FloatArray:
+    """Return what vertices have, at texels between them."""
+    corners = faces[texels.faces]
+    total = np.zeros((len(corners), rows.shape[1]))
+    for corner in range(3):
+        total += texels.weights[:, corner, None] * rows[corners[:, corner]]
+    return total
+
+
+def _encode(normals: FloatArray, right: FloatArray, around: FloatArray) -> ByteArray:
+    """Return normals in the frames of texels, as a viewer makes these: of what it interpolates.
+
+    Parameters
+    ----------
+    right : ndarray of float64, shape (n, 4)
+        Interpolated tangents.
+    around : ndarray of float64, shape (n, 3)
+        Interpolated normals, of length one.
+    """
+    tangents = normalise(right[:, :3])
+    up = normalise(np.cross(around, tangents) * np.sign(right[:, 3:]))
+    # Tangent and normal are not quite upright on each other: what each has of the other is solved.
+    common = (tangents * around).sum(axis=1)
+    along, out = (normals * tangents).sum(axis=1), (normals * around).sum(axis=1)
+    squared = np.maximum(1.0 - common * common, 1e-6)
+    local = np.stack([
+        (along - common * out) / squared,
+        (normals * up).sum(axis=1),
+        np.maximum((out - common * along) / squared, _STEEPEST),
+    ], axis=1)  # fmt: skip
+    return np.rint(127.5 * (normalise(local) + 1.0)).astype(np.uint8)
+
+
+def _fill(pictures: list[ByteArray], is_empty: BoolArray) -> None:
+    """Give texels beside the charts what the nearest one in a chart has."""
+    nearest = ndimage.distance_transform_edt(is_empty, return_distances=False, return_indices=True)
+    width = is_empty.shape[1]
+    for first in range(0, len(is_empty), 256):
+        rows = slice(first, first + 256)
+        sources = nearest[0, rows].astype(np.int64) * width + nearest[1, rows]
+        for picture in pictures:
+            picture.reshape(*is_empty.shape, 3)[rows] = picture[sources]

@@ -1,0 +1,46 @@
+"""What may be asked of a texture.
+
+This module is imported for every ``--help``: nothing heavy is imported.
+"""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+
+from hpcapp.extras import how_to_install
+from hpccomponent.errors import MissingLibraryError, UsageError
+
+LEAST_PIXELS, MOST_PIXELS = 256, 8192
+"""Along a side: below, the gaps between charts take most of it; above, pictures have 200 MB."""
+
+
+def check_texture(
+    output: str, faces: int | None, tolerance: float | None, size: object = None
+) -> None:
+    """Find out before the work whether a texture can come of what is asked for.
+
+    Parameters
+    ----------
+    output : str
+        As typed.
+    faces, tolerance, size : optional
+        What a mesh is simplified to.
+
+    Raises
+    ------
+    UsageError
+        The mesh is not to be light, or the output does not hold a texture.
+    """
+    from hpcapp.io.formats import check_holds_texture
+
+    check_holds_texture(output)
+    if faces is None and tolerance is None:
+        raise UsageError("--texture is for a light mesh", "give --faces or --tolerance")
+    if size is not None:
+        raise UsageError("--texture and --size exclude each other", "give --faces")
+
+
+def check_library() -> None:
+    """Raise MissingLibraryError where nothing is here that makes an atlas."""
+    if find_spec("xatlas") is None:
+        raise MissingLibraryError("--texture needs the package xatlas", how_to_install("texture"))
