@@ -20,7 +20,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from hpcapp.geometry.mesh import Mesh
-from hpcapp.geometry.points import BoolArray, ByteArray, FloatArray
+from hpcapp.geometry.points import BoolArray, ByteArray, FloatArray, IntArray
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.meshes.texture import Texture
 from hpcapp.texture.atlas import Atlas, unwrap
@@ -194,7 +194,7 @@ def _measure_area(mesh: Mesh) -> float:
     return float(0.5 * np.sqrt((cross * cross).sum(axis=1)).sum())
 
 
-def _blend(texels: Texels, rows: FloatArray, faces: FloatArray) -> FloatArray:
+def _blend(texels: Texels, rows: FloatArray, faces: IntArray) -> FloatArray:
     """Return what vertices have, at texels between them."""
     corners = faces[texels.faces]
     total = np.zeros((len(corners), rows.shape[1]))

@@ -54,15 +54,18 @@ def find_tangents(
 
 def _flatten(vectors: FloatArray, normals: FloatArray) -> FloatArray:
     """Return vectors without what they have along the normals."""
-    return vectors - (vectors * normals).sum(axis=1, keepdims=True) * normals
+    flat: FloatArray = vectors - (vectors * normals).sum(axis=1, keepdims=True) * normals
+    return flat
 
 
 def normalise(vectors: FloatArray) -> FloatArray:
     """Return vectors of length one, and zero where they have none."""
     lengths = np.sqrt((vectors * vectors).sum(axis=1, keepdims=True))
-    return np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0.0)
+    units: FloatArray = np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0.0)
+    return units
 
 
 def _across(normals: FloatArray) -> FloatArray:
     """Return for each normal the axis that it is farthest from."""
-    return np.eye(3)[np.abs(normals).argmin(axis=1)]
+    across: FloatArray = np.eye(3)[np.abs(normals).argmin(axis=1)]
+    return across

@@ -94,5 +94,5 @@ def _weigh(corners: FloatArray, columns: IntArray, rows: IntArray) -> FloatArray
     second = ((columns - x0) * (y2 - y0) - (x2 - x0) * (rows - y0)) / area
     third = ((x1 - x0) * (rows - y0) - (columns - x0) * (y1 - y0)) / area
     weights = np.clip(np.stack([1.0 - second - third, second, third], axis=1), 0.0, 1.0)
-    total: FloatArray = weights.sum(axis=1, keepdims=True)
-    return weights / total
+    shares: FloatArray = weights / weights.sum(axis=1, keepdims=True)
+    return shares
