@@ -94,6 +94,8 @@ def reconstruct(
     attributes: str = "auto",
     faces: int | None = None,
     tolerance: float | None = None,
+    pieces: int | None = None,
+    smallest: float | None = None,
     executor: str | Executor | Client | None = None,
     workers: int | None = None,
     policy: str = DEFAULT_POLICY,
@@ -144,6 +146,10 @@ def reconstruct(
         Simplify the mesh to so many triangles.
     tolerance : float, optional
         Simplify the mesh while its surface moves by less than this length.
+    pieces : int, optional
+        So many connected pieces of the mesh are kept, the largest ones.
+    smallest : float, optional
+        Only pieces of the mesh with this area or more are kept, in squared units of the points.
     executor : str, concurrent.futures.Executor or distributed.Client, optional
         Where batches run: a name that ``--backend`` takes or the file of a cluster, or what is
         open already and stays so; by default what pays for so many points.
@@ -216,6 +222,8 @@ def reconstruct(
         faces=faces,
         tolerance=tolerance,
         crop=make_crop(box, around, classes, not_classes),
+        pieces=pieces,
+        smallest=smallest,
     )
     _check_settings(settings)
     rows = None if isinstance(normals, str) else normals
@@ -423,6 +431,7 @@ def _find_sensor(settings: Settings, points: PointCloud) -> Sensor:
 def _check_settings(settings: Settings) -> None:
     """Refuse what the command would refuse."""
     settings.target.check()
+    settings.piece_choice.check()
     check_range("verify", settings.verify or 0.0, 0.0, 1.0)
     if settings.grid is not None:
         if not isinstance(settings.grid, int | np.integer):

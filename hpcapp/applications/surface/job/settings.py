@@ -13,6 +13,7 @@ from hpcapp.applications.surface.hierarchical.settings import Hierarchical
 from hpcapp.applications.surface.methods.method import MethodSettings
 from hpcapp.applications.surface.normals.viewpoint import Viewpoint
 from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY
+from hpcapp.geometry.pieces import PieceChoice
 from hpcapp.io.placement import Placement
 from hpcapp.simplification.mesh import Target
 from hpcapp.workforce import Workforce
@@ -66,6 +67,10 @@ class Settings:
         Triangles to simplify the mesh to.
     tolerance : float or None
         How far its surface may move then, in length units of the input.
+    pieces : int or None
+        Connected pieces that stay, the largest ones.
+    smallest : float or None
+        Area of a piece that stays, in squared length units of the input.
     placement : Placement
         Where the mesh is written, and which way up.
     crop : Crop
@@ -92,6 +97,8 @@ class Settings:
     viewpoint: Viewpoint = ()
     faces: int | None = None
     tolerance: float | None = None
+    pieces: int | None = None
+    smallest: float | None = None
     placement: Placement = field(default_factory=Placement)
     crop: Crop = field(default_factory=Crop)
 
@@ -105,6 +112,11 @@ class Settings:
     def target(self) -> Target:
         """How light the mesh shall be."""
         return Target(self.faces, self.tolerance)
+
+    @property
+    def piece_choice(self) -> PieceChoice:
+        """Which pieces of the mesh shall stay."""
+        return PieceChoice(self.pieces, self.smallest)
 
 
 @dataclass(frozen=True, slots=True)
