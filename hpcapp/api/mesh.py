@@ -30,6 +30,7 @@ from hpcapp.pages.page import build_page, write_page
 from hpcapp.pages.scene import Scene, fields_of
 from hpcapp.pages.thin import MOST_FACES, thin_mesh
 from hpccomponent.errors import UsageError
+from hpccomponent.ranges import check_range
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
@@ -211,6 +212,43 @@ class Mesh:
         if not target.is_something:
             raise UsageError("simplify has no target", "give faces or tolerance")
         return wrap_mesh(simplify_mesh(self._plain, target), crs=self._crs, up=self._up)
+
+    def mend(
+        self,
+        *,
+        fill_holes: float | None = None,
+        pieces: int | None = None,
+        smallest: float | None = None,
+    ) -> Mesh:
+        """Return it with holes filled, and then without some of its pieces.
+
+        Parameters
+        ----------
+        fill_holes : float, optional
+            Holes up to this size are filled: the diagonal of the box around a border, in units of
+            the input.
+        pieces : int, optional
+            So many connected pieces are kept, the largest ones.
+        smallest : float, optional
+            Only pieces with this area or more are kept, in squared units of the input.
+
+        Raises
+        ------
+        UsageError
+            Nothing is given, or something is out of its range.
+        """
+        from hpcapp.geometry.pieces import PieceChoice
+        from hpcapp.mending.mend import mend_mesh
+
+        choice = PieceChoice(pieces, smallest)
+        choice.check()
+        if fill_holes is None and not choice.is_something:
+            raise UsageError("nothing to mend", "give fill_holes, pieces or smallest")
+        if fill_holes is not None:
+            check_range("fill_holes", fill_holes, 0.0, is_open=True)
+        if not len(self._plain.faces):
+            raise UsageError("the mesh has no faces", "mend a mesh with faces")
+        return wrap_mesh(mend_mesh(self._plain, fill_holes, choice), crs=self._crs)
 
     def save(
         self,

@@ -1,15 +1,21 @@
-"""The verb ``simplify``; imported for every ``--help``: nothing heavy is imported."""
+"""The verb ``simplify``, and what verbs of a mesh share; imported for every ``--help``."""
 
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from hpcapp.geometry.axis_names import AXES
 from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import UsageError
+
+if TYPE_CHECKING:
+    from hpcapp.geometry.mesh import Mesh
 
 log = logging.getLogger("hpcapp")
 
@@ -30,6 +36,89 @@ UP = click.option(
 )
 
 
+MESH = click.argument(
+    "mesh",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="A .ply, .obj, .off, .stl, .glb or .vtp.",
+)
+_OUTPUT = click.option(
+    "-o",
+    "--output",
+    required=True,
+    metavar="MESH",
+    help="Mesh to write: .ply, .obj, .glb, .vtp, .3mf, .off, .stl, .tiles or .3dtiles; - writes a "
+    "PLY to standard output.",
+)
+_FACES = click.option(
+    "--faces", type=click.IntRange(4), metavar="N", help="Simplify it to N triangles."
+)
+_TOLERANCE = click.option(
+    "--tolerance",
+    type=click.FloatRange(0, min_open=True),
+    metavar="LENGTH",
+    help="Simplify it while its surface moves by less, in its own units.",
+)
+_SIZE = click.option("--size", metavar="BYTES", help="Simplify it to a file of at most that: 20MB.")
+
+
+def with_output(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a verb the options of a mesh that is simplified and written: those of `Output`."""
+    for option in (UP, ORIGIN, _SIZE, _TOLERANCE, _FACES, _OUTPUT):
+        command = option(command)
+    return command
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """A mesh to write, as the options of `with_output` say."""
+
+    output: str
+    faces: int | None
+    tolerance: float | None
+    size: str | None
+    origin: str
+    up: str | None
+
+    @property
+    def is_light(self) -> bool:
+        """Whether it is to be simplified."""
+        return not (self.faces is self.tolerance is self.size is None)
+
+    def write(self, mesh: Path, change: Callable[[Mesh], Mesh] | None = None) -> tuple[Mesh, Mesh]:
+        """Read a mesh, change and simplify it, and write it.
+
+        Returns
+        -------
+        whole, light : Mesh
+            As it was read, and as it was written.
+        """
+        from dataclasses import replace
+
+        from hpcapp.io import find_mesh_crs, find_mesh_up, read_mesh, write_mesh
+        from hpcapp.io.meshes.mesh_stream import as_stream
+        from hpcapp.io.output import open_output
+        from hpcapp.io.placement import Placement, parse_origin
+        from hpcapp.simplification.mesh import Target, simplify_mesh
+        from hpcapp.simplification.size import fit_mesh, read_size
+
+        target = Target(self.faces, self.tolerance)
+        target.check()
+        parse_origin(self.origin)
+        most_bytes = None if self.size is None else read_size(self.size, self.output)
+        with open_output(self.output, [mesh]) as path:
+            whole = read_mesh(mesh)
+            crs = find_mesh_crs(mesh)
+            placement = Placement(parse_origin(self.origin), self.up or find_mesh_up(mesh))
+            light = simplify_mesh(whole if change is None else change(whole), target)
+            if most_bytes is not None:
+                light = fit_mesh(light, most_bytes, path.suffix, crs, placement)
+            write_mesh(path, replace(as_stream(light), crs=crs), placement)
+        is_bound = self.faces is not None and self.tolerance is None
+        if is_bound and len(light.faces) > (self.faces or 0):
+            log.warning("warning: %d faces are left: fewer would break the mesh", len(light.faces))
+        return whole, light
+
+
 @click.command(
     cls=Verb,
     examples=[
@@ -47,60 +136,12 @@ UP = click.option(
         ),
     ],
 )
-@click.argument(
-    "mesh", type=click.Path(dir_okay=False, path_type=Path), help="A .ply, .obj, .off or .stl."
-)
-@click.option(
-    "-o",
-    "--output",
-    required=True,
-    metavar="MESH",
-    help="Mesh to write: .ply, .obj, .glb, .vtp, .3mf, .off, .stl, .tiles or .3dtiles; - writes a "
-    "PLY to standard output.",
-)
-@click.option("--faces", type=click.IntRange(4), metavar="N", help="Simplify it to N triangles.")
-@click.option(
-    "--tolerance",
-    type=click.FloatRange(0, min_open=True),
-    metavar="LENGTH",
-    help="Simplify it while its surface moves by less, in its own units.",
-)
-@click.option("--size", metavar="BYTES", help="Simplify it to a file of at most that: 20MB.")
-@ORIGIN
-@UP
-def simplify(
-    mesh: Path,
-    output: str,
-    faces: int | None,
-    tolerance: float | None,
-    size: str | None,
-    origin: str,
-    up: str | None,
-) -> None:
+@MESH
+@with_output
+def simplify(mesh: Path, **options: Any) -> None:
     """Simplify a mesh, with all that its vertices carry."""
-    from dataclasses import replace
-
-    from hpcapp.io import find_mesh_crs, find_mesh_up, read_mesh, write_mesh
-    from hpcapp.io.meshes.mesh_stream import as_stream
-    from hpcapp.io.output import open_output
-    from hpcapp.io.placement import Placement, parse_origin
-    from hpcapp.simplification.mesh import Target, simplify_mesh
-    from hpcapp.simplification.size import fit_mesh, read_size
-
-    target = Target(faces, tolerance)
-    if not target.is_something and size is None:
+    output = Output(**options)
+    if not output.is_light:
         raise UsageError("nothing to simplify to", "give --faces, --tolerance or --size")
-    target.check()
-    parse_origin(origin)
-    most_bytes = None if size is None else read_size(size, output)
-    with open_output(output, [mesh]) as path:
-        whole = read_mesh(mesh)
-        crs = find_mesh_crs(mesh)
-        placement = Placement(parse_origin(origin), up or find_mesh_up(mesh))
-        light = simplify_mesh(whole, target)
-        if most_bytes is not None:
-            light = fit_mesh(light, most_bytes, path.suffix, crs, placement)
-        write_mesh(path, replace(as_stream(light), crs=crs), placement)
-    if faces is not None and tolerance is None and len(light.faces) > faces:
-        log.warning("warning: %d faces are left: fewer would break the mesh", len(light.faces))
-    log.info("%s: %d of %d faces", output, len(light.faces), len(whole.faces))
+    whole, light = output.write(mesh)
+    log.info("%s: %d of %d faces", output.output, len(light.faces), len(whole.faces))
