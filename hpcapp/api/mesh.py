@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hpcapp.api.arrays import check_colours, check_column, check_faces, check_rows
+from hpcapp.applications.points.crop import make_crop
 from hpcapp.applications.surface.stitching.topology import Topology, check_mesh, signed_volume
 from hpcapp.geometry import mesh as plain
 from hpcapp.geometry.bounds import bound_points
@@ -219,8 +220,10 @@ class Mesh:
         fill_holes: float | None = None,
         pieces: int | None = None,
         smallest: float | None = None,
+        box: Sequence[float] | None = None,
+        around: Sequence[float] | None = None,
     ) -> Mesh:
-        """Return it with holes filled, and then without some of its pieces.
+        """Return it with holes filled, then without some of its pieces, then cut.
 
         Parameters
         ----------
@@ -231,24 +234,29 @@ class Mesh:
             So many connected pieces are kept, the largest ones.
         smallest : float, optional
             Only pieces with this area or more are kept, in squared units of the input.
+        box : sequence of float, optional
+            x, y and z of two corners: what lies between them is kept.
+        around : sequence of float, optional
+            x, y, z of a place and a distance from it, likewise.
 
         Raises
         ------
         UsageError
             Nothing is given, or something is out of its range.
+        InputError
+            It has no faces, or nothing where it is cut.
         """
         from hpcapp.geometry.pieces import PieceChoice
-        from hpcapp.mending.mend import mend_mesh
+        from hpcapp.mending.mend import Mending, mend_mesh
 
-        choice = PieceChoice(pieces, smallest)
-        choice.check()
-        if fill_holes is None and not choice.is_something:
-            raise UsageError("nothing to mend", "give fill_holes, pieces or smallest")
+        asked = Mending(fill_holes, PieceChoice(pieces, smallest), make_crop(box, around))
+        asked.choice.check()
+        if not asked.is_something:
+            raise UsageError("nothing to mend", "give fill_holes, pieces, smallest, box or around")
         if fill_holes is not None:
             check_range("fill_holes", fill_holes, 0.0, is_open=True)
-        if not len(self._plain.faces):
-            raise UsageError("the mesh has no faces", "mend a mesh with faces")
-        return wrap_mesh(mend_mesh(self._plain, fill_holes, choice), crs=self._crs)
+        mended = mend_mesh(self._plain, asked, self._crs.height_scale)
+        return wrap_mesh(mended, crs=self._crs)
 
     def save(
         self,

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from hpcapp.applications.points.command import AROUND, BOX
+from hpcapp.applications.points.crop import parse_crop
 from hpcapp.mending.options import PIECES, SMALLEST
 from hpcapp.simplification.command import MESH, Output, with_output
 from hpccomponent.cli.verb import Verb
@@ -15,14 +17,16 @@ from hpccomponent.errors import UsageError
 
 if TYPE_CHECKING:
     from hpcapp.geometry.mesh import Mesh
+    from hpcapp.io.crs import Crs
 
 log = logging.getLogger("hpcapp")
 
 GROUPS = {
-    "First": ("fill_holes",),
-    "Then": ("pieces", "smallest"),
-    "Last": ("up", "origin", "faces", "tolerance", "size", "output"),
-}
+    "In this order": (
+        "fill_holes", "pieces", "smallest", "box", "around", "up", "faces", "tolerance", "size",
+    ),
+    "Output": ("output", "origin"),
+}  # fmt: skip
 
 
 @click.command(
@@ -48,31 +52,35 @@ GROUPS = {
 )
 @PIECES
 @SMALLEST
+@BOX
+@AROUND
 @with_output
 def mend(
     mesh: Path,
     fill_holes: float | None,
     pieces: int | None,
     smallest: float | None,
+    box: str | None,
+    around: str | None,
     **options: Any,
 ) -> None:
-    """Mend a mesh: fill holes, drop pieces, turn and simplify it, in this order.
+    """Mend a mesh: fill holes, drop pieces, cut, turn and simplify it, in this order.
 
     What its vertices carry stays.
     """
     from hpcapp.applications.surface.job.summary import summarize
     from hpcapp.applications.surface.stitching.topology import check_mesh
     from hpcapp.geometry.pieces import PieceChoice
-    from hpcapp.mending.mend import mend_mesh
+    from hpcapp.mending.mend import Mending, mend_mesh
 
-    output, choice = Output(**options), PieceChoice(pieces, smallest)
-    if fill_holes is None and not choice.is_something and not output.is_light:
-        raise UsageError(
-            "nothing to mend", "give --fill-holes, --pieces, --smallest, --faces or --size"
-        )
+    output = Output(**options)
+    crop = parse_crop(box, around, None, None)
+    asked = Mending(fill_holes, PieceChoice(pieces, smallest), crop)
+    if not (asked.is_something or output.is_light or output.is_placed):
+        raise UsageError("nothing to mend", "give --fill-holes, --pieces, --box, --up or --faces")
 
-    def change(whole: Mesh) -> Mesh:
-        return mend_mesh(whole, fill_holes, choice)
+    def change(whole: Mesh, crs: Crs) -> Mesh:
+        return mend_mesh(whole, asked, crs.height_scale)
 
     light = output.write(mesh, change)[1]
     log.info("%s: %s", output.output, summarize(check_mesh(light), {}))

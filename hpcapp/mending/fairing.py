@@ -9,46 +9,24 @@ from __future__ import annotations
 import numpy as np
 
 from hpcapp.geometry.points import FloatArray, IntArray
-from hpcapp.mending.refinement import relax
 
-_PASSES = 3  # each with the weights of the shape before it
-_LEAST_WEIGHT = 1e-3  # of an edge: cotangents of flat triangles are negative
+_WEIGHTS = 0.01, 4.0
+"""Cotangents of flat triangles, and of needles, are beyond: there the plate would tear."""
+_LEAST_AREA = 0.3  # of the usual one around a vertex; likewise
 
 
-def fair(
-    places: FloatArray, faces: IntArray, around: IntArray, border: int, taken: IntArray
-) -> tuple[FloatArray, IntArray]:
-    """Bend a patch as the surface around it bends.
+def bend(places: FloatArray, faces: IntArray, border: int, end: int) -> FloatArray:
+    """Return the places of all vertices, with those of a patch where it is bent the least.
 
     Parameters
     ----------
     places : ndarray of float64, shape (m, 3)
         The loop, then the vertices within, then those of the mesh that stand around the loop.
     faces : ndarray of int64, shape (f, 3)
-        Of the patch.
-    around : ndarray of int64, shape (g, 3)
-        Those of the mesh that have a vertex of the loop.
-    border : int
-        Vertices of the loop.
-    taken : ndarray of int64, shape (t, 2)
-        Vertices of the loop that edges of the mesh join, the lower first.
-
-    Returns
-    -------
-    places : ndarray of float64, shape (m, 3)
-    faces : ndarray of int64, shape (f, 3)
+        Of the patch, and those of the mesh that have a vertex of the loop.
+    border, end : int
+        The first vertex within, and the first of the mesh behind those.
     """
-    end = int(faces.max()) + 1  # of the vertices within
-    if end == border:
-        return places, faces
-    for _ in range(_PASSES):
-        places = _solve(places, np.concatenate([faces, around]), border, end)
-        faces = relax(places, faces, taken)
-    return places, faces
-
-
-def _solve(places: FloatArray, faces: IntArray, border: int, end: int) -> FloatArray:
-    """Return the places with those from `border` to `end` where the plate is bent the least."""
     from scipy.sparse import csr_matrix  # scipy takes its time
     from scipy.sparse.linalg import splu
 
@@ -56,15 +34,15 @@ def _solve(places: FloatArray, faces: IntArray, border: int, end: int) -> FloatA
     count = len(places)
     off = csr_matrix((weights, (rows, columns)), shape=(count, count))
     degrees = np.asarray(off.sum(axis=1)).reshape(-1)
-    bending = (off - _diagonal(degrees))[:end]
-    bending = _diagonal(1.0 / np.sqrt(areas[:end])) @ bending
+    # (end, m): by how much each vertex is off the mean of those around it, for its area.
+    bending = _diagonal(1.0 / np.sqrt(areas[:end])) @ (off - _diagonal(degrees))[:end]
     inner = np.zeros(count, np.bool_)
     inner[border:end] = True
     free, fixed = bending[:, inner], bending[:, ~inner]
-    known = -(fixed @ places[~inner])
-    solved = places.copy()
-    solved[inner] = splu((free.T @ free).tocsc()).solve(np.asarray(free.T @ known))
-    return solved
+    bent = places.copy()
+    known = np.asarray(free.T @ (fixed @ places[~inner]))
+    bent[inner] = splu((free.T @ free).tocsc()).solve(-known)
+    return bent
 
 
 def _diagonal(values: FloatArray) -> object:
@@ -78,14 +56,18 @@ def _weigh(
 ) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
     """Return the cotangent weight of each side both ways, and the area around each vertex."""
     corners = [places[column] for column in faces.T]
-    rows, columns, weights = [], [], []
+    rows: list[IntArray] = []
+    columns: list[IntArray] = []
+    weights: list[FloatArray] = []
     doubled = np.linalg.norm(np.cross(corners[1] - corners[0], corners[2] - corners[0]), axis=1)
-    doubled = np.maximum(doubled, 1e-12 * doubled.mean())
+    doubled = np.maximum(doubled, 1e-12 * doubled.mean())  # not to divide by nothing
     for tip, one, other in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         first, second = corners[one] - corners[tip], corners[other] - corners[tip]
-        weight = np.maximum(0.5 * np.einsum("ij,ij->i", first, second) / doubled, _LEAST_WEIGHT)
+        weight = np.clip(0.5 * np.einsum("ij,ij->i", first, second) / doubled, *_WEIGHTS)
         rows += [faces[:, one], faces[:, other]]
         columns += [faces[:, other], faces[:, one]]
         weights += [weight, weight]
-    areas = np.bincount(faces.reshape(-1), np.repeat(doubled / 6.0, 3), len(places))
+    areas = np.zeros(len(places))
+    np.add.at(areas, faces.reshape(-1), np.repeat(doubled / 6.0, 3))
+    areas = np.maximum(areas, _LEAST_AREA * np.median(areas))
     return np.concatenate(rows), np.concatenate(columns), np.concatenate(weights), areas

@@ -2,7 +2,8 @@
 
 ::
 
-    loop ── triangulate ──> least area ── refine ──> even triangles ── fair ──> patch
+    loop ── triangulate ──> least area ── refine ──> even triangles ── bend ──> patch
+                                             └──────── again ──────────┘
 """
 
 from __future__ import annotations
@@ -16,11 +17,13 @@ from hpcapp.geometry.lattice import number_keys, unique_keys
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, IntArray
 from hpcapp.geometry.vertex_normals import add_face_normals, scale_normals
-from hpcapp.mending.fairing import fair
+from hpcapp.mending.fairing import bend
 from hpcapp.mending.loops import find_holes
 from hpcapp.mending.pieces import take_vertices
-from hpcapp.mending.refinement import refine
+from hpcapp.mending.refinement import refine, relax
 from hpcapp.mending.triangulation import triangulate
+
+_PASSES = 5  # each bends the patch by the shape that the one before has given it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,18 +140,35 @@ def _fill_one(
     around = order[np.searchsorted(used[order], around)]
     corners = np.sort(np.concatenate([around[:, [0, 1]], around[:, [1, 2]], around[:, [2, 0]]]), 1)
     taken = np.unique(corners[corners[:, 1] < border], axis=0)
-    faces = triangulate(vertices[loop], set(map(tuple, taken.tolist())))
+    beside = _find_normals(vertices[used], around, border)
+    faces = triangulate(vertices[loop], beside, set(map(tuple, taken.tolist())))
     if faces is None:
         return None
-    places, faces = refine(vertices[loop], faces, sides, taken)
-    end = len(places)
-    shifted = np.where(around < border, around, around + end - border)
-    whole = np.concatenate([places, vertices[used[border:]]])
-    whole, faces = fair(whole, faces, shifted, border, taken)
-    inner = whole[border:end]
-    if not len(inner):
-        return _Patch(loop, inner, faces, loop[:0])
+    places, beyond = vertices[loop], vertices[used[border:]]
+    for _ in range(_PASSES):
+        places, faces, sides = refine(places, faces, sides, taken)
+        end = len(places)
+        if end == border:
+            return _Patch(loop, places[border:], faces, loop[:0])
+        shifted = np.where(around < border, around, around + end - border)
+        every = np.concatenate([faces, shifted])
+        places = bend(np.concatenate([places, beyond]), every, border, end)[:end]
+    faces, inner = relax(places, faces, taken), places[border:]
     from scipy.spatial import cKDTree  # scipy takes its time
 
     nearest = loop[cKDTree(vertices[loop]).query(inner)[1]]
     return _Patch(loop, inner, faces, nearest)
+
+
+def _find_normals(places: FloatArray, around: IntArray, border: int) -> FloatArray:
+    """Return the unit normal of the face at each side of a loop, from its vertex to the next."""
+    a, b, c = places[around].transpose(1, 0, 2)
+    normals = np.cross(b - a, c - a)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
+    found = np.zeros((border, 3))
+    for k in range(3):
+        # The face runs through the side the other way round.
+        end, start = around[:, k], around[:, (k + 1) % 3]
+        is_side = (start < border) & (end < border) & (end == (start + 1) % border)
+        found[start[is_side]] = normals[is_side]
+    return found

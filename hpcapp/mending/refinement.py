@@ -20,24 +20,25 @@ _EVEN = -1e-6  # sum of two cotangents: below it the other diagonal is better
 
 def refine(
     places: FloatArray, faces: IntArray, sides: FloatArray, taken: IntArray
-) -> tuple[FloatArray, IntArray]:
+) -> tuple[FloatArray, IntArray, FloatArray]:
     """Divide the triangles of a patch until they are as large as those around it.
 
     Parameters
     ----------
     places : ndarray of float64, shape (n, 3)
-        The vertices of the loop around it.
+        The vertices of the loop around it, and those within.
     faces : ndarray of int64, shape (f, 3)
     sides : ndarray of float64, shape (n,)
-        How long edges of the mesh at each of the vertices are.
+        How long edges at each of the vertices are to be.
     taken : ndarray of int64, shape (t, 2)
         Vertices that edges of the mesh join, the lower first.
 
     Returns
     -------
     places : ndarray of float64, shape (n + k, 3)
-        Behind the vertices of the loop those within.
+        New ones are behind the others.
     faces : ndarray of int64, shape (g, 3)
+    sides : ndarray of float64, shape (n + k,)
     """
     one, other = (places[faces[:, k]] - places[faces[:, 0]] for k in (1, 2))
     area = 0.5 * float(np.linalg.norm(np.cross(one, other), axis=1).sum())
@@ -56,7 +57,7 @@ def refine(
         faces = np.concatenate([faces[~is_large], *divided])
         places = np.concatenate([places, middles[is_large]])
         sides = np.concatenate([sides, lengths[is_large]])
-    return places, faces
+    return places, faces, sides
 
 
 def relax(places: FloatArray, faces: IntArray, taken: IntArray) -> IntArray:

@@ -16,6 +16,7 @@ from hpccomponent.errors import UsageError
 
 if TYPE_CHECKING:
     from hpcapp.geometry.mesh import Mesh
+    from hpcapp.io.crs import Crs
 
 log = logging.getLogger("hpcapp")
 
@@ -82,9 +83,16 @@ class Output:
     @property
     def is_light(self) -> bool:
         """Whether it is to be simplified."""
-        return not (self.faces is self.tolerance is self.size is None)
+        return any(one is not None for one in (self.faces, self.tolerance, self.size))
 
-    def write(self, mesh: Path, change: Callable[[Mesh], Mesh] | None = None) -> tuple[Mesh, Mesh]:
+    @property
+    def is_placed(self) -> bool:
+        """Whether it is to be turned or moved."""
+        return self.up is not None or self.origin != "auto"
+
+    def write(
+        self, mesh: Path, change: Callable[[Mesh, Crs], Mesh] | None = None
+    ) -> tuple[Mesh, Mesh]:
         """Read a mesh, change and simplify it, and write it.
 
         Returns
@@ -109,7 +117,7 @@ class Output:
             whole = read_mesh(mesh)
             crs = find_mesh_crs(mesh)
             placement = Placement(parse_origin(self.origin), self.up or find_mesh_up(mesh))
-            light = simplify_mesh(whole if change is None else change(whole), target)
+            light = simplify_mesh(whole if change is None else change(whole, crs), target)
             if most_bytes is not None:
                 light = fit_mesh(light, most_bytes, path.suffix, crs, placement)
             write_mesh(path, replace(as_stream(light), crs=crs), placement)
