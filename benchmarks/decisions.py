@@ -193,7 +193,14 @@ def find_handles(path: Path, genus: int) -> list[Row]:
     return [[path.stem, found, genus, *counts]]
 
 
-def write(folder: Path, name: str, title: str, columns: list[str], rows: list[Row]) -> None:
+def write(
+    folder: Path,
+    name: str,
+    title: str,
+    columns: list[str],
+    rows: list[Row],
+    script: str = "benchmarks/decisions.py",
+) -> None:
     """Write a table."""
     commit = subprocess.run(
         ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False
@@ -202,7 +209,7 @@ def write(folder: Path, name: str, title: str, columns: list[str], rows: list[Ro
         "title": title,
         "machine": "virtual machine, 2 cores, shared with other work",
         "commit": commit,
-        "command": "HPCAPP_DATA=DIR benchmarks/decisions.py",
+        "command": f"HPCAPP_DATA=DIR {script}",
         "columns": columns,
         "rows": rows,
         "notes": [],

@@ -29,6 +29,7 @@ SHIPPED = {
     "simulate": "hpcapp.lab.simulate.command:simulate",
     "info": "hpcapp.applications.points.command:info",
     "convert": "hpcapp.applications.points.command:convert",
+    "mend": "hpcapp.mending.command:mend",
     "simplify": "hpcapp.simplification.command:simplify",
     "view": "hpcapp.applications.view.command:view",
     "heights": "hpcapp.applications.heights.command:heights",
@@ -38,7 +39,7 @@ SHIPPED = {
 EXIT_FAILED, EXIT_USAGE = 1, 2
 # The verbs as help shows them; those of a plug-in come last.
 SECTIONS = {
-    "Mesh": ("reconstruct", "simplify", "convert", "heights"),
+    "Mesh": ("reconstruct", "mend", "simplify", "convert", "heights"),
     "Look": ("info", "view", "compare"),
     "Clusters": (
         "init", "validate", "plan", "doctor", "up", "status", "ls", "scale", "ssh", "exec", "put",

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hpcapp.api.arrays import check_colours, check_column, check_faces, check_rows
+from hpcapp.applications.points.crop import make_crop
 from hpcapp.applications.surface.stitching.topology import (
     Topology,
     check_mesh,
@@ -35,6 +36,7 @@ from hpcapp.pages.page import build_page, write_page
 from hpcapp.pages.scene import Scene, fields_of
 from hpcapp.pages.thin import MOST_FACES, thin_mesh
 from hpccomponent.errors import UsageError
+from hpccomponent.ranges import check_range
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
@@ -215,6 +217,50 @@ class Mesh:
         if not target.is_something:
             raise UsageError("simplify has no target", "give faces or tolerance")
         return wrap_mesh(simplify_mesh(self._plain, target), crs=self._crs, up=self._up)
+
+    def mend(
+        self,
+        *,
+        fill_holes: float | None = None,
+        pieces: int | None = None,
+        smallest: float | None = None,
+        box: Sequence[float] | None = None,
+        around: Sequence[float] | None = None,
+    ) -> Mesh:
+        """Return it with holes filled, then without some of its pieces, then cut.
+
+        Parameters
+        ----------
+        fill_holes : float, optional
+            Holes up to this size are filled: the diagonal of the box around a border, in units of
+            the input.
+        pieces : int, optional
+            So many connected pieces are kept, the largest ones.
+        smallest : float, optional
+            Only pieces with this area or more are kept, in squared units of the input.
+        box : sequence of float, optional
+            x, y and z of two corners: what lies between them is kept.
+        around : sequence of float, optional
+            x, y, z of a place and a distance from it, likewise.
+
+        Raises
+        ------
+        UsageError
+            Nothing is given, or something is out of its range.
+        InputError
+            It has no faces, or nothing where it is cut.
+        """
+        from hpcapp.geometry.pieces import PieceChoice
+        from hpcapp.mending.mend import Mending, mend_mesh
+
+        asked = Mending(fill_holes, PieceChoice(pieces, smallest), make_crop(box, around))
+        asked.choice.check()
+        if not asked.is_something:
+            raise UsageError("nothing to mend", "give fill_holes, pieces, smallest, box or around")
+        if fill_holes is not None:
+            check_range("fill_holes", fill_holes, 0.0, is_open=True)
+        mended = mend_mesh(self._plain, asked, self._crs.height_scale)
+        return wrap_mesh(mended, crs=self._crs, up=self._up)
 
     def save(
         self,

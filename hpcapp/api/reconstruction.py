@@ -100,6 +100,8 @@ def reconstruct(
     attributes: str = "auto",
     faces: int | None = None,
     tolerance: float | None = None,
+    pieces: int | None = None,
+    smallest: float | None = None,
     executor: str | Executor | Client | None = None,
     workers: int | None = None,
     policy: str = DEFAULT_POLICY,
@@ -159,6 +161,10 @@ def reconstruct(
         Simplify the mesh to so many triangles.
     tolerance : float, optional
         Simplify the mesh while its surface moves by less than this length.
+    pieces : int, optional
+        So many connected pieces of the mesh are kept, the largest ones.
+    smallest : float, optional
+        Only pieces of the mesh with this area or more are kept, in squared units of the points.
     executor : str, concurrent.futures.Executor or distributed.Client, optional
         Where batches run: a name that ``--backend`` takes or the file of a cluster, or what is
         open already and stays so; by default what pays for so many points.
@@ -242,6 +248,8 @@ def reconstruct(
         temp_dir=None if temp_dir is None else fspath(temp_dir),
         resume=resume,
         crop=make_crop(box, around, polygon, classes, not_classes, ground),
+        pieces=pieces,
+        smallest=smallest,
     )
     settings = settings.for_ground()
     _check_settings(settings)
@@ -480,6 +488,7 @@ def _find_sensor(settings: Settings, points: PointCloud) -> Sensor:
 def _check_settings(settings: Settings) -> None:
     """Refuse what the command would refuse."""
     settings.target.check()
+    settings.piece_choice.check()
     check_range("verify", settings.verify or 0.0, 0.0, 1.0)
     if settings.grid is not None:
         if not isinstance(settings.grid, int | np.integer):

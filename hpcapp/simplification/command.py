@@ -1,9 +1,12 @@
-"""The verb ``simplify``; imported for every ``--help``: nothing heavy is imported."""
+"""The verb ``simplify``, and what verbs of a mesh share; imported for every ``--help``."""
 
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -12,6 +15,10 @@ from hpcapp.applications.points.crop import parse_crop
 from hpcapp.geometry.axis_names import AXES
 from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import UsageError
+
+if TYPE_CHECKING:
+    from hpcapp.geometry.mesh import Mesh
+    from hpcapp.io.crs import Crs
 
 log = logging.getLogger("hpcapp")
 
@@ -32,6 +39,94 @@ UP = click.option(
 )
 
 
+MESH = click.argument(
+    "mesh",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="A .ply, .obj, .off, .stl, .glb or .vtp.",
+)
+_OUTPUT = click.option(
+    "-o",
+    "--output",
+    required=True,
+    metavar="MESH",
+    help="Mesh to write: .ply, .obj, .glb, .vtp, .3mf, .off, .stl, .tiles or .3dtiles; - writes a "
+    "PLY to standard output.",
+)
+_FACES = click.option(
+    "--faces", type=click.IntRange(4), metavar="N", help="Simplify it to N triangles."
+)
+_TOLERANCE = click.option(
+    "--tolerance",
+    type=click.FloatRange(0, min_open=True),
+    metavar="LENGTH",
+    help="Simplify it while its surface moves by less, in its own units.",
+)
+_SIZE = click.option("--size", metavar="BYTES", help="Simplify it to a file of at most that: 20MB.")
+
+
+def with_output(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a verb the options of a mesh that is simplified and written: those of `Output`."""
+    for option in (UP, ORIGIN, _SIZE, _TOLERANCE, _FACES, _OUTPUT):
+        command = option(command)
+    return command
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """A mesh to write, as the options of `with_output` say."""
+
+    output: str
+    faces: int | None
+    tolerance: float | None
+    size: str | None
+    origin: str
+    up: str | None
+
+    @property
+    def is_light(self) -> bool:
+        """Whether it is to be simplified."""
+        return any(one is not None for one in (self.faces, self.tolerance, self.size))
+
+    @property
+    def is_placed(self) -> bool:
+        """Whether it is to be turned or moved."""
+        return self.up is not None or self.origin != "auto"
+
+    def write(self, mesh: Path, change: Callable[[Mesh, Crs], Mesh]) -> tuple[Mesh, Mesh]:
+        """Read a mesh, change and simplify it, and write it.
+
+        Returns
+        -------
+        whole, light : Mesh
+            As it was read, and as it was written.
+        """
+        from dataclasses import replace
+
+        from hpcapp.io import find_mesh_crs, find_mesh_up, read_mesh, write_mesh
+        from hpcapp.io.meshes.mesh_stream import as_stream
+        from hpcapp.io.output import open_output
+        from hpcapp.io.placement import Placement, parse_origin
+        from hpcapp.simplification.mesh import Target, simplify_mesh
+        from hpcapp.simplification.size import fit_mesh, read_size
+
+        target = Target(self.faces, self.tolerance)
+        target.check()
+        parse_origin(self.origin)
+        most_bytes = None if self.size is None else read_size(self.size, self.output)
+        with open_output(self.output, [mesh]) as path:
+            whole = read_mesh(mesh)
+            crs = find_mesh_crs(mesh)
+            placement = Placement(parse_origin(self.origin), self.up or find_mesh_up(mesh))
+            light = simplify_mesh(change(whole, crs), target)
+            if most_bytes is not None:
+                light = fit_mesh(light, most_bytes, path.suffix, crs, placement)
+            write_mesh(path, replace(as_stream(light), crs=crs), placement)
+        is_bound = self.faces is not None and self.tolerance is None
+        if is_bound and len(light.faces) > (self.faces or 0):
+            log.warning("warning: %d faces are left: fewer would break the mesh", len(light.faces))
+        return whole, light
+
+
 @click.command(
     cls=Verb,
     examples=[
@@ -49,66 +144,19 @@ UP = click.option(
         ),
     ],
 )
-@click.argument(
-    "mesh", type=click.Path(dir_okay=False, path_type=Path), help="A .ply, .obj, .off or .stl."
-)
-@click.option(
-    "-o",
-    "--output",
-    required=True,
-    metavar="MESH",
-    help="Mesh to write: .ply, .obj, .glb, .vtp, .3mf, .off, .stl, .tiles or .3dtiles; - writes a "
-    "PLY to standard output.",
-)
+@MESH
 @BOX
 @AROUND
 @POLYGON
-@click.option("--faces", type=click.IntRange(4), metavar="N", help="Simplify it to N triangles.")
-@click.option(
-    "--tolerance",
-    type=click.FloatRange(0, min_open=True),
-    metavar="LENGTH",
-    help="Simplify it while its surface moves by less, in its own units.",
-)
-@click.option("--size", metavar="BYTES", help="Simplify it to a file of at most that: 20MB.")
-@ORIGIN
-@UP
+@with_output
 def simplify(
-    mesh: Path,
-    output: str,
-    box: str | None,
-    around: str | None,
-    polygon: str | None,
-    faces: int | None,
-    tolerance: float | None,
-    size: str | None,
-    origin: str,
-    up: str | None,
+    mesh: Path, box: str | None, around: str | None, polygon: str | None, **options: Any
 ) -> None:
     """Simplify a mesh, or a part, with all that its vertices carry."""
-    from dataclasses import replace
-
-    from hpcapp.io import find_mesh_crs, find_mesh_up, read_mesh, write_mesh
-    from hpcapp.io.meshes.mesh_stream import as_stream
-    from hpcapp.io.output import open_output
-    from hpcapp.io.placement import Placement, parse_origin
-    from hpcapp.simplification.mesh import Target, simplify_mesh
-    from hpcapp.simplification.size import fit_mesh, read_size
-
-    target, crop = Target(faces, tolerance), parse_crop(box, around, polygon)
-    if not target.is_something and size is None and not crop.has_region:
+    output, crop = Output(**options), parse_crop(box, around, polygon)
+    if not output.is_light and not crop.has_region:
         raise UsageError("nothing to simplify to", "give --faces, --tolerance or --size")
-    target.check()
-    parse_origin(origin)
-    most_bytes = None if size is None else read_size(size, output)
-    with open_output(output, [mesh]) as path:
-        crs = find_mesh_crs(mesh)
-        placement = Placement(parse_origin(origin), up or find_mesh_up(mesh))
-        whole = read_mesh(mesh)
-        light = simplify_mesh(crop.cut(whole, crs.height_scale, str(mesh)), target)
-        if most_bytes is not None:
-            light = fit_mesh(light, most_bytes, path.suffix, crs, placement)
-        write_mesh(path, replace(as_stream(light), crs=crs), placement)
-    if faces is not None and tolerance is None and len(light.faces) > faces:
-        log.warning("warning: %d faces are left: fewer would break the mesh", len(light.faces))
-    log.info("%s: %d of %d faces", output, len(light.faces), len(whole.faces))
+    whole, light = output.write(
+        mesh, lambda whole, crs: crop.cut(whole, crs.height_scale, str(mesh))
+    )
+    log.info("%s: %d of %d faces", output.output, len(light.faces), len(whole.faces))

@@ -80,12 +80,23 @@ def simplify_mesh(mesh: Mesh, target: Target, *, keeps_border: bool = False) -> 
     vertices, faces, _ = simplify_faces(
         mesh.vertices, mesh.faces, target, keeps_border=keeps_border
     )
-    light = Mesh(vertices, faces, mesh.origin)
+    return carry_nearest(Mesh(vertices, faces, mesh.origin), mesh)
+
+
+def carry_nearest(light: Mesh, mesh: Mesh) -> Mesh:
+    """Return a mesh with what the nearest vertices of another one carry.
+
+    Parameters
+    ----------
+    light : Mesh
+        In the frame of `mesh`.
+    mesh : Mesh
+    """
     if mesh.normals is None and mesh.colours is None and not mesh.attributes:
         return light
     from scipy.spatial import cKDTree  # scipy takes its time
 
-    _, nearest = cKDTree(mesh.vertices).query(vertices)
+    _, nearest = cKDTree(mesh.vertices).query(light.vertices)
     return replace(
         light,
         normals=None if mesh.normals is None else mesh.normals[nearest],

@@ -15,6 +15,7 @@ import pytest
 from hpcapp.applications.surface.normals.consistency import TORN, Torn
 from hpcapp.applications.surface.normals.orientation import SURE
 from hpcapp.applications.surface.normals.readings import CERTAIN, GROUND, HABIT, RARE, choose
+from hpcapp.geometry.pieces import SMALL
 
 RESULTS = Path(__file__).parents[2] / "benchmarks" / "results"
 GROUNDS = "street, yard", "view, terrain"
@@ -27,7 +28,7 @@ def _read(name: str) -> list[dict[str, Any]]:
 
 
 SIDES, NORMALS = _read("decisions-sides"), _read("decisions-normals")
-HANDLES = _read("decisions-handles")
+HANDLES, PIECES = _read("decisions-handles"), _read("decisions-pieces")
 
 
 def _weigh(
@@ -122,3 +123,16 @@ def test_small_handles_are_those_that_the_truth_has_not() -> None:
     assert sum(row["in one"] > 0 for row in more) > 0.9 * len(more)
     assert _count_warned("in one", is_right=True) <= 0.05 * len(HANDLES)
     assert _count_warned("in half", is_right=False) < _count_warned("in one", is_right=False)
+
+
+def test_no_part_of_a_scan_is_small_and_shreds_are() -> None:
+    """A third more of either is between them; shreds of every size are told apart by half."""
+    parts = [row["least part"] for row in PIECES if row["parts"]]
+    shreds = [row["largest shred"] for row in PIECES if row["largest shred"] != ""]
+    assert len(parts) == 8
+    assert len(shreds) == 3
+    assert 2.5 * SMALL < min(parts) < 3.0 * SMALL
+    assert SMALL / 4.0 < max(shreds) < SMALL / 3.0
+    counts = [sum(row[name] for row in PIECES) for name in ("in half", "in one", "in two")]
+    assert counts[0] < 0.75 * counts[1]
+    assert counts[2] > 1.1 * counts[1]

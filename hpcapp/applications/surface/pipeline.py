@@ -4,7 +4,7 @@
 
     read ─> clean ─> orient ─> mend ─> measure                         a cloud (load, prepare)
        ─> resolve ─> partition ─> fit ─> extract ─> close              a surface (reconstruct_cloud)
-       ─> crop ─> simplify                                             what was asked of it
+       ─> crop ─> keep pieces ─> simplify                              what was asked of it
        ─> carry ─> write ─> check                                      a mesh (deliver)
 
 A stage is a call of its name, in the room of its name. Folders, files and machines are opened
@@ -27,6 +27,7 @@ from hpcapp.applications.surface.cloud.measure import measure_cloud
 from hpcapp.applications.surface.job.carry import carry_columns
 from hpcapp.applications.surface.job.diagnostics import check_points, warn_of
 from hpcapp.applications.surface.job.outcome import Outcome, Reconstruction
+from hpcapp.applications.surface.job.pieces import keep_pieces
 from hpcapp.applications.surface.job.read import read_file
 from hpcapp.applications.surface.job.resume import find_loaded, note_loaded
 from hpcapp.applications.surface.job.scan import Loaded, PointFolder, Scan
@@ -117,6 +118,7 @@ def reconstruct_cloud(
             from hpcapp.applications.surface.job.crop import crop  # stands on scipy
 
             result = crop(settings.crop, loaded, result, clock)
+        result = keep_pieces(settings.piece_choice, result, clock)
         warnings = warn_of(settings, loaded, checks(), result)
         fine = None if settings.texture is None else result.surface
         result, more = simplify(settings.target, result, clock)

@@ -42,6 +42,7 @@ from hpcapp.applications.surface.normals.viewpoint import parse_viewpoint
 from hpcapp.applications.view.command import check_page, check_picture
 from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY, POLICIES
 from hpcapp.dashboard import DEFAULT_ADDRESS
+from hpcapp.mending.options import PIECES, SMALLEST
 from hpcapp.progress import Progress
 from hpcapp.simplification.command import ORIGIN, UP
 from hpcapp.texture.request import LEAST_PIXELS, MOST_PIXELS, check_library, check_texture
@@ -205,7 +206,7 @@ GROUPS = {
     ),
     "Surface": (
         "voxel_size", "depth", "uniform", "smoothness", "detail", "trim", "fill_holes",
-        "tolerance", "size", "texture", "origin", "up", "method",
+        "pieces", "smallest", "tolerance", "size", "texture", "origin", "up", "method",
     ),
     "With --method paper": option_names(find_method("paper")),
     "Where it runs": ("backend", "workers", "policy", "verify", "temp_dir", "resume"),
@@ -366,6 +367,8 @@ def _add_method_options(command: click.Command) -> click.Command:
     help="What the vertices carry: auto (colours and all other columns of the points), none, or "
     "names as a,b,c; normals, support and confidence are made where they are named.",
 )
+@PIECES
+@SMALLEST
 @click.option(
     "--faces",
     type=click.IntRange(4),
@@ -516,6 +519,7 @@ def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:
         from hpcapp.applications.surface.job.settings import JobSettings
         from hpcapp.applications.surface.job.source import MARGIN
         from hpcapp.applications.surface.resolution.memory import parse_limit
+        from hpcapp.geometry.pieces import PieceChoice
         from hpcapp.io.placement import Placement, parse_origin
         from hpcapp.io.points.inputs import find_paths, gather_points
         from hpcapp.simplification.mesh import Target
@@ -531,6 +535,7 @@ def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:
         options["placement"] = Placement(parse_origin(options.pop("origin")), options.pop("up"))
         crop = parse_crop(*(options.pop(name) for name in CROPPED))
         Target(options["faces"], options["tolerance"]).check()
+        PieceChoice(options["pieces"], options["smallest"]).check()
         if options["size"] is not None:
             options["size"] = read_size(options["size"], options["output"])
         own = {name: options.pop(name) for name in METHOD_OPTIONS}

@@ -54,8 +54,9 @@ class PartSummary:
     """How many of its brick's vertices belong to it."""
     entry_faces: EntryCounts
     """Likewise, of the faces."""
-    entry_sums: Annotated[FloatArray, Column("e", 4)]
-    """Six times its signed volume, and the sum of its vertices' positions (see `BrickSums`)."""
+    entry_sums: Annotated[FloatArray, Column("e", 5)]
+    """Six times its signed volume, the sum of its vertices' positions, and its area (see
+    `BrickSums`)."""
     entry_supports: EntryCounts
     """How many of the vertices of each entry are supported."""
     mixed_labels: Annotated[Int32Array, Column("m", low=0)]

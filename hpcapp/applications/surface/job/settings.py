@@ -13,6 +13,7 @@ from hpcapp.applications.surface.hierarchical.settings import Hierarchical
 from hpcapp.applications.surface.methods.method import MethodSettings
 from hpcapp.applications.surface.normals.viewpoint import Viewpoint
 from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY
+from hpcapp.geometry.pieces import PieceChoice
 from hpcapp.io.placement import Placement
 from hpcapp.simplification.mesh import Target
 from hpcapp.workforce import Workforce
@@ -68,6 +69,10 @@ class Settings:
         How far its surface may move then, in length units of the input.
     texture : int or None
         Pixels along a side of the picture that shows what it had before.
+    pieces : int or None
+        Connected pieces that stay, the largest ones.
+    smallest : float or None
+        Area of a piece that stays, in squared length units of the input.
     placement : Placement
         Where the mesh is written, and which way up.
     crop : Crop
@@ -95,6 +100,8 @@ class Settings:
     faces: int | None = None
     tolerance: float | None = None
     texture: int | None = None
+    pieces: int | None = None
+    smallest: float | None = None
     placement: Placement = field(default_factory=Placement)
     crop: Crop = field(default_factory=Crop)
 
@@ -120,6 +127,11 @@ class Settings:
     def target(self) -> Target:
         """How light the mesh shall be."""
         return Target(self.faces, self.tolerance)
+
+    @property
+    def piece_choice(self) -> PieceChoice:
+        """Which pieces of the mesh shall stay."""
+        return PieceChoice(self.pieces, self.smallest)
 
 
 @dataclass(frozen=True, slots=True)

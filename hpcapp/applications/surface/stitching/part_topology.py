@@ -34,7 +34,7 @@ class Components:
     component : ndarray of int64, shape (e,)
     vertices, faces : ndarray of int32, shape (e,)
         How many.
-    sums : ndarray of float64, shape (e, 4)
+    sums : ndarray of float64, shape (e, 5)
         See `BrickSums`.
     supports : ndarray of int32, shape (e,)
         How many of the vertices are supported (see `MeshPart`).
@@ -135,13 +135,7 @@ def judge_parts(
         return Topology(False, True, True, True, False, 0, None, (), 0, 0, 0, 0)
     # (c,): a vertex that no face uses is a component of its own, and counts nowhere.
     vertices = np.where(faces > 0, entries.count(entries.vertices, count), 0)
-    # (B + 1,): where the vertices and the faces of each brick begin if none is dropped.
-    starts = starts_of(bricks.vertex_counts[bricks.taken])
-    face_starts = starts_of(bricks.face_counts[bricks.taken])
-    parts = [
-        _PlacedPart(index, summary, bricks, starts, face_starts)
-        for index, summary in enumerate(summaries)
-    ]
+    parts = _place_parts(summaries, bricks)
     seams = _join_seams([_take_seams(part, component, kept) for part in parts])
     verdict = _judge_seams(seams, faces)
     is_vertex_manifold = verdict.surplus_fans == 0
@@ -161,6 +155,49 @@ def judge_parts(
         int(vertices.sum()),
         int(faces.sum()),
     )
+
+
+def sum_areas(
+    summaries: Sequence[PartSummary], bricks: PartBricks, component: IntArray, entries: Components
+) -> FloatArray:
+    """Return the area of each component of the mesh that the parts are.
+
+    Parameters
+    ----------
+    summaries : sequence of PartSummary
+    bricks : PartBricks
+    component : ndarray of int64
+        The component of each label.
+    entries : Components
+        In bricks that are taken.
+
+    Returns
+    -------
+    ndarray of float64, shape (c,)
+        In squared length units of the input, rounded to float32: so they are as large as each other
+        whose sums came in another order, from other parts.
+    """
+    count = int(component.max(initial=-1)) + 1
+    seam_faces = _gather_seam_faces(_place_parts(summaries, bricks), np.ones(len(component), bool))
+    (a, b, c), is_known = _find_rim(seam_faces.known, seam_faces.places, seam_faces.corners)
+    beyond = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    areas = np.bincount(entries.component, entries.sums[:, 4], count)
+    areas += np.bincount(component[seam_faces.labels[is_known]], beyond, count)
+    return areas.astype(np.float32).astype(np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _SeamFaces:
+    """Faces of the mesh with foreign vertices: no part knows where all their corners are.
+
+    Of each the numbers of its corners, and the label; and the numbers of the vertices of all rims,
+    sorted, and where they are.
+    """
+
+    corners: IntArray
+    labels: IntArray
+    known: IntArray
+    places: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -208,6 +245,16 @@ class _PlacedPart:
         row = self.bricks_of_faces(faces)
         within = faces - starts_of(self.summary.face_counts)[row]
         return self.face_starts[self.bricks.place[self.first + row]] + within
+
+
+def _place_parts(summaries: Sequence[PartSummary], bricks: PartBricks) -> list[_PlacedPart]:
+    # (B + 1,): where the vertices and the faces of each brick begin if none is dropped.
+    starts = starts_of(bricks.vertex_counts[bricks.taken])
+    face_starts = starts_of(bricks.face_counts[bricks.taken])
+    return [
+        _PlacedPart(index, summary, bricks, starts, face_starts)
+        for index, summary in enumerate(summaries)
+    ]
 
 
 def _take_seams(part: _PlacedPart, component: IntArray, kept: NDArray[np.bool_]) -> _Seams:
@@ -334,34 +381,44 @@ def _signed_volume(
     area; over all faces these areas add up to the cross products along the boundary, because
     sides that run in opposite directions cancel.
     """
-    faces, numbers, places = [], [], []
-    for part in parts:
-        summary = part.summary
-        # (s,): faces with foreign vertices. No part knows where all their corners are, so that they
-        # are in no part's sum.
-        row = part.bricks_of_faces(summary.seam_faces[:, 0])
-        corners, labels = part.place(summary.seam_faces[:, 1:].reshape(-1))
-        is_counted = part.bricks.is_taken[part.first + row] & kept[labels[::3]]
-        faces.append(corners.reshape(-1, 3)[is_counted])
-        numbers.append(part.place(summary.rim)[0])
-        places.append(summary.rim_places)
-    # (r,), (r, 3): the vertices of all rims, each once, and where they are.
-    known, rows = find_first(np.concatenate(numbers))
-    rim = np.concatenate(places)[rows]
-    a, b, c = _find_rim(known, rim, np.concatenate(faces))
-    tails, heads = _find_rim(
-        known, rim, np.stack([seams.pieces[seams.tails], seams.pieces[seams.heads]], axis=1)
-    )
+    seam_faces = _gather_seam_faces(parts, kept)
+    known, rim = seam_faces.known, seam_faces.places
+    a, b, c = _find_rim(known, rim, seam_faces.corners)[0]
+    sides = np.stack([seams.pieces[seams.tails], seams.pieces[seams.heads]], axis=1)
+    tails, heads = _find_rim(known, rim, sides)[0]
     # (3,): the point that `signed_volume` takes; of a closed mesh, any gives the same.
-    mean = entries.sums[:, 1:].sum(axis=0) / entries.vertices.sum()
+    mean = entries.sums[:, 1:4].sum(axis=0) / entries.vertices.sum()
     total = entries.sums[:, 0].sum() + (a * np.cross(b, c)).sum()
     return float(total - mean @ np.cross(tails, heads).sum(axis=0))
 
 
-def _find_rim(known: IntArray, rim: FloatArray, wanted: IntArray) -> FloatArray:
-    """Return where vertices are, shape (k, m, 3) of m rows of k; without rows that hide one."""
+def _gather_seam_faces(parts: Sequence[_PlacedPart], kept: NDArray[np.bool_]) -> _SeamFaces:
+    """Return the faces with foreign vertices, without what is dropped or not taken."""
+    faces, names, numbers, places = [], [], [], []
+    for part in parts:
+        summary = part.summary
+        row = part.bricks_of_faces(summary.seam_faces[:, 0])
+        corners, labels = part.place(summary.seam_faces[:, 1:].reshape(-1))
+        is_counted = part.bricks.is_taken[part.first + row] & kept[labels[::3]]
+        faces.append(corners.reshape(-1, 3)[is_counted])
+        names.append(labels[::3][is_counted])
+        numbers.append(part.place(summary.rim)[0])
+        places.append(summary.rim_places)
+    known, rows = find_first(np.concatenate(numbers))
+    rim = np.concatenate(places)[rows]
+    return _SeamFaces(np.concatenate(faces), np.concatenate(names), known, rim)
+
+
+def _find_rim(
+    known: IntArray, rim: FloatArray, wanted: IntArray
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Return where vertices are, shape (k, m, 3) of m rows of k; and of which rows all are known.
+
+    The others are left out.
+    """
     if not len(known) or not len(wanted):
-        return np.empty((wanted.shape[1], 0, 3))
+        return np.empty((wanted.shape[1], 0, 3)), np.zeros(len(wanted), np.bool_)
     at = find_keys(known, wanted)
-    found: FloatArray = rim[at[(at < len(known)).all(axis=1)]].transpose(1, 0, 2)
-    return found
+    is_known: NDArray[np.bool_] = np.logical_and.reduce(at < len(known), axis=1)
+    found: FloatArray = rim[at[is_known]].transpose(1, 0, 2)
+    return found, is_known

@@ -20,9 +20,13 @@ from hpcapp.applications.surface.stitching.bricks import (
     collect_bricks,
     join_labels,
 )
-from hpcapp.applications.surface.stitching.part_topology import Components, judge_parts
+from hpcapp.applications.surface.stitching.part_topology import (
+    Components,
+    judge_parts,
+    sum_areas,
+)
 from hpcapp.applications.surface.stitching.topology import Topology
-from hpcapp.geometry.lattice import unique_keys
+from hpcapp.geometry.lattice import find_first, unique_keys
 from hpcapp.geometry.points import FloatArray, IntArray
 
 SMALL_SIZES = ((0.02, 0.0), (0.002, 0.5), (0.0005, 0.75))
@@ -53,7 +57,7 @@ class StitchingPlan:
     entries : Components
         What each brick has of the mesh's components that stay.
     dropped : int
-        Components that do not.
+        Components with faces that do not.
     """
 
     summaries: tuple[PartSummary, ...]
@@ -118,6 +122,32 @@ class StitchingPlan:
     def face_count(self) -> int:
         """Faces of the mesh."""
         return int(self.face_starts[-1])
+
+    def pieces(self) -> tuple[IntArray, FloatArray]:
+        """Return the components with faces, in the order of their first ones, and their areas.
+
+        Returns
+        -------
+        components : ndarray of int64, shape (p,)
+        areas : ndarray of float64, shape (p,)
+            In squared length units of the input.
+        """
+        found, first = find_first(self.entries.component)
+        components = found[np.argsort(first)]
+        areas = sum_areas(self.summaries, self.bricks, self.component, self.entries)
+        faces = self.entries.count(self.entries.faces, len(areas))
+        components = components[faces[components] > 0]
+        return components, areas[components]
+
+    def only(self, components: IntArray) -> StitchingPlan:
+        """Return the plan of some of the components alone.
+
+        Parameters
+        ----------
+        components : ndarray of int64, shape (k,)
+            Some of `pieces`.
+        """
+        return _keep_some(self.summaries, self.bricks, self.component, self.entries, components)
 
     def judge(self) -> Topology:
         """Return what `check_mesh` would find on the mesh."""
@@ -184,8 +214,22 @@ def plan_stitching(
         large = find_large(faces, entries.count(entries.supports, total), fewest)
     else:
         large = faces >= max(crumb, 1)
-    kept = large[component]
-    components = entries.only(large[entries.component])
+    return _keep_some(tuple(summaries), bricks, component, entries, np.flatnonzero(large))
+
+
+def _keep_some(
+    summaries: tuple[PartSummary, ...],
+    bricks: PartBricks,
+    component: IntArray,
+    entries: Components,
+    chosen: IntArray,
+) -> StitchingPlan:
+    """Return the plan of some components, and of how many with faces are dropped."""
+    total = int(component.max(initial=-1)) + 1
+    stays = np.zeros(total, np.bool_)
+    stays[chosen] = True
+    kept = stays[component]
+    components = entries.only(stays[entries.component])
     # (B + 1,) each: only what stays takes places in the mesh.
     vertex_starts, face_starts = (
         starts_of(np.bincount(components.place, counts, len(bricks.keys)).astype(np.int32))
@@ -193,7 +237,7 @@ def plan_stitching(
     )
     box = _bound(np.concatenate([s.bounds for s in summaries])[kept])
     return StitchingPlan(
-        tuple(summaries),
+        summaries,
         bricks,
         kept,
         vertex_starts,
@@ -201,7 +245,7 @@ def plan_stitching(
         box,
         component,
         components,
-        int(((faces > 0) & ~large).sum()),
+        int(((entries.count(entries.faces, total) > 0) & ~stays).sum()),
     )
 
 

@@ -121,6 +121,16 @@ class Surface:
         self._checked.add(index)
         return kept
 
+    def only(self, components: IntArray) -> Surface:
+        """Return some of the pieces of its plan alone.
+
+        Parameters
+        ----------
+        components : ndarray of int64, shape (k,)
+            See `StitchingPlan.pieces`.
+        """
+        return replace(self, _plan=self.plan.only(components), _topology=None)
+
     def check(self) -> Topology:
         """Judge its topology."""
         if self._topology is None:

@@ -104,9 +104,10 @@ class BrickSums:
         by the first face.
     labels, vertices, faces : ndarray of int32, shape (e,)
         The component, and how many of the brick's vertices and faces belong to it.
-    sums : ndarray of float64, shape (e, 4)
+    sums : ndarray of float64, shape (e, 5)
         Over its faces: six times the signed volume, seen from the local frame's zero; over its
-        vertices: the positions (3). A face with a foreign vertex does not count.
+        vertices: the positions (3); over its faces: the area. A face with a foreign vertex does not
+        count.
     bounds : ndarray of float64, shape (c, 6)
         Lowest and highest coordinates of each component's own vertices; infinite without any.
     """

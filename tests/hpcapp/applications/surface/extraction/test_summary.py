@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.extraction.summary import summarize_part
@@ -42,7 +43,8 @@ def test_supported_vertices_are_counted() -> None:
 def test_nothing_is_open_in_a_closed_part() -> None:
     summary = summarize_part(tetrahedron())
     assert summary.entry_vertices.tolist() == summary.entry_faces.tolist() == [4]
-    assert summary.entry_sums.tolist() == [[1.0, 1.0, 1.0, 1.0]]
+    assert summary.entry_sums[:, :4].tolist() == [[1.0, 1.0, 1.0, 1.0]]
+    assert summary.entry_sums[0, 4] == pytest.approx(1.5 + 0.75**0.5)
     assert summary.bounds.tolist() == [[0, 0, 0, 1, 1, 1]]
     assert not len(summary.piece_vertices)
     assert not len(summary.sides)

@@ -28,6 +28,7 @@ from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.geometry.lattice import unpack_keys
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import IntArray
+from hpcapp.mending.pieces import keep_faces, measure_pieces
 from hpccomponent.errors import JobError
 
 ORIGIN = np.array([5.0, 0.0, -3.0])
@@ -68,6 +69,26 @@ def test_any_cut_of_a_closed_mesh_welds_to_the_whole(data: st.DataObject, name: 
     topology = plan.judge()
     assert topology == check_mesh(whole)
     assert topology.watertight
+
+
+@settings(max_examples=40)
+@given(st.data(), st.sampled_from(["twins", "crumb_in_brick"]), st.booleans())
+def test_any_cut_tells_the_pieces_and_gives_some_of_them(
+    data: st.DataObject, name: str, is_first: bool
+) -> None:
+    mesh, of_vertex, of_face = extracted(SHAPES[name])
+    whole = drop_small_components(mesh)
+    numbers, areas = measure_pieces(whole)
+    owners, guests = data.draw(cuts(of_vertex, of_face))
+    parts = cut_mesh(mesh, of_vertex, of_face, owners, guests)
+    plan, _ = weld(parts)
+    components, found = plan.pieces()
+    np.testing.assert_allclose(found, areas, rtol=1e-6)
+    kept = plan.only(components[:1] if is_first else components[1:])
+    welded = assemble_mesh(kept, parts.__getitem__, ORIGIN)
+    expected = keep_faces(whole, (numbers == 0) == is_first)
+    assert_same(kept, welded, expected)
+    assert kept.judge() == check_mesh(expected)
 
 
 def test_what_is_small_is_dropped_and_shares_a_brick_with_what_is_not() -> None:

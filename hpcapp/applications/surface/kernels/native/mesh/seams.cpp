@@ -188,8 +188,15 @@ nb::object find_seams(Input faces_of, std::pair<int64_t, int64_t> counts, Input 
 // A component in a brick.
 struct Entry {
   int32_t label, vertices, faces;
-  double sums[4];
+  double sums[5];
 };
+
+// Return the area of a triangle.
+double area_of(const double* a, const double* b, const double* c) {
+  const double u[3] = {b[0] - a[0], b[1] - a[1], b[2] - a[2]}, v[3] = {c[0] - a[0], c[1] - a[1], c[2] - a[2]};
+  const double x = u[1] * v[2] - u[2] * v[1], y = u[2] * v[0] - u[0] * v[2], z = u[0] * v[1] - u[1] * v[0];
+  return 0.5 * std::sqrt(x * x + y * y + z * z);
+}
 
 struct PartView {
   const double* vertices;
@@ -240,7 +247,7 @@ int64_t add_vertices(const PartView& part, int64_t first, int64_t end, BrickEntr
 // Add the faces from the first on that belong to its component; return where they end.
 int64_t add_faces(const PartView& part, int64_t first, int64_t end, BrickEntries& entries) {
   const int32_t label = part.labels[part.faces.node(3 * first)];
-  double volume = 0.0;
+  double volume = 0.0, area = 0.0;
   int64_t i = first;
   for (; i < end && part.labels[part.faces.node(3 * i)] == label; ++i) {
     const int32_t* face = part.faces.corners + 3 * i;
@@ -248,10 +255,12 @@ int64_t add_faces(const PartView& part, int64_t first, int64_t end, BrickEntries
     const double *a = part.vertices + 3 * int64_t{face[0]}, *b = part.vertices + 3 * int64_t{face[1]},
                  *c = part.vertices + 3 * int64_t{face[2]};
     volume += a[0] * (b[1] * c[2] - b[2] * c[1]) + a[1] * (b[2] * c[0] - b[0] * c[2]) + a[2] * (b[0] * c[1] - b[1] * c[0]);
+    area += area_of(a, b, c);
   }
   Entry& entry = entries.of(label);
   entry.faces += static_cast<int32_t>(i - first);
   entry.sums[0] += volume;
+  entry.sums[4] += area;
   return i;
 }
 
@@ -268,17 +277,17 @@ nb::object give_sums(Buffer<int32_t> starts, int64_t bricks, const std::vector<E
                      int64_t components) {
   const int64_t count = static_cast<int64_t>(entries.size());
   auto labels = make_buffer<int32_t>(count), vertices = make_buffer<int32_t>(count), faces = make_buffer<int32_t>(count);
-  auto sums = make_buffer<double>(4 * count);
+  auto sums = make_buffer<double>(5 * count);
   for (int64_t e = 0; e < count; ++e) {
     labels[e] = entries[e].label;
     vertices[e] = entries[e].vertices;
     faces[e] = entries[e].faces;
-    std::copy(entries[e].sums, entries[e].sums + 4, sums.get() + 4 * e);
+    std::copy(entries[e].sums, entries[e].sums + 5, sums.get() + 5 * e);
   }
   const size_t rows = entries.size();
   return python_object("types.brick_mesh", "BrickSums")(
       give(std::move(starts), {static_cast<size_t>(bricks) + 1}), give(std::move(labels), {rows}),
-      give(std::move(vertices), {rows}), give(std::move(faces), {rows}), give(std::move(sums), {rows, 4}),
+      give(std::move(vertices), {rows}), give(std::move(faces), {rows}), give(std::move(sums), {rows, 5}),
       give(std::move(bounds), {static_cast<size_t>(components), 6}));
 }
 

@@ -113,14 +113,17 @@ def sum_bricks(
     of_vertex, of_face = entry[:own], entry[own:]
     bricks = np.bincount(entries // max(components, 1), minlength=len(counts[0]))
 
-    # Faces with foreign vertices have no volume here: their corners' places are not known.
+    # Faces with foreign vertices have no volume and no area here: their corners' places are not
+    # known.
     known = (faces >= 0).all(axis=1)
     a, b, c = (vertices[faces[known, k]] for k in range(3))
     volumes = (a * np.cross(b, c)).sum(axis=1)
-    sums = np.empty((len(entries), 4))
+    areas = 0.5 * np.sqrt((np.cross(b - a, c - a) ** 2).sum(axis=1))
+    sums = np.empty((len(entries), 5))
     sums[:, 0] = np.bincount(of_face[known], volumes, len(entries))
     for column, values in enumerate(vertices.T, start=1):
         sums[:, column] = np.bincount(of_vertex, values, len(entries))
+    sums[:, 4] = np.bincount(of_face[known], areas, len(entries))
     bounds = np.tile(np.repeat([np.inf, -np.inf], 3), (components, 1))
     np.minimum.at(bounds[:, :3], labels[:own], vertices)
     np.maximum.at(bounds[:, 3:], labels[:own], vertices)

@@ -1,0 +1,1 @@
+"""Meshes that are there: their holes filled, their small pieces dropped."""

@@ -1,0 +1,92 @@
+"""The verb ``mend``; imported for every ``--help``: nothing heavy is imported."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from hpcapp.applications.points.command import AROUND, BOX, POLYGON
+from hpcapp.applications.points.crop import parse_crop
+from hpcapp.mending.options import PIECES, SMALLEST
+from hpcapp.simplification.command import MESH, Output, with_output
+from hpccomponent.cli.verb import Verb
+from hpccomponent.errors import UsageError
+
+if TYPE_CHECKING:
+    from hpcapp.geometry.mesh import Mesh
+    from hpcapp.io.crs import Crs
+
+log = logging.getLogger("hpcapp")
+
+GROUPS = {
+    "In this order": (
+        "fill_holes", "pieces", "smallest", "box", "around", "polygon", "up", "faces", "tolerance", "size",
+    ),
+    "Output": ("output", "origin"),
+}  # fmt: skip
+
+
+@click.command(
+    cls=Verb,
+    groups=GROUPS,
+    examples=[
+        (
+            "hpcapp mend mesh.ply -o whole.ply --fill-holes 0.05",
+            "Fill the holes that fit into a box with a diagonal of 0.05.",
+        ),
+        (
+            "hpcapp mend lion.ply -o lion.glb --pieces 1 --faces 50000",
+            "Keep the largest piece, and 50,000 triangles of it.",
+        ),
+        (
+            "hpcapp mend site.ply -o hall.glb --box 0,0,0,20,30,9 --up z",
+            "Cut a hall out of a site, and let it stand in viewers.",
+        ),
+    ],
+)
+@MESH
+@click.option(
+    "--fill-holes",
+    type=click.FloatRange(0, min_open=True),
+    metavar="LENGTH",
+    help="Fill holes up to this size, the diagonal of the box around a border, in its own units.",
+)
+@PIECES
+@SMALLEST
+@BOX
+@AROUND
+@POLYGON
+@with_output
+def mend(
+    mesh: Path,
+    fill_holes: float | None,
+    pieces: int | None,
+    smallest: float | None,
+    box: str | None,
+    around: str | None,
+    polygon: str | None,
+    **options: Any,
+) -> None:
+    """Fill holes of a mesh, drop pieces, cut, turn and simplify it.
+
+    In this order. What its vertices carry stays.
+    """
+    from hpcapp.applications.surface.job.summary import summarize
+    from hpcapp.applications.surface.stitching.topology import check_mesh
+    from hpcapp.geometry.pieces import PieceChoice
+    from hpcapp.mending.mend import Mending, mend_mesh
+
+    output = Output(**options)
+    crop = parse_crop(box, around, polygon)
+    asked = Mending(fill_holes, PieceChoice(pieces, smallest), crop)
+    if not (asked.is_something or output.is_light or output.is_placed):
+        raise UsageError("nothing to mend", "give --fill-holes, --pieces, --box, --up or --faces")
+
+    def change(whole: Mesh, crs: Crs) -> Mesh:
+        return mend_mesh(whole, asked, crs.height_scale, str(mesh))
+
+    light = output.write(mesh, change)[1]
+    log.info("%s: %s", output.output, summarize(check_mesh(light), {}))

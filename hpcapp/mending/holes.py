@@ -1,0 +1,174 @@
+"""The holes of a mesh, filled as the surface around each bends.
+
+::
+
+    loop ── triangulate ──> least area ── refine ──> even triangles ── bend ──> patch
+                                             └──────── again ──────────┘
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hpcapp.geometry.lattice import number_keys, unique_keys
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import FloatArray, IntArray
+from hpcapp.geometry.vertex_normals import add_face_normals, scale_normals
+from hpcapp.mending.fairing import bend
+from hpcapp.mending.loops import find_holes
+from hpcapp.mending.pieces import take_vertices
+from hpcapp.mending.refinement import refine, relax
+from hpcapp.mending.triangulation import triangulate
+
+_PASSES = 5  # each bends the patch by the shape that the one before has given it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Filled:
+    """A mesh whose holes were filled.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    holes : int
+        That were filled.
+    left : int
+        Borders of that size that could not be.
+    """
+
+    mesh: Mesh
+    holes: int
+    left: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Patch:
+    """What fills a hole: faces over the vertices of its loop, and new ones behind these."""
+
+    loop: IntArray
+    places: FloatArray
+    faces: IntArray
+    nearest: IntArray
+
+
+def fill_holes(mesh: Mesh, size: float) -> Filled:
+    """Fill the holes of a mesh up to a size.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        With a face.
+    size : float
+        The diagonal of the box around a hole's border, in length units of the mesh.
+
+    Returns
+    -------
+    Filled
+        Old vertices and faces stay as they are. New vertices carry what the nearest one on the
+        border of their hole does, and normals of their own.
+    """
+    loops = find_holes(mesh, size)
+    patches = [patch for patch in _fill(mesh, loops.holes) if patch is not None]
+    left = loops.tangled + len(loops.holes) - len(patches)
+    if not patches:
+        return Filled(mesh, 0, left)
+    count, faces = len(mesh.vertices), [mesh.faces]
+    for patch in patches:
+        rows = np.concatenate([patch.loop, count + np.arange(len(patch.places))])
+        faces.append(rows[patch.faces])
+        count += len(patch.places)
+    sources = np.concatenate([patch.nearest for patch in patches])
+    every = np.concatenate([np.arange(len(mesh.vertices)), sources])
+    filled = take_vertices(mesh, every, np.concatenate(faces))
+    places = np.concatenate([mesh.vertices, *(patch.places for patch in patches)])
+    filled = replace(filled, vertices=places)
+    if filled.normals is not None:
+        filled = replace(filled, normals=_add_normals(filled, len(mesh.vertices)))
+    return Filled(filled, len(patches), left)
+
+
+def _add_normals(mesh: Mesh, first: int) -> FloatArray:
+    """Return the normals, of vertices from the first on by the faces around them."""
+    assert mesh.normals is not None  # noqa: S101 - who calls has looked
+    faces = mesh.faces[(mesh.faces >= first).any(axis=1)]
+    sums = np.zeros((3, len(mesh.vertices)))
+    add_face_normals(sums, faces, mesh.vertices[faces])
+    normals = mesh.normals.astype(np.float64)
+    normals[first:] = scale_normals(sums[:, first:])
+    return normals
+
+
+def _fill(mesh: Mesh, holes: list[IntArray]) -> Iterator[_Patch | None]:
+    """Fill holes; yield None where no faces can."""
+    if not holes:
+        return
+    count = len(mesh.vertices)
+    number = np.full(count, -1, np.int64)
+    for index, loop in enumerate(holes):
+        number[loop] = index
+    faces = mesh.faces[(number[mesh.faces] >= 0).any(axis=1)]
+    tails, heads = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
+    edges, _ = number_keys(np.minimum(tails, heads) * count + np.maximum(tails, heads))
+    ends = np.stack([edges // count, edges % count])
+    # How long edges at each vertex are; those of vertices far from holes are not whole, nor used.
+    lengths = np.linalg.norm(mesh.vertices[ends[0]] - mesh.vertices[ends[1]], axis=1)
+    sums, counts = (
+        np.bincount(ends.reshape(-1), np.tile(each, 2), count)
+        for each in (lengths, np.ones(len(edges)))
+    )
+    sides = sums / np.maximum(counts, 1.0)
+    # (p,): each hole with each face that has a vertex on its border.
+    pairs = number[faces] * len(faces) + np.arange(len(faces))[:, None]
+    near = unique_keys(pairs[number[faces] >= 0])
+    starts = np.searchsorted(near, len(faces) * np.arange(len(holes) + 1))
+    for index, loop in enumerate(holes):
+        around = faces[near[starts[index] : starts[index + 1]] % len(faces)]
+        yield _fill_one(mesh.vertices, loop, around, sides[loop])
+
+
+def _fill_one(
+    vertices: FloatArray, loop: IntArray, around: IntArray, sides: FloatArray
+) -> _Patch | None:
+    """Fill a hole; `around` are the faces with a vertex on its border."""
+    border = len(loop)
+    # Rows of all vertices that matter: those of the loop first.
+    used = np.concatenate([loop, np.setdiff1d(around, loop)])
+    order = np.argsort(used)
+    around = order[np.searchsorted(used[order], around)]
+    corners = np.sort(np.concatenate([around[:, [0, 1]], around[:, [1, 2]], around[:, [2, 0]]]), 1)
+    taken = np.unique(corners[corners[:, 1] < border], axis=0)
+    beside = _find_normals(vertices[used], around, border)
+    faces = triangulate(vertices[loop], beside, set(map(tuple, taken.tolist())))
+    if faces is None:
+        return None
+    places, beyond = vertices[loop], vertices[used[border:]]
+    for _ in range(_PASSES):
+        places, faces, sides = refine(places, faces, sides, taken)
+        end = len(places)
+        if end == border:
+            return _Patch(loop, places[border:], faces, loop[:0])
+        shifted = np.where(around < border, around, around + end - border)
+        every = np.concatenate([faces, shifted])
+        places = bend(np.concatenate([places, beyond]), every, border, end)[:end]
+    faces, inner = relax(places, faces, taken), places[border:]
+    from scipy.spatial import cKDTree  # scipy takes its time
+
+    nearest = loop[cKDTree(vertices[loop]).query(inner)[1]]
+    return _Patch(loop, inner, faces, nearest)
+
+
+def _find_normals(places: FloatArray, around: IntArray, border: int) -> FloatArray:
+    """Return the unit normal of the face at each side of a loop, from its vertex to the next."""
+    a, b, c = places[around].transpose(1, 0, 2)
+    normals = np.cross(b - a, c - a)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
+    found = np.zeros((border, 3))
+    for k in range(3):
+        # The face runs through the side the other way round.
+        end, start = around[:, k], around[:, (k + 1) % 3]
+        is_side = (start < border) & (end < border) & (end == (start + 1) % border)
+        found[start[is_side]] = normals[is_side]
+    return found

@@ -1,0 +1,69 @@
+"""The connected pieces of a mesh in memory."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hpcapp.applications.surface import kernels
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
+
+
+def measure_pieces(mesh: Mesh) -> tuple[IntArray, FloatArray]:
+    """Return the piece of each face, and the area of each piece.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        With a face.
+
+    Returns
+    -------
+    pieces : ndarray of int64, shape (f,)
+        Numbered in the order of their first vertices. Faces that share a vertex are one piece.
+    areas : ndarray of float64, shape (p,)
+        In squared length units of the mesh, rounded to float32 as those of `StitchingPlan.pieces`.
+    """
+    labels = kernels.label_components(mesh.faces, len(mesh.vertices))[1]
+    _, pieces = np.unique(labels[mesh.faces[:, 0]], return_inverse=True)
+    a, b, c = (mesh.vertices[column] for column in mesh.faces.T)
+    sizes = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    areas = np.bincount(pieces, sizes).astype(np.float32).astype(np.float64)
+    return pieces, areas
+
+
+def keep_faces(mesh: Mesh, stays: BoolArray) -> Mesh:
+    """Return some of the faces of a mesh, and the vertices that these have.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    stays : ndarray of bool, shape (f,)
+    """
+    if stays.all():
+        return mesh
+    used, corners = np.unique(mesh.faces[stays], return_inverse=True)
+    return take_vertices(mesh, used, corners.reshape(-1, 3))
+
+
+def take_vertices(mesh: Mesh, used: IntArray, faces: IntArray) -> Mesh:
+    """Return some vertices of a mesh with all that they carry, below other faces.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    used : ndarray of int64, shape (w,)
+        Rows of its vertices.
+    faces : ndarray of int64, shape (g, 3)
+        Rows of `used`.
+    """
+    return replace(
+        mesh,
+        vertices=mesh.vertices[used],
+        faces=faces.astype(np.int64, copy=False),
+        normals=None if mesh.normals is None else mesh.normals[used],
+        colours=None if mesh.colours is None else mesh.colours[used],
+        attributes={name: column[used] for name, column in mesh.attributes.items()},
+    )
