@@ -23,7 +23,8 @@ log = logging.getLogger("hpcapp")
 
 GROUPS = {
     "In this order": (
-        "fill_holes", "pieces", "smallest", "box", "around", "polygon", "up", "faces", "tolerance", "size",
+        "fill_holes", "pieces", "smallest", "box", "around", "polygon", "up", "faces", "tolerance",
+        "size",
     ),
     "Output": ("output", "origin"),
 }  # fmt: skip
