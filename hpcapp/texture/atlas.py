@@ -8,10 +8,6 @@ import numpy as np
 
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, IntArray
-from hpccomponent.errors import UsageError
-
-MOST_FACES = 500_000
-"""Triangles that are unwrapped: one and a half minutes, as time grows with them in proportion."""
 
 _GAP = 4
 """Texels between charts: what is seen from so far away that four texels are one pixel still
@@ -47,17 +43,7 @@ def unwrap(mesh: Mesh, pixels: int) -> Atlas:
     mesh : Mesh
     pixels : int
         Along a side.
-
-    Raises
-    ------
-    UsageError
-        It has too many triangles.
     """
-    if len(mesh.faces) > MOST_FACES:
-        raise UsageError(
-            f"{len(mesh.faces):,} faces are too many for a texture",
-            f"simplify to {MOST_FACES:,} at most",
-        )
     import xatlas
 
     atlas = xatlas.Atlas()

@@ -146,11 +146,6 @@ def bake(
         Along a side.
     advance : callable
         Told how many faces are done, and how many there are.
-
-    Raises
-    ------
-    UsageError
-        The mesh has too many triangles.
     """
     atlas = unwrap(light, pixels)
     mesh = _split(light, atlas)

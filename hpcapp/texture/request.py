@@ -13,29 +13,30 @@ from hpccomponent.errors import MissingLibraryError, UsageError
 LEAST_PIXELS, MOST_PIXELS = 256, 8192
 """Along a side: below, the gaps between charts take most of it; above, pictures have 200 MB."""
 
+MOST_FACES = 200_000
+"""Triangles that are unwrapped: they take a minute, and more take longer than in proportion."""
 
-def check_texture(
-    output: str, faces: int | None, tolerance: float | None, size: object = None
-) -> None:
+
+def check_texture(output: str, faces: int | None, size: str | None) -> None:
     """Find out before the work whether a texture can come of what is asked for.
 
     Parameters
     ----------
     output : str
         As typed.
-    faces, tolerance, size : optional
-        What a mesh is simplified to.
+    faces, size : optional
+        What the mesh is simplified to.
 
     Raises
     ------
     UsageError
-        The mesh is not to be light, or the output does not hold a texture.
+        The mesh is not to be light enough, or the output does not hold a texture.
     """
     from hpcapp.io.formats import check_holds_texture
 
     check_holds_texture(output)
-    if faces is None and tolerance is None:
-        raise UsageError("--texture is for a light mesh", "give --faces or --tolerance")
+    if faces is None or faces > MOST_FACES:
+        raise UsageError("--texture is for a light mesh", f"give --faces up to {MOST_FACES}")
     if size is not None:
         raise UsageError("--texture and --size exclude each other", "give --faces")
 

@@ -203,7 +203,8 @@ def test_the_same_texture_comes_from_any_number_of_threads(
     ("output", "words", "said"),
     [
         ("m.ply", ["--faces", "500"], "holds no texture"),
-        ("m.glb", [], "give --faces or --tolerance"),
+        ("m.glb", ["--tolerance", "0.1"], "give --faces up to 200000"),
+        ("m.glb", ["--faces", "200001"], "give --faces up to 200000"),
         ("m.glb", ["--faces", "500", "--size", "1MB"], "exclude each other"),
         ("m.glb", ["--faces", "500", "--attributes", "normals"], "holds colours"),
     ],

@@ -87,7 +87,7 @@ def _flag(name: str) -> str:
 def _check_texture(ctx: click.Context) -> None:
     """Raise UsageError where no texture can come of what was asked for."""
     output = ctx.params["output"]
-    check_texture(output, *(ctx.params[name] for name in ("faces", "tolerance", "size")))
+    check_texture(output, ctx.params["faces"], ctx.params["size"])
     if ctx.params["cluster"] is not None and Path(output).suffix.lower() != ".glb":
         raise UsageError(
             f"{output} with --texture is several files, and one comes from a cluster",
@@ -392,7 +392,7 @@ def _add_method_options(command: click.Command) -> click.Command:
     "--texture",
     type=click.IntRange(LEAST_PIXELS, MOST_PIXELS),
     metavar="PIXELS",
-    help="With --faces or --tolerance: bake the colours of all points and the normals of the mesh "
+    help="With --faces: bake the colours of all points and the normals of the mesh "
     "as it was into a picture of so many pixels a side, in a .glb or beside an .obj.",
 )
 @click.option(
