@@ -122,11 +122,6 @@ def run_on_cluster(ctx: click.Context) -> dict[str, Any]:
     files = find_paths(names)
     crop = parse_crop(*(ctx.params[name] for name in CROPPED))
     check_file(ctx.params["output"])
-    if ctx.params["texture"] is not None and Path(ctx.params["output"]).suffix.lower() == ".obj":
-        raise UsageError(
-            "--texture of an .obj has files beside it, and one file comes from a cluster",
-            "write a .glb",
-        )
     _check_shown(ctx)
     with (
         open_output(ctx.params["output"], files) as target,
