@@ -24,6 +24,7 @@ from hpcapp.geometry.points import PointCloud
 from hpcapp.io.columns import Numbers
 from hpcapp.io.frame import choose_origin
 from hpcapp.io.meshes.glb_texture import add_texture
+from hpcapp.io.meshes.linear_colours import to_light
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.staging import replacing
 from hpccomponent.cli.option_names import name_option
@@ -31,7 +32,7 @@ from hpccomponent.errors import OutputError
 
 _MAGIC, _VERSION = b"glTF", 2
 _JSON, _BINARY = b"JSON", b"BIN\0"
-_BYTE, _UINT, _FLOAT = 5121, 5125, 5126  # component types
+_USHORT, _UINT, _FLOAT = 5123, 5125, 5126  # component types
 _VERTICES, _FACES = 34962, 34963  # targets of buffer views
 _MOST_BYTES = 2**32 - 1
 _SHAPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
@@ -57,8 +58,8 @@ def write_glb(path: Path, mesh: Mesh | MeshStream) -> None:
     ----------
     mesh : Mesh or MeshStream
         Vertices are written in single precision, in the local frame; the matrix of the node turns
-        what is up into the y of glTF, and adds what is left of the origin. Colours keep their
-        bytes, attributes become ``float`` under their names in capitals, after an underscore; NaN,
+        what is up into the y of glTF, and adds what is left of the origin. Colours become
+        light, attributes become ``float`` under their names in capitals, after an underscore; NaN,
         which glTF forbids, becomes zero. From those that lie far from zero, as the times of GPS do,
         a number in the extras of the mesh is subtracted. What the input's coordinates mean is in
         the extras of the asset. A texture is in the file.
@@ -117,7 +118,7 @@ def _list_arrays(layout: PointCloud, names: dict[str, str]) -> Iterator[_Array]:
     if layout.normals is not None:
         yield _Array("NORMAL", "<f4", 3)
     if layout.colours is not None:
-        yield _Array("COLOR_0", "u1", 4)
+        yield _Array("COLOR_0", "<u2", 4)
     for name in layout.attributes:
         yield _Array(names[name], "<f4", 1)
 
@@ -155,7 +156,7 @@ def _describe(
     for number, array in enumerate(arrays):
         accessor: dict[str, object] = {
             "bufferView": number,
-            "componentType": _FLOAT if array.dtype == "<f4" else _BYTE,
+            "componentType": _FLOAT if array.dtype == "<f4" else _USHORT,
             "count": stream.vertex_count,
             "type": _SHAPES[array.width],
         }
@@ -165,11 +166,11 @@ def _describe(
             low, high = np.asarray(stream.box, np.float32).tolist()
             accessor |= {"min": low, "max": high}
         accessors.append(accessor)
-    # No material but for a texture: readers that find one set the colours of vertices aside.
     primitive = {
         "attributes": {array.semantic: number for number, array in enumerate(arrays)},
         "indices": len(arrays),
         "mode": 4,
+        "material": 0,
     }
     indices = {"bufferView": len(arrays), "componentType": _UINT, "count": 3 * stream.face_count}
     targets = [_VERTICES] * len(arrays) + [_FACES]
@@ -180,6 +181,7 @@ def _describe(
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0, "name": "mesh", **_place(stream)}],
         "meshes": [{"primitives": [primitive], "extras": extras}],
+        "materials": [{"pbrMetallicRoughness": {"metallicFactor": 0.0}}],  # else it is metal
         "accessors": [*accessors, {**indices, "type": "SCALAR"}],
         "bufferViews": [
             {"buffer": 0, "byteOffset": sum(sizes[:number]), "byteLength": size, "target": target}
@@ -202,8 +204,8 @@ def _columns(vertices: PointCloud, offsets: dict[str, float]) -> Iterator[Number
         normals[~vertices.normals.any(axis=1)] = (0, 0, 1)  # they must have a length
         yield normals
     if vertices.colours is not None:
-        colours = np.full((len(vertices), 4), 255, np.uint8)
-        colours[:, :3] = vertices.colours
+        colours = np.full((len(vertices), 4), 65535, "<u2")
+        colours[:, :3] = to_light(vertices.colours)
         yield colours
     for name, column in vertices.attributes.items():
         if name in offsets:

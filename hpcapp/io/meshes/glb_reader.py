@@ -19,6 +19,7 @@ from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import ByteArray, FloatArray
 from hpcapp.io.columns import Numbers
 from hpcapp.io.frame import to_local
+from hpcapp.io.meshes.linear_colours import to_bytes
 from hpccomponent.errors import InputError
 from hpccomponent.foreign_json import decode
 
@@ -209,8 +210,7 @@ def _read_primitive(
         faces = faces[:, ::-1]
     colours: ByteArray | None = None
     if "COLOR_0" in columns:
-        shares = np.clip(file.array(columns["COLOR_0"])[:, :3], 0.0, 1.0)
-        colours = np.rint(np.multiply(255.0, shares)).astype(np.uint8)
+        colours = to_bytes(file.array(columns["COLOR_0"])[:, :3].astype(np.float64))
     attributes = {
         name: file.array(columns[semantic])[:, 0].copy()
         for name, semantic in extras.get("attributes", {}).items()

@@ -39,7 +39,7 @@ def add_texture(document: dict[str, Any], texture: Texture) -> list[bytes]:
         document["accessors"].append(
             {"bufferView": view, "componentType": _FLOAT, "count": len(values), "type": shape}
         )
-    material: dict[str, Any] = {"pbrMetallicRoughness": {"metallicFactor": 0.0}}
+    (material,) = document["materials"]
     document |= {"images": [], "textures": []}
     for picture, owner, name in (
         (texture.colours, material["pbrMetallicRoughness"], "baseColorTexture"),
@@ -52,8 +52,7 @@ def add_texture(document: dict[str, Any], texture: Texture) -> list[bytes]:
             document["textures"].append({"source": number, "sampler": 0})
             owner[name] = {"index": number}
     sampler = {"magFilter": _SMOOTH, "minFilter": _MIPMAPS, "wrapS": _ENDS, "wrapT": _ENDS}
-    document |= {"samplers": [sampler], "materials": [material]}
-    primitive["material"] = 0
+    document["samplers"] = [sampler]
     return body
 
 

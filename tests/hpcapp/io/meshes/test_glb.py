@@ -17,7 +17,7 @@ from hpcapp.io.meshes.mesh_stream import as_stream
 from hpcapp.io.placement import Placement
 from hpccomponent.errors import OutputError
 
-TYPES = {5121: "u1", 5125: "<u4", 5126: "<f4"}
+TYPES = {5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 
 
@@ -59,8 +59,14 @@ def test_a_mesh_with_everything_comes_back(tmp_path: Path, painted: Mesh) -> Non
     assert painted.normals is not None
     assert painted.colours is not None
     np.testing.assert_array_equal(found["NORMAL"], painted.normals.astype(np.float32))
-    np.testing.assert_array_equal(found["COLOR_0"][:, :3], painted.colours)
-    assert (found["COLOR_0"][:, 3] == 255).all()
+    light = found["COLOR_0"] / 65535  # by IEC 61966-2-1
+    assert light[1, 0] == 1.0
+    assert light[2, 0] == pytest.approx(((127 / 255 + 0.055) / 1.055) ** 2.4, abs=1e-5)
+    assert light[0, 1] == pytest.approx(1 / 255 / 12.92, abs=1e-5)
+    assert (light[:, 3] == 1.0).all()
+    np.testing.assert_array_equal(read_mesh(tmp_path / "mesh.glb").colours, painted.colours)
+    (material,) = told["materials"]
+    assert material["pbrMetallicRoughness"]["metallicFactor"] == 0.0  # what is left out is metal
     position, colour = (
         told["accessors"][told["meshes"][0]["primitives"][0]["attributes"][name]]
         for name in ("POSITION", "COLOR_0")
