@@ -19,6 +19,9 @@ it parts: furniture, roofs and statuettes have 0.0087 or more of the room, town 
 are scanned with; shreds of them have 0.0009 or less."""
 
 
+_BITS = 24
+
+
 @dataclass(frozen=True, slots=True)
 class PieceChoice:
     """Which pieces of a mesh stay.
@@ -74,6 +77,19 @@ class PieceChoice:
             )
         stays[np.argsort(-areas, kind="stable")[self.most or len(areas) :]] = False
         return stays
+
+
+def round_areas(areas: FloatArray) -> FloatArray:
+    """Return areas with the 24 bits that sums in any order agree on, whatever their size.
+
+    Examples
+    --------
+    >>> round_areas(np.array([1e66, 1 / 3, 1e-66, 0.0])).tolist()
+    [9.99999955349436e+65, 0.3333333432674408, 1.0000000340842266e-66, 0.0]
+    """
+    shares, powers = np.frexp(areas)
+    rounded: FloatArray = np.ldexp(np.rint(shares * (1 << _BITS)) / (1 << _BITS), powers)
+    return rounded
 
 
 def find_small(areas: FloatArray) -> BoolArray:

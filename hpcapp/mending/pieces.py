@@ -8,6 +8,7 @@ import numpy as np
 
 from hpcapp.applications.surface import kernels
 from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.pieces import round_areas
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 
 
@@ -24,14 +25,13 @@ def measure_pieces(mesh: Mesh) -> tuple[IntArray, FloatArray]:
     pieces : ndarray of int64, shape (f,)
         Numbered in the order of their first vertices. Faces that share a vertex are one piece.
     areas : ndarray of float64, shape (p,)
-        In squared length units of the mesh, rounded to float32 as those of `StitchingPlan.pieces`.
+        In squared length units of the mesh, rounded as those of `StitchingPlan.pieces`.
     """
     labels = kernels.label_components(mesh.faces, len(mesh.vertices))[1]
     _, pieces = np.unique(labels[mesh.faces[:, 0]], return_inverse=True)
     a, b, c = (mesh.vertices[column] for column in mesh.faces.T)
     sizes = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    areas = np.bincount(pieces, sizes).astype(np.float32).astype(np.float64)
-    return pieces, areas
+    return pieces, round_areas(np.bincount(pieces, sizes).astype(np.float64))
 
 
 def keep_faces(mesh: Mesh, stays: BoolArray) -> Mesh:

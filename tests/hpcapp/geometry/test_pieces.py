@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hpcapp.geometry.pieces import SMALL, PieceChoice, find_small
+from hpcapp.geometry.pieces import SMALL, PieceChoice, find_small, round_areas
 from hpccomponent.errors import UsageError
 
 AREAS = np.array([2.0, 9.0, 0.5, 2.0, 1.0])
@@ -58,3 +58,12 @@ def test_three_thousandths_of_the_largest_are_small() -> None:
 
 def test_nothing_has_no_small_pieces() -> None:
     assert not len(find_small(np.empty(0)))
+
+
+@pytest.mark.parametrize("scale", [1e-300, 1e-66, 1.0, 1e66, 1e300])
+def test_sums_in_another_order_are_as_large_at_any_scale(scale: float) -> None:
+    parts = scale * np.random.default_rng(3).uniform(0.1, 1.0, 1000)
+    sums = np.array([parts.sum(), parts[::-1].sum(), sum(parts.tolist())]) / 2.0
+    rounded = round_areas(sums)
+    assert len(set(rounded.tolist())) == 1
+    assert np.abs(rounded / sums - 1.0).max() < 2.0**-23

@@ -20,6 +20,7 @@ from hpcapp.applications.surface.extraction.summary import PartSummary
 from hpcapp.applications.surface.stitching.bricks import PartBricks
 from hpcapp.applications.surface.stitching.topology import Topology, count_loops
 from hpcapp.geometry.lattice import find_first, find_keys, number_keys
+from hpcapp.geometry.pieces import round_areas
 from hpcapp.geometry.points import FloatArray, IntArray
 
 
@@ -174,16 +175,16 @@ def sum_areas(
     Returns
     -------
     ndarray of float64, shape (c,)
-        In squared length units of the input, rounded to float32: so they are as large as each other
-        whose sums came in another order, from other parts.
+        In squared length units of the input, rounded: so they are as large as each other whose
+        sums came in another order, from other parts.
     """
     count = int(component.max(initial=-1)) + 1
     seam_faces = _gather_seam_faces(_place_parts(summaries, bricks), np.ones(len(component), bool))
     (a, b, c), is_known = _find_rim(seam_faces.known, seam_faces.places, seam_faces.corners)
     beyond = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    areas = np.bincount(entries.component, entries.sums[:, 4], count)
+    areas = np.bincount(entries.component, entries.sums[:, 4], count).astype(np.float64)
     areas += np.bincount(component[seam_faces.labels[is_known]], beyond, count)
-    return areas.astype(np.float32).astype(np.float64)
+    return round_areas(areas)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
