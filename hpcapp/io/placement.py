@@ -23,6 +23,7 @@ from hpcapp.geometry.points import FloatArray
 from hpcapp.io.crs import UNKNOWN, Crs
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.staging import replacing
+from hpccomponent.cli.option_names import name_option
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.foreign_json import decode
 
@@ -118,7 +119,8 @@ def parse_origin(text: str) -> Origin:
     except ValueError:
         x = y = z = np.nan
     if not np.isfinite([x, y, z]).all():
-        raise UsageError(f"--origin {text!r}: is no place", "give auto, keep, or X,Y,Z")
+        asked = name_option("origin", repr(text))
+        raise UsageError(f"{asked}: is no place", "give auto, keep, or X,Y,Z")
     return x, y, z
 
 

@@ -17,9 +17,9 @@ from hpcapp.geometry.lattice import number_keys, unique_keys
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, IntArray
 from hpcapp.geometry.vertex_normals import add_face_normals, scale_normals
+from hpcapp.io.meshes.mesh_stream import find_vertices, make_mesh
 from hpcapp.mending.fairing import bend
 from hpcapp.mending.loops import find_holes
-from hpcapp.mending.pieces import take_vertices
 from hpcapp.mending.refinement import refine, relax
 from hpcapp.mending.triangulation import triangulate
 
@@ -82,9 +82,9 @@ def fill_holes(mesh: Mesh, size: float) -> Filled:
         count += len(patch.places)
     sources = np.concatenate([patch.nearest for patch in patches])
     every = np.concatenate([np.arange(len(mesh.vertices)), sources])
-    filled = take_vertices(mesh, every, np.concatenate(faces))
+    vertices = find_vertices(mesh).take(every)
     places = np.concatenate([mesh.vertices, *(patch.places for patch in patches)])
-    filled = replace(filled, vertices=places)
+    filled = make_mesh(replace(vertices, positions=places), np.concatenate(faces), mesh.origin)
     if filled.normals is not None:
         filled = replace(filled, normals=_add_normals(filled, len(mesh.vertices)))
     return Filled(filled, len(patches), left)

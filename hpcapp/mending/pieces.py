@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from hpcapp.applications.surface import kernels
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.pieces import round_areas
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
+from hpcapp.io.meshes.mesh_stream import find_vertices, make_mesh
 
 
 def measure_pieces(mesh: Mesh) -> tuple[IntArray, FloatArray]:
@@ -45,25 +44,4 @@ def keep_faces(mesh: Mesh, stays: BoolArray) -> Mesh:
     if stays.all():
         return mesh
     used, corners = np.unique(mesh.faces[stays], return_inverse=True)
-    return take_vertices(mesh, used, corners.reshape(-1, 3))
-
-
-def take_vertices(mesh: Mesh, used: IntArray, faces: IntArray) -> Mesh:
-    """Return some vertices of a mesh with all that they carry, below other faces.
-
-    Parameters
-    ----------
-    mesh : Mesh
-    used : ndarray of int64, shape (w,)
-        Rows of its vertices.
-    faces : ndarray of int64, shape (g, 3)
-        Rows of `used`.
-    """
-    return replace(
-        mesh,
-        vertices=mesh.vertices[used],
-        faces=faces.astype(np.int64, copy=False),
-        normals=None if mesh.normals is None else mesh.normals[used],
-        colours=None if mesh.colours is None else mesh.colours[used],
-        attributes={name: column[used] for name, column in mesh.attributes.items()},
-    )
+    return make_mesh(find_vertices(mesh).take(used), corners.reshape(-1, 3), mesh.origin)

@@ -111,12 +111,12 @@ class Output:
 
         target = Target(self.faces, self.tolerance)
         target.check()
-        parse_origin(self.origin)
+        origin = parse_origin(self.origin)
         most_bytes = None if self.size is None else read_size(self.size, self.output)
         with open_output(self.output, [mesh]) as path:
             whole = read_mesh(mesh)
             crs = find_mesh_crs(mesh)
-            placement = Placement(parse_origin(self.origin), self.up or find_mesh_up(mesh))
+            placement = Placement(origin, self.up or find_mesh_up(mesh))
             light = simplify_mesh(change(whole, crs), target)
             if most_bytes is not None:
                 light = fit_mesh(light, most_bytes, path.suffix, crs, placement)

@@ -8,10 +8,11 @@ from os import PathLike
 from pathlib import Path
 
 from hpcapp.geometry.mesh import Mesh
-from hpcapp.io import FOLDER_SUFFIXES, write_mesh
+from hpcapp.io import FOLDER_SUFFIXES, place_mesh
 from hpcapp.io.crs import Crs
-from hpcapp.io.meshes.mesh_stream import as_stream
+from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.placement import Placement
+from hpcapp.io.registry import find_mesh_writer
 from hpcapp.simplification.mesh import Target, simplify_mesh
 from hpccomponent.errors import UsageError
 from hpccomponent.files.held_folders import temporary_folder
@@ -93,6 +94,12 @@ def fit_size(size: int, most: int, weigh: Callable[[int], int]) -> int:
     return fits
 
 
+def weigh_mesh(path: Path, mesh: MeshStream, placement: Placement) -> int:
+    """Write a mesh to be weighed, without a word on it; return the bytes of its file."""
+    find_mesh_writer(path).write(path, place_mesh(path, mesh, placement))
+    return path.stat().st_size
+
+
 def fit_mesh(mesh: Mesh, size: int, suffix: str, crs: Crs, placement: Placement) -> Mesh:
     """Return a mesh of as many triangles as fit a file.
 
@@ -117,7 +124,6 @@ def fit_mesh(mesh: Mesh, size: int, suffix: str, crs: Crs, placement: Placement)
 
         def weigh(faces: int) -> int:
             light = replace(as_stream(simplify_mesh(mesh, Target(faces))), crs=crs)
-            write_mesh(path, light, placement)
-            return path.stat().st_size
+            return weigh_mesh(path, light, placement)
 
         return simplify_mesh(mesh, Target(fit_size(size, len(mesh.faces), weigh)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -59,3 +60,15 @@ def test_what_cannot_fit_is_said() -> None:
         read_size("20 parsecs", "light.ply")
     with pytest.raises(UsageError, match="is a folder"):
         read_size("20MB", "light.3dtiles")
+
+
+def test_meshes_that_are_weighed_say_nothing(
+    ball: Mesh, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Far from zero, and with colours that an STL has not: each said of what is written alone."""
+    write_mesh(tmp_path / "ball.ply", replace(ball, origin=np.array([5e5, 5.4e6, 0.0])))
+    words = [str(tmp_path / "ball.ply"), "-o", str(tmp_path / "light.stl"), "--size", "60K"]
+    with caplog.at_level("INFO", "hpcapp"):
+        CliRunner().invoke(simplify, words, catch_exceptions=False)
+    assert caplog.text.count("relative to") == 1
+    assert caplog.text.count("no colours") == 1

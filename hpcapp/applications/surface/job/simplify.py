@@ -10,7 +10,7 @@ from hpcapp.applications.surface.job.outcome import Outcome, Reconstruction
 from hpcapp.applications.surface.stitching.surface import Surface, simplify_surface
 from hpcapp.progress import StageClock
 from hpcapp.simplification.mesh import Target
-from hpcapp.simplification.size import fit_size
+from hpcapp.simplification.size import fit_size, weigh_mesh
 from hpccomponent.files.held_folders import temporary_folder
 
 log = logging.getLogger("hpcapp")
@@ -44,8 +44,8 @@ def fit_surface(outcome: Outcome, size: int, suffix: str, carrying: Carrying) ->
             return surface if faces == most else simplify_surface(surface, Target(faces))
 
         def weigh(faces: int) -> int:
-            simplify(faces).write(path, outcome.backend.workforce, carrying)
-            return path.stat().st_size
+            with simplify(faces).open_stream() as stream:
+                return weigh_mesh(path, carrying.to_stream(stream), carrying.placement)
 
         light = simplify(fit_size(size, most, weigh))
     return replace(outcome, result=replace(outcome.result, surface=light))
