@@ -14,8 +14,10 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
+
+from hpccomponent.dataclass import dataclass
 
 MASTER = "master"
 """The worker of the master's own stages."""

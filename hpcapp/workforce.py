@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import field
 from itertools import islice
 from pathlib import Path
 from typing import TypeVar
@@ -18,6 +18,7 @@ from hpcapp.timeline import find_worker
 from hpccomponent.cli.option_names import name_option
 from hpccomponent.cli.terminal import visible_text
 from hpccomponent.cutting import cut_equal
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import HpcError, TaskError, WorkerLostError
 from hpccomponent.runtime.background import Background, Deferred
 from hpccomponent.runtime.visible_files import sees_files

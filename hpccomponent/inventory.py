@@ -11,9 +11,10 @@ import json
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, field, fields
 from pathlib import Path
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import ConfigError
 from hpccomponent.protocol.keys import is_key
 from hpccomponent.protocol.private_json import check_keys, read_private_json

@@ -7,12 +7,13 @@ repeated after a crash without harm, because what it makes is known by its name.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import datetime
 from enum import StrEnum
 from pathlib import Path
 from typing import ClassVar, NamedTuple, Protocol
 
+from hpccomponent.dataclass import dataclass
 from hpcdeploy.spec.job_folder import JobOrder, JobStatus
 from hpcdeploy.spec.names import HEAD, NOBODY, Desired, NodeName, Owner
 

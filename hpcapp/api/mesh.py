@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property
 from html import escape
 from os import PathLike
@@ -35,6 +35,7 @@ from hpcapp.pages.browser import show_page
 from hpcapp.pages.page import build_page, write_page
 from hpcapp.pages.scene import Scene, fields_of
 from hpcapp.pages.thin import MOST_FACES, thin_mesh
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
 from hpccomponent.ranges import check_range
 

@@ -7,12 +7,13 @@ import platform
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from functools import cache
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import JobError
 from hpccomponent.runtime.numerics import numerics_id
 

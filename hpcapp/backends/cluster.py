@@ -16,13 +16,13 @@ import logging
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
-from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY, POLICIES
 from hpcapp.communicator.scheduling.verification import CLUSTER_SHARE, Verification
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import ConfigError, NoWorkersError, UsageError
 from hpccomponent.inventory import Inventory, hold_cluster, read_inventory
 from hpccomponent.limits import raise_descriptor_limit

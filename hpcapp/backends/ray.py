@@ -29,7 +29,6 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -40,6 +39,7 @@ from hpcapp.backends.ray_watcher import watched
 from hpcapp.backends.retrying import RetryingExecutor
 from hpcapp.extras import how_to_install
 from hpccomponent.cli.option_names import name_option
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import (
     HpcError,
     JobError,

@@ -23,8 +23,9 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
+
+from hpccomponent.dataclass import dataclass
 
 MOST_ON_THE_WAY = 16 << 20
 """In bytes, of the connections of one key: 8 MiB that were asked for, 2 MiB that were not, and as

@@ -15,10 +15,11 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import ProtocolError
 from hpccomponent.protocol.frames import Buffer, aligned, check_payload, cut_payload, join_frames
 from hpccomponent.protocol.messages import (

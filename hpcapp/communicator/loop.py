@@ -14,7 +14,6 @@ import secrets
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 
 from hpcapp.communicator.fetching import Fetcher, TakeBuffers
 from hpcapp.communicator.pending import PendingTasks
@@ -36,6 +35,7 @@ from hpcapp.communicator.scheduling.state import (
 from hpcapp.communicator.submission import Submission
 from hpcapp.communicator.transport import Received, RouterTransport
 from hpccomponent.clock import Clock
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import JobError, ProtocolError, UsageError
 from hpccomponent.protocol.frames import LARGEST_FRAME, Buffer, join_frames, split_buffers
 from hpccomponent.protocol.messages import (

@@ -11,11 +11,11 @@ this one is not to be trusted with anything.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 from hpcapp.communicator.fetching import TakeBuffers
 from hpcapp.communicator.scheduling.verification import digest_answer
 from hpcapp.communicator.submission import Submission
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import ProtocolError
 from hpccomponent.protocol.codec import decode_values
 from hpccomponent.protocol.declared import check_result

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass
 from typing import Any
 
 from hpcapp.communicator.scheduling.state import Task
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import HpcError, TaskError, UsageError
 from hpccomponent.protocol.blobs import Blob
 from hpccomponent.protocol.codec import encode_arguments

@@ -18,12 +18,12 @@ import socket
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 
 import zmq
 from zmq.utils import z85
 
 from hpcapp.communicator.connection_watch import ConnectionWatch, wire_bytes
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import ProtocolError, UsageError
 from hpccomponent.protocol.frames import LARGEST_FRAME, Buffer
 from hpccomponent.protocol.keys import KeyPair

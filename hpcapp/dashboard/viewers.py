@@ -6,9 +6,9 @@ import secrets
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 
 from hpccomponent.clock import Clock, MonotonicClock
+from hpccomponent.dataclass import dataclass
 
 PATIENCE_S = 2.0  # with pages that ask for nothing
 MOST_S = 15.0  # with all pages together

@@ -6,11 +6,11 @@ import logging
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 
 from hpcapp.dashboard.viewers import Viewers
 from hpcapp.progress import LoadPart, ProgressObserver
 from hpcapp.timeline import Timeline
+from hpccomponent.dataclass import dataclass
 
 MOST_LINES = 500  # of the log; older ones are forgotten
 MOST_PARTS = 4096  # that are shown; later ones are counted only

@@ -9,13 +9,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
 
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import BoolArray, ByteArray, FloatArray, IntArray
+from hpccomponent.dataclass import dataclass
 
 
 @dataclass(frozen=True, slots=True, eq=False)

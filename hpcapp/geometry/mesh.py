@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.geometry.points import ByteArray, FloatArray
+from hpccomponent.dataclass import dataclass
 
 
 @dataclass(frozen=True, slots=True, eq=False)

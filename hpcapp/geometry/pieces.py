@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import inf
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy as np
 from hpcapp.geometry.points import BoolArray, FloatArray
 from hpcapp.wording import say_count, say_number, say_share
 from hpccomponent.cli.option_names import name_option
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
 from hpccomponent.ranges import check_range
 

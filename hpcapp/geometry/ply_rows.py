@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.geometry.points import FloatArray, IntArray
+from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.records import record
 
 _CORNERS = np.dtype("V12")  # three int32, moved as one

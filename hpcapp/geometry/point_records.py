@@ -6,7 +6,6 @@ Used by the reader of binary PLY, and by tasks on machines that see the file.
 from __future__ import annotations
 
 from collections.abc import Container, Iterable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.geometry.points import ByteArray, PointCloud
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 from hpccomponent.protocol.records import record
 

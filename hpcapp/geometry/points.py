@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from hpccomponent.dataclass import dataclass
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

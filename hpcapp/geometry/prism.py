@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from hpcapp.geometry.clipping import Piece
 from hpcapp.geometry.points import BoolArray, FloatArray
 from hpcapp.geometry.region import Region, say_place
 from hpcapp.geometry.splitting import Walls
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import MissingLibraryError
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from hpcapp.geometry.clipping import Cutter, Piece, clip_ball, clip_box
 from hpcapp.geometry.points import BoolArray, FloatArray
 from hpcapp.geometry.splitting import refine_at_sphere
+from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.records import record
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from hpcapp.geometry.points import BoolArray, FloatArray, PointCloud
+from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.records import record
 
 _TINY = 1e-200  # square of a length: far from where squares are lost

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.geometry.points import IntArray
+from hpccomponent.dataclass import dataclass
 
 Numbers = NDArray[np.number | np.bool_]
 """Numbers of any type."""

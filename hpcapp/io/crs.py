@@ -8,7 +8,8 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+
+from hpccomponent.dataclass import dataclass
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ of a map: there what lies far from zero is written near zero. The origin is in a
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
@@ -24,6 +24,7 @@ from hpcapp.io.crs import UNKNOWN, Crs
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.staging import replacing
 from hpccomponent.cli.option_names import name_option
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.foreign_json import decode
 

@@ -10,11 +10,11 @@ a format.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import OutputError, UsageError
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from hpcapp.mending.fairing import bend
 from hpcapp.mending.loops import find_holes
 from hpcapp.mending.refinement import refine, relax
 from hpcapp.mending.triangulation import triangulate
+from hpccomponent.dataclass import dataclass
 
 _PASSES = 5  # each bends the patch by the shape that the one before has given it
 

@@ -7,8 +7,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from hpcapp.applications.surface import kernels
@@ -16,6 +14,7 @@ from hpcapp.geometry.lattice import number_keys
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import BoolArray, IntArray
 from hpcapp.mending.pieces import measure_pieces
+from hpccomponent.dataclass import dataclass
 
 SHEET = 0.5
 """Of a piece's area: around a loop that spans more, the piece is a sheet, and the loop its end. It

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from hpcapp.geometry.pieces import PieceChoice, find_small, say_dropped, say_sma
 from hpcapp.mending.holes import fill_holes
 from hpcapp.mending.pieces import keep_faces, measure_pieces
 from hpcapp.wording import say_count
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 
 log = logging.getLogger("hpcapp")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -13,6 +13,7 @@ from msgspec import Meta
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import IntArray
 from hpcapp.pages.scene import Field, label_field
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 from hpccomponent.foreign_json import convert
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from html import escape
 from importlib.metadata import version
 from importlib.resources import files
@@ -14,6 +13,7 @@ from hpcapp.io.staging import replacing
 from hpcapp.pages.arrays import pack_text
 from hpcapp.pages.scene import Scene, pack_scene
 from hpcapp.wording import say_value
+from hpccomponent.dataclass import dataclass
 
 # In the order in which they are loaded: each may import those before it, by its name.
 _MODULES = (

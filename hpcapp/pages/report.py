@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 from msgspec import Meta
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 from hpccomponent.files.paths import read_regular
 from hpccomponent.foreign_json import convert, decode

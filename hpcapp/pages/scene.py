@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
 from hpcapp.pages.arrays import Packable, pack_array, quantise
+from hpccomponent.dataclass import dataclass
 
 MOST_POINTS = 200_000
 """Of a cloud, so many are shown beside a mesh, evenly picked."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +13,7 @@ from hpcapp.applications.points.command import AROUND, BOX, POLYGON
 from hpcapp.applications.points.crop import parse_crop
 from hpcapp.geometry.axis_names import AXES
 from hpccomponent.cli.verb import Verb
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
 
 if TYPE_CHECKING:

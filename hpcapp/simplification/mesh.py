@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import frexp, inf
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from hpcapp.applications.surface import kernels
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, IntArray
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
 
 log = logging.getLogger("hpcapp")

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, IntArray
+from hpccomponent.dataclass import dataclass
 
 _GAP = 4
 """Texels between charts: what is seen from so far away that four texels are one pixel still

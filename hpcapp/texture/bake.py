@@ -12,7 +12,7 @@ are taken than there are texels.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import ceil
 
 import numpy as np
@@ -27,6 +27,7 @@ from hpcapp.texture.atlas import Atlas, unwrap
 from hpcapp.texture.tangents import find_tangents, normalise
 from hpcapp.texture.texels import Texels, cover
 from hpcapp.wording import say_count, say_number, say_share
+from hpccomponent.dataclass import dataclass
 
 _NEAR = 5
 """Fine vertices around a place, of which the farthest weighs nothing: more blur, fewer show the

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
 from hpcapp.geometry.points import FloatArray, IntArray
+from hpccomponent.dataclass import dataclass
 
 _AT_ONCE = 1 << 17  # texels, about; some hundred bytes each
 _FACES = 1 << 12  # whose rows are looked at at once

@@ -26,9 +26,10 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import OutputError
 from hpccomponent.files.private_files import create_private, make_private_folder, remove_path
 

@@ -17,10 +17,10 @@ task is given where the task is declared. The reference page of results is made 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type_hints
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.declared import Declared, Number, Record, Where, Whole
 from hpccomponent.protocol.declared_arrays import Array
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, field, fields
 from pathlib import Path
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import ConfigError
 from hpccomponent.protocol.keys import is_key, write_secret
 from hpccomponent.protocol.private_json import read_private_json

@@ -13,9 +13,9 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any, Protocol
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import ProtocolError
 from hpccomponent.protocol.declared_arrays import Extents
 

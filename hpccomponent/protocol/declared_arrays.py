@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import ProtocolError
 
 if TYPE_CHECKING:  # who only declares, or starts a worker, does not wait for numpy

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 import re
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Annotated
 
 import zmq
 from msgspec import Meta
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import OutputError
 
 Z85 = frozenset(

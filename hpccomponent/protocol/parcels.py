@@ -12,8 +12,8 @@ honest one from one that sends without end.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.frames import Buffer
 
 UNASKED_BYTES = 4 << 20

@@ -7,9 +7,10 @@ class that this process has registered, and give it the fields that it has.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from typing import Any, TypeVar
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import ProtocolError
 
 T = TypeVar("T")
@@ -59,8 +60,7 @@ def record(name: str) -> Callable[[type[T]], type[T]]:
     """
 
     def register(kind: type[T]) -> type[T]:
-        parameters = getattr(kind, "__dataclass_params__", None)
-        if not is_dataclass(kind) or parameters is None or not parameters.frozen:
+        if not is_dataclass(kind) or kind.__setattr__ is object.__setattr__:
             raise TypeError(f"{kind.__qualname__} is no frozen dataclass")
         if hasattr(kind, "__post_init__"):
             raise TypeError(f"{kind.__qualname__} does more than keep its fields")

@@ -15,11 +15,11 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import Enum, IntEnum
 
 import msgspec
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.blob_cache import BlobCache
 from hpccomponent.protocol.frames import SMALLEST_FRAME, Buffer, cut_payload
 from hpccomponent.protocol.messages import (
@@ -127,7 +127,7 @@ class _Outgoing:
 
     message: Results | Lost
     head: Buffer = b""
-    payload: memoryview = memoryview(b"")  # noqa: RUF009 - it never changes
+    payload: memoryview = memoryview(b"")
 
 
 @dataclass(slots=True)

@@ -20,10 +20,10 @@ import socket
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
 
 import zmq
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import ProtocolError
 from hpccomponent.limits import available_cores, total_memory
 from hpccomponent.protocol.connection import Connection

@@ -10,10 +10,10 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, TypeVar
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
 from hpccomponent.protocol.declared import ANYTHING, Declared, Each, EachOf
 from hpccomponent.protocol.frames import DEFAULT_RESULT_BYTES

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from importlib.util import find_spec
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import ConfigError
 from hpcloader.machine import Machine
 

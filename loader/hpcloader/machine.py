@@ -10,9 +10,9 @@ import platform
 import shutil
 import subprocess
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.limits import available_cores, control_groups, memory_limit, read_text
 
 _NVIDIA_SMI_WAIT_S = 10.0  # a driver in trouble can hang it for minutes

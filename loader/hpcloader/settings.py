@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
+from hpccomponent.dataclass import dataclass
 from hpcloader.builds import BUILDS, Build
 from hpcloader.supervisor import RestartRule
 

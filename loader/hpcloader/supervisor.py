@@ -16,8 +16,9 @@ Sans-I/O: events come in with the time, actions go out; `daemon` carries them ou
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import Enum, auto
+
+from hpccomponent.dataclass import dataclass
 
 EXIT_FAILED = 1
 EXIT_CONFIG = 2

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +11,7 @@ import click
 
 from hpccomponent.cli.terminal import echo, echo_json, visible_line
 from hpccomponent.cli.verb import Verb
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import CloudError
 from hpcdeploy.cli.arguments import FILE
 

@@ -15,11 +15,12 @@ import json
 import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import TypeVar
 
 from hpccomponent.cli.terminal import write_block
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import CloudError, HpcError
 from hpccomponent.inventory import Inventory, InventoryWorker, dump_inventory
 from hpccomponent.protocol.connection import Connection

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 import shlex
 import sys
-from dataclasses import dataclass
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import CloudError
 from hpcdeploy.install.loader_service import is_running_command
 from hpcdeploy.install.wheels.wheelhouse import Kind

@@ -12,12 +12,12 @@ import sys
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import CloudError, HpcError, OutputError, UsageError
 from hpccomponent.files.paths import new_file_here
 from hpcdeploy.jobs.display import ForwardingDisplay, open_display

@@ -5,12 +5,12 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, TextIO
 
 from msgspec import Meta
 
 from hpccomponent.cli.verbosity import is_quiet
+from hpccomponent.dataclass import dataclass
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID

@@ -9,10 +9,11 @@ import json
 import shlex
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import (
     CloudError,
     HpcError,

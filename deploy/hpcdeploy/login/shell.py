@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
+
+from hpccomponent.dataclass import dataclass
 
 MOST_REASON = 500
 """Characters of what a machine says that stand in a message: it may say anything."""

@@ -17,13 +17,13 @@ import os
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import IO, Annotated, TypedDict, cast
 
 from msgspec import Meta
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import CapacityError, CloudError, OutputError
 from hpccomponent.foreign_json import convert, decode
 from hpcdeploy.provider import LaunchChoice

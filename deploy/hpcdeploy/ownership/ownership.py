@@ -11,9 +11,9 @@ from __future__ import annotations
 import base64
 import hashlib
 from collections.abc import Iterator
-from dataclasses import dataclass
 from datetime import datetime, timedelta
 
+from hpccomponent.dataclass import dataclass
 from hpcdeploy.provider import MachineSeen, Observed, State
 from hpcdeploy.spec.names import Owner, incarnation_began
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Annotated
 
 import msgspec
 from msgspec import Meta
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.foreign_json import decode
 from hpcdeploy.provider import (
     Launch,

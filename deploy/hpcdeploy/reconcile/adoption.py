@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import CloudError, UsageError
 from hpccomponent.foreign_json import decode
 from hpccomponent.protocol.keys import Key, KeyPair, write_secret

@@ -5,11 +5,12 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import CloudError, OutdatedError
 from hpcdeploy.ownership.journal import peek_journal
 from hpcdeploy.ownership.ownership import Ownership, foreign_owner

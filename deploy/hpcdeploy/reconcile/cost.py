@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
 from hpcdeploy.provider import MachineSeen
 from hpcdeploy.spec.cluster import ClusterSpec

@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 
 from hpccomponent.cli.terminal import write_block
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import CloudError
 from hpccomponent.runtime.numerics import package_version
 from hpcdeploy.install.bootstrap import MIN_FREE

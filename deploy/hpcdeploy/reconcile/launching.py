@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime, timedelta
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import CapacityError, CloudError
 from hpcdeploy.ownership.journal import Journal
 from hpcdeploy.provider import Launch, LaunchChoice, MachineSeen, Provider, State

@@ -6,10 +6,10 @@ Nothing here calls a cloud; `converge` carries the actions out in their order, `
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import ClassVar
 
+from hpccomponent.dataclass import dataclass
 from hpcdeploy.provider import LaunchChoice, MachineSeen, Observed, Resource, State, Step
 from hpcdeploy.reconcile.termination import Reason
 from hpcdeploy.spec.cluster import ClusterSpec

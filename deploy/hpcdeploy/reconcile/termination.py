@@ -8,10 +8,10 @@ to it, cannot set it up again or do not find our names on it proves nothing.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import datetime, timedelta
 from enum import StrEnum
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import CloudError
 from hpcdeploy.ownership.ownership import MAKING
 from hpcdeploy.provider import MachineSeen, Provider, State

@@ -28,7 +28,7 @@ import re
 import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
@@ -36,6 +36,7 @@ from typing import Annotated
 
 from msgspec import Meta
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import JobError
 from hpccomponent.foreign_json import decode
 

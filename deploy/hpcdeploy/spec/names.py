@@ -7,8 +7,9 @@ import os
 import re
 import secrets
 import socket
-from dataclasses import dataclass
 from datetime import UTC, datetime
+
+from hpccomponent.dataclass import dataclass
 
 MOST_WORKERS = 1000
 NAME_PATTERN = r"^[a-z][a-z0-9-]{0,39}$"

@@ -13,13 +13,13 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 from msgspec import Meta
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import CloudError
 from hpccomponent.files.held_folders import temporary_folder
 from hpccomponent.files.paths import home_folder

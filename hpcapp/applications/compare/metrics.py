@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from hpcapp.applications.surface.stitching.topology import Topology, check_mesh
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray
 from hpcapp.progress import Progress, StageClock
+from hpccomponent.dataclass import dataclass
 
 F_THRESHOLDS = (0.02, 0.1, 0.5)  # per cent of the diagonal
 

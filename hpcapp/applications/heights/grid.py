@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
 from math import ceil, floor, log10, sqrt
 
 import numpy as np
@@ -14,6 +13,7 @@ from hpcapp.applications.compare.volume.lattice import PLANES_PER_POINT, Heights
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.points import FloatArray
 from hpcapp.io.crs import Crs
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError, UsageError
 
 log = logging.getLogger("hpcapp")

@@ -14,7 +14,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -22,6 +21,7 @@ import numpy as np
 
 from hpcapp.extras import how_to_install
 from hpcapp.geometry.points import FloatArray
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError, MissingLibraryError
 from hpccomponent.files.held_folders import temporary_folder
 

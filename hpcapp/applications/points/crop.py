@@ -6,11 +6,12 @@ This module is imported for every ``--help``: nothing heavy is imported.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from os import PathLike, fspath
 from typing import TYPE_CHECKING, TypeVar
 
 from hpccomponent.cli.option_names import name_option
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.ranges import FARTHEST, is_place
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Hashable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -19,6 +19,7 @@ from hpcapp.geometry.points import BoolArray, FloatArray, PointCloud
 from hpcapp.io.batches import batch_points
 from hpcapp.io.crs import METRES
 from hpcapp.io.points.point_source import CLASSES, NOT_GROUND, PointSource
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 
 log = logging.getLogger("hpcapp")

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
 
 from hpcapp.communicator.scheduling.state import Worker
+from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.frames import SMALLEST_FRAME
 from hpccomponent.protocol.messages import PROTOCOL_VERSION, Register
 

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 from hpcapp.communicator.scheduling.state import Task, Worker
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import NoWorkersError, WorkerLostError
 
 LOSS_BUDGET = 3  # machines that may lose one task, or workers where there are fewer machines

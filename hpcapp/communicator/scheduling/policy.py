@@ -9,8 +9,9 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import ClassVar, Protocol
+
+from hpccomponent.dataclass import dataclass
 
 DEPTH = 2  # batches that a worker holds at most, the adaptive way
 AHEAD_S = 1.0  # so long before its end the next batch may leave

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 
 from hpcapp.communicator.scheduling.admission import Admission
@@ -42,6 +41,7 @@ from hpcapp.communicator.scheduling.state import (
 )
 from hpcapp.communicator.scheduling.verification import Verdict, Verification, explain_dispute
 from hpccomponent.clock import Clock
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import DistrustError, HpcError
 from hpccomponent.protocol.frames import LARGEST_FRAME
 from hpccomponent.protocol.messages import Failure, Register, Result

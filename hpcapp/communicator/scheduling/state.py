@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections import Counter, OrderedDict
 from collections.abc import Container
-from dataclasses import dataclass, field
+from dataclasses import field
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import HpcError
 from hpccomponent.protocol.blobs import Blob
 from hpccomponent.protocol.messages import Register, Result

@@ -21,11 +21,12 @@ import logging
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import field
 from enum import Enum
 from random import SystemRandom
 from typing import TYPE_CHECKING, TypeVar
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import (
     CloudError,
     DistrustError,

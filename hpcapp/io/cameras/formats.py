@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -29,6 +28,7 @@ from hpcapp.io.cameras.metashape import read_metashape
 from hpcapp.io.points.point_source import translated
 from hpcapp.io.text.lines import find_encoding
 from hpcapp.io.text.trajectory import MOST_PLACES
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 from hpccomponent.ranges import FARTHEST
 

@@ -7,7 +7,7 @@ coordinates are the world's.
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import NoReturn
 from xml.parsers import expat
@@ -16,6 +16,7 @@ import numpy as np
 
 from hpcapp.geometry.points import FloatArray
 from hpcapp.io.cameras.poses import FORWARDS, camera_to_world, check_rotations
+from hpccomponent.dataclass import dataclass
 
 _LONGEST_TEXT = 4096  # characters of 16 numbers
 _DEEPEST = 64  # elements within each other

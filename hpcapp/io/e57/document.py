@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import BinaryIO
 from xml.parsers import expat
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.geometry.points import ByteArray
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 
 _HEADER = struct.Struct("<8sIIQQQQ")  # magic, version, size, place and length of the XML, page

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -26,6 +25,7 @@ from hpcapp.io.e57.scans import (
 )
 from hpcapp.io.points.column_roles import COLOURS, NORMALS
 from hpcapp.io.points.point_source import Findings, PointSource, Scan, keep_small
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError, MissingLibraryError
 
 _AT_ONCE = 1 << 16  # points: what is made of them stays in the cache

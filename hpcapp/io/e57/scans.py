@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from hpcapp.geometry.points import FloatArray
 from hpcapp.io.e57.document import Element, refuse
 from hpcapp.io.e57.packets import hold_more
 from hpcapp.io.points.column_roles import COLOURS, find_role
+from hpccomponent.dataclass import dataclass
 from hpccomponent.decoding.process import Decoder, open_decoder
 from hpccomponent.errors import InputError
 

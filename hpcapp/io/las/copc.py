@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from hpcapp.geometry.region import Area
 from hpcapp.io.las.header import LasHeader
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 
 _NAME = ("copc", 1)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
@@ -18,6 +17,7 @@ import numpy as np
 from hpcapp.geometry.points import FloatArray
 from hpcapp.io.crs import Crs, parse_geokeys, parse_wkt
 from hpcapp.io.points.point_source import Findings
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 
 _FIXED = struct.Struct("<4s20x2B68xHIIBHI20x12d")  # of 227 bytes, as in LAS 1.0 to 1.2

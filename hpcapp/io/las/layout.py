@@ -5,7 +5,6 @@ The fields are those of the specification, ASPRS LAS 1.4 R15, tables 7 to 17 and
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ from hpcapp.geometry.points import BoolArray, FloatArray, PointCloud
 from hpcapp.io.columns import Numbers
 from hpcapp.io.las.header import LasHeader
 from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS, find_role
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 
 SIZES = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from hpcapp.geometry.points import ByteArray, FloatArray
 from hpcapp.io.columns import Numbers
 from hpcapp.io.frame import to_local
 from hpcapp.io.meshes.linear_colours import to_bytes
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 from hpccomponent.foreign_json import decode
 

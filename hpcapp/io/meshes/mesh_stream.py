@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
 from hpcapp.io.crs import UNKNOWN, Crs
 from hpcapp.io.frame import finite_bounds, scale_heights
 from hpcapp.io.meshes.texture import Texture
+from hpccomponent.dataclass import dataclass
 
 _ROWS_AT_ONCE = 1 << 16
 

@@ -16,7 +16,7 @@ https://docs.ogc.org/cs/22-025r4/22-025r4.html
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +29,7 @@ from hpcapp.io.meshes.glb import say_frame, write_glb
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream, find_vertices, make_mesh
 from hpcapp.io.staging import replacing_folder
 from hpcapp.simplification.mesh import Target, simplify_mesh
+from hpccomponent.dataclass import dataclass
 
 TILE_FACES = 1 << 16
 """Triangles of a tile at most, but for those that its rim needs: some 2 MB."""

@@ -9,7 +9,6 @@ https://docs.vtk.org/en/latest/vtk_file_formats/vtkxml_file_format.html
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 from xml.sax.saxutils import quoteattr
@@ -24,6 +23,7 @@ from hpcapp.io.crs import Crs
 from hpcapp.io.frame import needs_double
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.staging import replacing
+from hpccomponent.dataclass import dataclass
 
 _LENGTH_BYTES = 8  # of the length in front of an array
 _KINDS = {"i": "Int", "u": "UInt", "f": "Float"}

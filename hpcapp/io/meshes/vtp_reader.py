@@ -9,7 +9,7 @@ import base64
 import binascii
 import re
 import zlib
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree as Xml
@@ -19,6 +19,7 @@ import numpy as np
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.io.columns import Numbers, Ragged
 from hpcapp.io.meshes.polygons import mesh_of_polygons
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 
 _ZLIB = "vtkZLibDataCompressor"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,6 +9,7 @@ from hpcapp.geometry.points import PointCloud
 from hpcapp.io.columns import Numbers
 from hpcapp.io.ply.header import SCALAR_TYPES
 from hpcapp.io.points.column_roles import COLOURS, NORMALS
+from hpccomponent.dataclass import dataclass
 
 _NAMES = {dtype: name for name, dtype in reversed(SCALAR_TYPES.items())}
 _TAKEN = ("x", "y", "z", *NORMALS, *COLOURS)

@@ -12,13 +12,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
 from hpcapp.geometry.points import FloatArray
 from hpcapp.io.crs import Crs
 from hpcapp.io.points.point_source import Scan
+from hpccomponent.dataclass import dataclass
 
 
 @dataclass(slots=True, eq=False)

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 
 _SPELLINGS = {

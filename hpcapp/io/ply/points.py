@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -29,6 +29,7 @@ from hpcapp.io.points.named_columns import (
     stack,
 )
 from hpcapp.io.points.point_source import Findings, PointSource, Scan
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 
 _ROWS_AT_ONCE = 1 << 16

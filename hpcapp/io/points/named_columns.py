@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -14,6 +14,7 @@ from hpcapp.geometry.point_records import Column, PointRecords, colour_type
 from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
 from hpcapp.io.columns import Numbers
 from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS, find_role
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 
 _ROWS_AT_ONCE = 1 << 16

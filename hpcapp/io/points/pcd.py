@@ -10,7 +10,6 @@ from __future__ import annotations
 import io
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import accumulate, islice
 from pathlib import Path
 
@@ -31,6 +30,7 @@ from hpcapp.io.points.packed_colours import PACKED, unpack_float_text, unpack_wo
 from hpcapp.io.points.pcd_header import PcdField, PcdHeader, read_pcd_header
 from hpcapp.io.points.point_source import Findings, PointSource, Scan
 from hpcapp.io.rows import numbered, parse_table, take_lines
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 
 _MOST_COLUMNS = 4  # of one field: more of them are a descriptor, not attributes

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from hpcapp.geometry.points import FloatArray
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 
 _KEYWORDS = (

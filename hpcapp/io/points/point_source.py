@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -21,6 +21,7 @@ from hpcapp.io.batches import batch_points, cut_points, join_points
 from hpcapp.io.crs import Crs
 from hpcapp.io.frame import finite_bounds, scale_heights, to_local
 from hpccomponent.cli.option_names import name_option
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 
 Read = Callable[[int], Iterator[PointCloud]]

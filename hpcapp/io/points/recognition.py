@@ -28,7 +28,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -42,6 +42,7 @@ from hpcapp.io.columns import Numbers
 from hpcapp.io.points.column_roles import ColourScale, judge_colours, judge_normals
 from hpcapp.io.points.point_source import Findings, PointSource, Read, translated
 from hpcapp.io.points.survey import EVIDENCE, is_flown_over, is_projected
+from hpccomponent.dataclass import dataclass
 
 _ROWS = 1 << 16  # of a part that is looked at
 _ENOUGH_PARTS, _MOST_PARTS = 2, 64  # looked at where nothing is in doubt, and where something is

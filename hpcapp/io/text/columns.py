@@ -8,7 +8,6 @@ have it, unless the last is opaque throughout: then that is alpha.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -28,6 +27,7 @@ from hpcapp.io.points.column_roles import (
 )
 from hpcapp.io.points.point_source import Findings
 from hpcapp.io.text.tables import RowNotes
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 
 DEGREES = ("lon", "long", "longitude", "lat", "latitude")

@@ -8,7 +8,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -20,6 +20,7 @@ from hpcapp.io.points.point_source import Findings
 from hpcapp.io.rows import Line, is_count, line_error, numbered
 from hpcapp.io.text.lines import find_encoding, read_blocks, sample_lines
 from hpcapp.io.text.tables import RowFormat, is_missing, is_number, parse_sample
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 
 _COMMENT_MARK = re.compile(r"\s*(?:#+|//+|;+|%+|!+)\s*")

@@ -13,7 +13,6 @@ Leica Geosystems, "Cyclone PTX format".
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +27,7 @@ from hpcapp.io.rows import is_count, line_error
 from hpcapp.io.text.columns import Columns
 from hpcapp.io.text.lines import Block, LineReader, find_encoding, read_blocks
 from hpcapp.io.text.tables import RowFormat, RowNotes, parse_block
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 
 _LAYOUTS = {

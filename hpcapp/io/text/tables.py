@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from hpcapp.geometry.points import FloatArray
 from hpcapp.io.points.point_source import Findings
 from hpcapp.io.rows import line_error
 from hpcapp.io.text.lines import Block
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 
 _GROUP = 256  # lines that are parsed anew where one of them is odd

@@ -7,12 +7,12 @@ process that cuts work into batches and decides what comes next.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.workforce import Workforce, map_batches
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import JobError, UsageError
 from hpccomponent.protocol.declared import Declared, Where
 from hpccomponent.protocol.declared_arrays import Array

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -18,6 +17,7 @@ from hpcapp.lab.reproduce.readings import STEP_1
 from hpcapp.lab.reproduce.subject import Subject
 from hpcapp.pages.render import render_mesh
 from hpcapp.progress import StageClock
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import JobError
 from hpccomponent.foreign_json import convert
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from hpcapp.applications.surface.paper.kdtree import Patches, partition_by_rule
 from hpcapp.applications.surface.paper.split_rule import SplitRule
 from hpcapp.geometry.points import PointCloud
+from hpccomponent.dataclass import dataclass
 
 #: The paper's threshold on the normal cone.
 DELTA = 0.1

@@ -15,7 +15,6 @@ Two ways of handing out: the paper's, fits of patches, and the default method's,
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 from time import perf_counter
@@ -28,6 +27,7 @@ from hpcapp.backends.selection import Backend, open_executor
 from hpcapp.io import drop_unusable, read_points
 from hpcapp.lab.reproduce.subject import arrange_for
 from hpcapp.progress import Progress, StageClock
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
 
 #: Patches of the paper's Figures 7 and 8.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 from hpcapp.applications.surface.cloud.arranged import MemoryCloud
@@ -21,6 +20,7 @@ from hpcapp.lab.simulate.scanner import simulate_scan
 from hpcapp.lab.simulate.settings import ScanSettings
 from hpcapp.lab.simulate.shapes import find_shape
 from hpcapp.progress import Progress, StageClock
+from hpccomponent.dataclass import dataclass
 from hpccomponent.files.held_folders import temporary_folder
 
 #: Points of the example scan.

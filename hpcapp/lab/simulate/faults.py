@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 from hpcapp.lab.simulate.implicit import Shape, diagonal_of
 from hpcapp.lab.simulate.rays import run_in_blocks
+from hpccomponent.dataclass import dataclass
 
 _WAVES = 64
 

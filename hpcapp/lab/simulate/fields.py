@@ -13,11 +13,11 @@ surfaces, The Visual Computer 12 (1996), doi:10.1007/s003710050084.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
 from hpcapp.geometry.points import FloatArray
+from hpccomponent.dataclass import dataclass
 
 Function = Callable[[FloatArray], FloatArray]
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from hpcapp.geometry.points import FloatArray
 from hpcapp.lab.simulate.fields import Field
+from hpccomponent.dataclass import dataclass
 
 Bounds = tuple[FloatArray, FloatArray]
 

@@ -6,12 +6,12 @@ The surface is where the solid's field equals the relief: known exactly, and so 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from hpcapp.geometry.points import FloatArray
 from hpcapp.lab.simulate.fields import Field
+from hpccomponent.dataclass import dataclass
 
 
 @dataclass(frozen=True, slots=True, eq=False)

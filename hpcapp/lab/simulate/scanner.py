@@ -11,7 +11,7 @@ Fractions of length are fractions of the shape's bounding-box diagonal. One seed
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,7 @@ from hpcapp.lab.simulate.rays import (
 )
 from hpcapp.lab.simulate.settings import ScanSettings
 from hpcapp.lab.simulate.tracing import Tracer
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
 
 _NEIGHBOURS = 20

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
 from hpccomponent.ranges import check_range
 

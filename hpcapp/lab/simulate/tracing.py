@@ -11,12 +11,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
 import numpy as np
 
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 from hpcapp.lab.simulate.implicit import Shape, diagonal_of
+from hpccomponent.dataclass import dataclass
 
 _SHORTEST_STEP = 5e-4  # of the diagonal: two crossings closer than this may be overlooked
 _TOLERANCE = 1e-13  # of the diagonal

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.geometry.axes import turn_up
 from hpcapp.geometry.points import FloatArray
+from hpccomponent.dataclass import dataclass
 
 SAMPLES = 3
 """Samples along each side of a pixel."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from importlib.metadata import distribution, version
 from importlib.resources import files
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.files.paths import expand_home
 from hpcdeploy.install.wheels.release import DISTRIBUTION, pack_release
 from hpcdeploy.install.wheels.wheelhouse import (

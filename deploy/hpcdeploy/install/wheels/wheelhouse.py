@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import zipfile
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from email import message_from_bytes
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from packaging.requirements import InvalidRequirement, Requirement
 from packaging.tags import Tag, compatible_tags, cpython_tags
 from packaging.utils import InvalidWheelFilename, canonicalize_name, parse_wheel_filename
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import CloudError
 
 _OLDEST_GLIBC = 5  # 2.5: what manylinux1 stands for

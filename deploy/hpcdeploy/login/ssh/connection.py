@@ -17,9 +17,10 @@ import socket
 import threading
 import time
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
 
 import paramiko
+
+from hpccomponent.dataclass import dataclass
 
 CHANNEL_S = 60.0
 """Until a machine that lets us in opens a channel, or answers a request on one."""

@@ -11,7 +11,6 @@ import binascii
 import struct
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
@@ -19,6 +18,7 @@ import paramiko
 from cryptography.exceptions import UnsupportedAlgorithm
 from paramiko.pkey import UnknownKeyType
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import CloudError
 from hpccomponent.files.paths import home_folder
 from hpcdeploy.login.ssh.reach import Reach, ReachError

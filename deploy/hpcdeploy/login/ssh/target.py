@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import paramiko
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import ConfigError
 from hpccomponent.files.paths import expand_home, home_folder
 from hpcdeploy.login.ssh.keys import own_key_files

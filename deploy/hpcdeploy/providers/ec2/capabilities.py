@@ -6,8 +6,7 @@ reply instead of an error; so nothing is tried out, all is looked up here.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+from hpccomponent.dataclass import dataclass
 from hpcdeploy.spec.provider import CloudSpec
 
 

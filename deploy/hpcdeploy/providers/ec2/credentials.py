@@ -6,9 +6,10 @@ import configparser
 import re
 import shlex
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import CloudError
 from hpccomponent.files.paths import expand_home
 from hpcdeploy.spec.provider import CloudSpec

@@ -5,11 +5,11 @@ from __future__ import annotations
 import getpass
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import botocore.exceptions as boto
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import CloudError
 from hpcdeploy.providers.ec2.errors import NETWORK_ERRORS, translate
 

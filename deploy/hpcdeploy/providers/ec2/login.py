@@ -15,7 +15,6 @@ from __future__ import annotations
 import os
 import subprocess
 import time
-from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -27,6 +26,7 @@ from botocore.credentials import ProcessProvider
 from botocore.exceptions import BotoCoreError, CredentialRetrievalError
 from botocore.utils import JSONFileCache
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import CloudError
 from hpcdeploy.providers.ec2.credentials import CloudKeys
 from hpcdeploy.providers.ec2.errors import is_lost_answer, is_throttled

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import ClassVar
 
+from hpccomponent.dataclass import dataclass
 from hpcdeploy.provider import MachineSeen, Resource, State
 from hpcdeploy.providers.ec2.client import Described
 from hpcdeploy.providers.ec2.names import (

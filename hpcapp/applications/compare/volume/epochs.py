@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -30,6 +30,7 @@ from hpcapp.geometry.points import BoolArray, FloatArray, IntArray, PointCloud
 from hpcapp.io import find_mesh_crs, holds_faces, open_points, read_mesh, read_whole, take_finite
 from hpcapp.io.crs import UNKNOWN, Crs
 from hpcapp.pages.thin import thin_mesh
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError, UsageError
 
 log = logging.getLogger("hpcapp")

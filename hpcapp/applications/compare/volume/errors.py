@@ -8,13 +8,12 @@ everything alike cannot be told from a shift: it is uncertainty, and no change.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.stats import norm
 
 from hpcapp.geometry.lattice import pack_places
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
+from hpccomponent.dataclass import dataclass
 
 CONFIDENCE = 0.95
 """Of the uncertainties that are said."""

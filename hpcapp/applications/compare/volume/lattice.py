@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
+from hpccomponent.dataclass import dataclass
 
 _OFFSET = (0.3819660112501051, 0.4142135623730951)
 """Of the lattice, in cells: irrational, so that no line through a middle meets an edge of a mesh

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, fields, replace
 from math import hypot
 
 import numpy as np
@@ -16,6 +16,7 @@ from hpcapp.applications.compare.volume.errors import (
     find_errors,
 )
 from hpcapp.geometry.points import FloatArray, IntArray
+from hpccomponent.dataclass import dataclass
 
 
 @dataclass(frozen=True, slots=True)

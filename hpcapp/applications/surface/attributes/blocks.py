@@ -12,7 +12,7 @@ of the input where it has fewer.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from hpcapp.applications.surface.cloud.arrangement import snap_points
 from hpcapp.geometry.lattice import find_keys
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray, PointCloud
 from hpccomponent.cli.option_names import name_option
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import JobError, OutputError
 from hpccomponent.files.whole_files import write_whole
 

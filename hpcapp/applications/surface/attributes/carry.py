@@ -8,7 +8,6 @@ points at one distance is taken, when there is no room for all, changes nothing.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
+from hpccomponent.dataclass import dataclass
 
 NEIGHBOURS = 8
 """So many points share in the value of a place."""

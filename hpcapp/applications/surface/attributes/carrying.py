@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from tempfile import TemporaryFile
 from typing import TYPE_CHECKING
 
@@ -20,6 +20,7 @@ from hpcapp.geometry.vertex_normals import add_face_normals, scale_normals
 from hpcapp.io.crs import UNKNOWN, Crs
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream, scale_mesh_heights
 from hpcapp.io.placement import Placement
+from hpccomponent.dataclass import dataclass
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.attributes.carry import Carried

@@ -5,10 +5,11 @@ This module is imported for every ``--help``: nothing heavy is imported.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from hpccomponent.cli.option_names import name_option
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
 
 if TYPE_CHECKING:

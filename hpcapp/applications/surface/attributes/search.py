@@ -8,7 +8,6 @@ with a margin that holds them for sure. So each takes what it would of the whole
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from hpcapp.applications.surface.attributes.carry import NEIGHBOURS, AttributeFi
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.geometry.lattice import unpack_keys
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray, PointCloud
+from hpccomponent.dataclass import dataclass
 
 _SLACK = 1.0 + 1e-9  # for the rounding of distances
 

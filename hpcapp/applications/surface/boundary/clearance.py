@@ -21,7 +21,6 @@ three points are very near. What is found depends on the place and the cloud alo
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -43,6 +42,7 @@ from hpcapp.geometry.points import (
     IntArray,
     PointCloud,
 )
+from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.records import record
 
 if TYPE_CHECKING:

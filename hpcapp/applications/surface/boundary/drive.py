@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -46,6 +46,7 @@ from hpcapp.geometry.lattice import unpack_keys
 from hpcapp.geometry.points import BoolArray, IntArray
 from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.cli.option_names import name_option
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 
 log = logging.getLogger("hpcapp")

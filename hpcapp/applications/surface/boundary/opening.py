@@ -18,7 +18,7 @@ side of two bricks has a place in both, and that in the brick of the lower key i
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
@@ -40,6 +40,7 @@ from hpcapp.geometry.points import (
     Int32Array,
     IntArray,
 )
+from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.columns import Column
 from hpccomponent.protocol.records import record
 

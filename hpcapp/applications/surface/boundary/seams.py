@@ -10,7 +10,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from hpcapp.applications.surface.extraction.part_places import starts_of
 from hpcapp.applications.surface.stitching.plan import StitchingPlan
 from hpcapp.geometry.lattice import find_keys
 from hpcapp.geometry.points import BoolArray, FloatArray, Int32Array, IntArray
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import JobError
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from hpcapp.applications.surface.boundary.clearance import SupportRule
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.geometry.lattice import unpack_keys
 from hpcapp.geometry.points import FloatArray
+from hpccomponent.dataclass import dataclass
 
 _MEASURED = 256  # places at most: their distances change little from one to the next
 _ONE_IN = 16  # blocks that bound distances at first

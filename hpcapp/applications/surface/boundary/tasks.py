@@ -9,8 +9,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from hpcapp.applications.surface.boundary.clearance import (
@@ -41,6 +39,7 @@ from hpcapp.applications.surface.extraction.summary import PartSummary, summariz
 from hpcapp.applications.surface.extraction.taken_bricks import TakenBricks
 from hpcapp.applications.surface.tiles.patterns import Exits
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray, PointCloud
+from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.records import record
 from hpccomponent.runtime.tasks import declare
 from hpccomponent.store.places import hold_store

@@ -12,7 +12,7 @@ far from every surface (see `outliers`), strays near one (see `strays`); wires a
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from dataclasses import astuple
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from hpcapp.applications.surface.normals import consistency
 from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.applications.surface.scale.scan_lines import keep_lines
 from hpcapp.geometry.lattice import lay_lattice, unique_keys
+from hpccomponent.dataclass import dataclass
 
 _MANY = 0.001  # of the points are strays: only then they have vouched for others
 

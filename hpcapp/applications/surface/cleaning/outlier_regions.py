@@ -14,7 +14,6 @@ cells. Cells are those of one lattice.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -40,6 +39,7 @@ from hpcapp.geometry.lattice import (
     unpack_keys,
 )
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
+from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.columns import Column
 from hpccomponent.protocol.records import record
 

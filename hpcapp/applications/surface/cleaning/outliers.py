@@ -13,8 +13,6 @@ its neighbourhood of 27. Nearly all points of a scan have the same level, the ba
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from hpcapp.applications.surface import kernels
@@ -26,6 +24,7 @@ from hpcapp.geometry.lattice import (
     unpack_keys,
 )
 from hpcapp.geometry.points import BoolArray, IntArray
+from hpccomponent.dataclass import dataclass
 
 EDGE = 2.0  # of the finest cells, in spacings
 _LEAST = 10  # points that make a neighbourhood

@@ -9,7 +9,6 @@ import logging
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -49,6 +48,7 @@ from hpcapp.texture.request import LEAST_PIXELS, MOST_PIXELS, check_library, che
 from hpcapp.timeline import Timeline
 from hpccomponent.cli.terminal import echo_json
 from hpccomponent.cli.verb import Verb
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
 
 log = logging.getLogger("hpcapp")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Collection
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from hpcapp.io.output import open_output
 from hpcapp.io.placement import Place, note_origin
 from hpcapp.io.points.inputs import find_paths, gather_points
 from hpcapp.io.registry import find_mesh_writer
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.foreign_json import convert
 

@@ -7,7 +7,6 @@ answer the same questions, so that nobody else asks which of them it is.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Protocol
 
@@ -26,6 +25,7 @@ from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.lattice import find_keys
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray, PointCloud
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import HpcError
 
 Points = tuple[FloatArray, FloatArray]

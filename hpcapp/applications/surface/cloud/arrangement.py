@@ -15,7 +15,6 @@ The functions with `records` are kernels.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
@@ -23,6 +22,7 @@ import numpy as np
 from hpcapp.applications.surface import kernels
 from hpcapp.geometry.lattice import lay_lattice, unpack_keys
 from hpcapp.geometry.points import Float32Array, FloatArray, IntArray
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 from hpccomponent.protocol.columns import Column
 from hpccomponent.protocol.records import record

@@ -12,7 +12,7 @@ all points at once; in a folder workers run it, region by region.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -23,6 +23,7 @@ from hpcapp.applications.surface.cloud.regions import MemoryRegion, ReplacedRows
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.lattice import find_keys
 from hpcapp.geometry.points import BoolArray, Float32Array, FloatArray, IntArray
+from hpccomponent.dataclass import dataclass
 
 Rows = IntArray | slice
 Result = TypeVar("Result")

@@ -23,7 +23,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import astuple, dataclass, field
+from dataclasses import astuple, field
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -44,6 +44,7 @@ from hpcapp.applications.surface.cloud.part_check import check_part
 from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.geometry.lattice import find_keys, merge_counts
 from hpcapp.geometry.points import Float32Array, FloatArray, IntArray, PointCloud
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import HpcError, JobError
 from hpccomponent.files.private_files import open_at_once
 from hpccomponent.files.whole_files import write_whole

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from hpcapp.applications.surface.cloud.arrangement import PackedPoints, interlea
 from hpcapp.applications.surface.cloud.part_check import with_check
 from hpcapp.geometry.lattice import find_keys, merge_counts
 from hpcapp.geometry.points import Float32Array, IntArray
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import OutputError
 from hpccomponent.files.whole_files import write_whole
 

@@ -6,7 +6,7 @@ import os
 import secrets
 import shutil
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, TypeVar
@@ -19,6 +19,7 @@ from hpcapp.applications.surface.cloud.disk_parts import Part, write_attribute, 
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.cloud.tasks import bound_region
 from hpcapp.geometry.points import FloatArray
+from hpccomponent.dataclass import dataclass
 from hpccomponent.files.private_files import make_private_folder
 
 Result = TypeVar("Result")

@@ -7,7 +7,7 @@ sends: so a result says nothing of points that are not there.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -41,6 +41,7 @@ from hpcapp.applications.surface.types.result_patterns import (
 )
 from hpcapp.geometry.lattice import find_keys, pack_places, unpack_keys
 from hpcapp.geometry.points import Float32Array, FloatArray, IntArray
+from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.columns import Bounds, Column, pattern_of
 from hpccomponent.protocol.declared import Declared, Fixed, Where
 

@@ -7,7 +7,7 @@ the rest runs in this process: it is done sooner than the points have travelled.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, is_dataclass
+from dataclasses import is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from hpcapp.backends.serial import SerialExecutor
 from hpcapp.geometry.points import FloatArray, IntArray
 from hpcapp.workforce import Workforce, map_batches, stream_batches
 from hpccomponent.cutting import cut_equal
+from hpccomponent.dataclass import dataclass
 
 
 @dataclass(frozen=True, slots=True, eq=False)

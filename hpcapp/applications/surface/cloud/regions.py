@@ -6,7 +6,6 @@ terms of the region. So it is written once, for points in memory and for blocks 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -24,6 +23,7 @@ from hpcapp.applications.surface.cloud.disk import DiskCloud, open_disk_cloud
 from hpcapp.applications.surface.cloud.disk_parts import write_part
 from hpcapp.geometry.lattice import find_keys, unpack_keys
 from hpcapp.geometry.points import BoolArray, Float32Array, FloatArray, IntArray
+from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.records import record
 
 

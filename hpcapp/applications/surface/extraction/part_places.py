@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.geometry.points import BoolArray, FloatArray, Int32Array, IntArray
+from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.records import record
 
 Row = TypeVar("Row", bound=np.generic)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
@@ -13,6 +13,7 @@ from hpcapp.applications.surface.types.result_patterns import LENGTH
 from hpcapp.geometry.lattice import find_keys, number_keys
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import BoolArray, FloatArray, Int32Array, IntArray
+from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.columns import Column
 from hpccomponent.protocol.records import record
 

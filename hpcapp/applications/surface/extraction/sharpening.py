@@ -12,14 +12,13 @@ volume data, SIGGRAPH 2001, doi:10.1145/383259.383265.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from hpcapp.applications.surface.types.field import Features
 from hpcapp.geometry.lattice import find_keys, pack_places
 from hpcapp.geometry.points import BoolArray, ByteArray, FloatArray, IntArray
 from hpccomponent.cutting import cut_equal
+from hpccomponent.dataclass import dataclass
 
 _NEAR = 0.3  # cells: pieces that are farther from a vertex are not the surface there
 _FARTHEST = 1.5  # grid steps that a vertex may be moved

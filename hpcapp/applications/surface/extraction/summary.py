@@ -6,7 +6,6 @@ because a guest counts only where no other part has the brick.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -23,6 +22,7 @@ from hpcapp.applications.surface.extraction.parts import (
 from hpcapp.applications.surface.types.result_patterns import LENGTH, ComponentBoxes
 from hpcapp.geometry.lattice import find_keys, number_keys, unique_keys
 from hpcapp.geometry.points import BoolArray, FloatArray, Int32Array
+from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.columns import Column
 from hpccomponent.protocol.records import record
 

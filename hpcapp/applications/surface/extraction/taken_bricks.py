@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from hpcapp.applications.surface.extraction.parts import MeshPart
@@ -15,6 +13,7 @@ from hpcapp.geometry.points import (
     Int32Array,
     IntArray,
 )
+from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.records import record
 
 

@@ -7,7 +7,7 @@ it, which has most of the rest, are kept in single precision; of every other lev
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import Protocol
 
@@ -31,6 +31,7 @@ from hpcapp.geometry.points import (
     IntArray,
     PointCloud,
 )
+from hpccomponent.dataclass import dataclass
 
 _SLAB = 1 << 11  # cells whose moments are summed at once: 0.7 MB, which stays in the cache
 _AT_ONCE = 64  # slabs whose sums wait to be put together

@@ -11,7 +11,6 @@ over discs as large as their share of the surface.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -29,6 +28,7 @@ from hpcapp.geometry.lattice import (
     pack_places,
 )
 from hpcapp.geometry.points import Float32Array, FloatArray, IntArray
+from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.columns import Column
 from hpccomponent.protocol.records import record
 

@@ -13,7 +13,7 @@ some layers of vertices in it, ask for one run of cells and of parents.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 
@@ -49,6 +49,7 @@ from hpcapp.geometry.lattice import (
 )
 from hpcapp.geometry.points import BoolArray, Float32Array, FloatArray, IntArray
 from hpccomponent.cutting import cut_equal
+from hpccomponent.dataclass import dataclass
 
 _AT_ONCE = 1 << 17  # vertices of the finest level
 # Of bricks in a slab, for each layer that may be evaluated beside it on either side.

@@ -12,7 +12,7 @@ too few vertices, the next larger one tells.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from hpcapp.applications.surface.field.weights import SAME_NOISE, tell_noise
 from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.geometry.lattice import ancestor_keys, unique_keys
 from hpcapp.geometry.points import FloatArray, IntArray
+from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.records import record
 
 SHARE = 0.15

@@ -9,7 +9,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -47,6 +47,7 @@ from hpcapp.geometry.points import (
     PointCloud,
 )
 from hpccomponent.cutting import cut_equal
+from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.records import record
 
 _COARSEST_CELLS = 6

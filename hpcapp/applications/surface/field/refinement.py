@@ -12,8 +12,6 @@ finer ones: these are the finest there, whatever level they are on.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from hpcapp.applications.surface import kernels
@@ -21,6 +19,7 @@ from hpcapp.applications.surface.field.local_noise import LocalNoise
 from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.geometry.lattice import ancestor_keys, unique_keys, unpack_keys
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
+from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.records import record
 
 

@@ -5,12 +5,12 @@ The constants are the method's: nobody has to set them, and all of them are here
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
 
 from hpcapp.geometry.points import BoolArray, Float32Array, FloatArray
+from hpccomponent.dataclass import dataclass
 
 Variances = TypeVar("Variances", FloatArray, Float32Array)
 

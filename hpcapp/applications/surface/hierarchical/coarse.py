@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from hpcapp.applications.surface.cloud.arranged import Measured
@@ -41,6 +39,7 @@ from hpcapp.geometry.lattice import (
 )
 from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
 from hpcapp.workforce import Workforce, begin_batch
+from hpccomponent.dataclass import dataclass
 
 _MOST_NODES = 256
 _BLURRED = 4.0  # standard deviations of the noise: shape that is smaller is not told from it

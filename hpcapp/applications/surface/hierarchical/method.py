@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -51,6 +50,7 @@ from hpcapp.applications.surface.tiles.tasks import sum_tile
 from hpcapp.geometry.points import IntArray
 from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.cli.option_names import name_option
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError, UsageError
 
 _LEAST_GRID = 16

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from hpcapp.applications.surface.boundary.lengths import parse_length
 from hpcapp.applications.surface.methods.options import check_options, option
 from hpccomponent.cli.option_names import name_option
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ import logging
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 from hpcapp.applications.surface.job.settings import Settings, choose_local, name_backend
@@ -23,6 +23,7 @@ from hpcapp.backends.selection import Backend, open_backend, open_executor, wrap
 from hpcapp.capacity import count_carried
 from hpcapp.communicator.scheduling.verification import Verification
 from hpccomponent.cli.option_names import name_option
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import NoWorkersError
 from hpccomponent.limits import available_cores
 

@@ -7,7 +7,7 @@ are put there when the surface is done, in one more pass over the input, here.
 from __future__ import annotations
 
 import secrets
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.job.source import open_source
 from hpcapp.geometry.points import PointCloud
 from hpcapp.io import PointSource
+from hpccomponent.dataclass import dataclass
 from hpccomponent.files.private_files import make_private_folder
 
 

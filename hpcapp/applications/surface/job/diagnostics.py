@@ -6,7 +6,6 @@ Each function returns sentences that say what is odd and what to do, or none.
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
 from typing import Any
 
 from hpcapp.applications.surface import kernels
@@ -22,6 +21,7 @@ from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.wording import say_count
 from hpccomponent.cli.option_names import name_option
+from hpccomponent.dataclass import dataclass
 
 log = logging.getLogger("hpcapp")
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 from hpcapp.applications.surface.job.backend_choice import Choice
 from hpcapp.applications.surface.stitching.surface import Surface
 from hpcapp.backends.selection import Backend
+from hpccomponent.dataclass import dataclass
 
 
 @dataclass(frozen=True, slots=True, eq=False)

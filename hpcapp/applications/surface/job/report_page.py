@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +28,7 @@ from hpcapp.pages.page import Section, build_page, make_table, write_page
 from hpcapp.pages.scene import MOST_POINTS, Field, Marker, Scene, Tint, fields_of
 from hpcapp.pages.thin import thin_mesh
 from hpcapp.wording import say_count, say_number, say_share
+from hpccomponent.dataclass import dataclass
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.job.outcome import Outcome, Reconstruction

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 
 from hpcapp.applications.surface.cleaning.drive import Cleaned
@@ -16,6 +16,7 @@ from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.geometry.validity import Dropped
 from hpcapp.io.crs import UNKNOWN, Crs
 from hpcapp.io.points.point_source import Findings
+from hpccomponent.dataclass import dataclass
 
 log = logging.getLogger("hpcapp")
 

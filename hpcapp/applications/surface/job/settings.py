@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Self, TypeAlias
 
@@ -17,6 +17,7 @@ from hpcapp.geometry.pieces import PieceChoice
 from hpcapp.io.placement import Placement
 from hpcapp.simplification.mesh import Target
 from hpcapp.workforce import Workforce
+from hpccomponent.dataclass import dataclass
 from hpccomponent.limits import available_cores
 from hpccomponent.ranges import check_range
 

@@ -6,7 +6,7 @@ import logging
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +22,7 @@ from hpcapp.backends.selection import Backend
 from hpcapp.cancellation import Cancellation
 from hpcapp.progress import StageClock
 from hpccomponent.cli.option_names import name_option
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
 
 if TYPE_CHECKING:

@@ -20,7 +20,6 @@ import secrets
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 from hpcapp.applications.surface.job.folder import may_pay_in_folder
@@ -30,6 +29,7 @@ from hpcapp.applications.surface.resolution.memory import fits_memory
 from hpcapp.applications.surface.tiles.checkpoint import SUMS, Checkpoint, digest
 from hpcapp.backends import BACKENDS
 from hpccomponent.cli.terminal import visible_text
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import DistrustError, HpcError, InputError, OutputError, UsageError
 from hpccomponent.files.held_folders import (
     HeldFolder,

@@ -8,8 +8,10 @@ method asks its settings; nobody asks for its name. ``methods.py`` has the table
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import Field, dataclass
+from dataclasses import Field
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar
+
+from hpccomponent.dataclass import dataclass
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.cloud.arranged import ArrangedCloud

@@ -7,7 +7,7 @@ fields, and `check_options` holds values from Python to the same ranges. Nothing
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from dataclasses import Field, dataclass, field, fields
+from dataclasses import Field, field, fields
 from math import inf
 from types import NoneType, UnionType
 from typing import Any, ClassVar, Protocol, get_args, get_type_hints
@@ -15,6 +15,7 @@ from typing import Any, ClassVar, Protocol, get_args, get_type_hints
 import click
 
 from hpccomponent.cli.option_names import name_option
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
 from hpccomponent.ranges import check_range
 

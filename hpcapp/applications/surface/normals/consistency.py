@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from hpcapp.applications.surface import kernels
@@ -23,6 +21,7 @@ from hpcapp.geometry.points import (
     IntArray,
     PointCloud,
 )
+from hpccomponent.dataclass import dataclass
 
 FOLLOWING, TORN = 0.975, 0.07
 """Share of the normals that follow a place, and share of the opposite pairs among those across the

@@ -9,7 +9,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.normals.visibility import WHOLE, look, surround
 from hpcapp.geometry.points import BoolArray, FloatArray, Int8Array, IntArray
 from hpccomponent.cli.option_names import name_option
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 
 VIEWS = 64

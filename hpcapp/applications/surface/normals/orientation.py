@@ -9,8 +9,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from hpcapp.applications.surface.kernels import integrate_normals, sample_grid
@@ -26,6 +24,7 @@ from hpcapp.applications.surface.normals.readings import (
 )
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
+from hpccomponent.dataclass import dataclass
 
 SURE = 0.3
 """From this confidence on the side of a patch counts as sure."""

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any, Literal
 
 from hpccomponent.cli.option_names import name_option
+from hpccomponent.dataclass import dataclass
 
 log = logging.getLogger("hpcapp")
 

@@ -13,7 +13,7 @@ points.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Annotated
 
 import numpy as np
@@ -29,6 +29,7 @@ from hpcapp.geometry.lattice import (
     unique_keys,
 )
 from hpcapp.geometry.points import BoolArray, Float32Array, FloatArray, IntArray
+from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.columns import Column
 from hpccomponent.protocol.records import record
 

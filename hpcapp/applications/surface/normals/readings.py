@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -33,6 +32,7 @@ from hpcapp.applications.surface.normals.patches import Patches
 from hpcapp.applications.surface.normals.stand import has_stand
 from hpcapp.applications.surface.normals.visibility import look
 from hpcapp.geometry.points import BoolArray, FloatArray
+from hpccomponent.dataclass import dataclass
 
 CERTAIN = 0.047
 """Cost from one reading to the next from which on the first one is certain, and from .3 of it on

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from hpcapp.applications.surface.normals.viewpoint import Viewpoint
 from hpcapp.geometry.points import FloatArray
 from hpccomponent.cli.option_names import name_option
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 
 SensorKind = Literal["unknown", "above", "below", "inside", "outside", "places"]

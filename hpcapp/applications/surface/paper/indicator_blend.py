@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.applications.surface.paper.kdtree import Patches
 from hpcapp.geometry.points import FloatArray
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import JobError, UsageError
 
 #: Cells of empty margin on every side: iso-surfaces that leave the outermost boxes close in it.

@@ -7,7 +7,6 @@ points for each level of the tree.
 from __future__ import annotations
 
 import heapq
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from hpcapp.applications.surface.paper.split_rule import SplitRule
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.points import FloatArray, IntArray
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError, UsageError
 
 #: Boxes of this part of the root's side are not split: without an end the halving would go on

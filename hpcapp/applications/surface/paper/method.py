@@ -14,7 +14,7 @@ What it can reproduce of the paper's figures, and what not: ``docs/explanation/p
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
@@ -41,6 +41,7 @@ from hpcapp.applications.surface.stitching.surface import Surface
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.workforce import Workforce, map_batches
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError, UsageError
 
 #: Residuals are measured on no more points than these: three digits need no more.

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from hpcapp.applications.surface.methods.method import MARGIN, Resolution
 from hpcapp.applications.surface.methods.options import check_options, option
+from hpccomponent.dataclass import dataclass
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.cloud.arranged import ArrangedCloud

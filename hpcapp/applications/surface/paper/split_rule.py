@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
 
 

@@ -14,7 +14,7 @@ there are markers far away. Colours are left behind: a mesh has none.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +47,7 @@ from hpcapp.io.points.usable import (
     refuse_too_few,
 )
 from hpccomponent.cli.terminal import visible_text
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 
 Task = Callable[..., Any]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
@@ -20,6 +19,7 @@ from hpcapp.applications.surface.types.result_patterns import (
 )
 from hpcapp.geometry.points import FloatArray
 from hpcapp.geometry.validity import Reach
+from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.columns import Bounds, Column, pattern_of
 from hpccomponent.protocol.declared import Declared, Fixed, Where, Whole
 from hpccomponent.protocol.records import record

@@ -10,7 +10,6 @@ seen from opposite sides are two sides of a wall, and not compared.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from hpcapp.applications.surface.reading.reach import EvenSample
 from hpcapp.geometry.lattice import number_keys, pack_places
 from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
 from hpcapp.io.points.point_source import SCAN, Scan
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 
 Samples = Mapping[int, tuple[FloatArray, FloatArray]]

@@ -9,7 +9,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +33,7 @@ from hpcapp.geometry.point_records import PointRecords
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.geometry.region import Region
 from hpcapp.geometry.validity import Dropped, Reach, are_usable, select_usable
+from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.records import record
 from hpccomponent.runtime.tasks import declare
 

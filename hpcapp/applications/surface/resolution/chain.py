@@ -9,7 +9,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from hpcapp.applications.surface.resolution.strides import choose_strides
 from hpcapp.applications.surface.types.grid import BRICK, MOST_SHIFT, Grid
 from hpcapp.geometry.lattice import lay_lattice
 from hpcapp.geometry.points import FloatArray
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 
 _EXACT = 1e-3  # steps: equal sides have equally many

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -30,6 +29,7 @@ from hpcapp.applications.surface.methods.method import MARGIN, MAX_GRID, Resolut
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.lattice import lay_lattice
 from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
+from hpccomponent.dataclass import dataclass
 
 _CHEAP, _SIXTEEN = 256, 16  # cells along the longest side
 _EXACT = 1e-6  # of sixteen cells: whole numbers stay what they are

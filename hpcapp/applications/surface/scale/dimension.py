@@ -13,11 +13,10 @@ of a volume have round neighbourhoods at all of them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from hpcapp.geometry.points import BoolArray, FloatArray
+from hpccomponent.dataclass import dataclass
 
 FEWEST = 15
 """Neighbours that tell their spread."""

@@ -15,7 +15,6 @@ where a dense scan ends, what is beside it keeps its spacing.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -33,6 +32,7 @@ from hpcapp.geometry.lattice import (
     unique_keys,
 )
 from hpcapp.geometry.points import FloatArray, IntArray
+from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.columns import Column
 from hpccomponent.protocol.records import record
 

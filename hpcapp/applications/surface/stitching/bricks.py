@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +12,7 @@ from hpcapp.applications.surface.extraction.part_places import starts_of
 from hpcapp.applications.surface.extraction.summary import PartSummary
 from hpcapp.geometry.lattice import find_keys, unique_keys, unpack_keys
 from hpcapp.geometry.points import IntArray
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import JobError
 
 Integers = IntArray | NDArray[np.int32]

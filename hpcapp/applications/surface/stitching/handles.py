@@ -13,7 +13,6 @@ hole through a plate is none: the way around it leads around the plate.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
@@ -22,6 +21,7 @@ from hpcapp.applications.surface import kernels
 from hpcapp.geometry.lattice import number_keys, pack_places
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 from hpcapp.io.meshes.mesh_stream import MeshStream
+from hpccomponent.dataclass import dataclass
 
 BOX = 8.0
 """Sides of faces: the edge of the boxes that a handle must fit into to be small. See

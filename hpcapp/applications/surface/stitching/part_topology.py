@@ -8,7 +8,7 @@ these vertices, which are joined across the edges.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from hpcapp.applications.surface.stitching.topology import Topology, count_loops
 from hpcapp.geometry.lattice import find_first, find_keys, number_keys
 from hpcapp.geometry.pieces import round_areas
 from hpcapp.geometry.points import FloatArray, IntArray
+from hpccomponent.dataclass import dataclass
 
 
 @dataclass(frozen=True, slots=True, eq=False)

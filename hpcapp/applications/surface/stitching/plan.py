@@ -7,7 +7,6 @@ vertices. Vertices are known by their brick and their number in it, never by whe
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +27,7 @@ from hpcapp.applications.surface.stitching.part_topology import (
 from hpcapp.applications.surface.stitching.topology import Topology
 from hpcapp.geometry.lattice import find_first, unique_keys
 from hpcapp.geometry.points import FloatArray, IntArray
+from hpccomponent.dataclass import dataclass
 
 SMALL_SIZES = ((0.02, 0.0), (0.002, 0.5), (0.0005, 0.75))
 """A component stays that has so many faces, by those of the largest one, and of whose vertices so

@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -40,6 +40,7 @@ from hpcapp.io.registry import TILES_SUFFIX
 from hpcapp.simplification.mesh import Target
 from hpcapp.simplification.stream import simplify_stream
 from hpcapp.workforce import Workforce, stream_batches
+from hpccomponent.dataclass import dataclass
 from hpccomponent.files.held_folders import temporary_folder
 from hpccomponent.protocol.declared import ANYTHING, Fixed
 from hpccomponent.runtime.background import Deferred

@@ -5,8 +5,6 @@ What is counted comes from `kernels.survey_mesh`; here it becomes a judgement.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,6 +13,7 @@ from hpcapp.applications.surface.types.brick_mesh import Survey
 from hpcapp.geometry.lattice import number_keys
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import IntArray
+from hpccomponent.dataclass import dataclass
 
 
 @dataclass(frozen=True, slots=True)

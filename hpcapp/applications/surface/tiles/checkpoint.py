@@ -10,10 +10,11 @@ from __future__ import annotations
 import hashlib
 import logging
 import os
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any
 
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import JobError, ProtocolError
 from hpccomponent.files.private_files import make_private_folder
 from hpccomponent.protocol.codec import encode_values

@@ -11,8 +11,6 @@ The functions of arrays are kernels.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,6 +28,7 @@ from hpcapp.geometry.points import (
     FloatArray,
     IntArray,
 )
+from hpccomponent.dataclass import dataclass
 
 
 @dataclass(frozen=True, slots=True, eq=False)

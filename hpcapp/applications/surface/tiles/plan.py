@@ -5,7 +5,7 @@ They travel as records.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Annotated
 
 import numpy as np
@@ -21,6 +21,7 @@ from hpcapp.applications.surface.types.field import FieldLevel
 from hpcapp.applications.surface.types.grid import BrickStrides, Grid
 from hpcapp.applications.surface.types.result_patterns import CellKeys
 from hpcapp.geometry.points import Float32Array, FloatArray, IntArray
+from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.columns import Column
 from hpccomponent.protocol.records import record
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -29,6 +29,7 @@ from hpcapp.geometry.lattice import (
     unpack_keys,
 )
 from hpcapp.geometry.points import ByteArray, FloatArray, IntArray
+from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.records import record
 
 _BYTES_PER_POINT = 24.0

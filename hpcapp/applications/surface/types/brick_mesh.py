@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from hpcapp.geometry.points import (
     BoolArray,
     FloatArray,
     Int32Array,
     IntArray,
 )
+from hpccomponent.dataclass import dataclass
 
 
 @dataclass(frozen=True, slots=True, eq=False)

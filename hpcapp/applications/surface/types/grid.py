@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from hpcapp.geometry.lattice import find_keys, pack_places, unpack_keys
 from hpcapp.geometry.points import ByteArray, FloatArray, IntArray
+from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.records import record
 
 MOST_SHIFT = 3

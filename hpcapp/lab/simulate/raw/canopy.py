@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
+from hpccomponent.dataclass import dataclass
 
 _CELL = 0.5  # metres of the maps of tops and bases
 _STEP = 0.4  # metres of the way through the crowns

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 
 import numpy as np
 
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 from hpcapp.lab.simulate.implicit import ImplicitShape
 from hpcapp.lab.simulate.rays import cross_rays, frame_about, unit_vectors
+from hpccomponent.dataclass import dataclass
 
 _NEIGHBOURHOOD = 1.0  # units about a hit in which its edge is looked for
 _WIDEST = 0.1  # radians from the pulse

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from hpcapp.lab.simulate.fields import Field, cut, unite
 from hpcapp.lab.simulate.implicit import Shape, diagonal_of
 from hpcapp.lab.simulate.rays import fall, run_in_blocks
 from hpcapp.lab.simulate.solids import box
+from hpccomponent.dataclass import dataclass
 
 Box = tuple[Sequence[float], Sequence[float], bool]
 """Lowest and highest corner, and whether it is filled or cut out."""

@@ -11,7 +11,6 @@ One seed gives one scan.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -27,6 +26,7 @@ from hpcapp.lab.simulate.raw.scenes import SCENES, Scene
 from hpcapp.lab.simulate.rays import cross_rays
 from hpcapp.lab.simulate.settings import check_ranges
 from hpccomponent.cli.option_names import name_option
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
 
 _LOST = 0.02  # share of the pulses of which nothing comes back

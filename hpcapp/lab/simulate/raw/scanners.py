@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
@@ -11,6 +10,7 @@ import numpy as np
 from hpcapp.geometry.points import FloatArray, IntArray
 from hpcapp.lab.simulate.raw.scenes import Scene
 from hpcapp.lab.simulate.rays import frame_about, unit_vectors
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
 
 _STRIPS, _ALTITUDE, _SPEED, _TURN_S = 2, 200.0, 20.0, 20.0  # metres, metres a second

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
@@ -24,6 +24,7 @@ from hpcapp.lab.simulate.raw.parts import (
     make_trunks,
 )
 from hpcapp.lab.simulate.shapes import find_shape
+from hpccomponent.dataclass import dataclass
 
 Walk = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -15,6 +14,7 @@ from hpcapp.applications.surface.kernels.portable.around.nearest import (
     round_positions,
 )
 from hpcapp.geometry.points import ByteArray, Float32Array, FloatArray, IntArray
+from hpccomponent.dataclass import dataclass
 
 __all__ = ["fit_planes"]
 

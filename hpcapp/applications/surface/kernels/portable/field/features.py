@@ -12,8 +12,6 @@ ACM Trans. Graph. 22 (2003), doi:10.1145/882262.882293.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from hpcapp.applications.surface.kernels.constants import BASIS
@@ -27,6 +25,7 @@ from hpcapp.geometry.points import (
     FloatArray,
     IntArray,
 )
+from hpccomponent.dataclass import dataclass
 
 __all__ = ["fit_features"]
 

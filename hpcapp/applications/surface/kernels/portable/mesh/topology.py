@@ -6,12 +6,11 @@ no step visits faces one by one.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from hpcapp.applications.surface.types.brick_mesh import Survey
 from hpcapp.geometry.points import BoolArray, FloatArray, Int32Array, IntArray
+from hpccomponent.dataclass import dataclass
 
 __all__ = ["label_components", "signed_volume", "survey_mesh"]
 

@@ -19,7 +19,6 @@ SGP 2007, doi:10.2312/SGP/SGP07/125-133.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -31,6 +30,7 @@ from hpcapp.geometry.points import (
     FloatArray,
     IntArray,
 )
+from hpccomponent.dataclass import dataclass
 
 _Node = tuple[int, int, int]
 _Edge = tuple[int, _Node]  # along an axis, from its lower node
