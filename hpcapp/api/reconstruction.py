@@ -33,7 +33,6 @@ from hpcapp.applications.surface.job.backend_choice import approach_workers
 from hpcapp.applications.surface.job.carry import carry_columns
 from hpcapp.applications.surface.job.outcome import Outcome
 from hpcapp.applications.surface.job.read import arrange_points
-from hpcapp.applications.surface.job.recognised import describe_input
 from hpcapp.applications.surface.job.report import describe_outcome
 from hpcapp.applications.surface.job.scan import Loaded
 from hpcapp.applications.surface.job.settings import JobSettings, Settings
@@ -342,7 +341,7 @@ def _run_files(
             ),
             reconstruct_cloud(job, loaded, site, clock) as outcome,
         ):  # fmt: skip
-            return _wrap(job, source, loaded, outcome, clock, {"input": describe_input(job)})
+            return _wrap(job, source, loaded, outcome, clock, {"input": loaded.described})
 
     return repeat_until_trusted(verification, run)
 

@@ -17,7 +17,6 @@ import fcntl
 import getpass
 import json
 import os
-import secrets
 import shlex
 import shutil
 import socket
@@ -226,7 +225,7 @@ def temporary_folder() -> Iterator[Path]:
             f"no temporary folder can be had: {error.strerror}", "set TMPDIR to one with room"
         ) from error
     remove_abandoned(parent, _PREFIX)
-    folder = create_held(parent / f"{_PREFIX}{secrets.token_hex(6)}")
+    folder = create_held(parent / f"{_PREFIX}{os.urandom(6).hex()}")
     try:
         yield folder.path
     finally:

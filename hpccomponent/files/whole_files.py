@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import secrets
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -28,7 +27,7 @@ def write_whole(path: Path, buffers: Iterable[bytes | bytearray | memoryview]) -
     OSError
         It cannot be written; nothing is left behind.
     """
-    beside = path.with_name(f".{secrets.token_hex(8)}.tmp")
+    beside = path.with_name(f".{os.urandom(8).hex()}.tmp")
     try:
         with create_private(beside, _BUFFER) as file:
             for buffer in buffers:

@@ -29,12 +29,13 @@ from hpcapp.applications.surface.job.diagnostics import check_points, warn_of
 from hpcapp.applications.surface.job.outcome import Outcome, Reconstruction
 from hpcapp.applications.surface.job.pieces import keep_pieces
 from hpcapp.applications.surface.job.read import read_file
+from hpcapp.applications.surface.job.recognised import describe_input
 from hpcapp.applications.surface.job.resume import find_loaded, note_loaded
 from hpcapp.applications.surface.job.scan import Loaded, PointFolder, Scan
 from hpcapp.applications.surface.job.settings import JobSettings, Settings
 from hpcapp.applications.surface.job.simplify import fit_surface, simplify
 from hpcapp.applications.surface.job.site import Site, open_method, preprocess
-from hpcapp.applications.surface.job.source import open_source
+from hpcapp.applications.surface.job.source import open_whole, take_asked
 from hpcapp.applications.surface.methods.method import Method
 from hpcapp.applications.surface.normals.sides import orient_cloud
 from hpcapp.applications.surface.resolution.asked import find_grid
@@ -56,13 +57,14 @@ def load(settings: JobSettings, clock: StageClock, folder: PointFolder | None = 
         Where the points are put; into memory by default. They are the same, bit for bit. With
         `resume`, what is in the folder is taken, if it is whole.
     """
-    source = open_source(settings)
+    whole = open_whole(settings)
+    source, described = take_asked(settings, whole), describe_input(settings, whole)
     if folder is not None and settings.resume and (left := find_loaded(settings, source, folder)):
-        return left
+        return replace(left, described=described)
     loaded = prepare(settings, read_file(settings, source, folder, clock), clock)
     if folder is not None:
         note_loaded(loaded, folder)
-    return loaded
+    return replace(loaded, described=described)
 
 
 def prepare(settings: Settings, scan: Scan, clock: StageClock) -> Loaded:

@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any
 
 from hpcapp.applications.surface.job.backend_choice import Job, Opener, approach_workers
 from hpcapp.applications.surface.job.folder import choose_tile, find_point_workers
-from hpcapp.applications.surface.job.recognised import describe_input
 from hpcapp.applications.surface.job.report import describe_outcome
 from hpcapp.applications.surface.job.scan import Loaded, PointFolder
 from hpcapp.applications.surface.job.settings import JobSettings
@@ -197,7 +196,7 @@ def _write(
     placed = place_mesh(target, mesh, settings.placement)
     report["warnings"] += describe_losses(target, placed)
     report |= {"origin": placed.shift.tolist(), "up": settings.placement.up}
-    report["input"] = describe_input(settings)
+    report["input"] = loaded.described
     report["command"] = shlex.join(settings.command)
     if verification.machines or verification.liars:
         report["verification"] = verification.to_json()

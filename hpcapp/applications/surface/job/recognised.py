@@ -5,12 +5,18 @@ from __future__ import annotations
 from typing import Any
 
 from hpcapp.applications.surface.job.settings import JobSettings
-from hpcapp.io import open_points
+from hpcapp.io import PointSource
 from hpcapp.io.points.column_roles import tell_use
 
 
-def describe_input(settings: JobSettings) -> dict[str, Any]:
+def describe_input(settings: JobSettings, source: PointSource) -> dict[str, Any]:
     """Return what the input is, and what its columns were taken for.
+
+    Parameters
+    ----------
+    settings : JobSettings
+    source : PointSource
+        Its points as they are in the file.
 
     Returns
     -------
@@ -19,7 +25,6 @@ def describe_input(settings: JobSettings) -> dict[str, Any]:
         for, by its name), ``crs``, ``unit`` and ``height_unit`` where the file tells, ``up``
         (which way that is, and why).
     """
-    source = open_points(settings.points)
     first = next(source.chunks(1))
     return {
         "files": [str(file) for file in settings.files],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from dataclasses import field
 from pathlib import Path
+from typing import Any
 
 from hpcapp.applications.surface.cleaning.drive import Cleaned
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
@@ -101,6 +102,8 @@ class Loaded:
         What is odd about the file.
     crs : Crs
         What the file's coordinates mean.
+    described : dict
+        What the input is, see `describe_input`; empty where it is no file.
     """
 
     cloud: ArrangedCloud
@@ -110,6 +113,7 @@ class Loaded:
     oriented: Oriented
     findings: Findings
     crs: Crs
+    described: dict[str, Any] = field(default_factory=dict)
 
     def report(self, shown: str) -> None:
         """Log what was left out of the input.
