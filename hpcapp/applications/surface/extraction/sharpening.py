@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hpcapp.applications.surface.kernels import spread_keys
 from hpcapp.applications.surface.types.field import Features
 from hpcapp.geometry.lattice import find_keys, pack_places
 from hpcapp.geometry.points import BoolArray, ByteArray, FloatArray, IntArray
@@ -94,6 +95,7 @@ def sharpen_vertices(
     origin, cell_size = lattice
     places = (vertices - origin) / cell_size  # (v, 3): in cells
     farthest = _FARTHEST * steps / cell_size  # (v,)
+    faces = faces[_mark_near(places, steps / cell_size, features)[faces].any(axis=1)]
     pieces = cut_equal(len(faces), -(-len(faces) // _AT_ONCE))
     crossings = _join([_find_crossings(places, faces[piece], features) for piece in pieces])
     is_near = crossings.distances <= farthest[crossings.ends]
@@ -114,6 +116,18 @@ def sharpen_vertices(
     normals = _find_normals(crossings, is_moved, before, around)
     shortest = steps[around].min(axis=1)
     return _hold_faces(before, moved, around, normals, _LEAST_AREA * shortest * shortest)
+
+
+def _mark_near(places: FloatArray, steps: FloatArray, features: Features) -> BoolArray:
+    """Mark the vertices whose mesh edges may have their middle next to a feature, and some more.
+
+    `places` and `steps` are in cells. An edge is no longer than two steps along each axis: below
+    two cells, its middle is rounded to one of the 27 lattice vertices around each of its ends.
+    """
+    around = spread_keys(features.keys, -1, 1)
+    keys = pack_places(np.rint(places).astype(np.int64))
+    is_near: BoolArray = find_keys(around, keys) < len(around)
+    return is_near | (steps >= 1.0)
 
 
 def _join(parts: list[_Crossings]) -> _Crossings:

@@ -51,7 +51,7 @@ from hpcapp.geometry.points import BoolArray, Float32Array, FloatArray, IntArray
 from hpccomponent.cutting import cut_equal
 from hpccomponent.dataclass import dataclass
 
-_AT_ONCE = 1 << 17  # vertices of the finest level
+_AT_ONCE = 1 << 15  # vertices of the finest level, in a thread
 # Of bricks in a slab, for each layer that may be evaluated beside it on either side.
 _LEAST_LAYERS = 8
 _TRUST_ROWS = 1 << 16
@@ -214,23 +214,24 @@ def _fit_finest(
     vertices = pyramid.vertices[0]
     coefficients = np.empty((len(vertices), BASIS), np.float32)
     trust = np.empty(len(vertices), np.float32)
-    features: list[Features] = []
-    for first, end in pairwise(_cut_layers(vertices)):
-        # The cells around some layers of vertices, and the parents of these, are runs too.
-        low, high = unpack_keys(vertices[[first, end - 1]])[:, 0].tolist()
+
+    def fit(rows: slice) -> Features:
         finest = pyramid.levels[0]
         points = finest.points
         assert isinstance(points, SortedPoints)  # noqa: S101 - the finest level has points
+        # The cells around some layers of vertices, and the parents of these, are runs too.
+        low, high = unpack_keys(vertices[[rows.start, rows.stop - 1]])[:, 0].tolist()
         run = find_layers(finest.cells, low - 1, high)
         level = Level(finest.cells[run], points.run(run), finest.squares)
-        part = replace(pyramid, levels=[level], vertices=[vertices[first:end]])
+        part = replace(pyramid, levels=[level], vertices=[vertices[rows]])
         near = parents and parents.between(low // 2, -(-high // 2))
-        quadrics, _ = fit_levels(part, weights, near, threads)
-        (fitted,) = find_trust(part, quadrics, far, threads)
-        coefficients[first:end] = fitted.coefficients
-        trust[first:end] = fitted.trust
-        of_run = vertices[first:end], quadrics[0].misfits, weights[0].noise
-        features.append(find_features(*of_run, finest.cells, points, threads))
+        quadrics, _ = fit_levels(part, weights, near)
+        (fitted,) = find_trust(part, quadrics, far)
+        coefficients[rows], trust[rows] = fitted.coefficients, fitted.trust
+        of_run = vertices[rows], quadrics[0].misfits, weights[0].noise
+        return find_features(*of_run, finest.cells, points)
+
+    features = run_batches(fit, _cut_layers(vertices), threads)
     return FieldLevel(vertices, coefficients, trust), join_features(features)
 
 
@@ -281,12 +282,12 @@ def _trust_rows(
     )  # fmt: skip
 
 
-def _cut_layers(vertices: IntArray) -> list[int]:
-    """Cut sorted vertices into about equal runs of whole layers; return the bounds of these."""
+def _cut_layers(vertices: IntArray) -> list[slice]:
+    """Cut sorted vertices into about equal runs of whole layers."""
     bounds = [0]
     for piece in cut_equal(len(vertices), -(-len(vertices) // _AT_ONCE))[:-1]:
         layer = int(unpack_keys(vertices[[piece.stop]])[0, 0])
         start = find_layers(vertices, layer, layer).start
         if start > bounds[-1]:
             bounds.append(start)
-    return [*bounds, len(vertices)] if len(vertices) else bounds
+    return [slice(*run) for run in pairwise([*bounds, len(vertices)]) if len(vertices)]
