@@ -88,10 +88,12 @@ void spread_component(const double* places, const double* component, int64_t cou
     });
 }
 
-HPC_CLONES void transform_rows(const Fourier& fourier, const float* grid, int64_t rows, Spectrum& spectrum) {
+// Rows come in pairs of groups, from `begin` to `end`: what shares a lane does not hang on who transforms it.
+HPC_CLONES void transform_rows(const Fourier& fourier, const float* grid, int64_t rows, int64_t begin, int64_t end,
+                               Spectrum& spectrum) {
   const int64_t nodes = fourier.nodes;
   std::vector<Element> values(nodes);
-  for (int64_t start = 0; start < rows; start += 2 * ROWS) {
+  for (int64_t start = 2 * ROWS * begin; start < std::min(rows, 2 * ROWS * end); start += 2 * ROWS) {
     const int first = static_cast<int>(std::min<int64_t>(rows - start, ROWS));
     const int second = static_cast<int>(std::min<int64_t>(rows - start - first, ROWS));
     std::fill(values.begin(), values.end(), Element{});
@@ -118,11 +120,12 @@ HPC_CLONES void transform_rows(const Fourier& fourier, const float* grid, int64_
   }
 }
 
-HPC_CLONES void transform_rows_back(const Fourier& fourier, Spectrum& spectrum, int64_t rows, float* grid) {
+HPC_CLONES void transform_rows_back(const Fourier& fourier, Spectrum& spectrum, int64_t rows, int64_t begin,
+                                    int64_t end, float* grid) {
   const int64_t nodes = fourier.nodes;
   const float scale = 1.0f / static_cast<float>(nodes * nodes * nodes);
   std::vector<Element> values(nodes);
-  for (int64_t start = 0; start < rows; start += 2 * ROWS) {
+  for (int64_t start = 2 * ROWS * begin; start < std::min(rows, 2 * ROWS * end); start += 2 * ROWS) {
     const int first = static_cast<int>(std::min<int64_t>(rows - start, ROWS));
     const int second = static_cast<int>(std::min<int64_t>(rows - start - first, ROWS));
     std::fill(values.begin(), values.end(), Element{});
@@ -251,16 +254,21 @@ Output<float> integrate_normals(Doubles places_of, Doubles normals_of, double sm
   {
     nb::gil_scoped_release unlocked;
     const Fourier fourier(nodes);
+    const int64_t pairs = (held.rows() + 2 * ROWS - 1) / (2 * ROWS);
     std::vector<Spectrum> components(3, Spectrum(held.rows(), nodes));
     for (int axis = 0; axis < 3; ++axis) {
       spread_component(places, normals + axis, count, nodes, held, grid.get());
-      transform_rows(fourier, grid.get(), held.rows(), components[axis]);
+      run_ranges(pairs, workers, [&](int64_t begin, int64_t end) {
+        transform_rows(fourier, grid.get(), held.rows(), begin, end, components[axis]);
+      });
     }
     run_ranges(components[0].blocks, workers, [&](int64_t start, int64_t stop) {
       Slab slab(fourier, held, smoothing);
       for (int64_t block = start; block < stop; ++block) integrate_block(slab, components.data(), block);
     });
-    transform_rows_back(fourier, components[0], held.rows(), grid.get());
+    run_ranges(pairs, workers, [&](int64_t begin, int64_t end) {
+      transform_rows_back(fourier, components[0], held.rows(), begin, end, grid.get());
+    });
   }
   return give(std::move(grid), {static_cast<size_t>(held.size[0]), static_cast<size_t>(held.size[1]),
                                 static_cast<size_t>(nodes)});
