@@ -119,3 +119,27 @@ def test_messages_name_the_argument(native: ModuleType) -> None:
         native.sum_neighbours(keys, np.ones((2, 1), np.int64), np.array([2]))
     with pytest.raises(ValueError, match="cells: expected sorted"):
         native.sum_neighbours(keys[::-1].copy(), np.ones((2, 1), np.int64), np.array([0]))
+
+
+@given(st.integers(0, 2**32), st.integers(0, 300), st.integers(0, 60))
+@settings(deadline=None, max_examples=40)
+def test_support(native: ModuleType, seed: int, points: int, places: int) -> None:
+    random = np.random.default_rng(seed)
+    positions = random.normal(size=(points, 3)) * (1.0, 1.0, 0.1)
+    normals = random.normal(size=(points, 3)) * 0.2 + (0.0, 0.0, 1.0)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    radii = random.uniform(0.05, 0.8, points)
+    cloud = positions, normals, radii, radii * random.uniform(0.1, 1.0, points)
+    asked = random.normal(size=(places, 3)) * (1.5, 1.5, 0.1)
+    ways = random.normal(size=(places, 8, 3))
+    counts, sums = native.count_supporting(asked, *cloud, 1)
+    wanted_counts, wanted_sums = portable.count_supporting(asked, *cloud)
+    np.testing.assert_array_equal(counts, wanted_counts)
+    np.testing.assert_array_equal(sums, wanted_sums)
+    for enough in (1, 3):
+        bounds = enough, 0.7, 2.25
+        squares = native.measure_aside(asked, ways, *cloud, *bounds, 1)
+        expected = portable.measure_aside(asked, ways, *cloud, *bounds)
+        np.testing.assert_array_equal(squares, expected)
+        assert native.measure_aside(asked, ways, *cloud, *bounds, 3).tobytes() == squares.tobytes()
+    assert native.count_supporting(asked, *cloud, 3)[1].tobytes() == sums.tobytes()
