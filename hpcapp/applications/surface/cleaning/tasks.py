@@ -103,7 +103,7 @@ def drop_cells(points: RegionPoints, cells: DroppedCells) -> tuple[Replaced | No
 
 @declare(result=without_points, limit=region_bytes(40))
 def drop_strays(
-    points: RegionPoints, low: FloatArray, scale: LocalScale
+    points: RegionPoints, low: FloatArray, scale: LocalScale, threads: int
 ) -> tuple[Replaced | None, int]:
     """Drop the strays of a region (a task); return how many, too.
 
@@ -111,11 +111,11 @@ def drop_strays(
     ----------
     points : RegionPoints
         With a margin of `strays.MARGIN` spacings.
-    low, scale
+    low, scale, threads
         As for `find_strays`.
     """
     region = points.take()
-    dropped = find_strays(region.positions, region.own, low, scale)
+    dropped = find_strays(region.positions, region.own, low, scale, threads)
     return region.drop(dropped), int(np.count_nonzero(dropped))
 
 
@@ -139,7 +139,7 @@ def drop_lone_lines(
 
 @declare(result=mended_region, limit=region_bytes(40))
 def mend_region(
-    points: RegionPoints, low: FloatArray, spacing: float
+    points: RegionPoints, low: FloatArray, spacing: float, threads: int
 ) -> tuple[Replaced | None, int]:
     """Turn round the inconsistent normals of a region (a task); return how many, too.
 
@@ -147,9 +147,10 @@ def mend_region(
     ----------
     points : RegionPoints
         With a margin of `consistency.MARGIN` spacings.
-    low, spacing
+    low, spacing, threads
         As for `consistency.find_flipped`.
     """
     region = points.take()
-    is_flipped = find_flipped(region.positions, region.normals, low, spacing)[region.own]
+    flipped = find_flipped(region.positions, region.normals, low, spacing, threads)
+    is_flipped = flipped[region.own]
     return region.flip(is_flipped), int(np.count_nonzero(is_flipped))

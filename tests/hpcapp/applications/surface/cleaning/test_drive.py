@@ -27,7 +27,7 @@ from hpcapp.lab.simulate.shapes import SHAPES
 
 def clean(points: PointCloud) -> tuple[PointCloud, Cleaned]:
     arranged = MemoryPass(arrange_cloud(points))
-    kept, cleaned, scale = drop_strays(arranged, measure_scale(arranged)[0])
+    kept, cleaned, scale = drop_strays(arranged, measure_scale(arranged))
     kept, flipped = mend_normals(kept, scale.spacing)
     return kept.cloud.points, replace(cleaned, flipped=flipped)
 

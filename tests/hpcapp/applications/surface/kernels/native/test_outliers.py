@@ -31,6 +31,16 @@ def test_cells_and_their_neighbours(native: ModuleType, seed: int, count: int, e
     )
 
 
+@given(st.integers(0, 2**32), st.integers(1, 300), st.floats(0.05, 5.0), st.integers(0, 9))
+@settings(deadline=None, max_examples=40)
+def test_halved_cells(native: ModuleType, seed: int, count: int, edge: float, depth: int) -> None:
+    random = np.random.default_rng(seed)
+    positions = np.round(random.normal(size=(count, 3)), random.integers(0, 9))
+    given = positions, random.normal(size=3), edge, depth
+    for one, other in zip(native.count_halved(*given), portable.count_halved(*given), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
 @given(st.integers(0, 2**32), st.integers(1, 400), st.booleans())
 @settings(deadline=None, max_examples=40)
 def test_neighbours(native: ModuleType, seed: int, points: int, is_gridded: bool) -> None:
@@ -92,6 +102,7 @@ def test_contradictory_arguments(native: ModuleType, data: st.DataObject) -> Non
     asked = np.ones(data.draw(st.integers(8, 9)), np.uint8)
     calls = [
         ("count_cells", points, points[0], lengths[0]),
+        ("count_halved", points, points[0], lengths[0], int(random.integers(-1, 22))),
         ("sum_neighbours", keys, random.integers(-(2**62), 2**62, (len(keys), 4)), rows),
         ("poll_normals", points, points, keys, rows, asked, *lengths, 2),
         ("find_sparse", points, keys, rows, rows.astype(np.uint32), points[0], 3, 2),
