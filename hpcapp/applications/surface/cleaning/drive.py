@@ -26,7 +26,7 @@ from hpcapp.applications.surface.cloud.surface_check import check_surface
 from hpcapp.applications.surface.normals import consistency
 from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.applications.surface.scale.scan_lines import keep_lines
-from hpcapp.geometry.lattice import lay_lattice, unique_keys
+from hpcapp.geometry.lattice import lay_lattice
 from hpccomponent.dataclass import dataclass
 
 _MANY = 0.001  # of the points are strays: only then they have vouched for others
@@ -215,11 +215,6 @@ def _find_outliers(cloud_pass: CloudPass, spacing: float) -> DroppedCells | None
     margin = outlier_regions.MARGIN * spacing
     ranks = cloud_pass.each(tasks.rank_region, low, spacing, margin=margin)
     judged = outlier_regions.judge_sparse(ranks)
-    strays = [judged.stray_cells]
-    # Regions judge the ranks above the base that they know all about; mostly there are none.
-    if any(region.by_rank[judged.base + 1 : -1].any() for region in ranks):
-        strays += cloud_pass.each(tasks.judge_region, low, spacing, judged.base, margin=margin)
-    cells = unique_keys(np.concatenate(strays))
-    if not (len(cells) or len(judged.island_cells)):
+    if not (len(judged.stray_cells) or len(judged.island_cells)):
         return None
-    return DroppedCells(low, spacing, cells, judged.island_cells)
+    return DroppedCells(low, spacing, judged.stray_cells, judged.island_cells)

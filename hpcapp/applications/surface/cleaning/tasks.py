@@ -4,7 +4,7 @@
 
     region ── drop_repeated ──> without repeated points
     region ── count_lines ──> master ── thin_lines ──> without points that scan lines can spare
-    region ── rank_region ──> master ── judge_region ──> stray cells ── drop_cells ──> without them
+    region ── rank_region ──> master ── stray cells ── drop_cells ──> without them
     region ── drop_strays ──> without points that lie apart from their neighbours
     region ── drop_lone_lines ──> without points along wires
     region ── mend_region ──> inconsistent normals flipped
@@ -21,7 +21,6 @@ from hpcapp.applications.surface.cleaning.patterns import (
     counted_lines,
     mended_region,
     ranked_region,
-    stray_cells,
     without_points,
 )
 from hpcapp.applications.surface.cleaning.repeated import find_repeated
@@ -36,7 +35,6 @@ from hpcapp.applications.surface.scale.scan_lines import (
     count_narrow,
     find_spare,
 )
-from hpcapp.applications.surface.types.result_patterns import CellKeys
 from hpcapp.geometry.points import FloatArray
 from hpccomponent.runtime.tasks import declare
 
@@ -63,7 +61,7 @@ def thin_lines(points: RegionPoints, boxes: GapBoxes) -> tuple[Replaced | None, 
     return region.drop(spare), int(np.count_nonzero(spare))
 
 
-@declare(result=ranked_region, limit=region_bytes(56))
+@declare(result=ranked_region, limit=region_bytes(72))
 def rank_region(points: RegionPoints, low: FloatArray, spacing: float) -> RegionRanks:
     """Rank the points of a region (a task).
 
@@ -76,21 +74,6 @@ def rank_region(points: RegionPoints, low: FloatArray, spacing: float) -> Region
     """
     region = points.take()
     return outliers.rank_region(region.positions, region.own, low, spacing)
-
-
-@declare(result=stray_cells, limit=region_bytes(8))
-def judge_region(points: RegionPoints, low: FloatArray, spacing: float, base: int) -> CellKeys:
-    """Find the stray cells of low ranks in a region (a task).
-
-    Parameters
-    ----------
-    points : RegionPoints
-        With a margin of `outlier_regions.MARGIN` spacings.
-    low, spacing, base
-        As for `outlier_regions.judge_region`, whose result this is.
-    """
-    region = points.take()
-    return outliers.judge_region(region.positions, region.own, low, spacing, base)
 
 
 @declare(result=without_points, limit=region_bytes(16))
