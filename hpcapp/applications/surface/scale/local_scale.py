@@ -134,6 +134,8 @@ class LocalScale:
         for steps in (np.zeros((1, 3), np.int64), NEIGHBOURS):  # their own cells first
             for level in unique_keys(self.levels):
                 pending = np.flatnonzero(spacings == 0.0)
+                if not len(pending):
+                    return spacings
                 keys = pack_places(cells[pending] >> level)
                 for step in steps:
                     found = self._find(level, step_keys(keys, step))
