@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hpcapp.geometry.points import BoolArray, FloatArray, PointCloud
 from hpccomponent.dataclass import dataclass
@@ -12,6 +14,13 @@ from hpccomponent.protocol.records import record
 
 _TINY = 1e-200  # square of a length: far from where squares are lost
 _CHUNK = 1 << 14  # normals at once: what is made of them stays in the cache
+
+
+def are_finite(rows: NDArray[Any]) -> BoolArray:
+    """Tell which rows of numbers, of shape (n, k), hold neither NaN nor infinity."""
+    # Column by column: numpy is slow to reduce narrow rows.
+    finite: BoolArray = np.logical_and.reduce([np.isfinite(column) for column in rows.T])
+    return finite
 
 
 @dataclass(frozen=True, slots=True)

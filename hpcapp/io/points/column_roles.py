@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from hpcapp.geometry.points import FloatArray, PointCloud
+from hpcapp.geometry.validity import are_finite
 from hpcapp.io.columns import Numbers
 
 AXES = ("x", "y", "z")
@@ -116,7 +117,7 @@ def judge_normals(values: FloatArray) -> NormalKind:
 
     Rows with NaN or infinity do not count.
     """
-    finite = values[np.isfinite(values).all(axis=1)]
+    finite = values[are_finite(values)]
     lengths = _lengths(finite)
     directed = lengths > 0
     if not directed.any():
@@ -134,8 +135,9 @@ def judge_normals(values: FloatArray) -> NormalKind:
 
 def _lengths(vectors: FloatArray) -> FloatArray:
     """Return the lengths of vectors, infinite ones among them."""
+    x, y, z = vectors.T
     with np.errstate(over="ignore", under="ignore"):
-        lengths: FloatArray = np.linalg.norm(vectors, axis=1)
+        lengths: FloatArray = np.sqrt(x * x + y * y + z * z)
     return lengths
 
 

@@ -37,6 +37,7 @@ from numpy.typing import NDArray
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.point_records import PointRecords
 from hpcapp.geometry.points import BoolArray, FloatArray, PointCloud
+from hpcapp.geometry.validity import are_finite
 from hpcapp.io.batches import join_points
 from hpcapp.io.columns import Numbers
 from hpcapp.io.points.column_roles import ColourScale, judge_colours, judge_normals
@@ -136,8 +137,8 @@ def recognise(source: PointSource) -> PointSource:
     findings, counted = source.findings, dict(source.findings.dropped)
     with translated(source.path):
         seen = _look_through(source)
-    finite = np.flatnonzero(np.isfinite(seen.positions).all(axis=1))
-    seen = seen.take(finite)
+    finite = np.flatnonzero(are_finite(seen.positions))
+    seen = seen if len(finite) == len(seen) else seen.take(finite)
     missing = _find_missing(seen.positions)
     usable = seen
     for place in missing:
@@ -215,7 +216,7 @@ def _read_runs(records: PointRecords) -> Iterator[PointCloud]:
 
 def _is_certain(seen: PointCloud) -> bool:
     """Tell whether more points would change nothing of what these say."""
-    if not np.isfinite(seen.positions).all(axis=1).any() or not seen.positions.any():
+    if not are_finite(seen.positions).any() or not seen.positions.any():
         return False
     if seen.normals is not None and judge_normals(seen.normals) not in ("unit", "any length"):
         return False
@@ -232,13 +233,15 @@ def _find_missing(positions: FloatArray) -> FloatArray:
     nowhere = np.zeros((0, 3))
     if len(positions) < _FEWEST_AT_ORIGIN:
         return nowhere
-    _, first, counts = np.unique(_sum_coordinates(positions), return_index=True, return_counts=True)
+    sums = _sum_coordinates(positions)
+    values, counts = np.unique(sums, return_counts=True)
     fewest = max(_FEWEST_AT_ORIGIN, _TIMES_USUAL * float(np.median(counts)))
     if len(counts) <= _FEWEST_AT_ORIGIN:
         return nowhere
+    firsts = [int(np.argmax(sums == value)) for value in values[counts >= fewest]]
     missing = [
         place
-        for place in positions[first[counts >= fewest]]
+        for place in positions[firsts]
         if _find_at(positions, place).sum()
         >= (
             max(fewest, _FEWEST_ELSEWHERE, _LEAST_SHARE * len(positions)) if place.any() else fewest
@@ -273,6 +276,7 @@ def _sum_coordinates(positions: FloatArray) -> FloatArray:
     x, y, z = positions.T
     with np.errstate(over="ignore", invalid="ignore"):  # then some points count as one
         sums: FloatArray = x + math.pi * y + math.e * z
+    sums[np.isnan(sums)] = np.inf
     return sums
 
 
@@ -339,7 +343,7 @@ def _scale_to_box(positions: FloatArray) -> FloatArray:
 
 def _judge_scale(colours: Numbers, findings: Findings) -> ColourScale | None:
     """Find out how colours are scaled; None where they are none."""
-    known = colours[np.isfinite(colours).all(axis=1)]
+    known = colours[are_finite(colours)]
     if not known.any():  # the format has colours, the scan has not
         return None
     scale = judge_colours(known)
@@ -407,8 +411,16 @@ def _are_degrees(source: PointSource, positions: FloatArray) -> bool:
         return True
     if source.crs is not None or len(positions) < _FEWEST_TO_DOUBT:
         return False
-    if (np.abs(positions[:, :2]).max(axis=0) > (180, 90)).any():
+    low, high = bound_points(positions)
+    if (np.maximum(-low, high)[:2] > (180, 90)).any():
         return False
-    low, high = np.quantile(positions, (0.02, 0.98), axis=0)
-    x, y, z = high - low
-    return bool(min(x, y) > 0 and z > _STEEPEST * max(x, y))
+
+    def extent(column: FloatArray) -> float:
+        low, high = np.quantile(column, (0.02, 0.98))
+        return float(high - low)
+
+    x = extent(positions[:, 0])
+    if not 0 < _STEEPEST * x < high[2] - low[2]:  # as of nearly all
+        return False
+    y, z = extent(positions[:, 1]), extent(positions[:, 2])
+    return y > 0 and z > _STEEPEST * max(x, y)

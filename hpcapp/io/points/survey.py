@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io.crs import METRES
 
@@ -41,13 +42,13 @@ def is_flown_over(points: PointCloud, unit: str | None = None, crs: str | None =
     """
     if len(points) < 2 * _A_CELL or unit == "degree":
         return False
-    if np.abs(points.positions).max() > _FARTHEST or not _is_even(points.positions):
+    low, high = bound_points(points.positions)
+    if max(*-low, *high) > _FARTHEST:
         return False
-    if _has_evidence(points):
-        return True
-    wide = _WIDE / METRES.get(unit or "m", 1.0)
-    size = np.ptp(points.positions, axis=0)
-    return is_projected(points, unit, crs) and bool(min(size[:2]) > wide and size[2] < max(size))
+    wide, size = _WIDE / METRES.get(unit or "m", 1.0), high - low
+    is_wide = bool(min(size[:2]) > wide and size[2] < max(size))
+    may_be = _has_evidence(points) or (is_wide and is_projected(points, unit, crs))
+    return may_be and _is_even(points.positions)
 
 
 def is_projected(points: PointCloud, unit: str | None = None, crs: str | None = None) -> bool:
@@ -55,12 +56,14 @@ def is_projected(points: PointCloud, unit: str | None = None, crs: str | None = 
     if unit == "degree" or not len(points):
         return False
     metres = METRES.get(unit or "m", 1.0)
-    if np.abs(points.positions).max() > _FARTHEST:
+    corners = bound_points(points.positions)
+    if max(*-corners[0], *corners[1]) > _FARTHEST:
         return False
-    low = metres * np.abs(points.positions + points.origin).min(axis=0)
-    size = metres * np.ptp(points.positions, axis=0).max()
+    columns = zip(points.positions.T, points.origin, strict=True)
+    low = [metres * np.abs(column + start).min() for column, start in columns]
     if low[2] > _HIGHEST:
         return False
+    size = metres * (corners[1] - corners[0]).max()
     is_map = low[0] > _EAST and low[1] > _NORTH and size < _NEAR * low[1]
     return crs is not None or bool(is_map)
 
@@ -78,7 +81,8 @@ def _has_evidence(points: PointCloud) -> bool:
 def _is_even(positions: FloatArray) -> bool:
     """Tell whether few points are crowded as seen from above."""
     plan = positions[:, :2]
-    low, size = plan.min(axis=0), np.ptp(plan, axis=0)
+    low, high = bound_points(plan)
+    size = high - low
     if not size.all():
         return False
     # Columns and rows of about square cells over the box.

@@ -144,7 +144,7 @@ class _Parts:
     shared : Checkpoint or None
         Where workers see both the parts and the points; None where tasks run here.
     threads : int
-        Of this process.
+        Of a task.
     """
 
     surface: Surface
@@ -252,7 +252,7 @@ def close_surface(
         return surface, Closure(False, "closed, as asked")
     if not all(isinstance(part, str) for part in surface.parts):
         shared = None  # a cloud that is one tile is made into a mesh here
-    parts = _Parts(surface, cloud, plan, workforce, shared, threads)
+    parts = _Parts(surface, cloud, plan, workforce, shared, threads if shared is None else 1)
     scale = cloud.measured.scale
     usual = SupportRule(max(_NOISES * plan.noise, _STEPS * plan.step), _SPACINGS, scale)
     closure = Closure(True, "open, as asked") if asked.is_asked else _decide(parts, usual)
@@ -302,7 +302,8 @@ def _judge_support(parts: _Parts, rule: SupportRule) -> tuple[float, Callable[[]
     one_in = max(1, len(parts.surface.plan.bricks.keys) // _JUDGED_BRICKS)
 
     def batch(index: int) -> tuple[Any, ...]:
-        return parts.part(index), parts.taken(index), parts.near(index, rule.reach), rule, one_in
+        near = parts.near(index, rule.reach)
+        return parts.part(index), parts.taken(index), near, rule, one_in, parts.threads
 
     found = [judged for _, judged in parts.run(judge_support, batch)]
     bare, whole, places = zip(*found, strict=True)
@@ -341,12 +342,11 @@ def _survey_parts(
     """Find out part by part where the border is, and what it has at the seams."""
     surface = parts.surface
     places = place_foreign(surface.plan)
-    threads = 1 if parts.shared is not None else parts.threads
 
     def batch(index: int) -> tuple[Any, ...]:
         rim, near = surface.summaries[index].rim, parts.near(index, rule.reach)
         given = parts.part(index), parts.taken(index), places[index], rim, near, rule
-        return *given, threads
+        return *given, parts.threads
 
     return parts.run(survey_support, batch)
 

@@ -52,7 +52,9 @@ def open_surface(taken: TakenBricks, keep: tuple[str, str] | None) -> Declared:
     return part_surface(bricks, Bounds().of(Exits, {"exits": 0}), taken.box, most, keep)
 
 
-def judged_support(_part: Any, taken: TakenBricks, _near: Any, _rule: Any, one_in: int) -> Declared:
+def judged_support(
+    _part: Any, taken: TakenBricks, _near: Any, _rule: Any, one_in: int, *_: Any
+) -> Declared:
     """Return the pattern of what `tasks.judge_support` counts."""
     whole = int(taken.areas(one_in).sum())
     places = Bounds(

@@ -71,7 +71,7 @@ class Near:
 
 @declare(result=judged_support, limit=lambda _part, taken, *_: judged_bytes(taken))
 def judge_support(
-    part: Part, taken: TakenBricks, near: Near, rule: SupportRule, one_in: int
+    part: Part, taken: TakenBricks, near: Near, rule: SupportRule, one_in: int, threads: int = 1
 ) -> tuple[int, int, BarePlaces]:
     """Tell how much of a part no point supports, by a vertex of some of its bricks (a task).
 
@@ -84,6 +84,8 @@ def judge_support(
     rule : SupportRule
     one_in : int
         So many bricks make one that is looked at.
+    threads : int
+        The result does not depend on it.
 
     Returns
     -------
@@ -96,7 +98,7 @@ def judge_support(
     areas[taken.mark(held)] = taken.areas(one_in)
     first = starts_of(held.vertex_counts)[:-1][areas > 0]
     places = held.vertices[first]
-    bare = find_bare(places, near.read(), rule)
+    bare = find_bare(places, near.read(), rule, threads)
     return int(areas[areas > 0][bare].sum()), int(areas.sum()), places[bare]
 
 

@@ -21,12 +21,12 @@ from hpcapp.applications.surface.cleaning import tasks as tasks
 from hpcapp.applications.surface.cleaning.outlier_regions import DroppedCells
 from hpcapp.applications.surface.cleaning.strays import MARGIN, ROUNDS
 from hpcapp.applications.surface.cloud.cloud_pass import CloudPass, PassT
-from hpcapp.applications.surface.cloud.measure import measure_scale, measure_spacing
+from hpcapp.applications.surface.cloud.measure import measure_lines, measure_scale, measure_spacing
 from hpcapp.applications.surface.cloud.surface_check import check_surface
 from hpcapp.applications.surface.normals import consistency
 from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.applications.surface.scale.scan_lines import keep_lines
-from hpcapp.geometry.lattice import lay_lattice, unique_keys
+from hpcapp.geometry.lattice import lay_lattice
 from hpccomponent.dataclass import dataclass
 
 _MANY = 0.001  # of the points are strays: only then they have vouched for others
@@ -117,7 +117,7 @@ def clean(
     if drops:
         cloud_pass, cleaned, scale = thin_lines(cloud_pass)
     elif in_cells:
-        scale, _ = measure_scale(cloud_pass)
+        scale = measure_scale(cloud_pass)
     else:
         scale = LocalScale.uniform(measure_spacing(cloud_pass))
     if not has_normals and (problem := check_surface(cloud_pass, scale.spacing)) is not None:
@@ -133,13 +133,13 @@ def thin_lines(cloud_pass: PassT) -> tuple[PassT, Cleaned, LocalScale]:
 
     What is returned is as of `clean`.
     """
-    scale, boxes = measure_scale(cloud_pass)
+    scale, boxes = measure_lines(cloud_pass)
     if len(boxes.keys):
         boxes = keep_lines(boxes, cloud_pass.each(tasks.count_lines, boxes))
     if not len(boxes.keys):
         return cloud_pass, Cleaned(), scale
     cloud_pass, counts = cloud_pass.rewrite(tasks.thin_lines, boxes)
-    scale, _ = measure_scale(cloud_pass)
+    scale = measure_scale(cloud_pass)
     gap, step = float(np.median(boxes.gaps)), float(np.median(boxes.steps))
     spared = sum(count for (count,) in counts)
     return cloud_pass, Cleaned(spared=spared, line_gap=gap, line_step=step), scale
@@ -168,7 +168,7 @@ def drop_strays(cloud_pass: PassT, scale: LocalScale) -> tuple[PassT, Cleaned, L
         if (cells := _find_outliers(cloud_pass, spacing)) is not None:
             cloud_pass, counts = cloud_pass.rewrite(tasks.drop_cells, cells)
             far = sum(count for (count,) in counts)
-        given = cloud_pass.cloud.low, scale
+        given = cloud_pass.cloud.low, scale, cloud_pass.threads
         cloud_pass, counts = cloud_pass.rewrite(tasks.drop_strays, *given, margin=margin)
         near = sum(count for (count,) in counts)
         outliers, strays = outliers + far, strays + near
@@ -176,7 +176,7 @@ def drop_strays(cloud_pass: PassT, scale: LocalScale) -> tuple[PassT, Cleaned, L
             break
     cloud_pass, lone = _drop_lone_lines(cloud_pass, spacing)
     if outliers + strays + lone:
-        scale, _ = measure_scale(cloud_pass)
+        scale = measure_scale(cloud_pass)
     return cloud_pass, Cleaned(outliers, strays, lone_lines=lone), scale
 
 
@@ -204,8 +204,8 @@ def mend_normals(cloud_pass: PassT, spacing: float) -> tuple[PassT, int]:
         Of its points, in length units of the input.
     """
     margin = consistency.MARGIN * spacing
-    corner = lay_lattice(cloud_pass.cloud.low, spacing)
-    cloud_pass, counts = cloud_pass.rewrite(tasks.mend_region, corner, spacing, margin=margin)
+    given = lay_lattice(cloud_pass.cloud.low, spacing), spacing, cloud_pass.threads
+    cloud_pass, counts = cloud_pass.rewrite(tasks.mend_region, *given, margin=margin)
     return cloud_pass, sum(count for (count,) in counts)
 
 
@@ -215,11 +215,6 @@ def _find_outliers(cloud_pass: CloudPass, spacing: float) -> DroppedCells | None
     margin = outlier_regions.MARGIN * spacing
     ranks = cloud_pass.each(tasks.rank_region, low, spacing, margin=margin)
     judged = outlier_regions.judge_sparse(ranks)
-    strays = [judged.stray_cells]
-    # Regions judge the ranks above the base that they know all about; mostly there are none.
-    if any(region.by_rank[judged.base + 1 : -1].any() for region in ranks):
-        strays += cloud_pass.each(tasks.judge_region, low, spacing, judged.base, margin=margin)
-    cells = unique_keys(np.concatenate(strays))
-    if not (len(cells) or len(judged.island_cells)):
+    if not (len(judged.stray_cells) or len(judged.island_cells)):
         return None
-    return DroppedCells(low, spacing, cells, judged.island_cells)
+    return DroppedCells(low, spacing, judged.stray_cells, judged.island_cells)

@@ -13,6 +13,7 @@ surface have been thinned before (see `scan_lines`), and are none any more.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.scale.scan_lines import measure_spread
@@ -81,20 +82,25 @@ class _Lines:
     def __init__(self, positions: FloatArray, low: FloatArray, spacing: float) -> None:
         self._positions, self._low, self._spacing = positions, low, spacing
         self._edge = max(_BOXES) * spacing
-        self._cells = kernels.sort_points(positions, lay_lattice(low, self._edge), self._edge)
+        self._cells = self._sort(max(_BOXES))
 
     def may_be(self) -> BoolArray:
         """Tell which points lie along a line with the others of their box, of whatever size."""
         found = np.zeros(len(self._positions), np.bool_)
         for size in _BOXES:
-            edge = size * self._spacing
-            corner = lay_lattice(self._low, edge)
-            _, offsets, rows = kernels.sort_points(self._positions, corner, edge)
+            _, offsets, rows = self._cells if size == max(_BOXES) else self._sort(size)
             counts = np.diff(offsets)
+            tells = counts >= _FEWEST
+            rows, counts = rows[np.repeat(tells, counts)], counts[tells]
             box = np.repeat(np.arange(len(counts)), counts)
             minors, traces = measure_spread(self._positions[rows], box)
-            found[rows] |= ((minors <= _THIN * traces) & (counts >= _FEWEST))[box]
+            found[rows[np.repeat(minors <= _THIN * traces, counts)]] = True
         return found
+
+    def _sort(self, size: float) -> tuple[IntArray, IntArray, NDArray[np.uint32]]:
+        """Sort the points into boxes of so many spacings."""
+        edge = size * self._spacing
+        return kernels.sort_points(self._positions, lay_lattice(self._low, edge), edge)
 
     def look(self, rows: IntArray) -> tuple[BoolArray, FloatArray, IntArray]:
         """Tell whether points lie along a line, and how far and who the first neighbours are.

@@ -2,10 +2,9 @@
 
 ::
 
-    region + margin ── rank_region ──> points by rank, coarse cells, sparse cells ──┐
-         │                                                     all of these ── judge_sparse
-         │                                                           │ base, stray cells
-    region + margin ── judge_region ──> stray cells <────────────────┘
+    region + margin ── rank_region ──> points by rank, coarse cells, sparse cells,
+                                       cells that are stray if a base is right
+                              all of these ── judge_sparse ──> base, stray cells
 
 What decides over a point of rank `LOCAL_RANK` or less lies within `MARGIN` spacings of it, so
 that a region knows it; cells of higher ranks are few, and the master judges them with all coarse
@@ -36,6 +35,7 @@ from hpcapp.geometry.lattice import (
     merge_counts,
     number_keys,
     pack_places,
+    unique_keys,
     unpack_keys,
 )
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
@@ -64,6 +64,10 @@ class RegionRanks:
     sparse_ranks: Annotated[IntArray, Column("s", low=LOCAL_RANK, high=LOCAL_RANK + 1)]
     sparse_counts: Annotated[IntArray, Column("s", low=1)]
     """Points in each."""
+    stray_keys: Annotated[IntArray, Column("t", rises=True)]
+    """Finest cells of rank `LOCAL_RANK` or less that some base makes strays."""
+    stray_bases: Annotated[IntArray, Column("t", low=1, high=(1 << LOCAL_RANK) - 1)]
+    """Which ones do: bit b is that of base b."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +79,7 @@ class Judgement:
     base : int
         The rank of most points.
     stray_cells : ndarray of int64, shape (s,)
-        Sorted keys of the finest cells that it judged to be stray.
+        Sorted keys of the finest cells that are stray.
     island_cells : ndarray of int64, shape (i,)
         Sorted keys of the cells of `ISLAND_LEVEL` on islands.
     """
@@ -131,7 +135,9 @@ def rank_region(
     spacing : float
         Of the cloud, in length units of the input.
     """
-    levels, rank, cell_of = _rank(positions, low, spacing)
+    keys, held_by, cell_of = kernels.count_cells(positions, low, EDGE * spacing)
+    levels = coarsen(keys, held_by, LOCAL_RANK + 1)
+    rank = rank_cells(levels, np.zeros(len(keys), np.int64))
     counts = np.bincount(cell_of[own], minlength=len(rank)).astype(np.int64)
     by_rank = np.bincount(rank, counts, LOCAL_RANK + 2).astype(np.int64)
     level = levels[ISLAND_LEVEL]
@@ -139,13 +145,20 @@ def rank_region(
     # Of that rank, too: they vouch for those of the next one, which the master judges.
     some = np.flatnonzero((rank >= LOCAL_RANK) & (counts > 0))
     held = coarse > 0
-    keys = levels[0].keys[some]
-    ranks = rank[some], counts[some]
-    return RegionRanks(by_rank, level.keys[held], coarse[held], keys, *ranks)
+    sparse = keys[some], rank[some], counts[some]
+    # (f,): what is stray of low ranks, by each base that may be that of the cloud.
+    bases = np.zeros(len(keys), np.int64)
+    for base in range(LOCAL_RANK):
+        stray = find_strays(levels, rank, base, range(base + 1, LOCAL_RANK + 1)) & (counts > 0)
+        bases |= stray.astype(np.int64) << base
+    strays = np.flatnonzero(bases)
+    return RegionRanks(
+        by_rank, level.keys[held], coarse[held], *sparse, keys[strays], bases[strays]
+    )
 
 
 def judge_sparse(regions: list[RegionRanks]) -> Judgement:
-    """Judge the cells of high ranks, and the islands.
+    """Judge the cells of high ranks, and the islands, and tell the strays of low ones.
 
     Parameters
     ----------
@@ -176,39 +189,8 @@ def judge_sparse(regions: list[RegionRanks]) -> Judgement:
         base = find_base(by_rank)
         numbers = range(max(base, LOCAL_RANK) + 1, len(levels))
         stray = find_strays(levels, rank, base, numbers)
-    return Judgement(base, keys[stray], coarse[0][island])
-
-
-def judge_region(
-    positions: FloatArray, own: BoolArray, low: FloatArray, spacing: float, base: int
-) -> IntArray:
-    """Find the stray cells of low ranks in a region.
-
-    Parameters
-    ----------
-    positions, own, low, spacing
-        As for `rank_region`.
-    base : int
-        The rank of most points of the cloud.
-
-    Returns
-    -------
-    ndarray of int64, shape (s,)
-        Sorted keys of finest cells, with own points in them.
-    """
-    levels, rank, cell_of = _rank(positions, low, spacing)
-    stray = find_strays(levels, rank, base, range(base + 1, LOCAL_RANK + 1))
-    stray &= np.bincount(cell_of[own], minlength=len(rank)) > 0
-    return levels[0].keys[stray]
-
-
-def _rank(
-    positions: FloatArray, low: FloatArray, spacing: float
-) -> tuple[list[Level], IntArray, IntArray]:
-    """Return the levels of a region, the ranks of its finest cells, and each point's cell."""
-    keys, counts, cell_of = kernels.count_cells(positions, low, EDGE * spacing)
-    levels = coarsen(keys, counts, LOCAL_RANK + 1)
-    return levels, rank_cells(levels, np.zeros(len(keys), np.int64)), cell_of
+    low = all_of("stray_keys")[all_of("stray_bases") >> base & 1 > 0]
+    return Judgement(base, unique_keys(np.concatenate([keys[stray], low])), coarse[0][island])
 
 
 def _levels_of(keys: IntArray, counts: IntArray, coarse: list[Level]) -> list[Level]:

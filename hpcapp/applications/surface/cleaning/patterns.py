@@ -12,7 +12,7 @@ from hpcapp.applications.surface.cloud.patterns import AssignedPoints
 from hpcapp.applications.surface.cloud.regions import StoredBlocks
 from hpcapp.applications.surface.scale.local_scale import HALVINGS
 from hpcapp.applications.surface.scale.scan_lines import LineCounts
-from hpcapp.applications.surface.types.result_patterns import UNIT, CellKeys, are_units
+from hpcapp.applications.surface.types.result_patterns import UNIT, are_units
 from hpcapp.geometry.points import FloatArray
 from hpccomponent.protocol.columns import Bounds, pattern_of
 from hpccomponent.protocol.declared import Declared, Either, Fixed, Nothing, Where, Whole
@@ -47,7 +47,8 @@ def ranked_region(points: StoredBlocks, low: FloatArray, spacing: float) -> Decl
 
     def agrees(found: RegionRanks) -> bool:
         sparse = np.bincount(found.sparse_ranks, found.sparse_counts, LOCAL_RANK + 2)
-        return np.array_equal(sparse[LOCAL_RANK:], found.by_rank[LOCAL_RANK:])
+        is_whole = np.array_equal(sparse[LOCAL_RANK:], found.by_rank[LOCAL_RANK:])
+        return is_whole and len(found.stray_keys) <= own.points
 
     ranks = pattern_of(
         RegionRanks,
@@ -56,17 +57,10 @@ def ranked_region(points: StoredBlocks, low: FloatArray, spacing: float) -> Decl
         coarse_counts=Bounds(total=own.total),
         sparse_keys=own.cells(low, size),
         sparse_counts=Bounds(total=(0, own.points)),
+        stray_keys=own.cells(low, size),
     )
-    return Where(ranks, agrees, "sparse cells have the points of high ranks")
-
-
-def stray_cells(points: StoredBlocks, low: FloatArray, spacing: float, _base: int) -> Declared:
-    """Return the pattern of what `tasks.judge_region` finds."""
-    own = AssignedPoints.of(points)
     return Where(
-        own.cells(low, EDGE * spacing).of(CellKeys),
-        lambda cells: len(cells) <= own.points,
-        "each cell holds a point",
+        ranks, agrees, "sparse cells have the points of high ranks, each stray one a point"
     )
 
 

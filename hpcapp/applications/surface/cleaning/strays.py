@@ -18,7 +18,7 @@ import numpy as np
 
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.scale.local_scale import LocalScale
-from hpcapp.geometry.lattice import lay_lattice, unique_keys, unpack_keys
+from hpcapp.geometry.lattice import lay_lattice, unpack_keys
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 
 _COUNTS = (8, 24)  # neighbours; on a surface the last of them lie 1.6 and 2.8 spacings away
@@ -37,7 +37,7 @@ ROUNDS = 2
 
 
 def find_strays(
-    positions: FloatArray, own: BoolArray, low: FloatArray, scale: LocalScale
+    positions: FloatArray, own: BoolArray, low: FloatArray, scale: LocalScale, threads: int = 1
 ) -> BoolArray:
     """Tell which points of a region are strays.
 
@@ -51,6 +51,8 @@ def find_strays(
         The least coordinates of the cloud.
     scale : LocalScale
         Of the cloud.
+    threads : int
+        The result does not depend on it.
 
     Returns
     -------
@@ -63,21 +65,26 @@ def find_strays(
     # A dense place has its own spacing. A sparse one has not: strays are sparse.
     centres = corner + edge * (unpack_keys(cells[0]) + 0.5)
     radii = _CROWDED * np.minimum(scale.at(centres), scale.spacing)
-    is_candidate = kernels.find_sparse(positions, *cells, radii, _COUNTS[-1])
+    is_candidate = kernels.find_sparse(positions, *cells, radii, _COUNTS[-1], threads)
     candidates = np.flatnonzero(is_candidate & own)
     limit = _LIMIT * scale.spacing
 
     def search(rows: IntArray) -> tuple[FloatArray, IntArray]:
         """Return the squares of how far the last neighbours of each count are, and who all are."""
-        squares, nearest = kernels.find_nearest(positions, *cells, edge, rows, _COUNTS[-1], limit)
+        squares, nearest = kernels.find_nearest(
+            positions, *cells, edge, rows, _COUNTS[-1], limit, threads
+        )
         return np.minimum(squares[:, np.array(_COUNTS) - 1], limit * limit), nearest
 
     reach, nearest = search(candidates)
-    neighbours = unique_keys(nearest.ravel())
-    neighbours = neighbours[neighbours < len(positions)]
     # (n + 1, k): of each neighbour; infinite where a point has none
     reaches = np.full((len(positions) + 1, len(_COUNTS)), np.inf)
-    reaches[neighbours] = search(neighbours)[0]
+    reaches[candidates] = reach
+    is_asked = np.zeros(len(reaches), np.bool_)
+    is_asked[nearest] = True
+    is_asked[candidates] = is_asked[-1] = False  # those are known, that is none
+    others = np.flatnonzero(is_asked)
+    reaches[others] = search(others)[0]
     strays = np.zeros(len(positions), np.bool_)
     for column, (count, sparser) in enumerate(zip(_COUNTS, _SPARSER, strict=True)):
         # (m, count): how sparse it is around each neighbour, in squares; missing ones are last.

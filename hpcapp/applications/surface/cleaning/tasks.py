@@ -4,7 +4,7 @@
 
     region ── drop_repeated ──> without repeated points
     region ── count_lines ──> master ── thin_lines ──> without points that scan lines can spare
-    region ── rank_region ──> master ── judge_region ──> stray cells ── drop_cells ──> without them
+    region ── rank_region ──> master ── stray cells ── drop_cells ──> without them
     region ── drop_strays ──> without points that lie apart from their neighbours
     region ── drop_lone_lines ──> without points along wires
     region ── mend_region ──> inconsistent normals flipped
@@ -21,7 +21,6 @@ from hpcapp.applications.surface.cleaning.patterns import (
     counted_lines,
     mended_region,
     ranked_region,
-    stray_cells,
     without_points,
 )
 from hpcapp.applications.surface.cleaning.repeated import find_repeated
@@ -36,7 +35,6 @@ from hpcapp.applications.surface.scale.scan_lines import (
     count_narrow,
     find_spare,
 )
-from hpcapp.applications.surface.types.result_patterns import CellKeys
 from hpcapp.geometry.points import FloatArray
 from hpccomponent.runtime.tasks import declare
 
@@ -63,7 +61,7 @@ def thin_lines(points: RegionPoints, boxes: GapBoxes) -> tuple[Replaced | None, 
     return region.drop(spare), int(np.count_nonzero(spare))
 
 
-@declare(result=ranked_region, limit=region_bytes(56))
+@declare(result=ranked_region, limit=region_bytes(72))
 def rank_region(points: RegionPoints, low: FloatArray, spacing: float) -> RegionRanks:
     """Rank the points of a region (a task).
 
@@ -78,21 +76,6 @@ def rank_region(points: RegionPoints, low: FloatArray, spacing: float) -> Region
     return outliers.rank_region(region.positions, region.own, low, spacing)
 
 
-@declare(result=stray_cells, limit=region_bytes(8))
-def judge_region(points: RegionPoints, low: FloatArray, spacing: float, base: int) -> CellKeys:
-    """Find the stray cells of low ranks in a region (a task).
-
-    Parameters
-    ----------
-    points : RegionPoints
-        With a margin of `outlier_regions.MARGIN` spacings.
-    low, spacing, base
-        As for `outlier_regions.judge_region`, whose result this is.
-    """
-    region = points.take()
-    return outliers.judge_region(region.positions, region.own, low, spacing, base)
-
-
 @declare(result=without_points, limit=region_bytes(16))
 def drop_cells(points: RegionPoints, cells: DroppedCells) -> tuple[Replaced | None, int]:
     """Drop the points in some cells (a task); return how many, too."""
@@ -103,7 +86,7 @@ def drop_cells(points: RegionPoints, cells: DroppedCells) -> tuple[Replaced | No
 
 @declare(result=without_points, limit=region_bytes(40))
 def drop_strays(
-    points: RegionPoints, low: FloatArray, scale: LocalScale
+    points: RegionPoints, low: FloatArray, scale: LocalScale, threads: int
 ) -> tuple[Replaced | None, int]:
     """Drop the strays of a region (a task); return how many, too.
 
@@ -111,11 +94,11 @@ def drop_strays(
     ----------
     points : RegionPoints
         With a margin of `strays.MARGIN` spacings.
-    low, scale
+    low, scale, threads
         As for `find_strays`.
     """
     region = points.take()
-    dropped = find_strays(region.positions, region.own, low, scale)
+    dropped = find_strays(region.positions, region.own, low, scale, threads)
     return region.drop(dropped), int(np.count_nonzero(dropped))
 
 
@@ -139,7 +122,7 @@ def drop_lone_lines(
 
 @declare(result=mended_region, limit=region_bytes(40))
 def mend_region(
-    points: RegionPoints, low: FloatArray, spacing: float
+    points: RegionPoints, low: FloatArray, spacing: float, threads: int
 ) -> tuple[Replaced | None, int]:
     """Turn round the inconsistent normals of a region (a task); return how many, too.
 
@@ -147,9 +130,10 @@ def mend_region(
     ----------
     points : RegionPoints
         With a margin of `consistency.MARGIN` spacings.
-    low, spacing
+    low, spacing, threads
         As for `consistency.find_flipped`.
     """
     region = points.take()
-    is_flipped = find_flipped(region.positions, region.normals, low, spacing)[region.own]
+    flipped = find_flipped(region.positions, region.normals, low, spacing, threads)
+    is_flipped = flipped[region.own]
     return region.flip(is_flipped), int(np.count_nonzero(is_flipped))

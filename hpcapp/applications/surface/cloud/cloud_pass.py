@@ -40,6 +40,10 @@ class CloudPass(Protocol):
     def cloud(self) -> ArrangedCloud:
         """The points."""
 
+    @property
+    def threads(self) -> int:
+        """Of each task."""
+
     def each(self, task: Callable[..., Result], *given: Any, margin: float = 0.0) -> list[Result]:
         """Run a task for each region.
 
@@ -98,6 +102,7 @@ class MemoryPass:
     """The pass through a cloud in memory."""
 
     cloud: MemoryCloud
+    threads: int = 1
 
     def each(self, task: Callable[..., Result], *given: Any, margin: float = 0.0) -> list[Result]:
         """See `CloudPass`."""
@@ -124,7 +129,7 @@ class MemoryPass:
 
     def note(self, measured: Measured) -> MemoryPass:
         """See `CloudPass`."""
-        return MemoryPass(replace(self.cloud, noted=measured))
+        return replace(self, cloud=replace(self.cloud, noted=measured))
 
     def _cut(self, margin: float) -> Iterator[MemoryRegion]:
         """Yield the regions: all points at once where they are few, or no margin is asked for."""
@@ -157,7 +162,7 @@ class MemoryPass:
         cloud = replace(self.cloud, points=replace(points, attributes=attributes))
         if kept:
             cloud = cloud.select(_place(kept, np.ones(count, np.bool_)))
-        return MemoryPass(cloud)
+        return replace(self, cloud=cloud)
 
 
 def _place(columns: list[tuple[Rows, NDArray[Any]]], others: NDArray[Any] | None) -> NDArray[Any]:

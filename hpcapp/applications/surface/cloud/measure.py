@@ -22,6 +22,7 @@ from hpcapp.applications.surface.cloud.tasks import (
 from hpcapp.applications.surface.scale.local_scale import (
     HALVINGS,
     LocalScale,
+    ScaleCounts,
     count_depth,
     make_scale,
 )
@@ -54,20 +55,32 @@ def measure_spacing(cloud_pass: CloudPass) -> float:
     return search_spacing(count, len(cloud), cloud.low, cloud.high)
 
 
-def measure_scale(cloud_pass: CloudPass) -> tuple[LocalScale, GapBoxes]:
-    """Find how the spacing of an arranged cloud changes from place to place, and where lines are.
+def measure_scale(cloud_pass: CloudPass) -> LocalScale:
+    """Find how the spacing of an arranged cloud changes from place to place.
 
     Raises
     ------
     InputError
         All points are the same.
     """
+    spacing, edge, _, counted = _count_scale(cloud_pass)
+    return make_scale(spacing, cloud_pass.cloud.arrangement.origin, edge, counted)
+
+
+def measure_lines(cloud_pass: CloudPass) -> tuple[LocalScale, GapBoxes]:
+    """Find what `measure_scale` does, and where scan lines are."""
+    spacing, edge, depth, counted = _count_scale(cloud_pass)
+    origin = cloud_pass.cloud.arrangement.origin
+    return make_scale(spacing, origin, edge, counted), find_gaps(origin, edge, depth, counted)
+
+
+def _count_scale(cloud_pass: CloudPass) -> tuple[float, float, int, list[ScaleCounts]]:
+    """Return the spacing, edge and halvings of the finest cells, and what is counted in them."""
     spacing, lattice = measure_spacing(cloud_pass), cloud_pass.cloud.arrangement
     edge = lattice.edge * 2.0**-HALVINGS
     depth = count_depth(edge, spacing)
     counted = cloud_pass.each(count_region_scale, lattice.origin, edge, depth)
-    scale = make_scale(spacing, lattice.origin, edge, counted)
-    return scale, find_gaps(lattice.origin, edge, depth, counted)
+    return spacing, edge, depth, counted
 
 
 def find_scale(positions: FloatArray) -> LocalScale:
@@ -83,7 +96,7 @@ def find_scale(positions: FloatArray) -> LocalScale:
     InputError
         All points are the same.
     """
-    return measure_scale(MemoryPass(arrange_cloud(PointCloud(positions))))[0]
+    return measure_scale(MemoryPass(arrange_cloud(PointCloud(positions))))
 
 
 def measure_cloud(cloud_pass: PassT, scale: LocalScale) -> PassT:
@@ -108,7 +121,7 @@ def measure_points(points: PointCloud) -> MemoryCloud:
         All points are the same.
     """
     cloud_pass = MemoryPass(arrange_cloud(points))
-    return measure_cloud(cloud_pass, measure_scale(cloud_pass)[0]).cloud
+    return measure_cloud(cloud_pass, measure_scale(cloud_pass)).cloud
 
 
 def replace_points(cloud: ArrangedCloud, points: PointCloud) -> MemoryCloud:

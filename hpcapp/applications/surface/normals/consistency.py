@@ -49,7 +49,11 @@ MARGIN = _EDGE * (2.0**_ROUNDS - 1.0)
 
 
 def find_flipped(
-    positions: FloatArray, normals: FloatArray | Float32Array, low: FloatArray, spacing: float
+    positions: FloatArray,
+    normals: FloatArray | Float32Array,
+    low: FloatArray,
+    spacing: float,
+    threads: int = 1,
 ) -> BoolArray:
     """Find the normals that their neighbours on the same sheet contradict.
 
@@ -63,6 +67,8 @@ def find_flipped(
         The least coordinates of the cloud.
     spacing : float
         Of the cloud, in length units of the input.
+    threads : int
+        The result does not depend on it.
 
     Returns
     -------
@@ -95,7 +101,7 @@ def find_flipped(
         reach, tolerance = _EDGE * scale, _TOLERANCE * scale
         keys, _, cell_of = kernels.count_cells(positions, low, reach)
         verdicts = kernels.poll_normals(
-            positions, mended, keys, cell_of, asked, reach, tolerance, drift, 1
+            positions, mended, keys, cell_of, asked, reach, tolerance, drift, threads
         )
         wrong = verdicts == WRONG
         if wrong.any():
@@ -178,7 +184,8 @@ def weigh_torn(
     if len(positions) < _FEWEST_JUDGED:
         return Torn(0.0)
     # (n, 4): a place at unit distance is (q, 1), a direction (q, 0)
-    size = max(float(np.ptp(positions, axis=0).max()), 1e-300)
+    corners = bound_points(positions)
+    size = max(float((corners[1] - corners[0]).max()), 1e-300)
     local = (positions - positions.mean(axis=0)) / size
     planes = np.column_stack([normals, -np.einsum("ij,ij->i", normals, local)])
     # (4,): so few numbers that a sample of the planes determines them.
@@ -208,7 +215,7 @@ def _find_place(planes: FloatArray) -> FloatArray:
     share, place = float(shares.max()), planes.mean(axis=0)
     for step in range(_STEPS):
         is_wrong = planes @ place <= 0.0
-        right = 1.0 - float(np.mean(is_wrong))
+        right = 1.0 - np.count_nonzero(is_wrong) / len(planes)
         if right > share:
             best, share = place, right
         if share == 1.0 or (step == _HOPELESS and share < 0.85):

@@ -134,6 +134,8 @@ class LocalScale:
         for steps in (np.zeros((1, 3), np.int64), NEIGHBOURS):  # their own cells first
             for level in unique_keys(self.levels):
                 pending = np.flatnonzero(spacings == 0.0)
+                if not len(pending):
+                    return spacings
                 keys = pack_places(cells[pending] >> level)
                 for step in steps:
                     found = self._find(level, step_keys(keys, step))
@@ -180,18 +182,7 @@ def count_scale(
     if not len(positions):
         none = np.empty(0, np.int64)
         return ScaleCounts(none, none, np.empty((0, depth + 1), np.int64))
-    boxes, offsets, _ = kernels.sort_points(positions, origin, cell_edge * 2.0**-depth)
-    # (b,): the finest cell that each of the smallest boxes lies in.
-    ancestors = ancestor_keys(boxes, depth)
-    keys = unique_keys(ancestors)
-    cell = kernels.find_keys(keys, ancestors)
-    points = np.bincount(cell, np.diff(offsets), len(keys)).astype(np.int64)
-    counts = [np.bincount(cell, minlength=len(keys))]
-    for left in range(depth - 1, -1, -1):  # boxes of twice the edge, up to the cells themselves
-        boxes = unique_keys(ancestor_keys(boxes))
-        cell = kernels.find_keys(keys, ancestor_keys(boxes, left))
-        counts.append(np.bincount(cell, minlength=len(keys)))
-    return ScaleCounts(keys, points, np.stack(counts[::-1], axis=1))
+    return ScaleCounts(*kernels.count_halved(positions, origin, cell_edge, depth))
 
 
 def make_scale(

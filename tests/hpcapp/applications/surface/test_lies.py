@@ -35,7 +35,6 @@ BELIEVED: dict[str, set[str]] = {
     "zero": set(),
     "plus one": {
         "bound_range",  # how many points are near
-        "judge_region",  # the cells beside those that are stray
         "sum_tile",  # how many finest cells a tile has, which is only reported
     },
     "times 1.001": {

@@ -11,6 +11,7 @@ from hpcapp.applications.surface.kernels.portable.around.normals import *
 from hpcapp.applications.surface.kernels.portable.around.planes import *
 from hpcapp.applications.surface.kernels.portable.around.sheets import *
 from hpcapp.applications.surface.kernels.portable.around.sparse import *
+from hpcapp.applications.surface.kernels.portable.around.supporting import *
 from hpcapp.applications.surface.kernels.portable.field.coarse_grid import *
 from hpcapp.applications.surface.kernels.portable.field.features import *
 from hpcapp.applications.surface.kernels.portable.field.field import *

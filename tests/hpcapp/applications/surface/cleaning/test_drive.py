@@ -25,9 +25,9 @@ from hpcapp.lab.simulate.settings import ScanSettings
 from hpcapp.lab.simulate.shapes import SHAPES
 
 
-def clean(points: PointCloud) -> tuple[PointCloud, Cleaned]:
-    arranged = MemoryPass(arrange_cloud(points))
-    kept, cleaned, scale = drop_strays(arranged, measure_scale(arranged)[0])
+def clean(points: PointCloud, threads: int = 1) -> tuple[PointCloud, Cleaned]:
+    arranged = MemoryPass(arrange_cloud(points), threads)
+    kept, cleaned, scale = drop_strays(arranged, measure_scale(arranged))
     kept, flipped = mend_normals(kept, scale.spacing)
     return kept.cloud.points, replace(cleaned, flipped=flipped)
 
@@ -64,6 +64,19 @@ def test_flipped_normals_are_turned_round(name: str) -> None:
     assert cleaned.outliers == 0
     assert 0.97 * 1000 <= cleaned.flipped <= 1000
     assert (facing < 0.0).sum() == 1000 - cleaned.flipped
+
+
+def test_threads_clean_as_one_does() -> None:
+    settings = ScanSettings(points=8_000, outliers=0.03, noise=0.002, flipped=0.05, normals="exact")
+    cloud = simulate_scan(SHAPES["torus"], settings)
+    (one, found), (three, found_by_three) = clean(cloud), clean(cloud, 3)
+    assert found == found_by_three
+    assert found.flipped
+    assert found.outliers + found.strays
+    assert one.positions.tobytes() == three.positions.tobytes()
+    assert one.normals is not None
+    assert three.normals is not None
+    assert one.normals.tobytes() == three.normals.tobytes()
 
 
 def test_a_marker_for_no_echo_does_not_spoil_the_rest() -> None:

@@ -8,7 +8,6 @@ import pytest
 from hpcapp.applications.surface.cleaning import outlier_regions
 from hpcapp.applications.surface.cleaning.outlier_regions import (
     DroppedCells,
-    judge_region,
     judge_sparse,
     rank_region,
 )
@@ -40,11 +39,8 @@ Region = tuple[FloatArray, BoolArray, FloatArray, float]
 
 def _find_outliers(positions: FloatArray, spacing: float, regions: list[Region]) -> np.ndarray:
     judged = judge_sparse([rank_region(*region) for region in regions])
-    strays = np.concatenate(
-        [judged.stray_cells, *(judge_region(*region, judged.base) for region in regions)]
-    )
     low, _ = bound_points(positions)
-    cells = DroppedCells(low, spacing, np.unique(strays), judged.island_cells)
+    cells = DroppedCells(low, spacing, judged.stray_cells, judged.island_cells)
     return ~cells.find_kept(positions)
 
 

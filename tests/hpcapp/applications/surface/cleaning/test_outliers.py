@@ -7,7 +7,6 @@ import pytest
 
 from hpcapp.applications.surface.cleaning.outlier_regions import (
     DroppedCells,
-    judge_region,
     judge_sparse,
     rank_region,
 )
@@ -40,8 +39,7 @@ def found(points: FloatArray) -> np.ndarray:
     """Judge a cloud as one region."""
     low, spacing, own = points.min(axis=0), estimate_spacing(points), np.ones(len(points), np.bool_)
     judged = judge_sparse([rank_region(points, own, low, spacing)])
-    strays = [judged.stray_cells, judge_region(points, own, low, spacing, judged.base)]
-    cells = DroppedCells(low, spacing, unique_keys(np.concatenate(strays)), judged.island_cells)
+    cells = DroppedCells(low, spacing, judged.stray_cells, judged.island_cells)
     return ~cells.find_kept(points)
 
 

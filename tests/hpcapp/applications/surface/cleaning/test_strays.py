@@ -22,7 +22,7 @@ def random() -> Random:
 def find_dropped(positions: FloatArray) -> BoolArray:
     cloud = PointCloud(positions, attributes={"row": np.arange(len(positions))})
     cloud_pass = MemoryPass(arrange_cloud(cloud))
-    kept, cleaned, _ = drop_strays(cloud_pass, measure_scale(cloud_pass)[0])
+    kept, cleaned, _ = drop_strays(cloud_pass, measure_scale(cloud_pass))
     dropped = np.ones(len(positions), np.bool_)
     dropped[kept.cloud.points.attributes["row"]] = False
     assert dropped.sum() == cleaned.outliers + cleaned.strays

@@ -120,15 +120,15 @@ nb::tuple find_nearest(Doubles positions, Integers cells, Integers offsets, Inpu
     nearest = make_buffer<int64_t>(wanted * count);
     std::fill_n(squares.get(), wanted * count, std::numeric_limits<double>::infinity());
     std::fill_n(nearest.get(), wanted * count, points);
-    Large<int64_t> place(static_cast<size_t>(points)), cell_of(static_cast<size_t>(points));
-    for (int64_t cell = 0; cell < sorted.cells; ++cell)
-      for (int64_t at = sorted.offsets[cell]; at < sorted.offsets[cell + 1]; ++at)
-        place[sorted.rows[at]] = at, cell_of[sorted.rows[at]] = cell;
+    Large<uint32_t> place(static_cast<size_t>(points));
+    for (int64_t at = 0; at < points; ++at) place[sorted.rows[at]] = static_cast<uint32_t>(at);
     run_ranges(wanted, workers, [&](int64_t start, int64_t stop) {
       std::vector<Near> found;
       for (int64_t i = start; i < stop; ++i) {
-        const double* from = &sorted.position[static_cast<size_t>(3 * place[static_cast<size_t>(asked[i])])];
-        const int64_t key = sorted.keys[cell_of[static_cast<size_t>(asked[i])]];
+        const int64_t at = place[static_cast<size_t>(asked[i])];
+        const double* from = &sorted.position[static_cast<size_t>(3 * at)];
+        const int64_t* after = std::upper_bound(sorted.offsets, sorted.offsets + sorted.cells, at);
+        const int64_t key = sorted.keys[after - sorted.offsets - 1];
         for (int64_t rings = 1;; rings = std::min(2 * rings, most)) {
           // All that is no farther than `rings` cells was met, and more at the corners.
           const double reach = std::min(limit, static_cast<double>(rings) * edge);

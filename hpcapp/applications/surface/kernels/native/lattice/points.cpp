@@ -225,6 +225,69 @@ nb::tuple count_cells(Doubles positions, Doubles origin_of, double edge) {
                         give(std::move(cell_of), {static_cast<size_t>(count)}));
 }
 
+// Put two zeros before each of the lowest 21 bits.
+inline uint64_t spread_bits(int64_t value) {
+  uint64_t bits = static_cast<uint64_t>(value) & 0x1FFFFF;
+  bits = (bits | bits << 32) & 0x1F00000000FFFF;
+  bits = (bits | bits << 16) & 0x1F0000FF0000FF;
+  bits = (bits | bits << 8) & 0x100F00F00F00F00F;
+  bits = (bits | bits << 4) & 0x10C30C30C30C30C3;
+  return (bits | bits << 2) & 0x1249249249249249;
+}
+
+nb::tuple count_halved(Doubles positions, Doubles origin_of, double cell_size, int64_t depth) {
+  const double* point = check<double>(positions, "positions", {ANY, 3});
+  const double* origin = check<double>(origin_of, "origin", {3});
+  if (depth < 0 || depth > 20) refuse("depth: expected 0 to 20");
+  const double size = std::ldexp(cell_size, -static_cast<int>(depth));
+  check_positive(size, "cell_size");
+  const int64_t count = rows_of(positions);
+  if (!count || count >= UINT32_MAX) refuse("positions: expected 1 to 2^32 - 1 points");
+  const int bits = 3 * static_cast<int>(depth);
+  const int64_t within = (int64_t{1} << depth) - 1;
+  const size_t width = static_cast<size_t>(depth) + 1;
+  Large<int64_t> cells, counts;
+  Buffer<int64_t> boxes;
+  {
+    nb::gil_scoped_release unlocked;
+    double corners[6];
+    bound(point, count, corners, corners + 3);
+    Place bounds[2];
+    visit_places(corners, 2, origin, size, [&](int64_t i, const Place& place) {
+      for (int axis = 0; axis < 3; ++axis) bounds[i][axis] = place[axis] >> depth;
+    });
+    const Span span(bounds[0], bounds[1]);
+    if (span.bits() + bits > 64) refuse("positions: they lie in too many cells");
+    // By cell, and there by the boxes: what is in a box of any size is one run.
+    Ranking ranked(count, span.bits() + bits);
+    visit_places(point, count, origin, size, [&](int64_t i, const Place& place) {
+      const uint64_t box = spread_bits(place[0] & within) | spread_bits(place[1] & within) << 1 |
+                           spread_bits(place[2] & within) << 2;
+      ranked.add(i, span.squeeze({place[0] >> depth, place[1] >> depth, place[2] >> depth}) << bits | box);
+    });
+    ranked.sort();
+    Large<int64_t> begun;  // (c, depth + 1): boxes that no box of twice the edge begins with
+    for (int64_t i = 0; i < count; ++i) {
+      const uint64_t key = ranked.key(i), differs = i ? key ^ ranked.key(i - 1) : 0;
+      if (!i || differs >> bits) {
+        cells.push_back(pack(span.restore(key >> bits)));
+        counts.push_back(0);
+        begun.resize(begun.size() + width, 0);
+        ++begun[begun.size() - width];
+      } else if (differs) {
+        int64_t level = 0;  // that the boxes of both are halved from
+        while (differs >> 3 * (level + 1)) ++level;
+        ++begun[begun.size() - 1 - static_cast<size_t>(level)];
+      }
+      ++counts.back();
+    }
+    boxes = make_buffer<int64_t>(static_cast<int64_t>(begun.size()));
+    for (size_t i = 0; i < begun.size(); ++i) boxes[i] = begun[i] + (i % width ? boxes[i - 1] : 0);
+  }
+  const size_t rows = cells.size();
+  return nb::make_tuple(give(std::move(cells)), give(std::move(counts)), give(std::move(boxes), {rows, width}));
+}
+
 Output<int64_t> sum_neighbours(Integers cells, Integers values, Integers wanted) {
   const int64_t* keys = check_keys(cells, "cells");
   const int64_t count = rows_of(cells);
@@ -274,6 +337,7 @@ HPC_CLONES void centre_points(double* points, int64_t count, const double* origi
 HPC_KERNELS {
   module.def("count_boxes", &count_boxes, "positions"_a, "low"_a, "edge"_a, "one_in"_a);
   module.def("sample_boxes", &sample_boxes, "positions"_a, "low"_a, "edge"_a, "one_in"_a);
+  module.def("count_halved", &count_halved, "positions"_a, "origin"_a, "cell_size"_a, "depth"_a);
   module.def("sort_points", &sort_points, "positions"_a, "origin"_a, "cell_size"_a);
   module.def("gather_points", &gather_points, "positions"_a, "normals"_a, "rows"_a, "origin"_a, "cell_size"_a);
   module.def("count_cells", &count_cells, "positions"_a, "low"_a, "edge"_a);

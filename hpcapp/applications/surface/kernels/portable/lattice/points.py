@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from hpcapp.geometry.lattice import (
     NEIGHBOURS,
+    ancestor_keys,
     are_sampled,
     cells_of,
     find_keys,
@@ -20,6 +21,7 @@ from hpcapp.geometry.points import FloatArray, IntArray
 __all__ = [
     "count_boxes",
     "count_cells",
+    "count_halved",
     "gather_points",
     "sample_boxes",
     "sort_points",
@@ -116,6 +118,50 @@ def sample_boxes(positions: FloatArray, low: FloatArray, edge: float, one_in: in
     """
     places = np.floor(cells_of(positions, low, edge)).astype(np.int64)
     return np.flatnonzero(are_sampled(pack_places(places), one_in))
+
+
+def count_halved(
+    positions: FloatArray, origin: FloatArray, cell_size: float, depth: int
+) -> tuple[IntArray, IntArray, IntArray]:
+    """Count points in cells, and in each the boxes that hold some as it is halved again and again.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+        In length units of the input; at least one.
+    origin : ndarray of float64, shape (3,)
+        Corner of a cell.
+    cell_size : float
+        In length units of the input.
+    depth : int
+        So often cells are halved: 20 times at most.
+
+    Returns
+    -------
+    cells : ndarray of int64, shape (c,)
+        Sorted keys of the occupied cells.
+    points : ndarray of int64, shape (c,)
+        In each.
+    boxes : ndarray of int64, shape (c, depth + 1)
+        That hold points: of the cell's edge, of half of it, of a quarter and so on.
+
+    Raises
+    ------
+    InputError
+        A point lies too many boxes away.
+    """
+    boxes, offsets, _ = sort_points(positions, origin, cell_size * 2.0**-depth)
+    # (b,): the cell that each of the smallest boxes lies in.
+    ancestors = ancestor_keys(boxes, depth)
+    keys = unique_keys(ancestors)
+    cell = find_keys(keys, ancestors)
+    points = np.bincount(cell, np.diff(offsets), len(keys)).astype(np.int64)
+    counts = [np.bincount(cell, minlength=len(keys))]
+    for left in range(depth - 1, -1, -1):  # boxes of twice the edge, up to the cells themselves
+        boxes = unique_keys(ancestor_keys(boxes))
+        cell = find_keys(keys, ancestor_keys(boxes, left))
+        counts.append(np.bincount(cell, minlength=len(keys)))
+    return keys, points, np.stack(counts[::-1], axis=1)
 
 
 def sort_points(

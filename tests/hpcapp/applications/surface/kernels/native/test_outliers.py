@@ -31,6 +31,16 @@ def test_cells_and_their_neighbours(native: ModuleType, seed: int, count: int, e
     )
 
 
+@given(st.integers(0, 2**32), st.integers(1, 300), st.floats(0.05, 5.0), st.integers(0, 9))
+@settings(deadline=None, max_examples=40)
+def test_halved_cells(native: ModuleType, seed: int, count: int, edge: float, depth: int) -> None:
+    random = np.random.default_rng(seed)
+    positions = np.round(random.normal(size=(count, 3)), random.integers(0, 9))
+    given = positions, random.normal(size=3), edge, depth
+    for one, other in zip(native.count_halved(*given), portable.count_halved(*given), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
 @given(st.integers(0, 2**32), st.integers(1, 400), st.booleans())
 @settings(deadline=None, max_examples=40)
 def test_neighbours(native: ModuleType, seed: int, points: int, is_gridded: bool) -> None:
@@ -92,6 +102,7 @@ def test_contradictory_arguments(native: ModuleType, data: st.DataObject) -> Non
     asked = np.ones(data.draw(st.integers(8, 9)), np.uint8)
     calls = [
         ("count_cells", points, points[0], lengths[0]),
+        ("count_halved", points, points[0], lengths[0], int(random.integers(-1, 22))),
         ("sum_neighbours", keys, random.integers(-(2**62), 2**62, (len(keys), 4)), rows),
         ("poll_normals", points, points, keys, rows, asked, *lengths, 2),
         ("find_sparse", points, keys, rows, rows.astype(np.uint32), points[0], 3, 2),
@@ -119,3 +130,27 @@ def test_messages_name_the_argument(native: ModuleType) -> None:
         native.sum_neighbours(keys, np.ones((2, 1), np.int64), np.array([2]))
     with pytest.raises(ValueError, match="cells: expected sorted"):
         native.sum_neighbours(keys[::-1].copy(), np.ones((2, 1), np.int64), np.array([0]))
+
+
+@given(st.integers(0, 2**32), st.integers(0, 300), st.integers(0, 60))
+@settings(deadline=None, max_examples=40)
+def test_support(native: ModuleType, seed: int, points: int, places: int) -> None:
+    random = np.random.default_rng(seed)
+    positions = random.normal(size=(points, 3)) * (1.0, 1.0, 0.1)
+    normals = random.normal(size=(points, 3)) * 0.2 + (0.0, 0.0, 1.0)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    radii = random.uniform(0.05, 0.8, points)
+    cloud = positions, normals, radii, radii * random.uniform(0.1, 1.0, points)
+    asked = random.normal(size=(places, 3)) * (1.5, 1.5, 0.1)
+    ways = random.normal(size=(places, 8, 3))
+    counts, sums = native.count_supporting(asked, *cloud, 1)
+    wanted_counts, wanted_sums = portable.count_supporting(asked, *cloud)
+    np.testing.assert_array_equal(counts, wanted_counts)
+    np.testing.assert_array_equal(sums, wanted_sums)
+    for enough in (1, 3):
+        bounds = enough, 0.7, 2.25
+        squares = native.measure_aside(asked, ways, *cloud, *bounds, 1)
+        expected = portable.measure_aside(asked, ways, *cloud, *bounds)
+        np.testing.assert_array_equal(squares, expected)
+        assert native.measure_aside(asked, ways, *cloud, *bounds, 3).tobytes() == squares.tobytes()
+    assert native.count_supporting(asked, *cloud, 3)[1].tobytes() == sums.tobytes()

@@ -1,0 +1,201 @@
+"""Which points support places on a surface, each in a flat ellipsoid around it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpcapp.applications.surface.kernels.portable.lattice.points import sort_points
+from hpcapp.geometry.lattice import (
+    NEIGHBOURS,
+    find_keys,
+    number_keys,
+    pack_places,
+    step_keys,
+)
+from hpcapp.geometry.points import FloatArray, IntArray
+from hpccomponent.dataclass import dataclass
+
+__all__ = ["count_supporting", "measure_aside"]
+
+_CLASS = 1.25  # points whose radii differ by less are searched together
+_STEPS = 2.0**20  # so many whole ones make 1: sums of them are exact
+_PLACES_AT_ONCE = 1 << 10
+
+
+def count_supporting(
+    places: FloatArray,
+    positions: FloatArray,
+    normals: FloatArray,
+    radii: FloatArray,
+    thickness: FloatArray,
+    threads: int = 1,
+) -> tuple[IntArray, FloatArray]:
+    """Count the points that support each place, and add up their normals.
+
+    Parameters
+    ----------
+    places : ndarray of float64, shape (p, 3)
+        In length units of the input.
+    positions, normals : ndarray of float64, shape (n, 3)
+        Of the points.
+    radii, thickness : ndarray of float64, shape (n,)
+        Of each point's ellipsoid: along the plane that its normal stands on, and off it; positive,
+        in length units of the input. The thickness is the radius at most.
+
+    Returns
+    -------
+    counts : ndarray of int64, shape (p,)
+    sums : ndarray of float64, shape (p, 3)
+        Of the normals, each rounded to 2^-20, in these.
+    """
+    del threads  # numpy runs on one
+    counts, sums = np.zeros(len(places), np.int64), np.zeros((len(places), 3))
+    for run, pairs in _pair_places(places, positions, normals, radii, thickness, 1.0):
+        number = len(counts[run])
+        counts[run] += np.bincount(pairs.at, minlength=number)
+        # (q, 3): whole numbers, whose sum is the same in any order
+        for axis, whole in enumerate(np.round(normals[pairs.points] * _STEPS).T):
+            sums[run, axis] += np.bincount(pairs.at, whole, number)
+    return counts, sums
+
+
+def measure_aside(
+    places: FloatArray,
+    ways: FloatArray,
+    positions: FloatArray,
+    normals: FloatArray,
+    radii: FloatArray,
+    thickness: FloatArray,
+    enough: int,
+    least: float,
+    most: float,
+    threads: int = 1,
+) -> FloatArray:
+    """Measure how far places a step beside some are from the points that support them.
+
+    Parameters
+    ----------
+    places : ndarray of float64, shape (p, 3)
+        In length units of the input.
+    ways : ndarray of float64, shape (p, k, 3)
+        Unit vectors from each place. A point is asked how far it is a step that way: as far along
+        its plane as it is thick.
+    positions, normals, radii, thickness
+        As for `count_supporting`.
+    enough : int
+        Of the squares of so many points, the largest is that of a step.
+    least, most : float
+        Squares are clamped to these; points beyond the second are not asked.
+
+    Returns
+    -------
+    ndarray of float64, shape (p,)
+        Squares of distances, in the axes of the points' ellipsoids; of all ways the largest.
+    """
+    del threads
+    # (p, k, e): the least squares there
+    held = np.full((*ways.shape[:2], enough), most)
+    for run, pairs in _pair_places(places, positions, normals, radii, thickness, most):
+        steps = (thickness / radii)[pairs.points, None]
+        # (q, k): along . way. A step s leaves what is off the plane as it is, and makes the square
+        # of what is along it larger by 2 s along . way + s^2.
+        aside = np.zeros((len(pairs.at), ways.shape[1]))
+        for axis in range(3):
+            aside += ways[run][pairs.at, :, axis] * pairs.along[:, axis, None]
+        _lower(held[run], pairs.at, pairs.squares[:, None] + 2.0 * steps * aside + steps * steps)
+    largest: FloatArray = held.max(axis=(1, 2), initial=least)
+    return largest
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pairs:
+    """Places, each with a point near it.
+
+    Parameters
+    ----------
+    at, points : ndarray of int64, shape (q,)
+        The place, and the point.
+    along : ndarray of float64, shape (q, 3)
+        From the point to it along the point's plane, in radii.
+    squares : ndarray of float64, shape (q,)
+        Of the distance, in the axes of the point's ellipsoid.
+    """
+
+    at: IntArray
+    points: IntArray
+    along: FloatArray
+    squares: FloatArray
+
+
+def _pair_places(
+    places: FloatArray,
+    positions: FloatArray,
+    normals: FloatArray,
+    radii: FloatArray,
+    thickness: FloatArray,
+    most: float,
+) -> Iterator[tuple[slice, _Pairs]]:
+    """Pair some places at a time with the points within a square, of like radii at a time."""
+    if not len(places) or not len(positions):
+        return
+    classes = np.floor(np.log(radii / radii.min()) / np.log(_CLASS) + 1e-6)
+    for one in np.unique(classes):
+        alike = np.flatnonzero(classes == one)
+        # Cells as large as the reach: what is near a place is in its cell or in the 26 around it.
+        size, origin = np.sqrt(most) * float(radii[alike].max()), positions[alike[0]]
+        cells = sort_points(positions[alike], origin, size)
+        for start in range(0, len(places), _PLACES_AT_ONCE):
+            batch = places[start : start + _PLACES_AT_ONCE]
+            at, point = _pair(np.floor((batch - origin) / size).astype(np.int64), *cells)
+            point = alike[point]
+            offsets, normal = batch[at] - positions[point], normals[point]
+            off = np.zeros(len(at))  # (q,): how far each is off the point's plane
+            for axis in range(3):  # sums in one order, whatever the shape
+                off += offsets[:, axis] * normal[:, axis]
+            # (q, 3), (q,): what is left along the plane, in radii; then both parts by the axes of
+            # the point's ellipsoid, on which the sum of their squares is 1.
+            along = (offsets - off[:, None] * normal) / radii[point, None]
+            squares = _square(along) + (off / thickness[point]) ** 2
+            near = np.flatnonzero(squares < most)
+            pairs = _Pairs(at[near], point[near], along[near], squares[near])
+            yield slice(start, start + len(batch)), pairs
+
+
+def _pair(
+    cells: IntArray, keys: IntArray, offsets: IntArray, rows: NDArray[np.uint32]
+) -> tuple[IntArray, IntArray]:
+    """Return each place with the points in its cell and the 26 around it."""
+    names, name = number_keys(pack_places(cells))  # places are many, their cells few
+    around = np.stack([find_keys(keys, step_keys(names, step)) for step in NEIGHBOURS], axis=1)
+    ends = np.append(offsets, offsets[-1])  # no cell is the last one
+    # (27 p,): the points of each place in each of the cells
+    first = ends[around][name].ravel()
+    counts = (ends[around + 1] - ends[around])[name].ravel()
+    # (q,): in its cell, the how-manieth point each one is.
+    turn = np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
+    at = np.repeat(np.arange(len(counts)) // len(NEIGHBOURS), counts)
+    return at, rows[np.repeat(first, counts) + turn].astype(np.int64)
+
+
+def _lower(least: FloatArray, at: IntArray, squares: FloatArray) -> None:
+    """Put some squares, shape (q, k), among the least ones of the places they are of."""
+    order = np.argsort(at, kind="stable")
+    at = at[order]
+    # (q,): the how-manieth of its place each one is.
+    turn = np.arange(len(at)) - np.searchsorted(at, at)
+    # (p, k, w): those of each place side by side
+    here = np.full((*least.shape[:2], int(turn.max(initial=-1)) + 1), np.inf)
+    here[at, :, turn] = squares[order]
+    # (p, k, e + w): old and new ones, of which the least stay, in any order.
+    enough = least.shape[2]
+    both = np.concatenate([least, here], axis=2)
+    least[:] = np.partition(both, enough - 1, axis=2)[:, :, :enough]
+
+
+def _square(vectors: FloatArray) -> FloatArray:
+    x, y, z = vectors.T
+    squares: FloatArray = x * x + y * y + z * z
+    return squares
