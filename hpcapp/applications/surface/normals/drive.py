@@ -4,7 +4,7 @@
 
     regions ── estimate ──> normals without a side ── patches, links ──> sides ── turn ──> normals
 
-This module takes its time to be imported (scipy), and is only where it is needed.
+This module takes its time to be imported, and is only where it is needed.
 """
 
 from __future__ import annotations

@@ -11,8 +11,8 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from scipy import ndimage
 
+from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.normals.patches import CELL, Patches, quarter_patches
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 
@@ -58,7 +58,7 @@ def find_inside(patches: Patches, spacing: float, least: float) -> FloatArray:
     for step in _DIRECTIONS:
         blocked += _find_blocked(occupied, step)
     # (x, y, z): in cells, to the nearest one that is occupied.
-    far = ndimage.distance_transform_edt(~occupied)
+    far = kernels.measure_distances(occupied)
     is_inside = blocked >= _BLOCKED * len(_DIRECTIONS)
     roomy = max(least * spacing / edge, _ROOMY * float(far[is_inside].max(initial=0.0)))
     cells = np.argwhere(is_inside & (far >= roomy))

@@ -79,7 +79,12 @@ class Orientation:
 
 
 def orient_patches(
-    patches: Patches, links: Links, spacing: float, zero: FloatArray, sensor: Sensor
+    patches: Patches,
+    links: Links,
+    spacing: float,
+    zero: FloatArray,
+    sensor: Sensor,
+    threads: int = 1,
 ) -> Orientation:
     """Find the side of each patch.
 
@@ -113,13 +118,13 @@ def orient_patches(
     now, on its right-hand side.
     """
     linked = LinkedPatches(patches, links)
-    evidence = hear_sensor(patches, linked.components(), spacing, zero, sensor)
+    evidence = hear_sensor(patches, linked.components(), spacing, zero, sensor, threads)
     if evidence is not None:
         followed = None if evidence.is_sensed else follow(linked, evidence)
         sides = _settle(patches, linked, spacing, evidence, followed)
         values = np.clip(sides, -1.0, 1.0).astype(np.float32)
         return Orientation(Sides(patches.keys, patches.ranks, values), evidence.how, None)
-    best, *others = weigh_readings(patches, linked, spacing, zero)
+    best, *others = weigh_readings(patches, linked, spacing, zero, threads)
     sides = _settle(patches, linked, spacing, best.reading.evidence, best.sides)
     # (r, p): how much more a reading costs that turns the patch round; the first row is the best
     # reading's own, which turns none.
