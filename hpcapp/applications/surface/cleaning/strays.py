@@ -37,7 +37,7 @@ ROUNDS = 2
 
 
 def find_strays(
-    positions: FloatArray, own: BoolArray, low: FloatArray, scale: LocalScale
+    positions: FloatArray, own: BoolArray, low: FloatArray, scale: LocalScale, threads: int = 1
 ) -> BoolArray:
     """Tell which points of a region are strays.
 
@@ -63,13 +63,14 @@ def find_strays(
     # A dense place has its own spacing. A sparse one has not: strays are sparse.
     centres = corner + edge * (unpack_keys(cells[0]) + 0.5)
     radii = _CROWDED * np.minimum(scale.at(centres), scale.spacing)
-    is_candidate = kernels.find_sparse(positions, *cells, radii, _COUNTS[-1])
+    is_candidate = kernels.find_sparse(positions, *cells, radii, _COUNTS[-1], threads)
     candidates = np.flatnonzero(is_candidate & own)
     limit = _LIMIT * scale.spacing
 
     def search(rows: IntArray) -> tuple[FloatArray, IntArray]:
         """Return the squares of how far the last neighbours of each count are, and who all are."""
-        squares, nearest = kernels.find_nearest(positions, *cells, edge, rows, _COUNTS[-1], limit)
+        given = edge, rows, _COUNTS[-1], limit
+        squares, nearest = kernels.find_nearest(positions, *cells, *given, threads)
         return np.minimum(squares[:, np.array(_COUNTS) - 1], limit * limit), nearest
 
     reach, nearest = search(candidates)

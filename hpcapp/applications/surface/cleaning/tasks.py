@@ -115,7 +115,7 @@ def drop_strays(
         As for `find_strays`.
     """
     region = points.take()
-    dropped = find_strays(region.positions, region.own, low, scale)
+    dropped = find_strays(region.positions, region.own, low, scale, region.threads)
     return region.drop(dropped), int(np.count_nonzero(dropped))
 
 
@@ -151,5 +151,6 @@ def mend_region(
         As for `consistency.find_flipped`.
     """
     region = points.take()
-    is_flipped = find_flipped(region.positions, region.normals, low, spacing)[region.own]
+    given = region.positions, region.normals, low, spacing, region.threads
+    is_flipped = find_flipped(*given)[region.own]
     return region.flip(is_flipped), int(np.count_nonzero(is_flipped))

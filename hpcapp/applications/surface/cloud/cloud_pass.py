@@ -40,6 +40,10 @@ class CloudPass(Protocol):
     def cloud(self) -> ArrangedCloud:
         """The points."""
 
+    @property
+    def threads(self) -> int:
+        """How many this process may take between passes."""
+
     def each(self, task: Callable[..., Result], *given: Any, margin: float = 0.0) -> list[Result]:
         """Run a task for each region.
 
@@ -95,9 +99,17 @@ class CloudPass(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MemoryPass:
-    """The pass through a cloud in memory."""
+    """The pass through a cloud in memory.
+
+    Parameters
+    ----------
+    cloud : MemoryCloud
+    threads : int
+        How many tasks may take; no result depends on it.
+    """
 
     cloud: MemoryCloud
+    threads: int = 1
 
     def each(self, task: Callable[..., Result], *given: Any, margin: float = 0.0) -> list[Result]:
         """See `CloudPass`."""
@@ -124,7 +136,7 @@ class MemoryPass:
 
     def note(self, measured: Measured) -> MemoryPass:
         """See `CloudPass`."""
-        return MemoryPass(replace(self.cloud, noted=measured))
+        return replace(self, cloud=replace(self.cloud, noted=measured))
 
     def _cut(self, margin: float) -> Iterator[MemoryRegion]:
         """Yield the regions: all points at once where they are few, or no margin is asked for."""
@@ -134,13 +146,12 @@ class MemoryPass:
         boxes = _cut_boxes(positions, everything) if margin else [everything]
         if len(boxes) == 1:
             own = np.ones(len(positions), np.bool_)
-            yield MemoryRegion(positions, normals, own, slice(None))
+            yield MemoryRegion(positions, normals, own, slice(None), self.threads)
             return
         for rows in boxes:
             near, own = _find_near(positions, rows, margin)
-            yield MemoryRegion(
-                positions[near], None if normals is None else normals[near], own, rows
-            )
+            given = None if normals is None else normals[near]
+            yield MemoryRegion(positions[near], given, own, rows, self.threads)
 
     def _replace(
         self, changes: list[ReplacedRows], added: Mapping[str, Float32Array]
@@ -157,7 +168,7 @@ class MemoryPass:
         cloud = replace(self.cloud, points=replace(points, attributes=attributes))
         if kept:
             cloud = cloud.select(_place(kept, np.ones(count, np.bool_)))
-        return MemoryPass(cloud)
+        return replace(self, cloud=cloud)
 
 
 def _place(columns: list[tuple[Rows, NDArray[Any]]], others: NDArray[Any] | None) -> NDArray[Any]:

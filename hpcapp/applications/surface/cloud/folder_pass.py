@@ -44,6 +44,12 @@ class FolderPass:
     place: Path
     workers: PointWorkers
 
+    @property
+    def threads(self) -> int:
+        """See `CloudPass`."""
+        workforce = self.workers.workforce
+        return workforce.workers if workforce.in_process else 1
+
     def each(self, task: Callable[..., Result], *given: Any, margin: float = 0.0) -> list[Result]:
         """See `CloudPass`."""
         results = self.workers.run(task, self.cloud, margin, given, None)

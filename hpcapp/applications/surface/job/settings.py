@@ -213,6 +213,11 @@ def choose_local(settings: Settings, points: int) -> tuple[str, int]:
     return "threads", threads
 
 
+def count_own_threads(settings: Settings, points: int) -> int:
+    """Return how many threads pay for so many points in memory before a backend is open."""
+    return 1 if settings.backend == "serial" else choose_local(settings, points)[1]
+
+
 def name_backend(settings: Settings) -> str | None:
     """Return the backend that the user names; None where it is to be chosen.
 

@@ -49,7 +49,11 @@ MARGIN = _EDGE * (2.0**_ROUNDS - 1.0)
 
 
 def find_flipped(
-    positions: FloatArray, normals: FloatArray | Float32Array, low: FloatArray, spacing: float
+    positions: FloatArray,
+    normals: FloatArray | Float32Array,
+    low: FloatArray,
+    spacing: float,
+    threads: int = 1,
 ) -> BoolArray:
     """Find the normals that their neighbours on the same sheet contradict.
 
@@ -95,7 +99,7 @@ def find_flipped(
         reach, tolerance = _EDGE * scale, _TOLERANCE * scale
         keys, _, cell_of = kernels.count_cells(positions, low, reach)
         verdicts = kernels.poll_normals(
-            positions, mended, keys, cell_of, asked, reach, tolerance, drift, 1
+            positions, mended, keys, cell_of, asked, reach, tolerance, drift, threads
         )
         wrong = verdicts == WRONG
         if wrong.any():

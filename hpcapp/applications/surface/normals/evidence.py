@@ -176,7 +176,7 @@ def hear_sensor(
         Somebody was inside, and no place inside is found.
     """
     if sensor.kind == "inside":
-        places = find_inside(patches, spacing, TIGHT)
+        places = find_inside(patches, spacing, TIGHT, threads)
         if not len(places):
             raise InputError(
                 f"{name_option('viewpoint', 'inside')}: no place inside was found: nothing "

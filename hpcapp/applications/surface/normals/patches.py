@@ -133,6 +133,7 @@ def find_patches(
     own: BoolArray,
     low: FloatArray,
     spacing: float,
+    threads: int = 1,
 ) -> tuple[Patches, Links]:
     """Find the patches that points belong to, and what these touch.
 
@@ -156,8 +157,9 @@ def find_patches(
     links : Links
         Between them.
     """
-    grouped = _group_points(positions, vectors, low, spacing)
-    links = Links(*link_groups(positions, own.astype(np.uint8), grouped.patch_of, low, spacing))
+    grouped = _group_points(positions, vectors, low, spacing, threads)
+    points = positions, own.astype(np.uint8), grouped.patch_of
+    links = Links(*link_groups(*points, low, spacing, threads))
     # (g,): patches with a point of the region, or linked to one of these; what lies in the margin
     # alone is another region's to find.
     wanted = np.zeros(len(grouped.patches), np.bool_)
@@ -238,6 +240,7 @@ def turn_points(
     low: FloatArray,
     spacing: float,
     sides: Sides,
+    threads: int = 1,
 ) -> tuple[Float32Array, BoolArray, Float32Array]:
     """Turn normals to the sides of their patches.
 
@@ -263,7 +266,7 @@ def turn_points(
     confidences : ndarray of float32, shape (n,)
         0 to 1; 0 for points of other patches.
     """
-    grouped = _group_points(positions, vectors, low, spacing)
+    grouped = _group_points(positions, vectors, low, spacing, threads)
     rows = _find_names(sides, grouped.patches)
     # (n,): the side of each point's patch; 0, appended last, where that has none.
     values = np.append(sides.values, np.float32(0.0))[rows][grouped.patch_of]
@@ -275,12 +278,17 @@ def turn_points(
 
 
 def _group_points(
-    positions: FloatArray, vectors: FloatArray | Float32Array, low: FloatArray, spacing: float
+    positions: FloatArray,
+    vectors: FloatArray | Float32Array,
+    low: FloatArray,
+    spacing: float,
+    threads: int,
 ) -> _Grouped:
     """Group the points of whole cells; what comes of cells that are not is no patch."""
     refuse_wide(positions, low, CELL * spacing)
     single = vectors.astype(np.float32, copy=False)
-    keys, ranks, patch_of, sides = group_sheets(positions, single, low, CELL * spacing, spacing)
+    points = positions, single, low, CELL * spacing, spacing
+    keys, ranks, patch_of, sides = group_sheets(*points, threads)
     # (n,), (n, 3): the vectors are as long as the noise of their points.
     noise, normals = _split(vectors)
     opposed = sides.view(np.bool_)

@@ -200,7 +200,7 @@ def find_readings(
 ) -> list[Reading]:
     """Return all readings of a cloud; as for `weigh_readings`."""
     outside = look_outside(patches, linked.components(), spacing, threads)
-    places = find_inside(patches, spacing, AMPLE)
+    places = find_inside(patches, spacing, AMPLE, threads)
     # Whoever stood inside has scanned neither from outside nor from one side.
     aside = STAND if len(places) and has_stand(patches, spacing) else 0.0
     toggled = outside.toggled.evidence("from outside")
