@@ -10,44 +10,48 @@ namespace {
 constexpr int LANES = 8;
 constexpr int64_t MOST_STEPS = 1 << 20;
 
-// A symmetric matrix: of each row what is not on the diagonal, by rising columns.
+// A sparse matrix, in groups of eight rows: of each row, by rising columns, what is not 0, and then 0
+// as far as the longest of its group. So lanes are rows.
 struct Matrix {
-  Large<int64_t> offsets;
-  Large<uint32_t> column;
+  int64_t rows;
+  Large<int64_t> offsets;  // group g holds the steps offsets[g] to offsets[g + 1], a value of each row
+  Large<int32_t> column;
   Large<double> value;
-  const double* diagonal;
-
-  int64_t rows() const { return static_cast<int64_t>(offsets.size()) - 1; }
-
-  // Multiply a vector, row by row: what is below the diagonal first, then this, then what is above.
-  void multiply(const double* vector, double* product) const {
-    for (int64_t row = 0; row < rows(); ++row) {
-      double sum = 0.0;
-      int64_t i = offsets[row];
-      for (; i < offsets[row + 1] && column[i] < row; ++i) sum -= value[i] * vector[column[i]];
-      sum += diagonal[row] * vector[row];
-      for (; i < offsets[row + 1]; ++i) sum -= value[i] * vector[column[i]];
-      product[row] = sum;
-    }
-  }
 };
 
+HPC_CLONES void multiply(const int64_t* offsets, int64_t groups, const int32_t* column, const double* value,
+                         const double* vector, double* product) {
+  for (int64_t group = 0; group < groups; ++group) {
+    double sums[LANES] = {};
+    for (int64_t i = LANES * offsets[group]; i < LANES * offsets[group + 1]; i += LANES)
+      HPC_LANES
+      for (int lane = 0; lane < LANES; ++lane) sums[lane] += value[i + lane] * vector[column[i + lane]];
+    for (int lane = 0; lane < LANES; ++lane) product[LANES * group + lane] = sums[lane];
+  }
+}
+
+// Links are sorted by both ends: so the columns of each row rise.
 Matrix make_matrix(const int64_t* first, const int64_t* second, const double* strengths, int64_t links,
                    const double* diagonal, int64_t count) {
-  Matrix matrix{Large<int64_t>(static_cast<size_t>(count) + 1, 0), {}, {}, diagonal};
-  for (int64_t i = 0; i < links; ++i) ++matrix.offsets[first[i] + 1], ++matrix.offsets[second[i] + 1];
-  for (int64_t row = 0; row < count; ++row) matrix.offsets[row + 1] += matrix.offsets[row];
-  matrix.column.resize(static_cast<size_t>(2 * links));
-  matrix.value.resize(static_cast<size_t>(2 * links));
-  Large<int64_t> next(matrix.offsets.begin(), matrix.offsets.end() - 1);
+  const int64_t groups = (count + LANES - 1) / LANES;
+  Large<int64_t> next(static_cast<size_t>(LANES * groups), 0);
+  for (int64_t i = 0; i < links; ++i) ++next[first[i]], ++next[second[i]];
+  Matrix matrix{count, {0}, {}, {}};
+  for (int64_t group = 0; group < groups; ++group) {
+    const int64_t longest = *std::max_element(&next[LANES * group], &next[LANES * group] + LANES) + 1;
+    matrix.offsets.push_back(matrix.offsets[group] + longest);
+    for (int lane = 0; lane < LANES; ++lane) next[LANES * group + lane] = LANES * matrix.offsets[group] + lane;
+  }
+  matrix.column.resize(static_cast<size_t>(LANES * matrix.offsets[groups]), 0);
+  matrix.value.resize(matrix.column.size(), 0.0);
   const auto add = [&](int64_t row, int64_t column, double value) {
-    const int64_t at = next[row]++;
-    matrix.column[at] = static_cast<uint32_t>(column);
-    matrix.value[at] = value;
+    matrix.column[next[row]] = static_cast<int32_t>(column);
+    matrix.value[next[row]] = value;
+    next[row] += LANES;
   };
-  // Links are sorted by both ends: so the columns of each row rise.
-  for (int64_t i = 0; i < links; ++i) add(second[i], first[i], strengths[i]);
-  for (int64_t i = 0; i < links; ++i) add(first[i], second[i], strengths[i]);
+  for (int64_t i = 0; i < links; ++i) add(second[i], first[i], -strengths[i]);
+  for (int64_t row = 0; row < count; ++row) add(row, row, diagonal[row]);
+  for (int64_t i = 0; i < links; ++i) add(first[i], second[i], -strengths[i]);
   return matrix;
 }
 
@@ -80,24 +84,28 @@ HPC_CLONES void turn(double factor, const double* other, int64_t count, double* 
   for (int64_t i = 0; i < count; ++i) vector[i] = other[i] + factor * vector[i];
 }
 
-void solve(const Matrix& matrix, const double* known, double tolerance, int64_t most, double* values) {
-  const int64_t count = matrix.rows();
-  const size_t room = static_cast<size_t>(count);
+void solve(const Matrix& matrix, const double* diagonal, const double* known, double tolerance, int64_t most,
+           double* values) {
+  const int64_t count = matrix.rows, groups = static_cast<int64_t>(matrix.offsets.size()) - 1;
   const double bound = tolerance * tolerance * dot(known, known, count);
   if (!(bound > 0.0)) {
     std::fill_n(values, count, 0.0);
     return;
   }
-  Large<double> residual(known, known + count), scaled(room), direction(room, 0.0), product(room);
-  matrix.multiply(values, product.data());
+  Large<double> residual(known, known + count), scaled(residual.size()), direction(residual.size(), 0.0),
+      product(static_cast<size_t>(LANES * groups));
+  const auto apply = [&](const double* vector) {
+    multiply(matrix.offsets.data(), groups, matrix.column.data(), matrix.value.data(), vector, product.data());
+  };
+  apply(values);
   add(-1.0, product.data(), count, residual.data());
   double last = 1.0;
   for (int64_t step = 0; step < most && !(dot(residual.data(), residual.data(), count) < bound); ++step) {
-    divide(residual.data(), matrix.diagonal, count, scaled.data());
+    divide(residual.data(), diagonal, count, scaled.data());
     const double fall = dot(residual.data(), scaled.data(), count);
     if (!(fall > 0.0)) break;
     turn(fall / last, scaled.data(), count, direction.data());
-    matrix.multiply(direction.data(), product.data());
+    apply(direction.data());
     const double length = fall / dot(direction.data(), product.data(), count);
     add(length, direction.data(), count, values);
     add(-length, product.data(), count, residual.data());
@@ -115,7 +123,7 @@ Output<double> spread_leanings(Integers first_of, Integers second_of, Doubles st
   const double* strengths = check<double>(strengths_of, "strengths", {links});
   const double* known = check<double>(known_of, "known", {count});
   const double* start = check<double>(start_of, "start", {count});
-  if (count >= UINT32_MAX) refuse("sums: too many nodes");
+  if (count >= INT32_MAX) refuse("sums: too many nodes");
   if (most < 0 || most > MOST_STEPS) refuse("most: expected 0 to 2^20");
   Buffer<double> values;
   {
@@ -123,7 +131,7 @@ Output<double> spread_leanings(Integers first_of, Integers second_of, Doubles st
     values = make_buffer<double>(count);
     std::copy_n(start, count, values.get());
     const Matrix matrix = make_matrix(first, second, strengths, links, sums, count);
-    solve(matrix, known, tolerance, most, values.get());
+    solve(matrix, sums, known, tolerance, most, values.get());
   }
   return give(std::move(values), {static_cast<size_t>(count)});
 }

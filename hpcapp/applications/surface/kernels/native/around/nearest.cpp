@@ -11,7 +11,7 @@ namespace hpc {
 namespace {
 
 constexpr int RINGS = 3;          // of cells around one, at most: 15 spacings
-constexpr int LANES = 16;
+constexpr int LANES = 32;
 constexpr double GUESSED = 1.2;   // of the last point's squared distance
 constexpr size_t MANY = 3;        // times what is wanted: more points around are worth a cut
 constexpr double SMALLER = 0.8;   // how wide what lies around a part may be, of the whole

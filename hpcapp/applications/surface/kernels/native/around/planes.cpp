@@ -15,7 +15,8 @@ namespace {
 using namespace constants::planes;
 
 constexpr int FITS = std::size(COUNTS), MORE_FITS = std::size(MORE_COUNTS);
-constexpr int LANES = 8;  // planes of a point
+constexpr int LANES = FITS + MORE_FITS - 1;  // planes of a point: one is both the last and the first of more
+static_assert(COUNTS[FITS - 1] == MORE_COUNTS[0] && LANES == 8);
 
 enum Product { XX, YY, ZZ, XY, XZ, YZ, PRODUCTS };  // in the order of `PAIRS`
 
@@ -94,24 +95,24 @@ HPC_CLONES void solve_planes(Sums& sums, Planes& planes) {
   }
 }
 
-template <int FITS_OF>
-void fit(const Neighbours& near, const int (&counts)[FITS_OF], Planes& planes) {
-  int ends[FITS_OF];
+// Fit the first planes, or all.
+void fit(const Neighbours& near, int fits, Planes& planes) {
+  int ends[LANES];
   Sums sums{};
   std::fill_n(planes.held, LANES, 1.0);
-  for (int i = 0; i < FITS_OF; ++i) {
-    ends[i] = near.count(counts[i]);
+  for (int i = 0; i < fits; ++i) {
+    ends[i] = near.count(i < FITS ? COUNTS[i] : MORE_COUNTS[i - FITS + 1]);
     planes.held[i] = std::max(ends[i], 1);
   }
-  add_up(near, ends, FITS_OF, sums);
+  add_up(near, ends, fits, sums);
   solve_planes(sums, planes);
 }
 
-// Return which plane is expected to be the best.
-int choose(const Planes& planes, int count, double noise) {
-  int best = 0;
+// Return which of some planes is expected to be the best.
+int choose(const Planes& planes, int first, int count, double noise) {
+  int best = first;
   double least = INFINITY;
-  for (int i = 0; i < count; ++i) {
+  for (int i = first; i < first + count; ++i) {
     if (!(planes.extent[i] > 0.0)) continue;
     const double beyond = std::max(planes.squares[i] - noise, 0.0);
     const double error = (4.0 * noise / planes.held[i] + constants::planes::BIAS * beyond) / planes.extent[i];
@@ -250,15 +251,12 @@ class PlaneFitter {
     if (!any) return;
     if (planes_.size() < wanted_.size()) {
       planes_.resize(wanted_.size());
-      more_planes_.resize(wanted_.size());
       sheets_.resize(wanted_.size());
     }
     const bool has_more = expects_more_;
-    const auto fit_more = [&](int i, const Neighbours& near) { fit(near, MORE_COUNTS, more_planes_[i]); };
     (has_more ? more_ : search_).search(cell, wanted_, [&](int i, const Neighbours& near) {
-      fit(near, COUNTS, planes_[i]);
+      fit(near, has_more ? LANES : FITS, planes_[i]);
       sheets_[i] = find_sheets(near, planes_[i], heights_);
-      if (has_more) fit_more(i, near);
     });
     const double noise = find_noise(count);
     wanted_.clear();
@@ -266,7 +264,7 @@ class PlaneFitter {
     for (int i = 0; i < count; ++i) {
       if (place(i) < 0) continue;
       ++asked;
-      const int best = choose(planes_[i], FITS, noise);
+      const int best = choose(planes_[i], 0, FITS, noise);
       if (sheets_[i].are_told) {
         write(sheets_[i].normal, sheets_[i].square, unit_, vectors_ + 3 * place(i));
       } else if (best == FITS - 1) {
@@ -275,9 +273,9 @@ class PlaneFitter {
         take(planes_[i], best, unit_, vectors_ + 3 * place(i));
       }
     }
-    if (!has_more) more_.search(cell, wanted_, fit_more);
+    if (!has_more) more_.search(cell, wanted_, [&](int i, const Neighbours& near) { fit(near, LANES, planes_[i]); });
     for (const int i : wanted_)
-      take(more_planes_[i], choose(more_planes_[i], MORE_FITS, noise), unit_, vectors_ + 3 * place(i));
+      take(planes_[i], choose(planes_[i], FITS - 1, MORE_FITS, noise), unit_, vectors_ + 3 * place(i));
     expects_more_ = 2 * static_cast<int>(wanted_.size()) > asked;
   }
 
@@ -299,7 +297,7 @@ class PlaneFitter {
   NearestSearch search_, more_;
   bool expects_more_ = false;  // most points of the last cell were given more: one search finds all
   std::vector<int> wanted_;
-  std::vector<Planes> planes_, more_planes_;
+  std::vector<Planes> planes_;
   std::vector<Sheets> sheets_;
   std::vector<double> squares_, heights_;
 };

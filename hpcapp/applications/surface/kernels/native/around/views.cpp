@@ -15,18 +15,18 @@ using constants::WHOLE;
 
 constexpr uint32_t NONE = UINT32_MAX;
 
-// Patches, axis by axis.
+// Patches, one by one, and axis by axis.
 struct Patches {
   int64_t count;
+  const double *centres, *normals, *thickness, *least;
   Large<double> centre[3], normal[3];
-  const double *thickness, *least;
 };
 
 // What is found of the patches from one viewpoint; each thread has its own.
 struct View {
   Large<double> far, cosine, sorted, across[2];
   Large<uint8_t> side, level, is_clear;
-  Large<int64_t> name;    // of the pixel of each patch that is drawn
+  Large<int64_t> name;    // of the pixel of each patch
   Large<uint32_t> shown;  // of pixels the nearest patch, at a place that follows from their names
 
   explicit View(int64_t count) {
@@ -40,19 +40,16 @@ struct View {
   }
 };
 
-// How pixels are named: so many along an edge of a face, with one more for the shift and one for rounding.
-struct Raster {
-  double pixel, shift;
-  int64_t edge;
-
-  Raster(double pixel_of, double shift_of)
-      : pixel(pixel_of), shift(shift_of), edge(static_cast<int64_t>(std::ceil(2.0 / pixel)) + 2) {}
-
-  int64_t name(const View& view, int64_t i) const {
-    const auto column = [&](int k) { return static_cast<int64_t>(std::floor((view.across[k][i] + 1.0) / pixel + shift)); };
-    return (view.side[i] * edge + column(0)) * edge + column(1);
+// Name the pixels in which patches lie: so many along an edge of a face.
+HPC_CLONES void name_pixels(const double* first, const double* second, const uint8_t* side, int64_t count,
+                            double pixel, double shift, int64_t edge, int64_t* name) {
+  HPC_LANES
+  for (int64_t i = 0; i < count; ++i) {
+    const int32_t row = static_cast<int32_t>(std::floor((first[i] + 1.0) / pixel + shift));
+    const int32_t column = static_cast<int32_t>(std::floor((second[i] + 1.0) / pixel + shift));
+    name[i] = (side[i] * edge + row) * edge + column;
   }
-};
+}
 
 // Find how far patches are, and where the lines of sight meet the cube around the viewpoint.
 HPC_CLONES void project(const double* const (&centre)[3], const double* const (&normal)[3], int64_t count,
@@ -92,21 +89,25 @@ inline uint32_t& show(View& view, int64_t name) {
 }
 
 // Take back that patches are seen which lie behind the nearest of a level, in its pixels.
-void hide(const Patches& patches, View& view, const Raster& raster, uint8_t level, uint8_t* seen) {
+void hide(const Patches& patches, View& view, double pixel, double shift, uint8_t level, uint8_t* seen) {
+  // One more for the shift, and one for rounding.
+  const int64_t edge = static_cast<int64_t>(std::ceil(2.0 / pixel)) + 2;
+  name_pixels(view.across[0].data(), view.across[1].data(), view.side.data(), patches.count, pixel, shift, edge,
+              view.name.data());
   std::fill(view.shown.begin(), view.shown.end(), NONE);
   for (int64_t i = 0; i < patches.count; ++i) {
     if (view.level[i] != level) continue;
-    view.name[i] = raster.name(view, i);
     uint32_t& front = show(view, view.name[i]);
     if (front == NONE || view.far[i] < view.far[front]) front = static_cast<uint32_t>(i);
   }
   for (int64_t i = 0; i < patches.count; ++i) {
     if (!seen[i]) continue;
-    const uint32_t front = show(view, view.level[i] == level ? view.name[i] : raster.name(view, i));
+    const uint32_t front = show(view, view.name[i]);
     if (front == NONE || !(view.far[i] > view.far[front])) continue;
+    const int64_t at = front;
     double above[3];
     for (int axis = 0; axis < 3; ++axis)
-      above[axis] = (patches.centre[axis][i] - patches.centre[axis][front]) * patches.normal[axis][front];
+      above[axis] = (patches.centres[3 * i + axis] - patches.centres[3 * at + axis]) * patches.normals[3 * at + axis];
     const double cosine = view.cosine[front], sign = cosine > 0.0 ? 1.0 : cosine < 0.0 ? -1.0 : 0.0;
     if ((above[0] + above[1] + above[2]) * sign < -patches.thickness[i]) seen[i] = false;
   }
@@ -133,8 +134,8 @@ void look(const Patches& patches, const double* viewpoint, double spacing, View&
   for (int level = 0; level < LEVELS; ++level) {
     if (!drawn[level]) continue;
     const double wide = pixel * static_cast<double>(1 << level);
-    hide(patches, view, Raster(wide, 0.0), static_cast<uint8_t>(level), seen);
-    hide(patches, view, Raster(wide, 0.5), static_cast<uint8_t>(level), view.is_clear.data());
+    hide(patches, view, wide, 0.0, static_cast<uint8_t>(level), seen);
+    hide(patches, view, wide, 0.5, static_cast<uint8_t>(level), view.is_clear.data());
   }
   for (int64_t i = 0; i < patches.count; ++i)
     cosines[i] = seen[i] && view.is_clear[i] ? static_cast<int8_t>(std::rint(WHOLE * view.cosine[i])) : int8_t{0};
@@ -153,7 +154,8 @@ nb::tuple view_patches(Doubles centres, Doubles normals, Doubles thickness, Doub
   const double* normal = check<double>(normals, "normals", {count, 3});
   const double* viewpoints = check<double>(viewpoints_of, "viewpoints", {ANY, 3});
   const int64_t views = rows_of(viewpoints_of);
-  Patches patches{count, {}, {}, check<double>(thickness, "thickness", {count}), check<double>(least, "least", {count})};
+  Patches patches{count, centre, normal, check<double>(thickness, "thickness", {count}),
+                  check<double>(least, "least", {count}), {}, {}};
   check_lengths(centre, 3 * count, "centres");
   check_lengths(normal, 3 * count, "normals");
   check_lengths(viewpoints, 3 * views, "viewpoints");
