@@ -135,6 +135,8 @@ void look(const Patches& patches, const double* viewpoint, double spacing, View&
     if (!drawn[level]) continue;
     const double wide = pixel * static_cast<double>(1 << level);
     hide(patches, view, wide, 0.0, static_cast<uint8_t>(level), seen);
+    // What is not seen is not clearly seen.
+    for (int64_t i = 0; i < patches.count; ++i) view.is_clear[i] &= seen[i];
     hide(patches, view, wide, 0.5, static_cast<uint8_t>(level), view.is_clear.data());
   }
   for (int64_t i = 0; i < patches.count; ++i)
