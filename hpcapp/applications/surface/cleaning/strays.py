@@ -69,8 +69,9 @@ def find_strays(
 
     def search(rows: IntArray) -> tuple[FloatArray, IntArray]:
         """Return the squares of how far the last neighbours of each count are, and who all are."""
-        given = edge, rows, _COUNTS[-1], limit
-        squares, nearest = kernels.find_nearest(positions, *cells, *given, threads)
+        squares, nearest = kernels.find_nearest(
+            positions, *cells, edge, rows, _COUNTS[-1], limit, threads
+        )
         return np.minimum(squares[:, np.array(_COUNTS) - 1], limit * limit), nearest
 
     reach, nearest = search(candidates)

@@ -57,10 +57,10 @@ def has_stand(patches: Patches, spacing: float) -> bool:
     every = np.arange(0, len(patches), -(-len(patches) // _SAMPLE))
     sampled, edge = counts[every], CELL * spacing
     corner = lay_lattice(patches.centres.min(axis=0), edge)
-    cells = kernels.sort_points(patches.centres, corner, edge)
+    boxes = kernels.sort_points(patches.centres, corner, edge)
     # (s, 8): of each patch of the sample the nearest ones, and the squares of their distances.
     squares, near = kernels.find_nearest(
-        patches.centres, *cells, edge, every, _NEAREST, _FARTHEST * edge
+        patches.centres, *boxes, edge, every, _NEAREST, _FARTHEST * edge
     )
     # (s,): points per area, up to a factor: what lies within a distance by the square of that.
     held = sampled + np.append(counts, 0.0)[near].sum(axis=1)

@@ -86,8 +86,7 @@ def add_views(cosines: Int8Array, is_seen: BoolArray) -> tuple[Int32Array, Int32
     """
     front = np.maximum(cosines, 0).sum(axis=0, dtype=np.int32)
     back = front - cosines.sum(axis=0, dtype=np.int32)
-    is_any: BoolArray = is_seen.any(axis=0)
-    return front, back, is_any
+    return front, back, np.logical_or.reduce(is_seen, axis=0)
 
 
 def _view(
