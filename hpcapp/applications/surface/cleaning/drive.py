@@ -168,7 +168,7 @@ def drop_strays(cloud_pass: PassT, scale: LocalScale) -> tuple[PassT, Cleaned, L
         if (cells := _find_outliers(cloud_pass, spacing)) is not None:
             cloud_pass, counts = cloud_pass.rewrite(tasks.drop_cells, cells)
             far = sum(count for (count,) in counts)
-        given = cloud_pass.cloud.low, scale, cloud_pass.threads
+        given = cloud_pass.cloud.low, scale
         cloud_pass, counts = cloud_pass.rewrite(tasks.drop_strays, *given, margin=margin)
         near = sum(count for (count,) in counts)
         outliers, strays = outliers + far, strays + near
@@ -204,7 +204,7 @@ def mend_normals(cloud_pass: PassT, spacing: float) -> tuple[PassT, int]:
         Of its points, in length units of the input.
     """
     margin = consistency.MARGIN * spacing
-    given = lay_lattice(cloud_pass.cloud.low, spacing), spacing, cloud_pass.threads
+    given = lay_lattice(cloud_pass.cloud.low, spacing), spacing
     cloud_pass, counts = cloud_pass.rewrite(tasks.mend_region, *given, margin=margin)
     return cloud_pass, sum(count for (count,) in counts)
 

@@ -86,7 +86,7 @@ def drop_cells(points: RegionPoints, cells: DroppedCells) -> tuple[Replaced | No
 
 @declare(result=without_points, limit=region_bytes(40))
 def drop_strays(
-    points: RegionPoints, low: FloatArray, scale: LocalScale, threads: int
+    points: RegionPoints, low: FloatArray, scale: LocalScale
 ) -> tuple[Replaced | None, int]:
     """Drop the strays of a region (a task); return how many, too.
 
@@ -94,11 +94,11 @@ def drop_strays(
     ----------
     points : RegionPoints
         With a margin of `strays.MARGIN` spacings.
-    low, scale, threads
+    low, scale
         As for `find_strays`.
     """
     region = points.take()
-    dropped = find_strays(region.positions, region.own, low, scale, threads)
+    dropped = find_strays(region.positions, region.own, low, scale, region.threads)
     return region.drop(dropped), int(np.count_nonzero(dropped))
 
 
@@ -122,7 +122,7 @@ def drop_lone_lines(
 
 @declare(result=mended_region, limit=region_bytes(40))
 def mend_region(
-    points: RegionPoints, low: FloatArray, spacing: float, threads: int
+    points: RegionPoints, low: FloatArray, spacing: float
 ) -> tuple[Replaced | None, int]:
     """Turn round the inconsistent normals of a region (a task); return how many, too.
 
@@ -130,10 +130,10 @@ def mend_region(
     ----------
     points : RegionPoints
         With a margin of `consistency.MARGIN` spacings.
-    low, spacing, threads
+    low, spacing
         As for `consistency.find_flipped`.
     """
     region = points.take()
-    flipped = find_flipped(region.positions, region.normals, low, spacing, threads)
-    is_flipped = flipped[region.own]
+    given = region.positions, region.normals, low, spacing, region.threads
+    is_flipped = find_flipped(*given)[region.own]
     return region.flip(is_flipped), int(np.count_nonzero(is_flipped))

@@ -42,7 +42,7 @@ class CloudPass(Protocol):
 
     @property
     def threads(self) -> int:
-        """Of each task."""
+        """How many this process may take between passes."""
 
     def each(self, task: Callable[..., Result], *given: Any, margin: float = 0.0) -> list[Result]:
         """Run a task for each region.
@@ -99,7 +99,14 @@ class CloudPass(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MemoryPass:
-    """The pass through a cloud in memory."""
+    """The pass through a cloud in memory.
+
+    Parameters
+    ----------
+    cloud : MemoryCloud
+    threads : int
+        How many tasks may take; no result depends on it.
+    """
 
     cloud: MemoryCloud
     threads: int = 1
@@ -139,13 +146,12 @@ class MemoryPass:
         boxes = _cut_boxes(positions, everything) if margin else [everything]
         if len(boxes) == 1:
             own = np.ones(len(positions), np.bool_)
-            yield MemoryRegion(positions, normals, own, slice(None))
+            yield MemoryRegion(positions, normals, own, slice(None), self.threads)
             return
         for rows in boxes:
             near, own = _find_near(positions, rows, margin)
-            yield MemoryRegion(
-                positions[near], None if normals is None else normals[near], own, rows
-            )
+            given = None if normals is None else normals[near]
+            yield MemoryRegion(positions[near], given, own, rows, self.threads)
 
     def _replace(
         self, changes: list[ReplacedRows], added: Mapping[str, Float32Array]

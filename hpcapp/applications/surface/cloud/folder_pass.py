@@ -46,8 +46,9 @@ class FolderPass:
 
     @property
     def threads(self) -> int:
-        """See `CloudPass`: several tasks run at once."""
-        return 1
+        """See `CloudPass`."""
+        workforce = self.workers.workforce
+        return workforce.workers if workforce.in_process else 1
 
     def each(self, task: Callable[..., Result], *given: Any, margin: float = 0.0) -> list[Result]:
         """See `CloudPass`."""

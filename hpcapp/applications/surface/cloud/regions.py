@@ -67,6 +67,10 @@ class Region(Protocol):
     def own(self) -> BoolArray:
         """Shape (n,): which points are the region's own; m of them."""
 
+    @property
+    def threads(self) -> int:
+        """How many a task may take."""
+
     def drop(self, dropped: BoolArray) -> Replaced | None:
         """Leave out some of its own points, of shape (m,); None where there are none."""
 
@@ -96,12 +100,14 @@ class MemoryRegion:
     own : ndarray of bool, shape (n,)
     rows : ndarray of int64, shape (m,), or slice
         Which points of the cloud are its own.
+    threads : int
     """
 
     positions: FloatArray
     given: FloatArray | Float32Array | None
     own: BoolArray
     rows: IntArray | slice
+    threads: int = 1
 
     def take(self) -> Region:
         """See `RegionPoints`."""
@@ -197,6 +203,10 @@ class _StoredRegion:
     packed: PackedPoints
     rows: IntArray
     target: tuple[str, int] | None
+
+    @property
+    def threads(self) -> int:
+        return 1  # workers run as many tasks at once as there are cores
 
     @property
     def normals(self) -> Float32Array:

@@ -18,7 +18,7 @@ from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
 from hpcapp.applications.surface.cloud.folder_pass import FolderPass, make_cloud_folder
 from hpcapp.applications.surface.job.columns import Columns
 from hpcapp.applications.surface.job.scan import PointFolder, Scan
-from hpcapp.applications.surface.job.settings import JobSettings, Settings, choose_early_threads
+from hpcapp.applications.surface.job.settings import JobSettings, Settings, count_own_threads
 from hpcapp.applications.surface.normals.sensor import Sensor, sensor_of
 from hpcapp.applications.surface.reading.drive import ingest_file
 from hpcapp.applications.surface.reading.reach import drop_far
@@ -97,9 +97,8 @@ def arrange_points(
         else:
             near = drop_far(points) if method.cleans else points
             cloud = arrange_cloud(near)
-        cloud_pass, repeated = drop_repeated(
-            MemoryPass(cloud, choose_early_threads(settings, len(points)))
-        )
+        whole = MemoryPass(cloud, count_own_threads(settings, len(points)))
+        cloud_pass, repeated = drop_repeated(whole)
     cleaned = Cleaned(len(points) - len(near), repeated=repeated)
     columns = Columns(points.take(np.empty(0, np.int64)), labels)  # a view would hold the points
     return Scan(cloud_pass, Dropped(0, 0), cleaned, columns, points.normals is not None)

@@ -213,8 +213,8 @@ def choose_local(settings: Settings, points: int) -> tuple[str, int]:
     return "threads", threads
 
 
-def choose_early_threads(settings: Settings, points: int) -> int:
-    """Return how many threads pay for so many points while no backend is open yet."""
+def count_own_threads(settings: Settings, points: int) -> int:
+    """Return how many threads pay for so many points in memory before a backend is open."""
     return 1 if settings.backend == "serial" else choose_local(settings, points)[1]
 
 

@@ -21,6 +21,7 @@ from hpcapp.applications.surface.kernels.constants import (
     QUANTA,
     SHEETS,
     UNSURE,
+    WHOLE,
     WRONG,
 )
 
@@ -33,5 +34,5 @@ else:
     from hpcapp.applications.surface.kernels._native import *  # noqa: F403
     from hpcapp.applications.surface.kernels._native import __all__ as _kernels
 
-__all__ = ["BASIS", "COLUMNS", "FINE", "QUANTA", "SHEETS", "UNSURE", "WRONG"]
+__all__ = ["BASIS", "COLUMNS", "FINE", "QUANTA", "SHEETS", "UNSURE", "WHOLE", "WRONG"]
 __all__ += _kernels

@@ -19,3 +19,6 @@ SHEETS = 12
 
 FINE, UNSURE, WRONG = 0, 1, 2
 """What `poll_normals` finds of a normal."""
+
+WHOLE = 127
+"""What `view_patches` makes of a cosine of one."""

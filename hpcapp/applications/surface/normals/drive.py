@@ -4,7 +4,7 @@
 
     regions ── estimate ──> normals without a side ── patches, links ──> sides ── turn ──> normals
 
-This module takes its time to be imported (scipy), and is only where it is needed.
+This module takes its time to be imported, and is only where it is needed.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def orient_normals(
         sample = draw_places(cloud_pass, patches.CELL * spacing, len(cloud) // _SAMPLE + 1)
         if has_pixels(sample + cloud.origin):
             sensor = Sensor("places", np.zeros((1, 3)))
-    oriented = orient_patches(*found, spacing, -cloud.origin, sensor)
+    oriented = orient_patches(*found, spacing, -cloud.origin, sensor, cloud_pass.threads)
     # They take much memory, and the points are read again below.
     del found
     del grouped

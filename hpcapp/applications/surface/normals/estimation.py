@@ -25,7 +25,7 @@ MARGIN = _REACH + _CELL * 3.0**0.5 + _ROUNDED
 
 
 def estimate_normals(
-    positions: FloatArray, asked: BoolArray, low: FloatArray, spacing: float
+    positions: FloatArray, asked: BoolArray, low: FloatArray, spacing: float, threads: int = 1
 ) -> Float32Array:
     """Estimate the normals of points, without a side.
 
@@ -56,7 +56,7 @@ def estimate_normals(
     See `kernels.portable.around.planes.fit_planes`.
     """
     refuse_wide(positions, low, _CELL * spacing)
-    return fit_planes(positions, asked.astype(np.uint8), low, spacing)
+    return fit_planes(positions, asked.astype(np.uint8), low, spacing, threads)
 
 
 def keep_directions(vectors: Float32Array, normals: FloatArray | Float32Array) -> Float32Array:

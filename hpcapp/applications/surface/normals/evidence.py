@@ -8,14 +8,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import numpy as np
 
+from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.kernels import WHOLE
 from hpcapp.applications.surface.normals.inside import TIGHT, find_inside
 from hpcapp.applications.surface.normals.patches import CELL, Patches
 from hpcapp.applications.surface.normals.sensor import Sensor
-from hpcapp.applications.surface.normals.visibility import WHOLE, look, surround
+from hpcapp.applications.surface.normals.visibility import look, surround
 from hpcapp.geometry.points import BoolArray, FloatArray, Int8Array, IntArray
 from hpccomponent.cli.option_names import name_option
 from hpccomponent.dataclass import dataclass
@@ -25,6 +25,7 @@ VIEWS = 64
 """Viewpoints around an object."""
 
 _CLEAR = 0.125  # of the viewpoints: the sum of cosines that makes a patch's leaning a whole one
+_AT_ONCE = 16  # viewpoints, of which no more than the sums is kept
 _FEW = 8  # viewpoints that see a patch from among things: others see other parts
 _BELIEVED = 0.5  # share of the area that may be hidden from scanners that a file names
 _LEVEL = 0.75  # of the longest side, below which the height of what was flown over is
@@ -76,24 +77,38 @@ class Views:
     is_hidden: BoolArray
 
     @classmethod
-    def sum(
-        cls, seen: Iterable[tuple[Int8Array, BoolArray]], patches: int, viewpoints: float
-    ) -> Views:
+    def sum(cls, cosines: Int8Array, is_seen: BoolArray, viewpoints: float) -> Views:
         """Add up what `look` has returned; so many of the viewpoints could see a patch."""
-        front, back = np.zeros((2, patches), np.int32)
-        is_hidden = np.ones(patches, np.bool_)
-        for row, is_seen in seen:
-            # (p,): cosines in 127ths, above 0 where the normal points to the viewpoint.
-            front += np.maximum(row, 0)
-            back -= np.minimum(row, 0)
-            is_hidden &= ~is_seen
+        # (p,) each: cosines in 127ths, above 0 where the normal points to the viewpoint.
+        front, back, is_shown = kernels.add_views(cosines, is_seen)
+        return cls(front / WHOLE, back / WHOLE, _CLEAR * viewpoints, ~is_shown)
+
+    @classmethod
+    def of(
+        cls,
+        patches: Patches,
+        places: FloatArray,
+        viewpoints: float,
+        spacing: float,
+        threads: int = 1,
+    ) -> Views:
+        """Look from some places; so many of them could see a patch."""
+        front, back = np.zeros((2, len(patches)), np.int64)
+        is_hidden = np.ones(len(patches), np.bool_)
+        for start in range(0, len(places), _AT_ONCE):
+            some = places[start : start + _AT_ONCE]
+            more = kernels.add_views(*look(patches, some, spacing, threads))
+            front += more[0]
+            back += more[1]
+            is_hidden &= ~more[2]
         return cls(front / WHOLE, back / WHOLE, _CLEAR * viewpoints, is_hidden)
 
     @classmethod
-    def inside(cls, patches: Patches, places: FloatArray, spacing: float) -> Views:
+    def inside(
+        cls, patches: Patches, places: FloatArray, spacing: float, threads: int = 1
+    ) -> Views:
         """Look from places inside, of which a patch is seen from a few."""
-        rows = (look(patches, place, spacing) for place in places)
-        return cls.sum(rows, len(patches), min(len(places), _FEW))
+        return cls.of(patches, places, min(len(places), _FEW), spacing, threads)
 
     @property
     def is_alike(self) -> BoolArray:
@@ -131,7 +146,12 @@ def face_along(patches: Patches, axis: int, sign: float, how: str, *, is_sensed:
 
 
 def hear_sensor(
-    patches: Patches, components: IntArray, spacing: float, zero: FloatArray, sensor: Sensor
+    patches: Patches,
+    components: IntArray,
+    spacing: float,
+    zero: FloatArray,
+    sensor: Sensor,
+    threads: int = 1,
 ) -> Evidence | None:
     """Return the evidence of a sensor; None where nothing is known of it.
 
@@ -156,16 +176,17 @@ def hear_sensor(
         Somebody was inside, and no place inside is found.
     """
     if sensor.kind == "inside":
-        places = find_inside(patches, spacing, TIGHT)
+        places = find_inside(patches, spacing, TIGHT, threads)
         if not len(places):
             raise InputError(
                 f"{name_option('viewpoint', 'inside')}: no place inside was found: nothing "
                 "surrounds the points",
                 f"give where the sensor was ({name_option('viewpoint')}: X,Y,Z or path.csv)",
             )
-        return Views.inside(patches, places, spacing).evidence("from inside")
+        return Views.inside(patches, places, spacing, threads).evidence("from inside")
     if sensor.kind == "outside":
-        return look_outside(patches, components, spacing).toggled.evidence("from outside")
+        outside = look_outside(patches, components, spacing, threads)
+        return outside.toggled.evidence("from outside")
     if sensor.kind in ("above", "below"):
         size = np.ptp(patches.centres, axis=0)
         sign = 1.0 if sensor.kind == "above" else -1.0
@@ -174,8 +195,7 @@ def hear_sensor(
         return None
     if sensor.places is None:
         return None
-    rows = (look(patches, place, spacing) for place in sensor.places + zero)
-    views = Views.sum(rows, len(patches), len(sensor.places))
+    views = Views.of(patches, sensor.places + zero, len(sensor.places), spacing, threads)
     if sensor.is_told or share_of(patches, views.is_hidden) < _BELIEVED:
         is_camera = sensor.axes is not None and bool(sensor.axes.any())
         how = f"from where the {'cameras were' if is_camera else 'scanner stood'}"
@@ -189,7 +209,8 @@ class Outside:
 
     Parameters
     ----------
-    seen : list of tuple
+    cosines : ndarray of int8, shape (v, p)
+    is_seen : ndarray of bool, shape (v, p)
         What each viewpoint sees of the whole; see `look`.
     directions : ndarray of float64, shape (v, 3)
         Where the viewpoints are, from the middle; unit length.
@@ -204,7 +225,8 @@ class Outside:
         Patches that are hidden, and not those of a cavity: of a closed shell inside another one.
     """
 
-    seen: list[tuple[Int8Array, BoolArray]]
+    cosines: Int8Array
+    is_seen: BoolArray
     directions: FloatArray
     radius: float
     views: Views
@@ -212,7 +234,9 @@ class Outside:
     is_content: BoolArray
 
 
-def look_outside(patches: Patches, components: IntArray, spacing: float) -> Outside:
+def look_outside(
+    patches: Patches, components: IntArray, spacing: float, threads: int = 1
+) -> Outside:
     """Look from all around.
 
     Parameters
@@ -225,8 +249,8 @@ def look_outside(patches: Patches, components: IntArray, spacing: float) -> Outs
         Of the cloud, in length units of the input.
     """
     directions, radius, viewpoints = surround(patches, VIEWS)
-    seen = [look(patches, viewpoint, spacing) for viewpoint in viewpoints]
-    whole = shown = Views.sum(seen, len(patches), VIEWS)
+    cosines, is_seen = look(patches, viewpoints, spacing, threads)
+    whole = shown = Views.sum(cosines, is_seen, VIEWS)
     # (p,) each: what each side shows once the shells around it are gone; `rows` are the patches of
     # no shell so far.
     front, back = np.zeros(len(patches)), np.zeros(len(patches))
@@ -248,7 +272,6 @@ def look_outside(patches: Patches, components: IntArray, spacing: float) -> Outs
         if not (len(rows) and taken.any()):
             break
         # What was seen so far is taken away, and the viewpoints see the next shell.
-        left = patches.take(rows)
-        shown = Views.sum((look(left, v, spacing) for v in viewpoints), len(rows), VIEWS)
+        shown = Views.of(patches.take(rows), viewpoints, VIEWS, spacing, threads)
     toggled = Views(front, back, whole.whole, whole.is_hidden)
-    return Outside(seen, directions, radius, whole, toggled, is_content)
+    return Outside(cosines, is_seen, directions, radius, whole, toggled, is_content)

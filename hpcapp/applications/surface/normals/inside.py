@@ -11,8 +11,8 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from scipy import ndimage
 
+from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.normals.patches import CELL, Patches, quarter_patches
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 
@@ -29,7 +29,7 @@ _ROOMY = 0.35  # of the emptiest place's distance: nearer ones are no places to 
 _DIRECTIONS = [step for step in itertools.product((-1, 0, 1), repeat=3) if any(step)]
 
 
-def find_inside(patches: Patches, spacing: float, least: float) -> FloatArray:
+def find_inside(patches: Patches, spacing: float, least: float, threads: int = 1) -> FloatArray:
     """Find places that are inside of what surrounds them, all along it.
 
     Parameters
@@ -58,7 +58,7 @@ def find_inside(patches: Patches, spacing: float, least: float) -> FloatArray:
     for step in _DIRECTIONS:
         blocked += _find_blocked(occupied, step)
     # (x, y, z): in cells, to the nearest one that is occupied.
-    far = ndimage.distance_transform_edt(~occupied)
+    far = kernels.measure_distances(occupied, threads)
     is_inside = blocked >= _BLOCKED * len(_DIRECTIONS)
     roomy = max(least * spacing / edge, _ROOMY * float(far[is_inside].max(initial=0.0)))
     cells = np.argwhere(is_inside & (far >= roomy))

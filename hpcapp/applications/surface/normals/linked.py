@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_matrix, csr_matrix, diags
-from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import cg
 
+from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.normals.patches import Links, Patches
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 
@@ -41,14 +39,12 @@ class LinkedPatches:
         self._first, self._second = links.first, links.second
         self._strengths = _rate_links(patches, links)
         self._count = len(patches)
-        # (2 l,): each link in both directions, as the matrix is symmetric.
-        ends = (links.first, links.second), (links.second, links.first)
-        rows, columns = (np.concatenate(pair) for pair in zip(*ends, strict=True))
-        both = np.concatenate([self._strengths, self._strengths])
-        self._links = csr_matrix((both, (rows, columns)), shape=(self._count, self._count))
         # (p,): the diagonal of the Laplacian, and a little more: a component of which nothing is
         # known would make the matrix singular.
-        self._sums = np.bincount(rows, np.abs(both), self._count) + _FREE
+        sums = np.zeros(self._count)
+        for ends in (links.first, links.second):
+            sums += np.bincount(ends, np.abs(self._strengths), self._count)
+        self._sums = sums + _FREE
 
     def spread(self, weights: FloatArray, leanings: FloatArray, start: FloatArray) -> FloatArray:
         """Return sides.
@@ -67,18 +63,10 @@ class LinkedPatches:
         -------
         ndarray of float64, shape (p,)
         """
-        diagonal = self._sums + weights
-        sides: FloatArray
+        links = self._first, self._second, self._strengths
         # Where its gradient vanishes, a system that is symmetric and positive definite.
-        sides, _ = cg(
-            diags(diagonal) - self._links,
-            weights * leanings,
-            x0=start,
-            rtol=_TOLERANCE,
-            maxiter=_STEPS,
-            M=diags(1.0 / diagonal),
-        )
-        return sides
+        system = *links, self._sums + weights, weights * leanings
+        return kernels.spread_leanings(*system, start, _TOLERANCE, _STEPS)
 
     def share_broken(self, sides: FloatArray) -> float:
         """Return how much of the strength of all links some sides contradict: 0 to 1."""
@@ -98,10 +86,9 @@ class LinkedPatches:
         holding = np.abs(self._strengths) > _HOLDING
         if chosen is not None:
             holding &= chosen[self._first] & chosen[self._second]
-        ends = self._first[holding], self._second[holding]
-        graph = coo_matrix((np.ones(len(ends[0])), ends), shape=(self._count, self._count))
-        numbers: IntArray = connected_components(graph, directed=False)[1].astype(np.int64)
-        return numbers
+        first, second = self._first[holding], self._second[holding]
+        edges = np.column_stack([first, second, second])  # as faces without an area
+        return kernels.label_components(edges, self._count)[1].astype(np.int64)
 
 
 def _rate_links(patches: Patches, links: Links) -> FloatArray:

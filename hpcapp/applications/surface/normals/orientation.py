@@ -79,7 +79,12 @@ class Orientation:
 
 
 def orient_patches(
-    patches: Patches, links: Links, spacing: float, zero: FloatArray, sensor: Sensor
+    patches: Patches,
+    links: Links,
+    spacing: float,
+    zero: FloatArray,
+    sensor: Sensor,
+    threads: int = 1,
 ) -> Orientation:
     """Find the side of each patch.
 
@@ -113,14 +118,14 @@ def orient_patches(
     now, on its right-hand side.
     """
     linked = LinkedPatches(patches, links)
-    evidence = hear_sensor(patches, linked.components(), spacing, zero, sensor)
+    evidence = hear_sensor(patches, linked.components(), spacing, zero, sensor, threads)
     if evidence is not None:
         followed = None if evidence.is_sensed else follow(linked, evidence)
-        sides = _settle(patches, linked, spacing, evidence, followed)
+        sides = _settle(patches, linked, spacing, evidence, followed, threads)
         values = np.clip(sides, -1.0, 1.0).astype(np.float32)
         return Orientation(Sides(patches.keys, patches.ranks, values), evidence.how, None)
-    best, *others = weigh_readings(patches, linked, spacing, zero)
-    sides = _settle(patches, linked, spacing, best.reading.evidence, best.sides)
+    best, *others = weigh_readings(patches, linked, spacing, zero, threads)
+    sides = _settle(patches, linked, spacing, best.reading.evidence, best.sides, threads)
     # (r, p): how much more a reading costs that turns the patch round; the first row is the best
     # reading's own, which turns none.
     margins = np.full((1 + len(others), len(patches)), CERTAIN)
@@ -172,6 +177,7 @@ def _settle(
     spacing: float,
     evidence: Evidence,
     followed: FloatArray | None,
+    threads: int,
 ) -> FloatArray:
     """Return the sides that evidence, links and far field agree on.
 
@@ -194,7 +200,7 @@ def _settle(
     for _ in range(_ROUNDS):
         # The field depends on the sides, and these on the field: both in turn until they settle.
         signs = np.where(sides < 0.0, -1.0, 1.0)
-        field = _ask_field(patches, np.clip(2.0 * sides, -1.0, 1.0), spacing)
+        field = _ask_field(patches, np.clip(2.0 * sides, -1.0, 1.0), spacing, threads)
         sides = linked.spread(_LEAN * total, (weights * leanings + asked * field) / total, sides)
         changed = np.count_nonzero(signs != np.where(sides < 0.0, -1.0, 1.0))
         if changed <= _SETTLED * len(patches):
@@ -202,7 +208,7 @@ def _settle(
     return sides
 
 
-def _ask_field(patches: Patches, sides: FloatArray, spacing: float) -> FloatArray:
+def _ask_field(patches: Patches, sides: FloatArray, spacing: float, threads: int) -> FloatArray:
     """Return how far the far field of the patches agrees with the normal of each: -1 to 1."""
     low, high = patches.centres.min(axis=0), patches.centres.max(axis=0)
     extent = max(float((high - low).max()), CELL * spacing)  # of one patch, its own
@@ -216,7 +222,7 @@ def _ask_field(patches: Patches, sides: FloatArray, spacing: float) -> FloatArra
     held = _held_rows((low - origin) / step, (high - origin) / step)
     values = np.zeros((_NODES,) * 3, np.float32)
     values[tuple(slice(*bounds) for bounds in held)] = integrate_normals(
-        places, patches.normals * (sides * areas)[:, None], 1.0, held, _NODES
+        places, patches.normals * (sides * areas)[:, None], 1.0, held, _NODES, threads
     )
     # (p,): the field one step before each patch less the field one step behind it. It rises along
     # normals that fit in with the others.

@@ -115,14 +115,16 @@ class _Grouped:
 
     Parameters
     ----------
-    patches : Patches
+    keys, ranks : ndarray of int64, shape (p,)
+        See `Patches`.
     patch_of : ndarray of int64, shape (n,)
         The patch of each point.
     is_opposed : ndarray of bool, shape (n,)
         Whether the point's normal is on the other side than its patch's.
     """
 
-    patches: Patches
+    keys: IntArray
+    ranks: IntArray
     patch_of: IntArray
     is_opposed: BoolArray
 
@@ -133,6 +135,7 @@ def find_patches(
     own: BoolArray,
     low: FloatArray,
     spacing: float,
+    threads: int = 1,
 ) -> tuple[Patches, Links]:
     """Find the patches that points belong to, and what these touch.
 
@@ -156,17 +159,18 @@ def find_patches(
     links : Links
         Between them.
     """
-    grouped = _group_points(positions, vectors, low, spacing)
-    links = Links(*link_groups(positions, own.astype(np.uint8), grouped.patch_of, low, spacing))
+    grouped = _group_points(positions, vectors, low, spacing, threads)
+    points = positions, own.astype(np.uint8), grouped.patch_of
+    links = Links(*link_groups(*points, low, spacing, threads))
     # (g,): patches with a point of the region, or linked to one of these; what lies in the margin
     # alone is another region's to find.
-    wanted = np.zeros(len(grouped.patches), np.bool_)
+    wanted = np.zeros(len(grouped.keys), np.bool_)
     for rows in (grouped.patch_of[own], links.first, links.second):
         wanted[rows] = True
     # (g,): the row of each among those that are wanted.
     row_of = np.cumsum(wanted) - 1
     kept = Links(row_of[links.first], row_of[links.second], links.contacts)
-    return grouped.patches.take(np.flatnonzero(wanted)), kept
+    return _describe(grouped, positions, vectors).take(np.flatnonzero(wanted)), kept
 
 
 def merge_patches(found: Sequence[tuple[Patches, Links]]) -> tuple[Patches, Links]:
@@ -238,6 +242,7 @@ def turn_points(
     low: FloatArray,
     spacing: float,
     sides: Sides,
+    threads: int = 1,
 ) -> tuple[Float32Array, BoolArray, Float32Array]:
     """Turn normals to the sides of their patches.
 
@@ -263,8 +268,8 @@ def turn_points(
     confidences : ndarray of float32, shape (n,)
         0 to 1; 0 for points of other patches.
     """
-    grouped = _group_points(positions, vectors, low, spacing)
-    rows = _find_names(sides, grouped.patches)
+    grouped = _group_points(positions, vectors, low, spacing, threads)
+    rows = _find_names(sides, grouped)
     # (n,): the side of each point's patch; 0, appended last, where that has none.
     values = np.append(sides.values, np.float32(0.0))[rows][grouped.patch_of]
     # A normal that opposes its patch stays where the patch is turned: the two signs cancel.
@@ -275,27 +280,21 @@ def turn_points(
 
 
 def _group_points(
-    positions: FloatArray, vectors: FloatArray | Float32Array, low: FloatArray, spacing: float
+    positions: FloatArray,
+    vectors: FloatArray | Float32Array,
+    low: FloatArray,
+    spacing: float,
+    threads: int,
 ) -> _Grouped:
     """Group the points of whole cells; what comes of cells that are not is no patch."""
     refuse_wide(positions, low, CELL * spacing)
     single = vectors.astype(np.float32, copy=False)
-    keys, ranks, patch_of, sides = group_sheets(positions, single, low, CELL * spacing, spacing)
-    # (n,), (n, 3): the vectors are as long as the noise of their points.
-    noise, normals = _split(vectors)
-    opposed = sides.view(np.bool_)
-    # Normals on the side of the seed: without a common side their mean would mean nothing.
-    patches = _describe(
-        (keys, ranks),
-        patch_of,
-        positions,
-        np.where(opposed[:, None], -normals, normals),
-        noise,
-    )
-    return _Grouped(patches, patch_of, opposed)
+    points = positions, single, low, CELL * spacing, spacing
+    keys, ranks, patch_of, sides = group_sheets(*points, threads)
+    return _Grouped(keys, ranks, patch_of, sides.view(np.bool_))
 
 
-def _find_names(sides: Sides, wanted: Patches) -> IntArray:
+def _find_names(sides: Sides, wanted: _Grouped) -> IntArray:
     """Return where patches stand among those with sides; beyond the last where they do not."""
     keys = unique_keys(sides.keys)
     # (p,): cell and rank as one number, rising; a cell that is not there comes after all others.
@@ -311,17 +310,18 @@ def _split(vectors: FloatArray | Float32Array) -> tuple[FloatArray, FloatArray]:
 
 
 def _describe(
-    names: tuple[IntArray, IntArray],
-    patch_of: IntArray,
-    positions: FloatArray,
-    normals: FloatArray,
-    noise: FloatArray,
+    grouped: _Grouped, positions: FloatArray, vectors: FloatArray | Float32Array
 ) -> Patches:
-    count = len(names[0])
-    directions = _means(normals, patch_of, count)
+    patch_of, count = grouped.patch_of, len(grouped.keys)
+    # (n,), (n, 3): the vectors are as long as the noise of their points.
+    noise, normals = _split(vectors)
+    # Normals on the side of the seed: without a common side their mean would mean nothing.
+    aligned = np.where(grouped.is_opposed[:, None], -normals, normals)
+    directions = _means(aligned, patch_of, count)
     lengths = np.sqrt(_dot(directions, directions))
     return Patches(
-        *names,
+        grouped.keys,
+        grouped.ranks,
         np.bincount(patch_of, minlength=count),
         _means(positions, patch_of, count),
         directions / np.maximum(lengths, 1e-300)[:, None],

@@ -30,7 +30,6 @@ from hpcapp.applications.surface.normals.inside import AMPLE, find_inside
 from hpcapp.applications.surface.normals.linked import LinkedPatches
 from hpcapp.applications.surface.normals.patches import Patches
 from hpcapp.applications.surface.normals.stand import has_stand
-from hpcapp.applications.surface.normals.visibility import look
 from hpcapp.geometry.points import BoolArray, FloatArray
 from hpccomponent.dataclass import dataclass
 
@@ -137,7 +136,7 @@ def follow(linked: LinkedPatches, evidence: Evidence) -> FloatArray:
 
 
 def weigh_readings(
-    patches: Patches, linked: LinkedPatches, spacing: float, zero: FloatArray
+    patches: Patches, linked: LinkedPatches, spacing: float, zero: FloatArray, threads: int = 1
 ) -> list[Followed]:
     """Find the readings that are not refuted, the best one first.
 
@@ -156,7 +155,7 @@ def weigh_readings(
     list of Followed
         Of the others, those that cost `CERTAIN` more may be missing.
     """
-    readings = find_readings(patches, linked, spacing, zero)
+    readings = find_readings(patches, linked, spacing, zero, threads)
     # What is left if every patch could take the side of its own that is seen more.
     bounds = [
         reading.cost(patches, reading.views.front < reading.views.back) for reading in readings
@@ -197,11 +196,11 @@ def follow_reading(patches: Patches, linked: LinkedPatches, reading: Reading) ->
 
 
 def find_readings(
-    patches: Patches, linked: LinkedPatches, spacing: float, zero: FloatArray
+    patches: Patches, linked: LinkedPatches, spacing: float, zero: FloatArray, threads: int = 1
 ) -> list[Reading]:
     """Return all readings of a cloud; as for `weigh_readings`."""
-    outside = look_outside(patches, linked.components(), spacing)
-    places = find_inside(patches, spacing, AMPLE)
+    outside = look_outside(patches, linked.components(), spacing, threads)
+    places = find_inside(patches, spacing, AMPLE, threads)
     # Whoever stood inside has scanned neither from outside nor from one side.
     aside = STAND if len(places) and has_stand(patches, spacing) else 0.0
     toggled = outside.toggled.evidence("from outside")
@@ -209,15 +208,14 @@ def find_readings(
         Reading("outside", outside.views, toggled, share_of(patches, outside.is_content), aside)
     ]
     if len(places):
-        views = Views.inside(patches, places, spacing)
+        views = Views.inside(patches, places, spacing, threads)
         unseen = share_of(patches, views.is_hidden)
         found.append(Reading("inside", views, views.evidence("from inside"), unseen, RARE))
     # (p, 3): a camera at zero looks along z, and sees what is not too far aside.
     away = np.abs(patches.centres - zero)
     if (away[:, :2].max(axis=1) < _SIGHT * away[:, 2]).all():
         places = zero + np.median(away[:, 2]) * _SWAY
-        seeing = (look(patches, place, spacing) for place in places)
-        views = Views.sum(seeing, len(patches), len(places))
+        views = Views.of(patches, places, len(places), spacing, threads)
         seen = views.evidence("from a camera at (0, 0, 0)")
         unseen = share_of(patches, views.is_hidden)
         found.append(Reading("camera", views, seen, unseen, aside, HABIT, zero))
@@ -232,7 +230,7 @@ def _look_from_sides(patches: Patches, outside: Outside, rare: float) -> list[Re
     for side in _SIDES:
         # Such viewpoints of those all around as lie about on this side.
         rows = np.flatnonzero(outside.directions @ side > _AROUND)
-        views = Views.sum((outside.seen[row] for row in rows), len(patches), len(rows))
+        views = Views.sum(outside.cosines[rows], outside.is_seen[rows], len(rows))
         name = _name_side(side)
         # 0 from above, 1 from below.
         downwards = 0.5 * (1.0 - float(side[2]))

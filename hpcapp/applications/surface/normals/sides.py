@@ -61,7 +61,7 @@ def orient_cloud(
         judgement = judge_normals(cloud_pass, spacing)
         if wanted == "file" or (is_oriented and judgement == "agree"):
             return cloud_pass, Oriented("file", 1.0, judgement=judgement)
-    from hpcapp.applications.surface.normals.drive import orient_normals  # scipy takes its time
+    from hpcapp.applications.surface.normals.drive import orient_normals  # takes its time
 
     with clock.stage("normals"):
         cloud_pass, found = orient_normals(

@@ -8,15 +8,17 @@ takes them in rows and columns: from where it was, and from nowhere else, they l
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
+from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.normals.patches import CELL, Patches, quarter_patches
+from hpcapp.geometry.lattice import lay_lattice
 from hpcapp.geometry.points import FloatArray, IntArray
 
 _SAMPLE = 3000  # patches, about
 _PLACES = 7  # along each side of the box
 _BANDS = 12  # of directions, each of twice as many of equal solid angle
 _NEAREST = 8  # patches whose points make the density of one
+_FARTHEST = 64.0  # cells: patches beyond are none of them
 _LOW, _HIGH = 0.15, 0.85  # quantiles that a spread lies between
 _EVEN = 0.66  # of the spread on the surface: that from a place where a tripod stood
 _AROUND = 0.94  # share of the directions in which it saw something
@@ -52,13 +54,17 @@ def has_stand(patches: Patches, spacing: float) -> bool:
     if len(patches) <= _NEAREST:  # which are in too few directions from anywhere
         return False
     counts = patches.counts.astype(np.float64)
-    near = cKDTree(patches.centres)
-    every = slice(None, None, -(-len(patches) // _SAMPLE))
-    centres, sampled = patches.centres[every], counts[every]
-    # (s, 9): each patch of the sample with its nearest ones, and their distances.
-    far, rows = near.query(centres, _NEAREST + 1)
+    every = np.arange(0, len(patches), -(-len(patches) // _SAMPLE))
+    sampled, edge = counts[every], CELL * spacing
+    corner = lay_lattice(patches.centres.min(axis=0), edge)
+    boxes = kernels.sort_points(patches.centres, corner, edge)
+    # (s, 8): of each patch of the sample the nearest ones, and the squares of their distances.
+    squares, near = kernels.find_nearest(
+        patches.centres, *boxes, edge, every, _NEAREST, _FARTHEST * edge
+    )
     # (s,): points per area, up to a factor: what lies within a distance by the square of that.
-    density = counts[rows].sum(axis=1) / np.maximum(far[:, -1] ** 2, 1e-300)
+    held = sampled + np.append(counts, 0.0)[near].sum(axis=1)
+    density = held / np.clip(squares[:, -1], 1e-300, (_FARTHEST * edge) ** 2)
     # Quantiles over the points, of which some patches have many more than others.
     order = np.argsort(density)
     below = np.cumsum(sampled[order]) / sampled.sum()
@@ -67,7 +73,7 @@ def has_stand(patches: Patches, spacing: float) -> bool:
     if uneven < _UNEVEN:
         return False
     # (4 s, 3): quarters of the patches, as a near patch spans several directions.
-    parts = quarter_patches(patches.take(np.arange(len(patches))[every]), 0.25 * CELL * spacing)
+    parts = quarter_patches(patches.take(every), 0.25 * CELL * spacing)
     shares, cells = np.tile(0.25 * sampled, 4), 2 * _BANDS * _BANDS
     for place in _fill_box(patches.centres.min(axis=0), patches.centres.max(axis=0)):
         # (288,): points in each direction; all have one solid angle.

@@ -49,7 +49,7 @@ def estimate_region(
         Whether the directions that are there stay, and only lengths are estimated.
     """
     region = points.take()
-    vectors = estimate_normals(region.positions, region.own, low, spacing)
+    vectors = estimate_normals(region.positions, region.own, low, spacing, region.threads)
     if keeps:
         vectors = keep_directions(vectors, region.normals[region.own])
     return (region.replace_normals(vectors),)
@@ -67,7 +67,8 @@ def group_region(points: RegionPoints, low: FloatArray, spacing: float) -> tuple
         As for `patches.find_patches`, whose result this is.
     """
     region = points.take()
-    return find_patches(region.positions, region.normals, region.own, low, spacing)
+    given = region.positions, region.normals, region.own, low, spacing
+    return find_patches(*given, region.threads)
 
 
 @declare(result=turned_region, limit=region_bytes(40))
@@ -96,7 +97,7 @@ def turn_region(
         None, where that is not asked for.
     """
     region = points.take()
-    found = turn_points(region.positions, region.normals, low, spacing, sides)
+    found = turn_points(region.positions, region.normals, low, spacing, sides, region.threads)
     normals, is_turned, confidences = (
         found[0][region.own],
         found[1][region.own],

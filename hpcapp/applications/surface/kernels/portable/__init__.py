@@ -6,15 +6,18 @@ The kernels of a module are what its `__all__` lists. Those of `X.py` stand in `
 from types import FunctionType
 from typing import TYPE_CHECKING
 
+from hpcapp.applications.surface.kernels.portable.around.leanings import *
 from hpcapp.applications.surface.kernels.portable.around.links import *
 from hpcapp.applications.surface.kernels.portable.around.normals import *
 from hpcapp.applications.surface.kernels.portable.around.planes import *
 from hpcapp.applications.surface.kernels.portable.around.sheets import *
 from hpcapp.applications.surface.kernels.portable.around.sparse import *
 from hpcapp.applications.surface.kernels.portable.around.supporting import *
+from hpcapp.applications.surface.kernels.portable.around.views import *
 from hpcapp.applications.surface.kernels.portable.field.coarse_grid import *
 from hpcapp.applications.surface.kernels.portable.field.features import *
 from hpcapp.applications.surface.kernels.portable.field.field import *
+from hpcapp.applications.surface.kernels.portable.lattice.distances import *
 from hpcapp.applications.surface.kernels.portable.lattice.keys import *
 from hpcapp.applications.surface.kernels.portable.lattice.packing import *
 from hpcapp.applications.surface.kernels.portable.lattice.points import *

@@ -179,6 +179,22 @@ def test_large_clouds_in_memory_are_turned_in_boxes(monkeypatch: pytest.MonkeyPa
     assert found.attributes["sure"].tobytes() == expected.attributes["sure"].tobytes()
 
 
+def test_normals_depend_on_no_number_of_threads() -> None:
+    cloud = arrange_cloud(PointCloud(_scan("knot", noise=0.001).positions))
+    spacing = measure_spacing(MemoryPass(cloud))
+    found = []
+    for threads in (1, 3):
+        cloud_pass, oriented = orient_normals(
+            MemoryPass(cloud, threads), spacing, UNKNOWN, keeps=False
+        )
+        cloud_pass, flipped = mend_normals(cloud_pass, spacing)
+        assert cloud_pass.threads == threads
+        normals = cloud_pass.cloud.points.normals
+        assert normals is not None
+        found.append((normals.tobytes(), oriented, flipped))
+    assert found[0] == found[1]
+
+
 def test_normals_of_a_file_are_warned_of_where_they_are_taken_as_they_are() -> None:
     scan = _scan("torus")
     assert scan.normals is not None

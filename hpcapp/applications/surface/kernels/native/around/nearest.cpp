@@ -11,7 +11,8 @@ namespace hpc {
 namespace {
 
 constexpr int RINGS = 3;          // of cells around one, at most: 15 spacings
-constexpr int LANES = 16;
+constexpr double MOST_MARGIN = RINGS * static_cast<double>(CELL_UNITS), LEAST_MARGIN = 0.2 * CELL_UNITS;
+constexpr int LANES = 32;
 constexpr double GUESSED = 1.2;   // of the last point's squared distance
 constexpr size_t MANY = 3;        // times what is wanted: more points around are worth a cut
 constexpr double SMALLER = 0.8;   // how wide what lies around a part may be, of the whole
@@ -136,8 +137,10 @@ void NearestSearch::search(int64_t cell, const std::vector<int>& wanted, const T
   first_ = points_.offsets[cell];
   std::vector<int>&todo = around(0).wanted, &rest = around(0).unsolved;
   todo = wanted;
-  for (int rings = 1; !todo.empty(); ++rings) {
-    gather(cell, rings);
+  // As far as neighbours were last: most probably, that tells them.
+  double margin = std::max(std::sqrt(guess_), LEAST_MARGIN);
+  for (; !todo.empty(); margin *= 2.0) {
+    gather(cell, std::min(margin, MOST_MARGIN));
     rest.clear();
     solve(0, todo, rest, take);
     todo.swap(rest);
@@ -155,11 +158,12 @@ NearestSearch::Around& NearestSearch::around(size_t depth) {
   return stack_[depth];
 }
 
-// Take what lies in so many rings of cells around one.
-void NearestSearch::gather(int64_t cell, int rings) {
+// Take what lies so far around a cell.
+void NearestSearch::gather(int64_t cell, double margin) {
   Around& all = around(0);
-  const double edge = static_cast<double>(CELL_UNITS);
-  all.box = Box{{0.0, 0.0, 0.0}, edge, rings * edge};
+  const double edge = static_cast<double>(CELL_UNITS), high = edge + margin;
+  const int rings = static_cast<int>(std::ceil(margin / edge));
+  all.box = Box{{0.0, 0.0, 0.0}, edge, margin};
   all.count = 0;
   const int64_t key = points_.keys[cell];
   Finger* finger = fingers_[static_cast<size_t>(rings) - 1].data();
@@ -171,12 +175,17 @@ void NearestSearch::gather(int64_t cell, int rings) {
         const int64_t start = points_.offsets[row], stop = points_.offsets[row + 1];
         const double corner[3] = {x * edge, y * edge, static_cast<double>(points_.keys[row] - middle) * edge};
         all.make_room(all.count + static_cast<size_t>(stop - start));
-        for (int64_t i = start; i < stop; ++i, ++all.count) {
-          all.x[all.count] = corner[0] + points_.places[3 * i];
-          all.y[all.count] = corner[1] + points_.places[3 * i + 1];
-          all.z[all.count] = corner[2] + points_.places[3 * i + 2];
-          all.at[all.count] = static_cast<uint32_t>(i);
+        size_t count = all.count;
+        for (int64_t i = start; i < stop; ++i) {
+          const double px = corner[0] + points_.places[3 * i], py = corner[1] + points_.places[3 * i + 1];
+          const double pz = corner[2] + points_.places[3 * i + 2];
+          all.x[count] = px;
+          all.y[count] = py;
+          all.z[count] = pz;
+          all.at[count] = static_cast<uint32_t>(i);
+          count += (px >= -margin) & (px <= high) & (py >= -margin) & (py <= high) & (pz >= -margin) & (pz <= high);
         }
+        all.count = count;
       }
     }
 }

@@ -74,7 +74,7 @@ class NearestSearch {
     void make_room(size_t most);
   };
 
-  void gather(int64_t cell, int rings);
+  void gather(int64_t cell, double margin);
   void filter(const Around& all, Around& part) const;
   void solve(size_t depth, const std::vector<int>& wanted, std::vector<int>& unsolved, const Take& take);
   bool cut(const Box& box, Box& part) const;

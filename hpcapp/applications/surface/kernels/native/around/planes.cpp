@@ -15,7 +15,8 @@ namespace {
 using namespace constants::planes;
 
 constexpr int FITS = std::size(COUNTS), MORE_FITS = std::size(MORE_COUNTS);
-constexpr int LANES = 8;  // planes of a point
+constexpr int LANES = FITS + MORE_FITS - 1;  // planes of a point: one is both the last and the first of more
+static_assert(COUNTS[FITS - 1] == MORE_COUNTS[0] && LANES == 8);
 
 enum Product { XX, YY, ZZ, XY, XZ, YZ, PRODUCTS };  // in the order of `PAIRS`
 
@@ -94,24 +95,24 @@ HPC_CLONES void solve_planes(Sums& sums, Planes& planes) {
   }
 }
 
-template <int FITS_OF>
-void fit(const Neighbours& near, const int (&counts)[FITS_OF], Planes& planes) {
-  int ends[FITS_OF];
-  Sums sums{};
+// Fit the first planes, or all.
+void fit(const Neighbours& near, int fits, Planes& planes, Sums& sums) {
+  int ends[LANES];
+  sums = Sums{};
   std::fill_n(planes.held, LANES, 1.0);
-  for (int i = 0; i < FITS_OF; ++i) {
-    ends[i] = near.count(counts[i]);
+  for (int i = 0; i < fits; ++i) {
+    ends[i] = near.count(i < FITS ? COUNTS[i] : MORE_COUNTS[i - FITS + 1]);
     planes.held[i] = std::max(ends[i], 1);
   }
-  add_up(near, ends, FITS_OF, sums);
+  add_up(near, ends, fits, sums);
   solve_planes(sums, planes);
 }
 
-// Return which plane is expected to be the best.
-int choose(const Planes& planes, int count, double noise) {
-  int best = 0;
+// Return which of some planes is expected to be the best.
+int choose(const Planes& planes, int first, int count, double noise) {
+  int best = first;
   double least = INFINITY;
-  for (int i = 0; i < count; ++i) {
+  for (int i = first; i < first + count; ++i) {
     if (!(planes.extent[i] > 0.0)) continue;
     const double beyond = std::max(planes.squares[i] - noise, 0.0);
     const double error = (4.0 * noise / planes.held[i] + constants::planes::BIAS * beyond) / planes.extent[i];
@@ -160,12 +161,40 @@ void find_normal(const Planes& planes, int at, double (&normal)[3]) {
   find_normal(spread, planes.least[at], normal);
 }
 
+// The points that may lie on two sheets, and how far each is along a direction; no more of them than that.
+constexpr int HEIGHTS = COUNTS[SHEET_COUNT];
+static_assert(HEIGHTS % LANES == 0);
+
+struct Heights {
+  double each[HEIGHTS], rising[HEIGHTS];
+};
+
+// Measure points along a direction, and put them in order.
+HPC_CLONES void measure_heights(const Neighbours& near, int count, const double* normal, Heights& heights) {
+  const double *x = near.x, *y = near.y, *z = near.z;
+  for (int i = 0; i < HEIGHTS; ++i) heights.each[i] = -INFINITY;
+  HPC_LANES
+  for (int i = 0; i < count; ++i) heights.each[i] = normal[0] * x[i] + normal[1] * y[i] + normal[2] * z[i];
+  int64_t place[HEIGHTS];
+  for (int start = 0; start < HEIGHTS; start += LANES) {
+    int64_t lower[LANES] = {};
+    for (int i = 0; i < count; ++i) {
+      const double height = heights.each[i];
+      HPC_LANES
+      for (int lane = 0; lane < LANES; ++lane) {
+        const double other = heights.each[start + lane];
+        lower[lane] += (height < other) | ((height == other) & (i < start + lane));
+      }
+    }
+    for (int lane = 0; lane < LANES; ++lane) place[start + lane] = lower[lane];
+  }
+  for (int i = 0; i < count; ++i) heights.rising[place[i]] = heights.each[i];
+}
+
 // Return below which of some heights two groups of them are told apart best.
-double cut_heights(std::vector<double>& heights) {
-  std::sort(heights.begin(), heights.end());
-  const int count = static_cast<int>(heights.size());
+double cut_heights(const double* heights, int count) {
   double total = 0.0, below = 0.0, most = -1.0, bound = 0.0;
-  for (const double height : heights) total += height;
+  for (int i = 0; i < count; ++i) total += heights[i];
   for (int lower = 1; lower <= count - SHEET_LEAST; ++lower) {
     below += heights[lower - 1];
     if (lower < SHEET_LEAST) continue;
@@ -176,8 +205,28 @@ double cut_heights(std::vector<double>& heights) {
   return bound;
 }
 
+// Add up the points above a height: how many they are, and their coordinates.
+HPC_CLONES void add_upper(const Neighbours& near, const Heights& heights, double bound, double (&upper)[4]) {
+  double sums[4][LANES] = {};
+  const double *x = near.x, *y = near.y, *z = near.z;
+  for (int start = 0; start < HEIGHTS; start += LANES)
+    HPC_LANES
+    for (int lane = 0; lane < LANES; ++lane) {
+      const int i = start + lane;
+      const bool is_upper = heights.each[i] > bound;
+      sums[0][lane] += is_upper ? 1.0 : 0.0;
+      sums[1][lane] += is_upper ? x[i] : 0.0;
+      sums[2][lane] += is_upper ? y[i] : 0.0;
+      sums[3][lane] += is_upper ? z[i] : 0.0;
+    }
+  for (int sum = 0; sum < 4; ++sum) {
+    upper[sum] = 0.0;
+    for (int lane = 0; lane < LANES; ++lane) upper[sum] += sums[sum][lane];
+  }
+}
+
 // Fit two parallel planes where one leaves much over, and these leave little.
-Sheets find_sheets(const Neighbours& near, const Planes& planes, std::vector<double>& heights) {
+Sheets find_sheets(const Neighbours& near, const Planes& planes, const Sums& sums) {
   Sheets sheets;
   const double alone = planes.squares[SHEET_COUNT];
   const int count = near.count(COUNTS[SHEET_COUNT]);
@@ -186,26 +235,18 @@ Sheets find_sheets(const Neighbours& near, const Planes& planes, std::vector<dou
   find_normal(planes, SHEET_COUNT, first);
   double(&normal)[3] = sheets.normal;
   std::copy_n(first, 3, normal);
-  const auto height = [&](int i) { return normal[0] * near.x[i] + normal[1] * near.y[i] + normal[2] * near.z[i]; };
+  Heights heights;
   for (int round = 0; round < SHEET_ROUNDS; ++round) {
-    heights.clear();
-    for (int i = 0; i < count; ++i) heights.push_back(height(i));
-    const double bound = cut_heights(heights);
-    double sums[2][3] = {}, products[PRODUCTS] = {}, spread[PRODUCTS];
-    int held[2] = {};
-    for (int i = 0; i < count; ++i) {
-      const int side = height(i) > bound;
-      const double arm[3] = {near.x[i], near.y[i], near.z[i]};
-      ++held[side];
-      for (int axis = 0; axis < 3; ++axis) sums[side][axis] += arm[axis];
-      for (int product = 0; product < PRODUCTS; ++product)
-        products[product] += arm[PAIRS[product][0]] * arm[PAIRS[product][1]];
-    }
-    if (std::min(held[0], held[1]) < SHEET_LEAST) return sheets;
+    measure_heights(near, count, normal, heights);
+    double upper[4], spread[PRODUCTS];
+    add_upper(near, heights, cut_heights(heights.rising, count), upper);
+    const double lower[4] = {count - upper[0], sums.mean[0][SHEET_COUNT] - upper[1],
+                             sums.mean[1][SHEET_COUNT] - upper[2], sums.mean[2][SHEET_COUNT] - upper[3]};
+    if (std::min(lower[0], upper[0]) < SHEET_LEAST) return sheets;
     for (int product = 0; product < PRODUCTS; ++product) {
-      const int i = PAIRS[product][0], j = PAIRS[product][1];
-      const double lower = sums[0][i] * sums[0][j] / held[0], upper = sums[1][i] * sums[1][j] / held[1];
-      spread[product] = (products[product] - lower - upper) / count;
+      const int i = PAIRS[product][0] + 1, j = PAIRS[product][1] + 1;
+      const double below = lower[i] * lower[j] / lower[0], above = upper[i] * upper[j] / upper[0];
+      spread[product] = (sums.product[product][SHEET_COUNT] - below - above) / count;
     }
     least = find_least(spread);
     find_normal(spread, least, normal);
@@ -250,15 +291,13 @@ class PlaneFitter {
     if (!any) return;
     if (planes_.size() < wanted_.size()) {
       planes_.resize(wanted_.size());
-      more_planes_.resize(wanted_.size());
       sheets_.resize(wanted_.size());
     }
     const bool has_more = expects_more_;
-    const auto fit_more = [&](int i, const Neighbours& near) { fit(near, MORE_COUNTS, more_planes_[i]); };
+    Sums sums;
     (has_more ? more_ : search_).search(cell, wanted_, [&](int i, const Neighbours& near) {
-      fit(near, COUNTS, planes_[i]);
-      sheets_[i] = find_sheets(near, planes_[i], heights_);
-      if (has_more) fit_more(i, near);
+      fit(near, has_more ? LANES : FITS, planes_[i], sums);
+      sheets_[i] = find_sheets(near, planes_[i], sums);
     });
     const double noise = find_noise(count);
     wanted_.clear();
@@ -266,7 +305,7 @@ class PlaneFitter {
     for (int i = 0; i < count; ++i) {
       if (place(i) < 0) continue;
       ++asked;
-      const int best = choose(planes_[i], FITS, noise);
+      const int best = choose(planes_[i], 0, FITS, noise);
       if (sheets_[i].are_told) {
         write(sheets_[i].normal, sheets_[i].square, unit_, vectors_ + 3 * place(i));
       } else if (best == FITS - 1) {
@@ -275,9 +314,9 @@ class PlaneFitter {
         take(planes_[i], best, unit_, vectors_ + 3 * place(i));
       }
     }
-    if (!has_more) more_.search(cell, wanted_, fit_more);
+    if (!has_more) more_.search(cell, wanted_, [&](int i, const Neighbours& near) { fit(near, LANES, planes_[i], sums); });
     for (const int i : wanted_)
-      take(more_planes_[i], choose(more_planes_[i], MORE_FITS, noise), unit_, vectors_ + 3 * place(i));
+      take(planes_[i], choose(planes_[i], FITS - 1, MORE_FITS, noise), unit_, vectors_ + 3 * place(i));
     expects_more_ = 2 * static_cast<int>(wanted_.size()) > asked;
   }
 
@@ -299,9 +338,9 @@ class PlaneFitter {
   NearestSearch search_, more_;
   bool expects_more_ = false;  // most points of the last cell were given more: one search finds all
   std::vector<int> wanted_;
-  std::vector<Planes> planes_, more_planes_;
+  std::vector<Planes> planes_;
   std::vector<Sheets> sheets_;
-  std::vector<double> squares_, heights_;
+  std::vector<double> squares_;
 };
 
 Output<float> fit_planes(Doubles positions, Bytes asked_of, Doubles low_of, double spacing, int64_t threads) {

@@ -59,7 +59,7 @@ def test_kernels_under_sanitizers(tmp_path: Path) -> None:
     (extension,) = tmp_path.glob("_native*.so")
     tests = [
         str(HERE / f"test_{name}.py")
-        for name in ("against_numpy", "bits", "hostile", "outliers", "seams")
+        for name in ("against_numpy", "bits", "hostile", "outliers", "seams", "views")
     ]
     environment = os.environ | {
         INSIDE: "1",
