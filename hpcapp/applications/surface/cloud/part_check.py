@@ -17,12 +17,12 @@ _MAGIC = b"hpcpart1"
 _BYTES_AT_ONCE = 1 << 22  # whole pages
 
 
-def with_check(pieces: Iterable[memoryview], path: Path) -> Iterator[memoryview | bytes]:
+def with_check(pieces: Iterable[memoryview | bytes], path: Path) -> Iterator[memoryview | bytes]:
     """Yield the records of a part, and behind them the last one.
 
     Parameters
     ----------
-    pieces : iterable of memoryview of bytes
+    pieces : iterable of bytes-like
         Of whole pages each (see `hpccomponent.files.checksum.PAGE`), but for the last.
     path : Path
         Of the file.
