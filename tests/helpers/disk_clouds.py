@@ -9,7 +9,8 @@ import numpy as np
 from hpcapp.applications.surface.cloud.arrangement import Arrangement, pack_points, unpack_points
 from hpcapp.applications.surface.cloud.disk import DiskCloud, write_index
 from hpcapp.applications.surface.cloud.disk_parts import Part, write_part
-from hpcapp.geometry.points import FloatArray
+from hpcapp.applications.surface.cloud.layout import FoldedLayout
+from hpcapp.geometry.points import Float32Array, FloatArray
 
 
 class DiskCloudWriter:
@@ -55,3 +56,13 @@ class DiskCloudWriter:
         """Write the index and return the cloud; see `write_index`."""
         box = self._low, self._high
         return write_index(self._folder, self._arrangement, self._origin, box, self._parts)
+
+
+def read_part(path: Path, points: int) -> Float32Array:
+    """Return the first records of a file of packed points, shape (points, 6)."""
+    records = np.empty((points, 6), np.float32)
+    with path.open("rb") as file:
+        layout = FoldedLayout.read(file.fileno())
+    content = np.fromfile(path, np.uint8)[layout.first : layout.end(points)]
+    layout.place(content, np.array([points]), np.array([0]), records)
+    return records

@@ -28,7 +28,8 @@ from hpccomponent.protocol.columns import Column
 from hpccomponent.protocol.records import record
 
 _ROWS_AT_ONCE = 1 << 14  # what is made of them stays in the cache
-_RECORDS_AT_ONCE = 1 << 16  # so do these, as whole pages of a file
+RECORDS_AT_ONCE = 1 << 16
+"""So do these; of whatever size, they are whole pages of a file."""
 _BLOCKS = 63.0  # along the longest side
 _BELOW_ONE = float(np.nextafter(np.float32(1.0), np.float32(0.0)))
 _LEAST_EXTENT = 2.0**-20  # by the largest coordinate: a quantum is some of its last bits
@@ -77,7 +78,7 @@ class PackedPoints:
 
     @classmethod
     def from_records(cls, keys: IntArray, counts: IntArray, records: Float32Array) -> PackedPoints:
-        """Return points whose offsets and normals lie side by side, as they do on disk.
+        """Return points whose offsets and normals lie side by side.
 
         Parameters
         ----------
@@ -247,8 +248,8 @@ def unpacking_arguments(
 
 
 def interleave(
-    pieces: Sequence[PackedPoints], at_once: int = _RECORDS_AT_ONCE
-) -> Iterator[memoryview]:
+    pieces: Sequence[PackedPoints], at_once: int = RECORDS_AT_ONCE
+) -> Iterator[Float32Array]:
     """Yield the records of some pieces, block after block.
 
     Parameters
@@ -256,15 +257,16 @@ def interleave(
     pieces : sequence of PackedPoints
         The points of each block come in the order of the pieces.
     at_once : int
-        Records that are yielded at a time, where there are several pieces.
+        Records that are yielded at a time.
 
     Yields
     ------
-    memoryview
-        Of some records at a time; see `PackedPoints.to_records`.
+    ndarray of float32, shape (r, 6)
+        See `PackedPoints.to_records`.
     """
     if len(pieces) == 1:
-        yield pieces[0].to_records().reshape(-1).view(np.uint8).data
+        records = pieces[0].to_records()
+        yield from (records[start : start + at_once] for start in range(0, len(records), at_once))
         return
     records = np.concatenate([piece.to_records() for piece in pieces])
     counts = np.concatenate([piece.counts for piece in pieces])
@@ -280,4 +282,4 @@ def interleave(
         runs = slice(first, last + 1)
         within = np.diff(np.clip(ends[runs], None, stop), prepend=start)
         rows = np.repeat(moves[runs], within) + np.arange(start, stop)
-        yield records.take(rows, axis=0).reshape(-1).view(np.uint8).data
+        yield records.take(rows, axis=0)

@@ -1,10 +1,9 @@
-"""An arranged cloud in a folder: 24 bytes a point there, and an index of its blocks in memory.
+"""An arranged cloud in a folder: some 17 bytes a point there, and an index of its blocks in memory.
 
 ::
 
-    points.0   points.1   points.2 ...       packed points of one part of the input each,
-    └ blocks in the order of their keys      offsets and normals side by side (float32),
-                                             and a last record with their checksum
+    points.0   points.1   points.2 ...       packed points of one part of the input each, folded
+    └ blocks in the order of their keys      (see `layout`), and a last record with their checksum
     confidence.0   confidence.1 ...          an attribute that a pass has added: float32, in the
                                              order of the blocks that it stands for
     index                                    arrangement, box, the blocks of each part, estimates
@@ -20,30 +19,32 @@ Reading some blocks takes a run of each part and puts these together in the orde
 
 from __future__ import annotations
 
+import itertools
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import astuple, field
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, Measured, Place, Points
 from hpcapp.applications.surface.cloud.arrangement import (
+    RECORDS_AT_ONCE,
     Arrangement,
     PackedPoints,
     unpack_points,
     unpacking_arguments,
 )
 from hpcapp.applications.surface.cloud.disk_parts import Part, translated
+from hpcapp.applications.surface.cloud.layout import FoldedLayout, Layout, SingleLayout
 from hpcapp.applications.surface.cloud.part_check import check_part
 from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.geometry.lattice import find_keys, merge_counts
-from hpcapp.geometry.points import Float32Array, FloatArray, IntArray, PointCloud
+from hpcapp.geometry.points import ByteArray, Float32Array, FloatArray, IntArray, PointCloud
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import HpcError, JobError
 from hpccomponent.files.private_files import open_at_once
@@ -51,8 +52,9 @@ from hpccomponent.files.whole_files import write_whole
 from hpccomponent.store.value import DamagedError, from_bytes, to_buffers
 
 _INDEX = "index"
-_COLUMNS = 6  # float32 a point: offset and normal
-_MOST_BUFFERS = 1024  # that one call fills, on Linux
+
+ReadLayout = Callable[[int], Layout]
+"""Finds the layout of an open file."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,15 +112,19 @@ class DiskCloud:
         DamagedError
             One is not; the message names it.
         """
-        for parts, columns in self._columns():
+        for parts, read_layout in self._columns():
             for file in sorted({part.file for part in parts}):
                 most = max(_count_records(part) for part in parts if part.file == file)
-                check_part(Path(os.path.normpath(self.folder / file)), 4 * columns * most)
+                path = Path(os.path.normpath(self.folder / file))
+                length = check_part(path)
+                with open(path, "rb", opener=open_at_once) as opened:
+                    if read_layout(opened.fileno()).end(most) > length:
+                        raise DamagedError(f"{path} holds other points")
 
-    def _columns(self) -> Iterator[tuple[Sequence[Part], int]]:
-        """Yield the parts of the points and of each attribute, and how wide their records are."""
-        yield self.parts, _COLUMNS
-        yield from ((parts, 1) for parts in self.attributes.values())
+    def _columns(self) -> Iterator[tuple[Sequence[Part], ReadLayout]]:
+        """Yield the parts of the points and of each attribute, and how they lie there."""
+        yield self.parts, FoldedLayout.read
+        yield from ((parts, SingleLayout.read) for parts in self.attributes.values())
 
     def take_blocks(self, keys: IntArray) -> Points:
         """See `ArrangedCloud` and `take_packed`."""
@@ -127,7 +133,8 @@ class DiskCloud:
     def take_columns(self, keys: IntArray) -> PointCloud:
         """See `ArrangedCloud`."""
         attributes = {
-            name: self._take(parts, keys, 1)[1][:, 0] for name, parts in self.attributes.items()
+            name: self._take(parts, keys, SingleLayout)[1][:, 0]
+            for name, parts in self.attributes.items()
         }
         return PointCloud(*self.take_blocks(keys), None, attributes, self.origin)
 
@@ -150,37 +157,34 @@ class DiskCloud:
         JobError
             The folder is not there any more, or not whole.
         """
-        rows, records = self._take(self.parts, keys, _COLUMNS)
+        rows, records = self._take(self.parts, keys, FoldedLayout)
         return PackedPoints.from_records(self.keys[rows], self.counts[rows], records)
 
     def _take(
-        self, parts: Sequence[Part], keys: IntArray, columns: int
+        self, parts: Sequence[Part], keys: IntArray, kind: type[FoldedLayout | SingleLayout]
     ) -> tuple[IntArray, Float32Array]:
-        """Return which blocks there are of some, and their records of so many columns."""
+        """Return which blocks there are of some, and their records."""
         rows = find_keys(self.keys, keys)
         rows = rows[rows < len(self.keys)]
-        counts, size = self.counts[rows], 4 * columns
-        records = np.empty((int(counts.sum()), columns), np.float32)
-        view = records.reshape(-1).view(np.uint8).data
-        filled = size * (np.cumsum(counts) - counts)  # where each block goes on
+        counts = self.counts[rows]
+        records = np.empty((int(counts.sum()), kind.columns), np.float32)
+        filled = np.cumsum(counts) - counts  # (k,): the row at which each block goes on
         for part in parts:
             own = find_keys(part.keys, self.keys[rows])
             held = np.flatnonzero(own < len(part.keys))
             if not len(held):
                 continue
             own = own[held]
-            begins, sizes = part.starts[own], part.counts[own]
-            first, last = filled[held], filled[held] + size * sizes
-            filled[held] = last
-            # The place of each block in the result; the parts fill it one after the other.
-            targets = [view[a:b] for a, b in zip(first.tolist(), last.tolist(), strict=True)]
-            # Blocks that stand side by side in the file are read at once, into several places.
-            breaks = np.flatnonzero(begins[1:] != begins[:-1] + sizes[:-1]) + 1
+            begins, sizes, starts = part.starts[own], part.counts[own], filled[held]
+            filled[held] += sizes  # the parts fill a block one after the other
+            # Some blocks at a time, whose bytes stay in the cache.
+            breaks = np.flatnonzero(np.diff(np.cumsum(sizes) // RECORDS_AT_ONCE)) + 1
             bounds = [0, *breaks.tolist(), len(held)]
-            starts = (size * begins[bounds[:-1]]).tolist()
-            lengths = (size * np.add.reduceat(sizes, bounds[:-1])).tolist()
-            runs = [targets[a:b] for a, b in pairwise(bounds)]
-            self._read(part, zip(starts, lengths, runs, strict=True))
+            with self._opened(part) as file:
+                layout = kind.read(file)
+                for some in itertools.starmap(slice, pairwise(bounds)):
+                    content = _read_runs(file, layout, begins[some], sizes[some])
+                    layout.place(content, sizes[some], starts[some], records)
         return rows, records
 
     def sample(self, points: int) -> PointCloud:
@@ -205,12 +209,14 @@ class DiskCloud:
             block = np.searchsorted(ends, every, side="right")
             rows = part.starts[block] + every - (ends - part.counts)[block]
             keys.append(part.keys[block])
-            with self._opened(part):
-                records: Any = np.empty((0, _COLUMNS), np.float32)
-                if len(rows):
-                    records = np.memmap(self.folder / part.file, np.float32, "r")
-                    records = records.reshape(-1, _COLUMNS)
-                found.append(np.asarray(records)[rows])
+            records = np.empty((len(rows), FoldedLayout.columns), np.float32)
+            with self._opened(part) as file:
+                layout = FoldedLayout.read(file)
+                mapped = np.memmap(self.folder / part.file, np.uint8, "r", layout.first)
+                folded = mapped[: layout.end(_count_records(part)) - layout.first]
+                content = folded.reshape(-1, layout.size)[rows].reshape(-1)
+                layout.place(content, np.array([len(rows)]), np.zeros(1, np.int64), records)
+            found.append(records)
         every = np.concatenate(keys)
         ones = np.ones(len(every), np.int64)
         packed = PackedPoints.from_records(every, ones, np.concatenate(found))
@@ -229,47 +235,37 @@ class DiskCloud:
         assert self.noted is not None  # noqa: S101 - or there is nothing to ask
         return self.noted
 
-    def _read(self, part: Part, runs: Iterable[tuple[int, int, list[memoryview]]]) -> None:
-        """Fill buffers from a part: those of a run one after the other, from its first byte on.
-
-        Of each run its first byte, its length and its buffers. There are many, and few bytes each.
-        """
-        path = self.folder / part.file
-        with self._opened(part), path.open("rb", buffering=0) as file:
-            number, read = file.fileno(), os.preadv
-            for start, length, targets in runs:
-                if len(targets) > _MOST_BUFFERS or read(number, targets, start) != length:
-                    _fill(number, start, targets, path)  # in several calls
-
     @contextmanager
-    def _opened(self, part: Part) -> Iterator[None]:
-        """Translate what goes wrong while a part is read."""
+    def _opened(self, part: Part) -> Iterator[int]:
+        """Open the file of a part, and translate what goes wrong while it is read."""
+        path = self.folder / part.file
         try:
-            yield
+            with path.open("rb", buffering=0) as file:
+                yield file.fileno()
         except (OSError, ValueError, IndexError) as error:
             what = error.strerror if isinstance(error, OSError) else "it is not whole"
             raise JobError(
-                f"{self.folder / part.file}: the points that were put there cannot be read: {what}",
+                f"{path}: the points that were put there cannot be read: {what}",
                 "run the job again; nobody may touch its temporary folder meanwhile",
             ) from error
 
 
-def _fill(file: int, start: int, targets: list[memoryview], path: Path) -> None:
-    at = 0
-    while at < len(targets):
-        taken = os.preadv(file, targets[at : at + _MOST_BUFFERS], start)
-        if not taken:
-            raise JobError(
-                f"{path} has become shorter",
-                "run the job again; nobody may touch its temporary folder meanwhile",
-            )
-        # It may be less than was asked for: full buffers are done, and of one the rest is left.
-        start += taken
-        while at < len(targets) and taken >= len(targets[at]):
-            taken -= len(targets[at])
-            at += 1
-        if taken:
-            targets[at] = targets[at][taken:]
+def _read_runs(file: int, layout: Layout, begins: IntArray, sizes: IntArray) -> ByteArray:
+    """Return the bytes of some records: so many from each of some on, one run after the other."""
+    content = np.empty(layout.size * int(sizes.sum()), np.uint8)
+    # Blocks that stand side by side in the file are read at once.
+    breaks = np.flatnonzero(begins[1:] != begins[:-1] + sizes[:-1]) + 1
+    firsts = np.append(0, breaks)
+    starts = layout.first + layout.size * begins[firsts]
+    ends = layout.size * np.cumsum(sizes)[np.append(breaks, len(sizes)) - 1]
+    view, at = content.data, 0
+    for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
+        while at < end:  # it may be less than was asked for
+            taken = os.preadv(file, [view[at:end]], start)
+            if not taken:
+                raise ValueError("the file has become shorter")
+            at, start = at + taken, start + taken
+    return content
 
 
 def _count_records(part: Part) -> int:

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hpcapp.applications.surface.cloud.arrangement import PackedPoints, interleave
+from hpcapp.applications.surface.cloud.arrangement import PackedPoints
+from hpcapp.applications.surface.cloud.layout import FoldedLayout
 from hpcapp.applications.surface.cloud.part_check import with_check
 from hpcapp.geometry.lattice import find_keys, merge_counts
 from hpcapp.geometry.points import Float32Array, IntArray
@@ -100,7 +101,7 @@ def write_part(
     with translated(folder):
         write_whole(
             folder / _name_part(number),
-            with_check(interleave(pieces), folder / _name_part(number)),
+            with_check(FoldedLayout.of(pieces).write(pieces), folder / _name_part(number)),
         )
     keys = np.concatenate([piece.keys for piece in pieces])
     return merge_counts(keys, np.concatenate([piece.counts for piece in pieces]))
@@ -144,5 +145,5 @@ def translated(folder: Path) -> Iterator[None]:
     except OSError as error:
         raise OutputError(
             f"{folder}: the points cannot be put there: {error.strerror or error}",
-            "name a temporary folder with 24 bytes of room for each point, twice",
+            "name a temporary folder with 21 bytes of room for each point, twice",
         ) from error

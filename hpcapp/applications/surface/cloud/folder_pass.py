@@ -35,7 +35,7 @@ class FolderPass:
     ----------
     cloud : DiskCloud
     place : Path
-        The folder in which clouds get folders: 24 bytes are written of each point that changes.
+        The folder in which clouds get folders: some 17 bytes for each point that changes.
     workers : PointWorkers
         The points do not depend on it.
     """

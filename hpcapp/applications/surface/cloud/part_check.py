@@ -1,8 +1,4 @@
-"""The last record of a file of packed points, by which it is found out whether all are there.
-
-It has the size of a point's record, so that whoever reads points by their number need not know of
-it.
-"""
+"""The last record of a file of points, by which it is found out whether all are there."""
 
 from __future__ import annotations
 
@@ -16,17 +12,17 @@ from hpccomponent.files.checksum import checksum
 from hpccomponent.files.private_files import open_at_once
 from hpccomponent.store.value import DamagedError
 
-_LAST = struct.Struct("<8sQII")  # magic, bytes of the points, their checksum, that of the name
+_LAST = struct.Struct("<8sQII")  # magic, bytes before it, their checksum, that of the name
 _MAGIC = b"hpcpart1"
 _BYTES_AT_ONCE = 1 << 22  # whole pages
 
 
-def with_check(pieces: Iterable[memoryview], path: Path) -> Iterator[memoryview | bytes]:
+def with_check(pieces: Iterable[memoryview | bytes], path: Path) -> Iterator[memoryview | bytes]:
     """Yield the records of a part, and behind them the last one.
 
     Parameters
     ----------
-    pieces : iterable of memoryview of bytes
+    pieces : iterable of bytes-like
         Of whole pages each (see `hpccomponent.files.checksum.PAGE`), but for the last.
     path : Path
         Of the file.
@@ -39,14 +35,17 @@ def with_check(pieces: Iterable[memoryview], path: Path) -> Iterator[memoryview 
     yield _LAST.pack(_MAGIC, length, check, _name(path))
 
 
-def check_part(path: Path, least: int) -> None:
+def check_part(path: Path) -> int:
     """Find out whether a file is as it was written.
 
     Parameters
     ----------
     path : Path
-    least : int
-        Bytes of points that are asked of it.
+
+    Returns
+    -------
+    int
+        Bytes before the last record.
 
     Raises
     ------
@@ -64,8 +63,7 @@ def check_part(path: Path, least: int) -> None:
         raise DamagedError(f"{path} cannot be read: {error.strerror or error}") from error
     if left or last != _LAST.pack(_MAGIC, max(length, 0), check, _name(path)):
         raise DamagedError(f"{path} is cut or changed: its checksum is wrong")
-    if length < least:
-        raise DamagedError(f"{path} holds other points")
+    return length
 
 
 def _name(path: Path) -> int:

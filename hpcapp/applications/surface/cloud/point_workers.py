@@ -22,6 +22,10 @@ from hpcapp.workforce import Workforce, map_batches, stream_batches
 from hpccomponent.cutting import cut_equal
 from hpccomponent.dataclass import dataclass
 
+_RANGE_PIECES = 8
+"""Pieces whose points a range may have: sorted and packed a point takes 70 bytes, in the tasks of
+a piece up to 800 (see `resolution.memory`)."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointWorkers:
@@ -55,9 +59,12 @@ class PointWorkers:
     def cut_rows(self, rows: int) -> list[slice]:
         """Cut the records of a file into ranges.
 
-        They have no margins: two for each piece, so that nobody waits long for the last.
+        As few as memory allows, for each becomes a file, which is looked into for every region;
+        but two for each worker, so that nobody waits long for the last.
         """
-        return cut_equal(rows, min(2 * self.count_pieces(rows), max(rows, 1)))
+        workers = 2 * self._seeing.workers
+        ranges = workers * -(-rows // (workers * _RANGE_PIECES * self.points))
+        return cut_equal(rows, min(max(ranges, workers), max(rows, 1)))
 
     def cut_blocks(self, counts: IntArray) -> list[slice]:
         """Cut blocks, each with so many points, into runs: see `cut_even`."""

@@ -29,8 +29,8 @@ class PointFolder:
     Parameters
     ----------
     path : Path
-        Is made where there is none; 24 bytes a point are written, and those of blocks that change
-        again.
+        Is made where there is none; some 17 bytes a point are written, and those of blocks that
+        change again.
     workers : PointWorkers
     """
 

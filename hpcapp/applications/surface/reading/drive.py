@@ -94,7 +94,7 @@ def ingest_file(
     ----------
     source : PointSource
     folder : Path
-        Exists; 24 bytes a point are written.
+        Exists; some 17 bytes a point are written (see `layout`).
     workers : PointWorkers
         The cloud does not depend on it.
     drop_far : bool

@@ -130,7 +130,11 @@ class LocalScale:
             return np.full(len(places), self.spacing)
         # Whole numbers below 2^20: places beyond lie in no cell.
         finest = np.floor(cells_of(places, self.origin, self.edge)).clip(-(2.0**19), 2.0**19)
-        spacings, cells = np.zeros(len(places)), finest.astype(np.int64)
+        cells = finest.astype(np.int64)
+        # Corners and vertices come row by row: each run of one cell is looked up once.
+        starts = np.flatnonzero(np.diff(pack_places(cells), prepend=-1))
+        lengths = np.diff(starts, append=len(cells))
+        spacings, cells = np.zeros(len(starts)), cells[starts]
         for steps in (np.zeros((1, 3), np.int64), NEIGHBOURS):  # their own cells first
             for level in unique_keys(self.levels):
                 pending = np.flatnonzero(spacings == 0.0)
@@ -140,7 +144,7 @@ class LocalScale:
                 for step in steps:
                     found = self._find(level, step_keys(keys, step))
                     spacings[pending] = np.maximum(spacings[pending], found)
-        return np.where(spacings == 0.0, self.spacing, spacings)
+        return np.repeat(np.where(spacings == 0.0, self.spacing, spacings), lengths)
 
     def _find(self, level: int, keys: IntArray) -> FloatArray:
         """Return the spacing in some cells of a level, 0 where they tell none."""

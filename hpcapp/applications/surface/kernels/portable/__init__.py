@@ -18,6 +18,7 @@ from hpcapp.applications.surface.kernels.portable.field.coarse_grid import *
 from hpcapp.applications.surface.kernels.portable.field.features import *
 from hpcapp.applications.surface.kernels.portable.field.field import *
 from hpcapp.applications.surface.kernels.portable.lattice.distances import *
+from hpcapp.applications.surface.kernels.portable.lattice.folding import *
 from hpcapp.applications.surface.kernels.portable.lattice.keys import *
 from hpcapp.applications.surface.kernels.portable.lattice.packing import *
 from hpcapp.applications.surface.kernels.portable.lattice.points import *

@@ -49,3 +49,22 @@ def test_pieces_follow_workers_and_memory(
 ) -> None:
     workforce = Workforce(SerialExecutor(), workers, 4, in_process)
     assert PointWorkers(workforce, True, 1_500_000).count_pieces(points) == pieces
+
+
+@pytest.mark.parametrize(
+    ("workers", "in_process", "points", "ranges"),
+    [
+        (1, True, 10_000_000, 2),
+        (1, True, 100_000_000, 10),  # as memory asks for
+        (4, False, 100_000_000, 16),  # and as many for each worker
+        (4, False, 1_000_000, 8),
+        (4, False, 3, 3),
+    ],
+)
+def test_ranges_are_few(workers: int, in_process: bool, points: int, ranges: int) -> None:
+    """They take less memory than pieces, and each is looked into for every region."""
+    workforce = Workforce(SerialExecutor(), workers, 4, in_process)
+    cut = PointWorkers(workforce, True, 1_500_000).cut_rows(points)
+    assert len(cut) == ranges
+    assert sum(some.stop - some.start for some in cut) == points
+    assert max(some.stop - some.start for some in cut) <= 8 * 1_500_000

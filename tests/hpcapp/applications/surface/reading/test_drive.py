@@ -84,10 +84,9 @@ def test_workers_read_their_ranges(
     (tmp_path / "parts").mkdir()
     with ThreadPoolExecutor(4) as executor:
         workforce = Workforce(executor, 4, 4)
-        workers = PointWorkers(workforce, True, 7_000, workers_see)
+        workers = PointWorkers(workforce, True, 900, workers_see)
         found = ingest_file(open_points(path), tmp_path / "parts", workers)
-    pieces = 12 if workers_see else 9  # three each, or as memory asks
-    assert len(found.cloud.parts) == 2 * pieces
+    assert len(found.cloud.parts) == (16 if workers_see else 10)  # each as often, as memory asks
     one, other = (cloud.take_blocks(expected.keys) for cloud in (found.cloud, expected))
     assert [column.tobytes() for column in one] == [column.tobytes() for column in other]
 
@@ -100,7 +99,7 @@ def test_the_sample_of_ranges_is_that_of_parts(
     write_points(tmp_path / "a.ply", _spoil(_scan(90_000)))
     source = open_points(tmp_path / "a.ply")
     monkeypatch.setattr(tasks, "_AT_ONCE", at_once)
-    ranges = ingest._survey_records(source, alone(11_000))
+    ranges = ingest._survey_records(source, alone(1_400))
     parts = ingest._survey_parts(replace(source, records=None), alone(11_000))
     assert ranges.sample.tobytes() == parts.sample.tobytes()
     assert 10_000 < len(parts.sample) <= 20_000

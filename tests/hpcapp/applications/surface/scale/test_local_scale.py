@@ -78,6 +78,17 @@ def test_it_does_not_depend_on_regions() -> None:
         assert getattr(one, name).tobytes() == getattr(many, name).tobytes()
 
 
+def test_it_does_not_depend_on_other_places_or_their_order() -> None:
+    positions = np.concatenate([sheet(-1.0, 0.0, 0.01, 3), sheet(0.0, 6.0, 0.1, 4)])
+    scale = measure(positions, 0.05)
+    in_order = positions[np.lexsort(positions.T)]
+    shuffled = np.random.default_rng(5).permutation(len(positions))
+    found = scale.at(in_order)
+    assert scale.at(in_order[shuffled]).tobytes() == found[shuffled].tobytes()
+    assert scale.at(in_order[::7]).tobytes() == found[::7].tobytes()
+    assert not len(scale.at(in_order[:0]))
+
+
 def test_places_without_points_have_the_spacing_of_the_whole() -> None:
     scale = measure(sheet(-1.0, 1.0, 0.02), 0.02)
     far = np.array([[7.0, 7.0, 7.0], [1e9, -1e9, 0.0]])

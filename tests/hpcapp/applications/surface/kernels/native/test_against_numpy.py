@@ -116,6 +116,18 @@ def test_sorting_points(native: ModuleType, seed: int, points: int, size: float)
     ):
         np.testing.assert_array_equal(found, wanted)
     keys, counts, records = packed
+    bounds = native.bound_records(records)
+    np.testing.assert_array_equal(bounds, portable.bound_records(records))
+    layout = bounds[0], np.array([int(span).bit_length() for span in bounds[1] - bounds[0]])
+    folded = native.fold_records(records, *layout)
+    np.testing.assert_array_equal(folded, portable.fold_records(records, *layout))
+    # The blocks from the last to the first.
+    starts = len(records) - np.cumsum(counts)
+    unfolded = np.zeros((2, *records.shape), np.float32)
+    native.unfold_records(folded, *layout, counts, starts, unfolded[0])
+    portable.unfold_records(folded, *layout, counts, starts, unfolded[1])
+    turned = np.concatenate(np.split(records, np.cumsum(counts)[:-1])[::-1])
+    assert unfolded[0].tobytes() == unfolded[1].tobytes() == turned.tobytes()
     places = records, counts, lattice.unpack_keys(keys) * size + origin, size
     for found, wanted in zip(
         native.unpack_records(*places), portable.unpack_records(*places), strict=True

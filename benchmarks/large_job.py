@@ -1,0 +1,183 @@
+"""Make a large cloud into a mesh, killed once in the middle: large_job.py POINTS FOLDER.
+
+::
+
+    cloud (see `big_cloud`) ── hpcapp reconstruct --resume ── SIGKILL ── the same command ──> mesh
+                                  memory and disk are looked at every second
+
+FOLDER gets the cloud, if it is not there yet, the temporary folder and the mesh, and RESULTS, a
+table as they stand in ``benchmarks/results/``. What follows ``--`` is given to `hpcapp reconstruct`
+in place of ``--backend serial --max-memory 4G``.
+
+Memory is that of all processes of the job without the files that they map, which the system can
+take back. Of a job that is killed, the CPU time of its workers is not known: use one process.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from big_cloud import measure_distances, write_cloud
+
+from hpcapp.io import open_points
+
+RATIO = 1000.0
+OPTIONS = ("--backend", "serial", "--max-memory", "4G")
+POLL_S = 1.0
+_ADVANCE = re.compile(r"extract: (\d+) of (\d+)")
+
+
+@dataclass(slots=True)
+class Usage:
+    """What a run took: seconds, and bytes at most."""
+
+    wall_s: float = 0.0
+    cpu_s: float = 0.0
+    memory: int = 0
+    disk: int = 0
+    mesh: int = 0
+    exit_code: int = 0
+    last_line: str = ""
+
+
+def count_disk(paths: Iterable[Path]) -> int:
+    """Return how many bytes of disk some files and folders take."""
+    total = 0
+    for path in paths:
+        for file in [path, *path.rglob("*")]:
+            with suppress(OSError):  # it is gone already
+                total += 512 * os.lstat(file).st_blocks
+    return total
+
+
+def count_memory(process: int) -> int:
+    """Return how many bytes of memory a process and its children hold, without mapped files."""
+    parents, held = {}, {}
+    for status in Path("/proc").glob("[0-9]*/status"):
+        try:
+            fields = dict(line.split(":", 1) for line in status.read_text().splitlines())
+        except OSError:  # it has ended
+            continue
+        number = int(fields["Pid"])
+        parents[number] = int(fields["PPid"])
+        kinds = (fields.get(f"Rss{kind}", "0") for kind in ("Anon", "Shmem"))
+        held[number] = 1024 * sum(int(kind.split()[0]) for kind in kinds)
+
+    def belongs(number: int) -> bool:
+        while number in parents and number != process:
+            number = parents[number]
+        return number == process
+
+    return sum(size for number, size in held.items() if belongs(number))
+
+
+def run(command: Sequence[str], temp: Path, mesh: Path, *, is_killed: bool) -> Usage:
+    """Run a job, until half of its tiles are done or to the end, and return what it took."""
+    used, is_over = Usage(), threading.Event()
+    began = time.perf_counter()
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+
+    def look() -> None:
+        while not is_over.wait(POLL_S):
+            used.memory = max(used.memory, count_memory(process.pid))
+            used.disk = max(used.disk, count_disk([temp]))
+            beside = mesh.parent.glob(f".*{mesh.name}*")  # as it is written
+            used.mesh = max(used.mesh, count_disk([*beside, *mesh.parent.glob(mesh.name)]))
+
+    watcher = threading.Thread(target=look)
+    watcher.start()
+    for line in process.stderr:
+        print(line, end="", file=sys.stderr, flush=True)
+        used.last_line = line.strip()
+        found = _ADVANCE.search(line)
+        if is_killed and found and 2 * int(found[1]) >= int(found[2]):
+            process.kill()
+    _, status, rusage = os.wait4(process.pid, 0)
+    process.returncode = used.exit_code = os.waitstatus_to_exitcode(status)
+    is_over.set()
+    watcher.join()
+    process.stderr.close()
+    used.wall_s = time.perf_counter() - began
+    used.cpu_s = rusage.ru_utime + rusage.ru_stime
+    return used
+
+
+def tell(
+    points: int, runs: Sequence[Usage], command: str, notes: Sequence[str]
+) -> dict[str, object]:
+    """Return the table of a job that was killed and went on."""
+    commit = subprocess.run(
+        ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False
+    )
+    rows = [
+        ["wall, s", *(f"{run.wall_s:,.0f}" for run in runs)],
+        ["CPU, s", *(f"{run.cpu_s:,.0f}" for run in runs)],
+        ["memory at most, GB", *(f"{run.memory / 1e9:.2f}" for run in runs)],
+        ["temporary folder at most, GB", *(f"{run.disk / 1e9:.2f}" for run in runs)],
+        ["the same, bytes a point", *(f"{run.disk / points:.1f}" for run in runs)],
+        ["mesh, GB", *(f"{run.mesh / 1e9:.2f}" for run in runs)],
+    ]
+    return {
+        "title": f"{points:,} points, killed when half of the tiles were done",
+        "machine": f"{os.cpu_count()} cores",
+        "commit": commit.stdout.strip() or "unknown",
+        "command": command,
+        "columns": ["", "until it was killed", "with --resume"],
+        "rows": rows,
+        "notes": list(notes),
+    }
+
+
+def main() -> None:
+    """Run the job, and write what it took."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("points", type=int)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--uneven", type=float, default=RATIO, metavar="RATIO")
+    parser.add_argument("--results", type=Path, help="by default FOLDER/large-job.json")
+    parser.add_argument("options", nargs="*", metavar="-- OPTION", default=[])
+    asked = parser.parse_args()
+    asked.folder.mkdir(parents=True, exist_ok=True)
+    cloud, mesh, temp = (asked.folder / name for name in ("cloud.ply", "mesh.ply", "temp"))
+    if not cloud.exists() or open_points(cloud).count != asked.points:
+        began = time.perf_counter()
+        begun = cloud.with_suffix(".part")
+        write_cloud(begun, asked.points, ratio=asked.uneven)
+        begun.rename(cloud)
+        print(f"cloud: {time.perf_counter() - began:.0f} s", file=sys.stderr)
+    options = asked.options or [*OPTIONS]
+    job = ["reconstruct", str(cloud), "-o", str(mesh), "--temp-dir", str(temp), "--resume"]
+    command = [sys.executable, "-m", "hpcapp", *job, *options]
+    killed = run(command, temp, mesh, is_killed=True)
+    if killed.exit_code != -9:
+        sys.exit(f"exit code {killed.exit_code}, not killed: ask for more points, or less memory")
+    resumed = run(command, temp, mesh, is_killed=False)
+    if resumed.exit_code:
+        sys.exit(f"exit code {resumed.exit_code} when it went on")
+    vertices, rms, largest = measure_distances(mesh)
+    notes = [
+        f"The cloud takes {cloud.stat().st_size / 1e9:.1f} GB, {asked.uneven:g}:1 in density.",
+        resumed.last_line.replace(str(mesh), "The mesh"),
+        f"{vertices:,} vertices, off the formula by {rms:.2g} (rms), {largest:.2g} at most.",
+    ]
+    shown = " ".join(["hpcapp", *job, *options]).replace(f"{asked.folder}/", "")
+    table = tell(asked.points, [killed, resumed], shown, notes)
+    results = asked.results or asked.folder / "large-job.json"
+    results.write_text(json.dumps(table, indent=1, ensure_ascii=False) + "\n")
+    print(results.read_text(), end="")
+
+
+if __name__ == "__main__":
+    main()
