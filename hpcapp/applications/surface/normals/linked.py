@@ -8,6 +8,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import cg
 
 from hpcapp.applications.surface.normals.patches import Links, Patches
+from hpcapp.cancellation import check_cancelled
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 
 _POWER = 4  # of the agreement of two patches, in the strength of their link
@@ -77,6 +78,7 @@ class LinkedPatches:
             rtol=_TOLERANCE,
             maxiter=_STEPS,
             M=diags(1.0 / diagonal),
+            callback=lambda _: check_cancelled(),
         )
         return sides
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from hpcapp.applications.surface.normals.patches import CELL, Patches
+from hpcapp.cancellation import check_cancelled
 from hpcapp.geometry.lattice import number_keys
 from hpcapp.geometry.points import BoolArray, FloatArray, Int8Array, IntArray
 
@@ -133,6 +134,7 @@ def find_seen(
         # Of several that are written to one pixel the last one stays: so the nearest one is shown.
         farthest_first = drawn[np.argsort(far[drawn], kind="stable")][::-1]
         for shift, seen in ((0.0, is_seen), (0.5, is_clear)):
+            check_cancelled()
             pixels = _name_pixels(places, sides, pixel * 2.0**level, shift)
             seen &= ~_find_hidden(patches, cosines, far, thick, pixels, farthest_first)
     return cosines, is_seen, is_seen & is_clear
