@@ -186,8 +186,7 @@ def reconstruct(
         Told (stage, parts done, parts in all) as the work proceeds, in the calling thread; what it
         raises ends the job.
     cancel : Cancellation, optional
-        Ends the job when another thread calls its ``cancel()``: at the end of the step that is
-        running: within a second for a million points, within a minute for ten.
+        Ends the job within a second when another thread calls its ``cancel()``.
 
     Returns
     -------
@@ -262,10 +261,11 @@ def reconstruct(
         raise UsageError("temp_dir and resume are for files", "leave them out")
     if names and rows is not None:
         raise UsageError("normals stands beside files, which have their own", "leave it out")
-    reporter = _Reporter(on_progress or (lambda *_: None), cancel or Cancellation())
+    cancellation = cancel or Cancellation()
+    reporter = _Reporter(on_progress or (lambda *_: None), cancellation)
     given = None if isinstance(executor, str) else executor
     if names:
-        with _open_files(settings, names, sample) as (job, source):
+        with cancellation.heeded(), _open_files(settings, names, sample) as (job, source):
             return _run_files(job, source, given, reporter)
     whole = check_cloud(cast(ArrayLike, points), rows)
     sensor = _find_sensor(settings, settings.attributes.select(whole, "the cloud"))
@@ -273,10 +273,11 @@ def reconstruct(
     del whole
     waiting = [cloud]
     del cloud  # one reference, which the loading gives up to make room
-    return _run(
-        settings, "Mesh", lambda clock: _load_cloud(settings, waiting.pop(), sensor, clock),
-        given, reporter,
-    )  # fmt: skip
+    with cancellation.heeded():
+        return _run(
+            settings, "Mesh", lambda clock: _load_cloud(settings, waiting.pop(), sensor, clock),
+            given, reporter,
+        )  # fmt: skip
 
 
 def _find_names(points: object) -> list[str]:

@@ -34,7 +34,7 @@ from typing import TYPE_CHECKING
 from hpcapp.backends import BACKENDS, IN_PROCESS
 from hpcapp.backends.recorded import RecordedExecutor
 from hpcapp.backends.serial import SerialExecutor
-from hpcapp.cancellation import Cancellation
+from hpcapp.cancellation import Cancellation, JobThreads
 from hpcapp.capacity import check_address_space, check_workers
 from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY, POLICIES
 from hpcapp.communicator.scheduling.verification import LEAST_MACHINES, Verification
@@ -276,13 +276,8 @@ def _open_pool(name: str, count: int) -> Iterator[Executor]:
         with _open_processes(count) as processes:
             yield processes
         return
-    pool: Executor = SerialExecutor()
-    if name == "threads":
-        pool = ThreadPoolExecutor(count, thread_name_prefix="worker")
-    try:
+    with JobThreads(count, "worker") if name == "threads" else SerialExecutor() as pool:
         yield pool
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
 
 
 @contextmanager

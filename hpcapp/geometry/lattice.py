@@ -342,6 +342,37 @@ def cells_of(positions: FloatArray, origin: FloatArray, cell_size: float) -> Flo
     return (positions - origin) / cell_size
 
 
+def find_overlapping(
+    keys: IntArray, origin: FloatArray, size: float, other_origin: FloatArray, other_size: float
+) -> IntArray:
+    """Return the cells of another lattice that some cells overlap.
+
+    Parameters
+    ----------
+    keys : ndarray of int64, shape (k,)
+    origin, other_origin : ndarray of float64, shape (3,)
+        Where corner (0, 0, 0) of each lattice lies, in length units of the input.
+    size, other_size : float
+        Edges of the cells, in the same units.
+
+    Returns
+    -------
+    ndarray of int64
+        Sorted, unique keys.
+    """
+    corner = origin + size * unpack_keys(keys) - other_origin
+    first = np.floor(corner / other_size).astype(np.int64)
+    # (k, 3): how many steps from the first to the last that each overlaps; all between are taken.
+    steps = np.floor((corner + size) / other_size).astype(np.int64) - first
+    lowest, found = pack_places(first), []
+    for step in np.ndindex(*(steps.max(axis=0, initial=0) + 1)):
+        reached = np.logical_and.reduce(
+            [most >= at for most, at in zip(steps.T, step, strict=True)]
+        )
+        found.append(unique_keys(step_keys(lowest[reached], np.array(step))))
+    return unique_keys(np.concatenate(found))
+
+
 NEIGHBOURS: IntArray = np.array(
     [(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)], np.int64
 )

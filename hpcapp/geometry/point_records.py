@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.cancellation import check_cancelled
 from hpcapp.geometry.points import ByteArray, PointCloud
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
@@ -124,6 +125,7 @@ class PointRecords:
             with open(self.path, "rb", buffering=0) as file:
                 file.seek(self.start + start * self.length)
                 for first in range(0, wanted, step):
+                    check_cancelled()
                     rows = slice(first, min(first + step, wanted))
                     self._fill(file, buffer[: (rows.stop - first) * self.length])
                     with np.errstate(invalid="ignore", over="ignore"):  # NaN of any kind

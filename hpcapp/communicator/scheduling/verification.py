@@ -30,6 +30,7 @@ from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import (
     CloudError,
     DistrustError,
+    JobCancelledError,
     JobError,
     NoWorkersError,
     UsageError,
@@ -51,7 +52,7 @@ CLUSTER_SHARE = 0.02
 LEAST_MACHINES = 3
 """With fewer nobody could decide between two answers; with more so many must agree on a disputed
 one, so that two that conspire throw nobody out."""
-_NO_LIES = (UsageError, CloudError, NoWorkersError, WorkerLostError, OSError)
+_NO_LIES = (UsageError, CloudError, JobCancelledError, NoWorkersError, WorkerLostError, OSError)
 
 
 class Verdict(Enum):

@@ -221,3 +221,39 @@ def test_an_awaited_job_is_cancelled_by_others_too(scan: hpcapp.PointCloud) -> N
 def test_errors_come_out_of_awaiting() -> None:
     with pytest.raises(hpcapp.InputError, match="no-such-scan"):
         asyncio.run(hpcapp.reconstruct_async("no-such-scan.ply"))
+
+
+class AtLook(Cancellation):
+    """Has something done when a job looks at it for so manieth time."""
+
+    def __init__(self, number: int, act: Callable[[Cancellation], object]) -> None:
+        super().__init__()
+        self.looks = 0
+        self._number, self._act = number, act
+
+    def check(self) -> None:
+        self.looks += 1
+        if self.looks == self._number:
+            self._act(self)
+        super().check()
+
+
+def interrupt(_: Cancellation) -> None:
+    raise KeyboardInterrupt
+
+
+@pytest.mark.usefixtures("nothing_left")
+@pytest.mark.parametrize(
+    ("act", "error"),
+    [(Cancellation.cancel, JobCancelledError), (interrupt, KeyboardInterrupt)],
+)
+def test_a_job_ends_at_any_of_its_looks(
+    scan: hpcapp.PointCloud,
+    act: Callable[[Cancellation], object],
+    error: type[BaseException],
+) -> None:
+    for number in (1, 2, 3, 5, 8, 13, 21, 34):  # of some forty
+        cancel = AtLook(number, act)
+        with pytest.raises(error):
+            hpcapp.reconstruct(scan, grid=64, executor="threads", workers=2, cancel=cancel)
+        assert cancel.is_cancelled == (error is JobCancelledError)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.cancellation import check_cancelled
 from hpcapp.geometry.points import BoolArray, FloatArray
 
 _ROWS_AT_ONCE = 1 << 14  # what is made of them stays in the cache
@@ -53,6 +54,7 @@ def _hash(positions: FloatArray) -> NDArray[np.uint64]:
     """Mix the bits of coordinates, of which the last are zeros where they were rounded."""
     hashes = np.empty(len(positions), np.uint64)
     for start in range(0, len(positions), _ROWS_AT_ONCE):
+        check_cancelled()
         rows = slice(start, start + _ROWS_AT_ONCE)
         bits = (positions[rows] + 0.0).view(np.uint64)  # no negative zeros
         mixed = np.zeros(len(bits), np.uint64)

@@ -22,6 +22,7 @@ from hpcapp.applications.surface.cloud.arrangement import (
     snap_points,
 )
 from hpcapp.applications.surface.scale.local_scale import LocalScale
+from hpcapp.cancellation import check_cancelled
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.lattice import find_keys
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray, PointCloud
@@ -316,6 +317,7 @@ def arrange_cloud(cloud: PointCloud) -> MemoryCloud:
     arrangement = choose_arrangement(*box)
     snapped = snap_points(arrangement, cloud.positions)
     keys, offsets, rows = kernels.sort_points(snapped, arrangement.origin, arrangement.edge)
+    check_cancelled()
     positions = snapped.take(rows, axis=0)
     del snapped  # makes room for the normals
     normals = None if cloud.normals is None else _take_singles(cloud.normals, rows)
@@ -331,6 +333,7 @@ def _take_singles(vectors: FloatArray, rows: NDArray[np.uint32]) -> FloatArray:
     """Take some rows, rounded to single precision."""
     taken = np.empty((len(rows), 3))
     for start in range(0, len(rows), _ROWS_AT_ONCE):
+        check_cancelled()
         some = slice(start, start + _ROWS_AT_ONCE)
         taken[some] = vectors.take(rows[some], axis=0).astype(np.float32)
     return taken

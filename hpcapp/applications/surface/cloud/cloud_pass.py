@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, Measured, MemoryCloud
 from hpcapp.applications.surface.cloud.regions import MemoryRegion, ReplacedRows
+from hpcapp.cancellation import check_cancelled
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.lattice import find_keys
 from hpcapp.geometry.points import BoolArray, Float32Array, FloatArray, IntArray
@@ -149,6 +150,7 @@ class MemoryPass:
             yield MemoryRegion(positions, normals, own, slice(None), self.threads)
             return
         for rows in boxes:
+            check_cancelled()
             near, own = _find_near(positions, rows, margin)
             given = None if normals is None else normals[near]
             yield MemoryRegion(positions[near], given, own, rows, self.threads)
@@ -187,6 +189,7 @@ def _cut_boxes(positions: FloatArray, rows: IntArray) -> list[IntArray]:
     """Cut points into boxes of a few each, by halving across the longest side."""
     if len(rows) <= POINTS_AT_ONCE:
         return [rows]
+    check_cancelled()
     low, high = bound_points(positions[rows])
     column = positions[rows, int(np.argmax(high - low))]
     # Halves of as many points, unless very many share a coordinate: then they stay together.

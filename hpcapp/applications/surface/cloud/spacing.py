@@ -8,6 +8,7 @@ from math import sqrt
 import numpy as np
 
 from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.kernels.parallel import run_batches
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.lattice import (
     are_sampled,
@@ -17,13 +18,15 @@ from hpcapp.geometry.lattice import (
     shuffle_keys,
     unique_keys,
 )
-from hpcapp.geometry.points import FloatArray, IntArray
+from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
+from hpccomponent.cutting import cut_equal
 from hpccomponent.errors import InputError
 
 Count = Callable[[float, int, bool], tuple[int, int]]
 """Given the edge of boxes, how many of them make one sampled, and whether points at one place count
 as one, returns the points in the sample and the boxes that hold some."""
 
+_ROWS_AT_ONCE = 1 << 16
 _FEW, _MANY = 3.0, 20.0
 _SAMPLED_POINTS = 200_000
 _ROUNDS = 40
@@ -146,8 +149,14 @@ def sample_positions(
     one_in : int
         About one box in so many is in the sample.
     """
-    places = np.floor(cells_of(positions, low, edge)).astype(np.int64)
-    return positions[are_sampled(shuffle_keys(pack_places(places)), one_in)]
+
+    def mark(rows: slice) -> BoolArray:
+        places = np.floor(cells_of(positions[rows], low, edge)).astype(np.int64)
+        return are_sampled(shuffle_keys(pack_places(places)), one_in)
+
+    blocks = cut_equal(len(positions), max(1, len(positions) // _ROWS_AT_ONCE))
+    chosen: FloatArray = positions[np.concatenate(run_batches(mark, blocks, 1))]
+    return chosen
 
 
 def _search_edge(

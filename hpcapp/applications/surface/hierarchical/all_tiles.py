@@ -23,15 +23,9 @@ from hpcapp.applications.surface.methods.method import Advance, ShowPart, show_n
 from hpcapp.applications.surface.stitching.surface import Surface
 from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
 from hpcapp.applications.surface.tiles.patterns import tile_surface
-from hpcapp.applications.surface.tiles.plan import Plan
 from hpcapp.applications.surface.tiles.tasks import mesh_gap, mesh_tile
 from hpcapp.applications.surface.types.grid import BRICK
-from hpcapp.geometry.lattice import (
-    find_keys,
-    pack_places,
-    unique_keys,
-    unpack_keys,
-)
+from hpcapp.geometry.lattice import find_keys, find_overlapping, unique_keys
 from hpcapp.geometry.points import FloatArray, IntArray
 from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.errors import JobError
@@ -194,21 +188,12 @@ def mesh_all_tiles(
         left = growth.left()
         if not len(left):
             return growth.surface
-        near = tiling.near(_cells_around(plan, left))
+        edge = BRICK * plan.step
+        cells = find_overlapping(left, plan.grid_origin, edge, plan.origin, plan.coarse_size)
+        near = tiling.near(cells)
         missing = tiling.cells[~near]
         name = "" if checkpoint is None else checkpoint.name(plan, left, missing)
         nearby = tiling.around(tiling.cells[near])
         gap = (plan, left, nearby, missing, coarse.whole())
         growth.run(mesh_gap, [(name, gap)], 1, lambda _done, _all: None)
     raise JobError("the surface does not come to an end", "report this, with the point cloud")
-
-
-def _cells_around(plan: Plan, bricks: IntArray) -> IntArray:
-    """Return the coarse cells that some bricks lie in, empty or not."""
-    size = plan.cell_size * 2.0**plan.coarse
-    edge = BRICK * plan.step
-    low = plan.grid_origin + edge * unpack_keys(bricks) - plan.origin
-    first = np.floor(low / size).astype(np.int64)
-    span = int(np.ceil(edge / size)) + 1
-    steps = np.stack(np.meshgrid(*[np.arange(span)] * 3), axis=-1).reshape(-1, 1, 3)
-    return unique_keys(pack_places(first + steps).reshape(-1))

@@ -9,7 +9,6 @@ import secrets
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.cloud.cutting import cut_tiles
@@ -19,8 +18,8 @@ from hpcapp.applications.surface.tiles.plan import Plan
 from hpcapp.applications.surface.tiles.points import CellPoints, PointsThere, pack_cells
 from hpcapp.applications.surface.tiles.tasks import KEPT_TILES
 from hpcapp.applications.surface.types.grid import BRICK
-from hpcapp.geometry.lattice import unpack_keys
-from hpcapp.geometry.points import FloatArray, IntArray
+from hpcapp.geometry.lattice import find_overlapping, pack_places, unique_keys, unpack_keys
+from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 
 # What a finest cell on the surface, and a cell of the grid there, take beside the points, in what a
 # point takes: from scans of bunny, table and rocker arm, whose finest cells were 1 to 6.5 cells of
@@ -184,7 +183,7 @@ class Tiling:
         """
         return self._give([cells], None)
 
-    def near(self, cells: IntArray) -> NDArray[np.bool_]:
+    def near(self, cells: IntArray) -> BoolArray:
         """Tell which coarse cells with points lie around some cells, near enough to matter.
 
         Parameters
@@ -197,7 +196,7 @@ class Tiling:
         ndarray of bool, shape (c,)
             Of `cells` of the tiling.
         """
-        return mark_near(self.cells, cells, *halo_cells(self._plan, cells))
+        return mark_halo(self._plan, self.cells, cells)
 
     def _give(self, groups: list[IntArray], index: int | None) -> CellPoints:
         if self._are_read:
@@ -230,8 +229,8 @@ def weigh_cells(plan: Plan, counts: IntArray) -> FloatArray:
     return counts.astype(np.float64) + 4.0**plan.coarse * each
 
 
-def halo_cells(plan: Plan, cells: IntArray) -> tuple[IntArray, IntArray]:
-    """Return how many coarse cells below and above a tile's its quadrics depend on.
+def mark_halo(plan: Plan, keys: IntArray, cells: IntArray) -> BoolArray:
+    """Tell which coarse cells lie around a tile's, so near that its quadrics depend on them.
 
     Its own bricks are among those that its cells overlap, and what it evaluates lies a brick and a
     rim further at most; from there its quadrics reach as far as `Plan.reach` says.
@@ -239,20 +238,14 @@ def halo_cells(plan: Plan, cells: IntArray) -> tuple[IntArray, IntArray]:
     Parameters
     ----------
     plan : Plan
-    cells : ndarray of int64, shape (c,)
-        Keys of the tile's cells.
-
-    Returns
-    -------
-    low, high : ndarray of int64, shape (3,)
-        Along each axis.
+    keys, cells : ndarray of int64, shapes (k,) and (c,)
+        Sorted keys of coarse cells, and of the tile's.
     """
-    size, edge, far = plan.coarse_size, BRICK * plan.step, plan.reach
-    beyond = 1.0 + plan.grid.rim
-    places = unpack_keys(cells)
-    corners = (plan.origin - plan.grid_origin) + size * places
-    first = edge * (np.floor(corners / edge) - beyond) - far
-    last = edge * (np.floor((corners + size) / edge) + 1.0 + beyond) + far
-    low = places - np.floor((first + plan.grid_origin - plan.origin) / size).astype(np.int64)
-    high = np.floor((last + plan.grid_origin - plan.origin) / size).astype(np.int64) - places
-    return low.max(axis=0), high.max(axis=0)
+    size, edge = plan.coarse_size, BRICK * plan.step
+    shift, beyond = plan.grid_origin - plan.origin, 1.0 + plan.grid.rim
+    bricks = unpack_keys(find_overlapping(cells, plan.origin, size, plan.grid_origin, edge))
+    # (b, 3): the first and the last cell that each brick depends on; the widest box serves all.
+    first = np.floor((shift + edge * (bricks - beyond) - plan.reach) / size).astype(np.int64)
+    last = np.floor((shift + edge * (bricks + 1.0 + beyond) + plan.reach) / size).astype(np.int64)
+    boxes = unique_keys(pack_places(first))
+    return mark_near(keys, boxes, 0, (last - first).max(axis=0))

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
+
+from hpcapp.cancellation import JobThreads, check_cancelled
 
 Batch = TypeVar("Batch")
 Result = TypeVar("Result")
@@ -22,7 +23,12 @@ def run_batches(
     threads : int
         How many calls run at once.
     """
+
+    def run(batch: Batch) -> Result:
+        check_cancelled()
+        return function(batch)
+
     if threads <= 1 or len(batches) <= 1:
-        return [function(batch) for batch in batches]
-    with ThreadPoolExecutor(threads, thread_name_prefix="kernels") as pool:
+        return [run(batch) for batch in batches]
+    with JobThreads(threads, "kernels") as pool:
         return list(pool.map(function, batches))

@@ -11,6 +11,7 @@ import numpy as np
 
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.normals.patches import CELL, Patches, quarter_patches
+from hpcapp.cancellation import check_cancelled
 from hpcapp.geometry.lattice import lay_lattice
 from hpcapp.geometry.points import FloatArray, IntArray
 
@@ -76,6 +77,7 @@ def has_stand(patches: Patches, spacing: float) -> bool:
     parts = quarter_patches(patches.take(every), 0.25 * CELL * spacing)
     shares, cells = np.tile(0.25 * sampled, 4), 2 * _BANDS * _BANDS
     for place in _fill_box(patches.centres.min(axis=0), patches.centres.max(axis=0)):
+        check_cancelled()
         # (288,): points in each direction; all have one solid angle.
         points = np.bincount(_find_directions(parts - place), shares, cells)
         seen = points[points > 0.0]

@@ -130,27 +130,23 @@ class LocalScale:
             return np.full(len(places), self.spacing)
         # Whole numbers below 2^20: places beyond lie in no cell.
         finest = np.floor(cells_of(places, self.origin, self.edge)).clip(-(2.0**19), 2.0**19)
-        cells = finest.astype(np.int64)
-        # Corners and vertices come row by row: each run of one cell is looked up once.
-        starts = np.flatnonzero(np.diff(pack_places(cells), prepend=-1))
-        lengths = np.diff(starts, append=len(cells))
-        spacings, cells = np.zeros(len(starts)), cells[starts]
+        keys = pack_places(finest.astype(np.int64))
+        # (r,): neighbours often follow each other: each run of places in one cell is asked once.
+        runs = np.flatnonzero(np.diff(keys, prepend=-1))
+        spacings = np.zeros(len(runs))
         for steps in (np.zeros((1, 3), np.int64), NEIGHBOURS):  # their own cells first
             for level in unique_keys(self.levels):
                 pending = np.flatnonzero(spacings == 0.0)
                 if not len(pending):
-                    return spacings
-                keys = pack_places(cells[pending] >> level)
+                    break
+                run = slice(*np.searchsorted(self.levels, (level, level + 1)).tolist())
+                known, told = self.keys[run], np.append(self.spacings[run], 0.0)
+                wanted = ancestor_keys(keys[runs[pending]], int(level))
                 for step in steps:
-                    found = self._find(level, step_keys(keys, step))
+                    found = told[kernels.find_keys(known, step_keys(wanted, step))]
                     spacings[pending] = np.maximum(spacings[pending], found)
-        return np.repeat(np.where(spacings == 0.0, self.spacing, spacings), lengths)
-
-    def _find(self, level: int, keys: IntArray) -> FloatArray:
-        """Return the spacing in some cells of a level, 0 where they tell none."""
-        run = slice(*np.searchsorted(self.levels, (level, level + 1)).tolist())
-        rows = kernels.find_keys(self.keys[run], keys)
-        return np.append(self.spacings[run], 0.0)[rows]
+        spacings[spacings == 0.0] = self.spacing
+        return np.repeat(spacings, np.diff(runs, append=len(keys)))
 
 
 def count_depth(cell_edge: float, spacing: float) -> int:

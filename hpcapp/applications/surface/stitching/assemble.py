@@ -7,6 +7,7 @@ disk that are mapped.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from hpcapp.applications.surface.extraction.part_places import (
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.stitching.plan import StitchingPlan
 from hpcapp.applications.surface.stitching.tile_ply import cut_tile
+from hpcapp.cancellation import check_cancelled
 from hpcapp.geometry.lattice import unique_keys
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, Int32Array, IntArray, PointCloud
@@ -42,6 +44,7 @@ def assemble_mesh(plan: StitchingPlan, load: LoadPart, origin: FloatArray) -> Me
     vertices = np.empty((plan.vertex_count, 3))
     faces = np.empty((plan.face_count, 3), np.int64)
     for index in range(len(plan.summaries)):
+        check_cancelled()
         part, places = load(index), plan.places(index)
         bricks = np.flatnonzero(places.face_starts >= 0)
         found, runs = place_vertices(part, places, bricks)
@@ -203,4 +206,6 @@ def _cut(starts: IntArray) -> Iterator[tuple[int, int]]:
     # (k,): the first brick at or behind every so many rows; the last edge, before empty bricks.
     marks = np.searchsorted(starts, np.arange(0, starts[-1], _ROWS_AT_ONCE))
     edges = unique_keys(np.append(marks, np.searchsorted(starts, starts[-1])))
-    return zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
+    for first, last in pairwise(edges.tolist()):
+        check_cancelled()
+        yield first, last

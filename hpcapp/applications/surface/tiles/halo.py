@@ -121,7 +121,7 @@ def plan_tile(grid: Grid, own: IntArray, earlier: IntArray, later: IntArray) -> 
     mask[tuple((places - first).T)] = True
     beside = dilate(mask)
     is_rim = _mark_rim(grid, first, beside)
-    kinds = BrickKinds(first, np.where(is_rim, BESIDE, OUT).astype(np.uint8))
+    kinds = BrickKinds(first, np.where(is_rim, np.uint8(BESIDE), np.uint8(OUT)))
     kinds.kinds[beside] = OPEN
     # The last mark counts: bricks with others' points are not open, the tile's own are its own.
     for foreign in (earlier, later):
@@ -158,7 +158,8 @@ def plan_gap(
         known_all[first[0] : end[0], first[1] : end[1], first[2] : end[2]] = False
     # (x, y, z): where the rim is known as well, the surface may grow.
     inner = ~_mark_rim(grid, np.zeros(3, np.int64), ~known_all)
-    kinds = np.where(inner, OPEN, np.where(known_all, BESIDE, OUT)).astype(np.uint8)
+    kinds = np.where(known_all, np.uint8(BESIDE), np.uint8(OUT))
+    kinds[inner] = OPEN
     gap = BrickKinds(np.zeros(3, np.int64), kinds)
     gap.mark(seeds[gap.at(seeds) != OUT], FOREIGN)
     gap.mark(exits, OWN)

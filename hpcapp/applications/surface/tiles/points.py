@@ -10,7 +10,6 @@ import numpy as np
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, Place
 from hpcapp.applications.surface.cloud.arrangement import (
-    Arrangement,
     PackedPoints,
     unpack_points,
     unpacking_arguments,
@@ -24,9 +23,9 @@ from hpcapp.applications.surface.types.grid import Grid
 from hpcapp.geometry.lattice import (
     cells_of,
     find_keys,
+    find_overlapping,
     pack_places,
     unique_keys,
-    unpack_keys,
 )
 from hpcapp.geometry.points import ByteArray, FloatArray, IntArray
 from hpccomponent.dataclass import dataclass
@@ -181,7 +180,8 @@ def _take_overlapping(
     cloud: ArrangedCloud, cells: IntArray, origin: FloatArray, size: float
 ) -> PackedPoints:
     """Return the points in the blocks that overlap some cells."""
-    return cloud.take_packed(_find_blocks(cloud.arrangement, cells, origin, size))
+    blocks = cloud.arrangement
+    return cloud.take_packed(find_overlapping(cells, origin, size, blocks.origin, blocks.edge))
 
 
 def _number_cells(cells: list[IntArray]) -> tuple[IntArray, ByteArray]:
@@ -191,18 +191,3 @@ def _number_cells(cells: list[IntArray]) -> tuple[IntArray, ByteArray]:
     for number, group in enumerate(cells):
         numbers[find_keys(wanted, group)] = number
     return wanted, numbers
-
-
-def _find_blocks(
-    arrangement: Arrangement, cells: IntArray, origin: FloatArray, size: float
-) -> IntArray:
-    """Return the blocks that overlap some cells."""
-    corner = origin + size * unpack_keys(cells) - arrangement.origin
-    # (c, 3): the first and the last block that each cell overlaps; all steps between are taken.
-    first = np.floor(corner / arrangement.edge).astype(np.int64)
-    last = np.floor((corner + size) / arrangement.edge).astype(np.int64)
-    blocks = []
-    for step in np.ndindex(*((last - first).max(axis=0, initial=0) + 1)):
-        places = first + np.array(step)
-        blocks.append(pack_places(places[(places <= last).all(axis=1)]))
-    return unique_keys(np.concatenate(blocks))

@@ -37,20 +37,22 @@ class PreparedTile:
     ----------
     points : tuple
         `CellPoints` of the tile and its halo.
+    levels : int
+        `sum_tile` asks for the coarse one, too.
 
     Attributes
     ----------
     groups : ndarray of uint8, shape (c,)
         Of the finest cells (see `TilePoints`).
     levels : list of Level
-        Up to the coarse level; `mesh_tile` asks for those below it.
+        Finest first; `mesh_tile` asks for those below the coarse one.
     """
 
-    def __init__(self, plan: Plan, points: CellPoints, threads: int) -> None:
+    def __init__(self, plan: Plan, points: CellPoints, levels: int, threads: int) -> None:
         taken = take_points(points, plan)  # in memory that was touched before, if there is some
         bound_free_memory()  # what this and tiles before it have left
         self.groups = taken.groups
-        self.levels = raise_levels(taken.finest, plan.coarse + 1, threads)
+        self.levels = raise_levels(taken.finest, levels, threads)
         self._laid: Laid | None = None
         self._steps = _lay(plan, taken)  # without `self`, which would be a cycle
 

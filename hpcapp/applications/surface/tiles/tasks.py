@@ -117,7 +117,7 @@ def sum_tile(
         The finest cells with points.
     """
     del own  # it is for who declares, and checks
-    prepared = PreparedTile(plan, points, threads)
+    prepared = PreparedTile(plan, points, plan.coarse + 1, threads)
     if ticket is not None:
         TILES.put(ticket, prepared)
         worker_background.add(partial(TILES.advance, ticket))
@@ -248,7 +248,7 @@ def mesh_tile(
     prepared = TILES.pop(ticket)
     is_last = ticket is not None and not len(TILES)
     if prepared is None:
-        prepared = PreparedTile(plan, points, threads)
+        prepared = PreparedTile(plan, points, plan.coarse, threads)
     kinds, corners = prepared.laid()
     if kinds is None:
         return _give(MeshPart.empty(), np.empty(0, np.int64), keep)

@@ -12,6 +12,7 @@
 #include <string>
 #include <vector>
 
+#include "interruption.h"
 #include "memory.h"
 
 namespace hpc {

@@ -101,6 +101,7 @@ void solve(const Matrix& matrix, const double* diagonal, const double* known, do
   add(-1.0, product.data(), count, residual.data());
   double last = 1.0;
   for (int64_t step = 0; step < most && !(dot(residual.data(), residual.data(), count) < bound); ++step) {
+    poll();
     divide(residual.data(), diagonal, count, scaled.data());
     const double fall = dot(residual.data(), scaled.data(), count);
     if (!(fall > 0.0)) break;
@@ -127,7 +128,7 @@ Output<double> spread_leanings(Integers first_of, Integers second_of, Doubles st
   if (most < 0 || most > MOST_STEPS) refuse("most: expected 0 to 2^20");
   Buffer<double> values;
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     values = make_buffer<double>(count);
     std::copy_n(start, count, values.get());
     const Matrix matrix = make_matrix(first, second, strengths, links, sums, count);

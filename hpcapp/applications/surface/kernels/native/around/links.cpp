@@ -70,7 +70,7 @@ nb::tuple link_groups(Doubles positions, Bytes own_of, Integers groups, Doubles 
   const int workers = check_threads(threads);
   Large<int64_t> first, second, contacts;
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     const UnitPoints points = place_points(point, count, low, spacing);
     std::vector<Link> links;
     std::mutex lock;

@@ -142,7 +142,7 @@ Output<uint8_t> poll_all(Input positions, Input normals, Input cells, Input cell
   const int workers = check_threads(threads);
   Buffer<uint8_t> verdicts;
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     verdicts = make_buffer<uint8_t>(points);
     const Large<Around> around = sum_normals(normal, cell, points, keys, count, workers);
     if (mark_suspects(normal, cell, points, around, asked, verdicts.get())) {

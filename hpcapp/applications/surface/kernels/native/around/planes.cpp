@@ -354,7 +354,7 @@ Output<float> fit_planes(Doubles positions, Bytes asked_of, Doubles low_of, doub
   int64_t wanted = 0;
   Buffer<float> vectors;
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     auto place_of = make_buffer<int64_t>(count);
     for (int64_t i = 0; i < count; ++i) place_of[i] = asked[i] ? wanted++ : -1;
     vectors = make_buffer<float>(3 * wanted);

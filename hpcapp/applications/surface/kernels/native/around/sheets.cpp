@@ -90,7 +90,7 @@ nb::tuple group_sheets(Doubles positions, Singles vectors_of, Doubles low_of, do
   Buffer<int64_t> group_of;
   Buffer<uint8_t> opposed;
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     Span span({0, 0, 0}, {0, 0, 0});
     const Ranking ranked = rank_points(point, count, low, edge, span);
     Large<int64_t> starts;

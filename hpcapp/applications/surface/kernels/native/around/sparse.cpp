@@ -55,7 +55,7 @@ Output<bool> find_sparse(Doubles positions, Integers cells, Integers offsets, In
   const int64_t points = rows_of(positions);
   Buffer<bool> sparse;
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     sparse = make_buffer<bool>(points);
     run_ranges(sorted.cells, workers, [&](int64_t start, int64_t stop) {
       std::vector<Finger> fingers(9, Finger(sorted.keys, sorted.cells));
@@ -115,7 +115,7 @@ nb::tuple find_nearest(Doubles positions, Integers cells, Integers offsets, Inpu
   Buffer<double> squares;
   Buffer<int64_t> nearest;
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     squares = make_buffer<double>(wanted * count);
     nearest = make_buffer<int64_t>(wanted * count);
     std::fill_n(squares.get(), wanted * count, std::numeric_limits<double>::infinity());

@@ -155,7 +155,7 @@ nb::tuple count_supporting(Doubles places_of, Doubles positions, Doubles normals
   Buffer<int64_t> counts;
   Buffer<double> sums;
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     counts = make_buffer<int64_t>(wanted);
     sums = make_buffer<double>(3 * wanted);
     std::fill_n(counts.get(), wanted, 0);
@@ -232,7 +232,7 @@ Output<double> measure_aside(Doubles places_of, Doubles ways_of, Doubles positio
   const Cloud cloud = check_cloud(positions, normals, radii, thickness);
   Buffer<double> squares;
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     squares = make_buffer<double>(wanted);
     const std::vector<Alike> sorted = sort_cloud(cloud, std::sqrt(most));
     run_ranges(wanted, workers, [&](int64_t start, int64_t stop) {

@@ -252,7 +252,7 @@ Output<float> integrate_normals(Doubles places_of, Doubles normals_of, double sm
   const int workers = check_threads(threads);
   auto grid = make_buffer<float>(held.rows() * nodes);
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     const Fourier fourier(nodes);
     const int64_t pairs = (held.rows() + 2 * ROWS - 1) / (2 * ROWS);
     std::vector<Spectrum> components(3, Spectrum(held.rows(), nodes));
@@ -290,7 +290,7 @@ Output<double> sample_grid(Input values_of, Doubles places_of) {
   check_finite(places, 3 * count, "places");
   auto samples = make_buffer<double>(count);
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     for (int64_t i = 0; i < count; ++i) {
       double total = 0.0;
       visit_corners(spot_of(places + 3 * i, side), side,
@@ -324,7 +324,7 @@ Output<double> sample_corners(Input values_of, Integers keys_of, Doubles origin_
   check_positive(spacing, "spacing");
   auto samples = make_buffer<double>(count);
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     sample_keys(values, side, keys, count, origin, spacing, samples.get());
   }
   return give(std::move(samples), {static_cast<size_t>(count)});

@@ -310,7 +310,7 @@ nb::tuple fit_features(Integers vertices_of, Integers cells_of, Integers offsets
   auto joints = make_buffer<uint8_t>(count);
   std::fill(pieces.get(), pieces.get() + count * PIECES * BASIS, 0.0f);
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     run_ranges(count, workers, [&](int64_t start, int64_t stop) {
       std::vector<std::vector<Finger>> fingers;
       for (int reach : REACHES) fingers.emplace_back(4 * reach * reach, Finger(cells.keys, cells.count));

@@ -266,7 +266,7 @@ Output<float> evaluate_bricks(nb::handle field_given, nb::handle grid_given, Int
   const int workers = check_threads(threads);
   auto values = make_buffer<float>(count * BRICK_NODES);
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     run_ranges(count, workers, [&](int64_t start, int64_t stop) {
       BrickEvaluator evaluator(field, grid);
       for (int64_t i = start; i < stop; ++i) {

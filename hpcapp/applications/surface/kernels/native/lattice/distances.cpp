@@ -60,7 +60,7 @@ Output<double> measure_distances(Input occupied_of, int64_t threads) {
   const int64_t plane = sides[1] * sides[2], count = sides[0] * plane;
   Buffer<double> distances;
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     distances = make_buffer<double>(count);
     run_ranges(count ? sides[0] : 0, workers, [&](int64_t start, int64_t stop) {
       LineMinima minima(longest);

@@ -156,7 +156,7 @@ Output<int64_t> bound_records(Input records_of) {
   std::fill_n(bounds.get(), COLUMNS, INT64_MAX);
   std::fill_n(bounds.get() + COLUMNS, COLUMNS, INT64_MIN);
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     visit_columns(records, count, [&](int64_t, int width, const Columns& columns) {
       for (int c = 0; c < COLUMNS; ++c) {
         const auto [low, high] = std::minmax_element(columns.numbers[c], columns.numbers[c] + width);
@@ -174,7 +174,7 @@ Output<uint8_t> fold_records(Input records_of, Input lows_of, Input widths_of) {
   const Layout layout(lows_of, widths_of);
   auto folded = make_buffer<uint8_t>(count * layout.size + WORD);
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     visit_columns(records, count, [&](int64_t first, int width, const Columns& columns) {
       if (!fold(columns, width, layout, folded.get() + layout.size * first))
         refuse("records: one does not fit into the layout");
@@ -197,7 +197,7 @@ void unfold_records(Input folded_of, Input lows_of, Input widths_of, Input count
     left -= counts[i];
   }
   if (left) refuse("counts: they are not those of the records");
-  nb::gil_scoped_release unlocked;
+  const Unlocked unlocked;
   const uint8_t* end = folded + layout.size * rows_of(folded_of);
   uint8_t last[AT_ONCE * COLUMNS * MOST_BITS / 8 + WORD];
   for (int64_t block = 0; block < blocks; ++block) {

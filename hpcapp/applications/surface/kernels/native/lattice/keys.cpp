@@ -79,6 +79,7 @@ Large<int64_t> spread_sorted(const int64_t* keys, int64_t count, int64_t low, in
   std::vector<int64_t> united, more;
   int64_t next = 0;
   for (int64_t x = 0; next < count || !near.empty(); ++x) {
+    poll();
     if (near.empty()) x = keys[next] / STRIDES[0] + low;
     while (next < count && keys[next] / STRIDES[0] + low <= x) {
       const int64_t end = (keys[next] / STRIDES[0] + 1) * STRIDES[0];
@@ -97,7 +98,7 @@ Output<int64_t> spread_keys(Integers keys_of, int64_t low, int64_t high) {
   if (low > high || low < -8 || high > 8) refuse("low, high: expected -8 <= low <= high <= 8");
   Large<int64_t> spread;
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     spread = spread_sorted(keys, rows_of(keys_of), low, high);
   }
   return give(std::move(spread));
@@ -172,7 +173,7 @@ Output<int64_t> parent_keys(Integers keys_of) {
   const int64_t* keys = check_keys(keys_of, "keys");
   Keys parents{};
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     parents = halve_fastest(keys, rows_of(keys_of));
     for (int axis = 1; axis >= 0; --axis) parents = halve_axis(parents, STRIDES[axis]);
   }
@@ -186,7 +187,7 @@ Output<int64_t> find_keys(Integers keys_of, Integers wanted_of, int64_t threads)
   const int workers = check_threads(threads);
   auto rows = make_buffer<int64_t>(count);
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     run_ranges(count, workers, [&](int64_t start, int64_t stop) {
       Finger finger(keys, known);
       for (int64_t i = start; i < stop; ++i) {
@@ -205,7 +206,7 @@ Output<uint32_t> mark_ancestors(Integers cells_of, int64_t depth, Integers ances
   const int64_t count = rows_of(cells_of), known = rows_of(ancestors_of), last = (int64_t{1} << depth) - 1;
   auto marks = make_buffer<uint32_t>(known);
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     std::fill_n(marks.get(), known, 0u);
     Finger finger(ancestors, known);
     for (int64_t i = 0; i < count; ++i) {
@@ -238,7 +239,7 @@ Output<bool> look_near(Integers cells_of, Input origin_of, double size, Input pa
   const int64_t count = rows_of(cells_of);
   auto near = make_buffer<bool>(count);
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     for (int64_t i = 0; i < count; ++i) {
       const Place place = unpack(cells[i]);
       int64_t index = 0;
@@ -265,7 +266,7 @@ Output<int64_t> unite_keys(Integers first_of, Integers second_of) {
   auto both = make_buffer<int64_t>(count + others);
   int64_t* end;
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     end = std::set_union(first, first + count, second, second + others, both.get());
   }
   const size_t size = static_cast<size_t>(end - both.get());
@@ -320,7 +321,7 @@ Output<bool> mark_near(Integers keys_of, Integers cells_of, Input low_of, Input 
   if (count && cells[count - 1] > INT64_MAX - reach) refuse("cells: expected boxes that end within the lattice");
   auto near = make_buffer<bool>(asked);
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     Ranges ranges(count);
     for (int64_t i = 0; i < count; ++i) ranges.add(cells[i] - low[2], cells[i] + high[2]);
     for (int axis = 1; axis >= 0; --axis) {
@@ -349,7 +350,7 @@ nb::tuple label_cells(Integers cells_of) {
   auto label = make_buffer<int32_t>(count);
   int32_t pieces = 0;
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     Sets sets(count);
     const auto join = [&](int64_t step) {
       Finger finger(cells, count);

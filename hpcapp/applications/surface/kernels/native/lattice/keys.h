@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "constants.h"
+#include "interruption.h"
 #include "memory.h"
 
 namespace hpc {
@@ -112,6 +113,52 @@ class KeyRows {
   std::vector<uint32_t> slots_;
 };
 
+// A set of keys, not negative, that come in any order.
+class KeySet {
+ public:
+  explicit KeySet(size_t expected = 0) {
+    size_t size = 1024;
+    while (size < 2 * expected) size *= 2;
+    slots_.assign(size, -1);
+  }
+
+  void add(int64_t key) {
+    if (2 * (count_ + 1) > slots_.size()) grow();
+    insert(key);
+  }
+
+  int64_t count() const { return static_cast<int64_t>(count_); }
+
+  // Return the keys, sorted.
+  Large<int64_t> keys() const {
+    Large<int64_t> keys;
+    keys.reserve(count_);
+    for (int64_t key : slots_)
+      if (key != -1) keys.push_back(key);
+    std::sort(keys.begin(), keys.end());
+    return keys;
+  }
+
+ private:
+  void insert(int64_t key) {
+    size_t at = (static_cast<uint64_t>(key) * 0x9E3779B97F4A7C15u >> 20) & (slots_.size() - 1);
+    while (slots_[at] != -1 && slots_[at] != key) at = (at + 1) & (slots_.size() - 1);
+    count_ += slots_[at] == -1;
+    slots_[at] = key;
+  }
+
+  void grow() {
+    std::vector<int64_t> old(slots_.size() * 2, -1);
+    old.swap(slots_);
+    count_ = 0;
+    for (int64_t key : old)
+      if (key != -1) insert(key);
+  }
+
+  std::vector<int64_t> slots_;
+  size_t count_ = 0;
+};
+
 // Packs places within a box into as few bits as they need, in the order of their keys.
 class Span {
  public:
@@ -159,6 +206,7 @@ void radix_sort(Buffer<Item>& items, int64_t count, int bits, const Rank& rank) 
   }
   Buffer<Item> other = make_buffer<Item>(count);
   for (int pass = 0; pass < passes; ++pass) {
+    poll();
     int64_t* next = starts.data() + (static_cast<size_t>(pass) << digit);
     for (int64_t value = 0, before = 0; value <= static_cast<int64_t>(mask); ++value) {
       const int64_t size = next[value];

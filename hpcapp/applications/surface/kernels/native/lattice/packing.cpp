@@ -28,7 +28,7 @@ nb::tuple pack_records(Input positions_of, Input normals_of, Input origin_of, do
   Large<int64_t> keys, counts;
   auto records = make_buffer<float>(RECORD * count);
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     Span span({0, 0, 0}, {0, 0, 0});
     const Ranking ranked = rank_points(positions, count, origin, edge, span);
     for (int64_t i = 0; i < count; ++i) {
@@ -92,7 +92,7 @@ nb::tuple unpack_records(Input records_of, Input counts_of, Input corners_of, do
   const Packed packed(records_of, counts_of, corners_of, edge);
   auto positions = make_buffer<double>(3 * packed.points), normals = make_buffer<double>(3 * packed.points);
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     for (int64_t block = 0, at = 0; block < packed.blocks; at += packed.counts[block++])
       unpack_block(packed.records + RECORD * at, packed.counts[block], packed.corners + 3 * block, edge,
                    positions.get() + 3 * at, normals.get() + 3 * at);
@@ -112,7 +112,7 @@ nb::tuple unpack_within(Input records_of, Input counts_of, Input corners_of, dou
   auto rows = make_buffer<int64_t>(packed.points);
   int64_t found = 0;
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     int64_t at = 0;
     for (int64_t block = 0; block < packed.blocks; ++block) {
       const double* corner = packed.corners + 3 * block;
@@ -147,7 +147,7 @@ nb::tuple sort_packed(Input records_of, Input counts_of, Input corners_of, doubl
   Buffer<uint32_t> blocks;
   size_t kept = 0;
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     const KeyRows table(wanted, known);
     Place low{0, 0, 0}, high{0, 0, 0};  // of the finest cells, as far as the lattice goes
     for (int64_t i = 0; i < known; ++i) {
@@ -213,7 +213,7 @@ nb::tuple count_packed(Input records_of, Input counts_of, Input corners_of, doub
   check_positive(size, "cell_size");
   Large<int64_t> cells, counts;
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     std::unordered_map<int64_t, int64_t> held;
     int64_t last = -1, *in_last = nullptr;  // points come block by block: mostly in the same cell
     for (int64_t block = 0, at = 0; block < packed.blocks; ++block)
@@ -270,7 +270,7 @@ nb::tuple place_packed(Input records_of, Input blocks_of, Input corners_of, doub
   check_positive(size, "cell_size");
   auto local = make_buffer<double>(3 * packed.points), normals = make_buffer<double>(3 * packed.points);
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     for (int64_t i = 0; i < packed.points; ++i) {
       packed.unpack(i, local.get() + 3 * i);
       for (int axis = 0; axis < 3; ++axis) normals[3 * i + axis] = packed.records[RECORD * i + 3 + axis];
@@ -290,7 +290,7 @@ Output<int64_t> seed_packed(Input records_of, Input blocks_of, Input corners_of,
   const Grid grid = take_grid(grid_of);
   Large<int64_t> seeds;
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     BrickSet held(grid.bricks);
     double positions[3 * POINTS_AT_ONCE];
     Place places[POINTS_AT_ONCE];

@@ -18,42 +18,6 @@ HPC_CLONES void place_chunk(const double* points, int width, const double* origi
 
 namespace {
 
-// A set of keys that only counts.
-class KeyCounter {
- public:
-  explicit KeyCounter(size_t expected) {
-    size_t size = 1024;
-    while (size < 2 * expected) size *= 2;
-    slots_.assign(size, -1);
-  }
-
-  void add(int64_t key) {
-    if (2 * (count_ + 1) > slots_.size()) grow();
-    insert(key);
-  }
-
-  int64_t count() const { return static_cast<int64_t>(count_); }
-
- private:
-  void insert(int64_t key) {
-    size_t at = (static_cast<uint64_t>(key) * 0x9E3779B97F4A7C15u >> 20) & (slots_.size() - 1);
-    while (slots_[at] != -1 && slots_[at] != key) at = (at + 1) & (slots_.size() - 1);
-    count_ += slots_[at] == -1;
-    slots_[at] = key;
-  }
-
-  void grow() {
-    std::vector<int64_t> old(slots_.size() * 2, -1);
-    old.swap(slots_);
-    count_ = 0;
-    for (int64_t key : old)
-      if (key != -1) insert(key);
-  }
-
-  std::vector<int64_t> slots_;
-  size_t count_ = 0;
-};
-
 HPC_CLONES void bound(const double* points, int64_t count, double* least, double* most) {
   constexpr int WIDTH = 24;  // whole vectors, and whole points
   double low[WIDTH], high[WIDTH];
@@ -95,8 +59,8 @@ nb::tuple count_boxes(Doubles positions, Doubles low, double edge, int64_t one_i
   const int64_t count = rows_of(positions);
   int64_t kept = 0, boxes = 0;
   {
-    nb::gil_scoped_release unlocked;
-    KeyCounter counter(static_cast<size_t>(count / one_in / 4));
+    const Unlocked unlocked;
+    KeySet counter(static_cast<size_t>(count / one_in / 4));
     visit_places(point, count, origin, edge, [&](int64_t, const Place& place) {
       const int64_t key = pack(place);
       if (!is_sampled(key, one_in)) return;
@@ -116,7 +80,7 @@ Output<int64_t> sample_boxes(Doubles positions, Doubles low, double edge, int64_
   const int64_t count = rows_of(positions);
   Large<int64_t> rows;
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     visit_places(point, count, origin, edge, [&](int64_t i, const Place& place) {
       if (is_sampled(pack(place), one_in)) rows.push_back(i);
     });
@@ -149,7 +113,7 @@ nb::tuple sort_points(Doubles positions, Doubles origin_of, double size) {
   Large<int64_t> cells, offsets;
   Buffer<uint32_t> rows;
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     Span span({0, 0, 0}, {0, 0, 0});
     const Ranking ranked = rank_points(point, count, origin, size, span);
     const int64_t runs = ranked.runs();
@@ -181,7 +145,7 @@ nb::tuple gather_points(Doubles positions, Doubles normals, Input rows_wanted, D
   auto local = make_buffer<double>(3 * count);
   auto gathered = make_buffer<double>(3 * count);
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     for (int64_t i = 0; i < count; ++i) {
       // Neighbours in space lie anywhere in the file: ask for what comes soon.
       const int64_t soon = 3 * static_cast<int64_t>(rows[std::min(i + AHEAD, count - 1)]);
@@ -208,7 +172,7 @@ nb::tuple count_cells(Doubles positions, Doubles origin_of, double edge) {
   Large<int64_t> cells, counts;
   Buffer<int64_t> cell_of;
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     Span span({0, 0, 0}, {0, 0, 0});
     const Ranking ranked = rank_points(point, count, origin, edge, span);
     cell_of = make_buffer<int64_t>(count);
@@ -249,7 +213,7 @@ nb::tuple count_halved(Doubles positions, Doubles origin_of, double cell_size, i
   Large<int64_t> cells, counts;
   Buffer<int64_t> boxes;
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     double corners[6];
     bound(point, count, corners, corners + 3);
     Place bounds[2];
@@ -296,7 +260,7 @@ Output<int64_t> sum_neighbours(Integers cells, Integers values, Integers wanted)
   const int64_t width = static_cast<int64_t>(values.shape(1)), asked = rows_of(wanted);
   Buffer<int64_t> sums;
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     sums = make_buffer<int64_t>(asked * width);
     std::fill(sums.get(), sums.get() + asked * width, 0);
     Neighbourhood around(keys, count);

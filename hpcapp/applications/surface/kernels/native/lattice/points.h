@@ -18,6 +18,7 @@ template <class Body>
 void visit_places(const double* points, int64_t count, const double* origin, double size, const Body& body) {
   int32_t places[3 * POINTS_AT_ONCE];
   for (int64_t start = 0; start < count; start += POINTS_AT_ONCE) {
+    if (start % (64 * POINTS_AT_ONCE) == 0) poll();
     const int width = static_cast<int>(std::min<int64_t>(POINTS_AT_ONCE, count - start));
     place_chunk(points + 3 * start, width, origin, size, places);
     for (int i = 0; i < width; ++i) {

@@ -102,7 +102,8 @@ class Mesh {
     do {
       before = face_count_;
       fill();
-      while (face_count_ > goal && !heap_.empty()) {
+      for (int64_t seen = 0; face_count_ > goal && !heap_.empty(); ++seen) {
+        if (seen % 4096 == 0) poll();
         std::pop_heap(heap_.begin(), heap_.end());
         const Candidate edge = heap_.back();
         heap_.pop_back();
@@ -410,7 +411,7 @@ nb::tuple collapse_edges(Doubles vertices_of, Integers faces_of, int64_t goal, d
   if (!(limit > 0.0)) refuse("limit: expected a positive number");
   std::unique_ptr<Mesh> mesh;
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     mesh = std::make_unique<Mesh>(vertices, count, faces, rows_of(faces_of), limit, keeps_border);
     mesh->simplify(goal);
   }

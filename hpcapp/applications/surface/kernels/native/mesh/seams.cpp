@@ -176,7 +176,7 @@ nb::object find_seams(Input faces_of, std::pair<int64_t, int64_t> counts, Input 
   int64_t components = 0;
   Found found{Sets(vertices), std::vector<uint8_t>(static_cast<size_t>(count)), {}, {}, {}};
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     close_nodes(Corners(faces, vertex_of, count, found.labels), is_open, count, found);
     components = found.labels.number(labels.get());
     join_open(faces, found);
@@ -310,7 +310,7 @@ nb::object sum_bricks(Doubles vertices_of, Input faces_of, std::pair<Input, Inpu
   auto bounds = make_buffer<double>(6 * components);
   std::vector<Entry> entries;
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     for (int64_t i = 0; i < 6 * components; ++i) {
       const double infinity = std::numeric_limits<double>::infinity();
       bounds[i] = i % 6 < 3 ? infinity : -infinity;

@@ -14,7 +14,7 @@ nb::tuple label_components(Integers faces_of, int64_t vertices) {
   auto label = make_buffer<int32_t>(vertices);
   int64_t components = 0;
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     Sets sets(vertices);
     for (int64_t f = 0; f < 3 * count; f += 3) {
       sets.join(static_cast<int32_t>(faces[f]), static_cast<int32_t>(faces[f + 1]));
@@ -82,7 +82,7 @@ nb::object survey_mesh(Integers faces_of, int64_t vertices) {
   Survey survey;
   int64_t fans = 0;
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     const SideTable table(faces, count, vertices);
     Sets corners(3 * count);
     for (int64_t v = 0; v < vertices; ++v) {
@@ -105,7 +105,7 @@ double signed_volume(Doubles vertices_of, Integers faces_of, Doubles reference_o
   const int64_t* faces = check_faces(faces_of, rows_of(vertices_of));
   const double* reference = check<double>(reference_of, "reference", {3});
   const int64_t count = rows_of(faces_of);
-  nb::gil_scoped_release unlocked;
+  const Unlocked unlocked;
   double total = 0.0;
   for (int64_t f = 0; f < count; ++f) {
     double corner[3][3];

@@ -282,7 +282,7 @@ Output<double> corner_moments(Integers touched_of, Integers cells_of, Doubles mo
   const int workers = check_threads(threads);
   auto total = make_buffer<double>(count * COLUMNS);
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     run_ranges(count, workers, [&](int64_t start, int64_t stop) {
       CornerSums sums(cells, known, moments);
       visit_layers(sums, touched, start, stop,
@@ -313,7 +313,7 @@ nb::tuple fit_corners(Integers touched_of, Integers cells_of, Doubles moments_of
                   misfits.get()};
   const int workers = check_threads(threads);
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     run_ranges(count, workers, [&](int64_t start, int64_t stop) {
       CornerSums sums(cells, known, moments);
       visit_layers(sums, touched, start, stop,

@@ -119,7 +119,7 @@ nb::tuple inherit_level(Integers vertices_of, Integers keys_of, Singles coeffici
   auto coefficients = make_buffer<float>(count * BASIS);
   auto inherited = make_buffer<float>(count * columns);
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     run_ranges(count, workers, [&](int64_t start, int64_t stop) {
       Column columns[2] = {Column(parents), Column(parents)};
       if (!inherit_range(vertices, parents, start, stop, columns, coefficients.get(), inherited.get()))

@@ -96,7 +96,7 @@ Output<double> accumulate_moments(Doubles local_of, Doubles normals_of, Integers
   const int workers = check_threads(threads);
   auto moments = make_buffer<double>(cells * COLUMNS);
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     run_ranges(cells, workers, [&](int64_t start, int64_t stop) {
       sum_cells(local, normals, weights, offsets, start, stop, moments.get());
     });
@@ -191,7 +191,7 @@ nb::tuple merge_cells(Integers cells_of, Doubles moments_of) {
   Large<int64_t> parents;
   Buffer<double> merged;
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     const Large<Family> families = group_children(cells, count);
     const int64_t size = static_cast<int64_t>(families.size());
     for (const Family& family : families) parents.push_back(family.key);

@@ -105,7 +105,7 @@ Output<double> rate_points(Input local_of, Input offsets_of, Input cells_of, int
   const Rated all{local, offsets, cells, corners, check<float>(coefficients_of, "coefficients", {known, BASIS}),
                   check<float>(variances_of, "variances", {known}), known, static_cast<int>(depth), squares.get()};
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     rate_range(all, 0, count);
   }
   return give(std::move(squares), {static_cast<size_t>(points)});

@@ -125,7 +125,7 @@ Output<double> balance_vertices(Doubles vertices_of, Integers faces_of, double s
   check_positive(step, "step");
   auto moved = make_buffer<double>(3 * count);
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     const auto normals = make_buffer<Vector>(count);
     sum_normals(mesh, step, normals.get());
     shift_vertices(mesh, normals.get(), moved.get());

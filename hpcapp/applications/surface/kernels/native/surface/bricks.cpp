@@ -271,7 +271,7 @@ nb::object grow_surface(nb::handle field_given, nb::handle grid_given, nb::handl
   Bricks all;
   Large<int64_t> exits;
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     give_back_rest();  // the fits are over, and the values of all bricks are to come
     Growth growth(field, grid, kinds);
     growth.run(workers);
@@ -291,7 +291,7 @@ Output<int64_t> seed_bricks(nb::handle grid_of, Doubles positions) {
   const int64_t count = rows_of(positions);
   Large<int64_t> seeds;
   {
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     BrickSet held(grid.bricks);
     visit_places(point, count, grid.origin, BRICK * grid.step, [&](int64_t, const Place& place) { held.add(place); });
     seeds = held.keys();
