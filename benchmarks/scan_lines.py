@@ -16,7 +16,7 @@ import numpy as np
 
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
-from hpcapp.applications.surface.cloud.measure import measure_scale
+from hpcapp.applications.surface.cloud.measure import measure_lines
 from hpcapp.applications.surface.reading.reach import drop_far
 from hpcapp.applications.surface.scale.scan_lines import SHARE, count_narrow, keep_lines
 from hpcapp.io import drop_unusable, open_points, read_whole
@@ -35,7 +35,7 @@ def measure(path: Path) -> np.ndarray:
     """Return how many of a scan's points are kept as lines at each of `SHARES`."""
     points, _ = drop_unusable(read_whole(open_points(path)), path.name)
     cloud_pass = MemoryPass(arrange_cloud(drop_far(points)))
-    _, boxes = measure_scale(cloud_pass)
+    _, boxes = measure_lines(cloud_pass)
     positions = cloud_pass.cloud.points.positions
     counted = count_narrow(positions, boxes)
     held = dict(zip(counted.keys.tolist(), counted.points.tolist(), strict=True))
