@@ -186,7 +186,7 @@ def reconstruct(
         Told (stage, parts done, parts in all) as the work proceeds, in the calling thread; what it
         raises ends the job.
     cancel : Cancellation, optional
-        Ends the job within a second when another thread calls its ``cancel()``.
+        Ends the job within about a second when another thread calls its ``cancel()``.
 
     Returns
     -------

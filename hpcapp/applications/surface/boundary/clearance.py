@@ -43,7 +43,7 @@ _DENSITY = np.sqrt(np.pi / _NEIGHBOURS)  # times that distance
 _AGREEING = 3  # points, of which the one that supports least counts
 _WAYS = 8  # along the surface, in which it is looked whether support goes on
 _LEAST, _MOST = 0.85, 1.0 + _FLATNESS  # clearances are clamped to these; 1 is asked for
-_PLACES_AT_ONCE = 1 << 17
+_PLACES_AT_ONCE = 1 << 17  # with eight ways of 24 bytes each; no result depends on it
 
 
 @record("surface.support_rule")

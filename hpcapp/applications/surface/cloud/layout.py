@@ -25,7 +25,7 @@ from hpccomponent.dataclass import dataclass
 from hpccomponent.files.checksum import PAGE
 from hpccomponent.store.value import DamagedError
 
-_COLUMNS = 7
+_COLUMNS = 7  # as `kernels.fold_records` has them
 _HEAD = struct.Struct(f"<8s{2 * _COLUMNS}q")  # magic, least of each column, bits of each
 _MAGIC = b"hpcfold1"
 

@@ -21,4 +21,4 @@ FINE, UNSURE, WRONG = 0, 1, 2
 """What `poll_normals` finds of a normal."""
 
 WHOLE = 127
-"""What `view_patches` makes of a cosine of one."""
+"""What `view_patches` makes of a cosine of one: the largest number of a byte."""

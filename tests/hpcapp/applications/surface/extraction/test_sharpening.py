@@ -10,6 +10,7 @@ from cut_mesh import GRID, extract_shape
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from hpcapp.applications.surface.extraction import sharpening
 from hpcapp.applications.surface.extraction.sharpening import sharpen_vertices
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.applications.surface.types.field import Features
@@ -162,6 +163,21 @@ def test_a_vertex_depends_on_seven_faces_around_it(
     alone = sharpen_vertices(mesh.vertices, part, mesh.vertices, features, LATTICE, steps)
     own = np.unique(mesh.faces[cells < cut])
     np.testing.assert_array_equal(alone[own], whole[own])
+
+
+@settings(max_examples=25, deadline=None)
+@given(every=st.integers(2, 40), **WEDGES)
+def test_faces_that_are_passed_over_lie_by_no_feature(
+    every: int, seed: int, angle: float, is_convex: bool
+) -> None:
+    wedge = make_wedge(seed, angle, is_convex)
+    all_of = wedge.features()
+    few = Features(all_of.keys[::every], all_of.pieces[::every], all_of.joints[::every])
+    _, found = sharpen(wedge, few)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sharpening, "_mark_near", lambda places, *_: np.ones(len(places), np.bool_))
+        _, wanted = sharpen(wedge, few)
+    np.testing.assert_array_equal(found, wanted)
 
 
 def test_beside_an_edge_vertices_are_not_balanced() -> None:

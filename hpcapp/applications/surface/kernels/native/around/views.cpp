@@ -14,7 +14,7 @@ using namespace constants::views;
 using constants::WHOLE;
 
 constexpr uint32_t NONE = UINT32_MAX;
-constexpr int64_t AT_ONCE = 4;  // viewpoints: each takes a tenth of a second of a million patches
+constexpr int64_t AT_ONCE = 4;  // viewpoints, between which a job may end: each goes through all patches
 
 // Patches, one by one, and axis by axis.
 struct Patches {

@@ -22,7 +22,7 @@ __all__ = ["count_supporting", "measure_aside"]
 
 _CLASS = 1.25  # points whose radii differ by less are searched together
 _STEPS = 2.0**20  # so many whole ones make 1: sums of them are exact
-_PLACES_AT_ONCE = 1 << 10
+_PLACES_AT_ONCE = 1 << 10  # each is paired with all points in 27 cells
 
 
 def count_supporting(

@@ -20,7 +20,7 @@ from hpcapp.geometry.points import ByteArray, Float32Array, IntArray
 
 __all__ = ["bound_records", "fold_records", "unfold_records"]
 
-_COLUMNS = 7
+_COLUMNS = 7  # see above
 _WORDS = 4  # of 64 bits, with room for as many columns of 32
 _SIGN = np.uint32(1 << 31)
 
