@@ -7,10 +7,10 @@
 
 FOLDER gets the cloud, if it is not there yet, the temporary folder and the mesh, and RESULTS, a
 table as they stand in ``benchmarks/results/``. What follows ``--`` is given to `hpcapp reconstruct`
-in place of ``--backend serial --max-memory 4G``.
+in place of ``--max-memory 4G``.
 
 Memory is that of all processes of the job without the files that they map, which the system can
-take back. Of a job that is killed, the CPU time of its workers is not known: use one process.
+take back. CPU time is what they had taken when they were last looked at.
 """
 
 from __future__ import annotations
@@ -33,8 +33,9 @@ from big_cloud import measure_distances, write_cloud
 from hpcapp.io import open_points
 
 RATIO = 1000.0
-OPTIONS = ("--backend", "serial", "--max-memory", "4G")
+OPTIONS = ("--max-memory", "4G")
 POLL_S = 1.0
+_HELD = re.compile(r"^Pss_(?:Anon|Shmem): +([0-9]+) kB$", re.MULTILINE)
 _ADVANCE = re.compile(r"extract: (\d+) of (\d+)")
 
 
@@ -61,25 +62,35 @@ def count_disk(paths: Iterable[Path]) -> int:
     return total
 
 
-def count_memory(process: int) -> int:
-    """Return how many bytes of memory a process and its children hold, without mapped files."""
-    parents, held = {}, {}
-    for status in Path("/proc").glob("[0-9]*/status"):
+def look_at(process: int) -> tuple[int, float]:
+    """Return what a process and its children use.
+
+    Returns
+    -------
+    memory : int
+        In bytes, without mapped files; what they share is counted once.
+    cpu_s : float
+        With that of children that have ended.
+    """
+    parents, memory, times = {}, {}, {}
+    for folder in Path("/proc").glob("[0-9]*"):
         try:
-            fields = dict(line.split(":", 1) for line in status.read_text().splitlines())
+            fields = (folder / "stat").read_text().rpartition(")")[2].split()
+            held = (folder / "smaps_rollup").read_text()
         except OSError:  # it has ended
             continue
-        number = int(fields["Pid"])
-        parents[number] = int(fields["PPid"])
-        kinds = (fields.get(f"Rss{kind}", "0") for kind in ("Anon", "Shmem"))
-        held[number] = 1024 * sum(int(kind.split()[0]) for kind in kinds)
+        number = int(folder.name)
+        parents[number] = int(fields[1])
+        memory[number] = 1024 * sum(map(int, _HELD.findall(held)))
+        times[number] = sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")
 
     def belongs(number: int) -> bool:
         while number in parents and number != process:
             number = parents[number]
         return number == process
 
-    return sum(size for number, size in held.items() if belongs(number))
+    ours = [number for number in parents if belongs(number)]
+    return sum(memory[number] for number in ours), sum(times[number] for number in ours)
 
 
 def run(command: Sequence[str], temp: Path, mesh: Path, *, is_killed: bool) -> Usage:
@@ -90,27 +101,30 @@ def run(command: Sequence[str], temp: Path, mesh: Path, *, is_killed: bool) -> U
     assert process.stderr is not None
 
     def look() -> None:
-        while not is_over.wait(POLL_S):
-            used.memory = max(used.memory, count_memory(process.pid))
-            used.disk = max(used.disk, count_disk([temp]))
-            beside = mesh.parent.glob(f".*{mesh.name}*")  # as it is written
-            used.mesh = max(used.mesh, count_disk([*beside, *mesh.parent.glob(mesh.name)]))
+        memory, cpu_s = look_at(process.pid)
+        used.memory, used.cpu_s = max(used.memory, memory), max(used.cpu_s, cpu_s)
+        used.disk = max(used.disk, count_disk([temp]))
+        beside = mesh.parent.glob(f".*{mesh.name}*")  # as it is written
+        used.mesh = max(used.mesh, count_disk([*beside, *mesh.parent.glob(mesh.name)]))
 
-    watcher = threading.Thread(target=look)
+    def watch() -> None:
+        while not is_over.wait(POLL_S):
+            look()
+
+    watcher = threading.Thread(target=watch)
     watcher.start()
     for line in process.stderr:
         print(line, end="", file=sys.stderr, flush=True)
         used.last_line = line.strip()
         found = _ADVANCE.search(line)
         if is_killed and found and 2 * int(found[1]) >= int(found[2]):
+            look()
             process.kill()
-    _, status, rusage = os.wait4(process.pid, 0)
-    process.returncode = used.exit_code = os.waitstatus_to_exitcode(status)
+    used.exit_code = process.wait()
     is_over.set()
     watcher.join()
     process.stderr.close()
     used.wall_s = time.perf_counter() - began
-    used.cpu_s = rusage.ru_utime + rusage.ru_stime
     return used
 
 

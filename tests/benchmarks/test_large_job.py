@@ -53,7 +53,7 @@ def test_a_job_that_ends_is_measured(tmp_path: Path, monkeypatch: pytest.MonkeyP
 def test_memory_is_that_of_children_too_without_mapped_files(tmp_path: Path) -> None:
     file = tmp_path / "mapped"
     file.write_bytes(b"1" * SIZE)
-    before = large_job.count_memory(os.getpid())
+    before = large_job.look_at(os.getpid())[0]
     with (
         file.open("rb") as opened,
         mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_READ) as mapped,
@@ -64,6 +64,6 @@ def test_memory_is_that_of_children_too_without_mapped_files(tmp_path: Path) -> 
         assert sum(mapped[:: mmap.PAGESIZE]) == SIZE // mmap.PAGESIZE * ord("1")
         assert child.stderr is not None
         child.stderr.readline()
-        after = large_job.count_memory(os.getpid())
+        after = large_job.look_at(os.getpid())[0]
         child.communicate(b"\n")
     assert SIZE < after - before < 1.5 * SIZE

@@ -1,5 +1,6 @@
 // How crowded it is around points, and which points are nearest to them (see around/sparse.py).
 #include <limits>
+#include <map>
 #include <utility>
 
 #include "arrays.h"
@@ -83,21 +84,53 @@ Output<bool> find_sparse(Doubles positions, Integers cells, Integers offsets, In
 
 using Near = std::pair<double, int64_t>;  // squared distance, row: sorted so, ties too
 
-// Collect the points in the cells around a cell, up to so many cells away, but for one.
-void collect(const SortedPoints& sorted, int64_t key, int64_t rings, const double* from, uint32_t itself, double square,
-             std::vector<Near>& found) {
-  found.clear();
-  for (int64_t i = -rings; i <= rings; ++i)
-    for (int64_t j = -rings; j <= rings; ++j) {
-      const auto [first, last] = sorted.column(key + i * STRIDES[0] + j * STRIDES[1], rings, [&](int64_t wanted) {
-        return std::lower_bound(sorted.keys, sorted.keys + sorted.cells, wanted) - sorted.keys;
-      });
-      for (int64_t at = first; at < last; ++at) {
-        const double apart = square_between(from, &sorted.position[static_cast<size_t>(3 * at)]);
-        if (apart <= square && sorted.rows[at] != itself) found.emplace_back(apart, sorted.rows[at]);
+// Finds the points nearest to points that come cell by cell.
+class Nearest {
+ public:
+  Nearest(const SortedPoints& sorted, int64_t count) : sorted_(sorted), most_(static_cast<size_t>(count)) {}
+
+  // Find those in the cells around a cell, up to so many cells away, but for the point itself.
+  void find(int64_t key, int64_t rings, int64_t itself, double square) {
+    auto& fingers = fingers_[rings];
+    if (fingers.empty()) fingers.assign(static_cast<size_t>((2 * rings + 1) * (2 * rings + 1)), {sorted_.keys, sorted_.cells});
+    found.clear();
+    const double* from = &sorted_.position[static_cast<size_t>(3 * itself)];
+    auto finger = fingers.begin();
+    const auto outwards = [](int64_t step) { return step % 2 ? step / 2 + 1 : -(step / 2); };  // 0, 1, -1, 2, -2 ...
+    for (int64_t i = 0; i <= 2 * rings; ++i)
+      for (int64_t j = 0; j <= 2 * rings; ++j, ++finger) {
+        const auto [first, last] = sorted_.column(key + outwards(i) * STRIDES[0] + outwards(j) * STRIDES[1], rings,
+                                                  [&](int64_t wanted) { return finger->lower_bound(wanted); });
+        for (int64_t at = first; at < last; ++at) {
+          const double apart = square_between(from, &sorted_.position[static_cast<size_t>(3 * at)]);
+          if (apart <= square && at != itself && take({apart, sorted_.rows[at]})) square = found.back().first;
+        }
       }
-    }
-}
+  }
+
+  bool is_full() const { return found.size() == most_; }
+
+  std::vector<Near> found;  // sorted
+
+ private:
+  // Put a point in its place, and tell whether there are enough.
+  bool take(const Near& one) {
+    if (!is_full())
+      found.push_back(one);
+    else if (one < found.back())
+      found.back() = one;
+    else
+      return true;
+    size_t at = found.size() - 1;
+    for (; at && one < found[at - 1]; --at) found[at] = found[at - 1];
+    found[at] = one;
+    return is_full();
+  }
+
+  const SortedPoints& sorted_;
+  size_t most_;
+  std::map<int64_t, std::vector<Finger>> fingers_;  // by rings, one for each column of cells
+};
 
 nb::tuple find_nearest(Doubles positions, Integers cells, Integers offsets, Input rows, double edge, Integers asked_of,
                        int64_t count, double limit, int64_t threads) {
@@ -122,24 +155,24 @@ nb::tuple find_nearest(Doubles positions, Integers cells, Integers offsets, Inpu
     std::fill_n(nearest.get(), wanted * count, points);
     Large<uint32_t> place(static_cast<size_t>(points));
     for (int64_t at = 0; at < points; ++at) place[sorted.rows[at]] = static_cast<uint32_t>(at);
+    Large<std::pair<uint32_t, uint32_t>> order(static_cast<size_t>(wanted));  // cell by cell
+    for (int64_t i = 0; i < wanted; ++i) order[i] = {place[static_cast<size_t>(asked[i])], static_cast<uint32_t>(i)};
+    std::sort(order.begin(), order.end());
     run_ranges(wanted, workers, [&](int64_t start, int64_t stop) {
-      std::vector<Near> found;
-      for (int64_t i = start; i < stop; ++i) {
-        const int64_t at = place[static_cast<size_t>(asked[i])];
-        const double* from = &sorted.position[static_cast<size_t>(3 * at)];
-        const int64_t* after = std::upper_bound(sorted.offsets, sorted.offsets + sorted.cells, at);
+      Nearest near(sorted, count);
+      for (int64_t one = start; one < stop; ++one) {
+        const auto [at, i] = order[static_cast<size_t>(one)];
+        const int64_t* after = std::upper_bound(sorted.offsets, sorted.offsets + sorted.cells, int64_t{at});
         const int64_t key = sorted.keys[after - sorted.offsets - 1];
         for (int64_t rings = 1;; rings = std::min(2 * rings, most)) {
           // All that is no farther than `rings` cells was met, and more at the corners.
           const double reach = std::min(limit, static_cast<double>(rings) * edge);
-          collect(sorted, key, rings, from, static_cast<uint32_t>(asked[i]), reach * reach, found);
-          if (static_cast<int64_t>(found.size()) >= count || rings >= most) break;
+          near.find(key, rings, at, reach * reach);
+          if (near.is_full() || rings >= most) break;
         }
-        const auto held = std::min<int64_t>(count, static_cast<int64_t>(found.size()));
-        std::partial_sort(found.begin(), found.begin() + held, found.end());
-        for (int64_t k = 0; k < held; ++k) {
-          squares[i * count + k] = found[static_cast<size_t>(k)].first;
-          nearest[i * count + k] = found[static_cast<size_t>(k)].second;
+        for (size_t k = 0; k < near.found.size(); ++k) {
+          squares[i * count + static_cast<int64_t>(k)] = near.found[k].first;
+          nearest[i * count + static_cast<int64_t>(k)] = near.found[k].second;
         }
       }
     });
