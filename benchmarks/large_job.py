@@ -133,7 +133,11 @@ def tell(
 ) -> dict[str, object]:
     """Return the table of a job that was killed and went on."""
     commit = subprocess.run(
-        ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False
+        ["git", "rev-parse", "--short", "HEAD"],
+        cwd=Path(__file__).parent,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     rows = [
         ["wall, s", *(f"{run.wall_s:,.0f}" for run in runs)],

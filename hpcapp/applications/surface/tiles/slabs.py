@@ -28,8 +28,8 @@ from hpcapp.applications.surface.types.grid import FOREIGN, OPEN, OWN, BrickKind
 from hpcapp.geometry.lattice import unique_keys
 from hpcapp.geometry.points import IntArray
 
-SLAB_QUADRICS = 1_000_000
-"""Of the finest level, in a slab: 0.1 GB with what their fits take."""
+SLAB_QUADRICS = 150_000
+"""Of the finest level, in a slab: with the nodes and the mesh there, about 20 MB."""
 
 
 def cut_slabs(fields: SlabFields, kinds: BrickKinds, least: int = 1) -> list[int]:
