@@ -72,25 +72,26 @@ def look_at(process: int) -> tuple[int, float]:
     cpu_s : float
         With that of children that have ended.
     """
-    parents, memory, times = {}, {}, {}
-    for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            fields = (folder / "stat").read_text().rpartition(")")[2].split()
-            held = (folder / "smaps_rollup").read_text()
-        except OSError:  # it has ended
-            continue
-        number = int(folder.name)
-        parents[number] = int(fields[1])
-        memory[number] = 1024 * sum(map(int, _HELD.findall(held)))
-        times[number] = sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")
+    parents, times = {}, {}
+    for file in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):  # it has ended
+            fields = file.read_text().rpartition(")")[2].split()
+            number = int(file.parent.name)
+            parents[number] = int(fields[1])
+            times[number] = sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")
 
     def belongs(number: int) -> bool:
         while number in parents and number != process:
             number = parents[number]
         return number == process
 
-    ours = [number for number in parents if belongs(number)]
-    return sum(memory[number] for number in ours), sum(times[number] for number in ours)
+    memory, cpu_s = 0, 0.0
+    for number in filter(belongs, parents):
+        cpu_s += times[number]
+        with suppress(OSError):
+            held = Path(f"/proc/{number}/smaps_rollup").read_text()
+            memory += 1024 * sum(map(int, _HELD.findall(held)))
+    return memory, cpu_s
 
 
 def run(command: Sequence[str], temp: Path, mesh: Path, *, is_killed: bool) -> Usage:

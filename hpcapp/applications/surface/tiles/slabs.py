@@ -29,7 +29,11 @@ from hpcapp.geometry.lattice import unique_keys
 from hpcapp.geometry.points import IntArray
 
 SLAB_QUADRICS = 150_000
-"""Of the finest level, in a slab: with the nodes and the mesh there, about 20 MB."""
+"""Of the finest level, in a slab; no result depends on it.
+
+With a million the whole job of 263 thousand points took 193 MB, with 200,000 of them 157, with
+100,000 or fewer 145, at the same CPU time.
+"""
 
 
 def cut_slabs(fields: SlabFields, kinds: BrickKinds, least: int = 1) -> list[int]:
