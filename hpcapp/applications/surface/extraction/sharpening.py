@@ -90,12 +90,14 @@ def sharpen_vertices(
     A vertex that would turn a face over, or leave it no area, stays. What a vertex gets depends on
     nothing farther away than seven faces.
     """
-    if not len(features.keys) or not len(faces):
+    if not len(features.keys):
         return balanced
     origin, cell_size = lattice
     places = (vertices - origin) / cell_size  # (v, 3): in cells
     farthest = _FARTHEST * steps / cell_size  # (v,)
     faces = faces[_mark_near(places, steps / cell_size, features)[faces].any(axis=1)]
+    if not len(faces):
+        return balanced
     pieces = cut_equal(len(faces), -(-len(faces) // _AT_ONCE))
     crossings = _join([_find_crossings(places, faces[piece], features) for piece in pieces])
     is_near = crossings.distances <= farthest[crossings.ends]

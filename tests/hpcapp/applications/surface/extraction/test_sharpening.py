@@ -180,6 +180,23 @@ def test_faces_that_are_passed_over_lie_by_no_feature(
     np.testing.assert_array_equal(found, wanted)
 
 
+@pytest.mark.parametrize("part", ["no face", "faces far from all edges"])
+def test_where_no_face_is_near_an_edge_vertices_are_balanced(part: str) -> None:
+    wedge = make_wedge(1, 1.4, True)
+    mesh, *_ = extract_shape(wedge)
+    features = wedge.features()
+    steps = np.full(len(mesh.vertices), GRID.step)
+    places = (mesh.vertices - LATTICE[0]) / LATTICE[1]
+    is_far = ~sharpening._mark_near(places, steps / LATTICE[1], features)
+    faces = mesh.faces[is_far[mesh.faces].all(axis=1)]
+    assert len(faces)
+    if part == "no face":
+        faces = faces[:0]
+    balanced = mesh.vertices + 0.01
+    found = sharpen_vertices(mesh.vertices, faces, balanced, features, LATTICE, steps)
+    np.testing.assert_array_equal(found, balanced)
+
+
 def test_beside_an_edge_vertices_are_not_balanced() -> None:
     wedge = make_wedge(1, 1.4, True)
     mesh, *_ = extract_shape(wedge)
