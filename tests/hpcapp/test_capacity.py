@@ -137,9 +137,13 @@ def test_the_calls_of_this_machine_have_answers() -> None:
 
 MANY = 1200
 MASTER = """
-import logging, resource, sys
+import functools, logging, resource, sys
 from pathlib import Path
 from hpcapp.backends.cluster import listen_inventory
+from hpcapp.communicator import executor
+
+# They register and say no more: on a slow machine the first would be lost before the last has come.
+executor.Timing = functools.partial(executor.Timing, liveness_s=300.0)
 
 resource.setrlimit(resource.RLIMIT_NOFILE, (128, resource.getrlimit(resource.RLIMIT_NOFILE)[1]))
 with listen_inventory(Path(sys.argv[1])) as cluster:
@@ -150,7 +154,11 @@ with listen_inventory(Path(sys.argv[1])) as cluster:
 
 
 def connect(
-    context: zmq.Context[zmq.Socket[bytes]], inventory: Inventory, keys: KeyPair, name: str
+    context: zmq.Context[zmq.Socket[bytes]],
+    inventory: Inventory,
+    keys: KeyPair,
+    name: str,
+    numerics: str,
 ) -> zmq.Socket[bytes]:
     """Return the socket of a component that registers, and does no more."""
     dealer = context.socket(zmq.DEALER)
@@ -166,7 +174,7 @@ def connect(
         worker=name,
         incarnation=secrets.token_hex(8),
         build="",
-        numerics=numerics_id(),
+        numerics=numerics,
         cores=1,
         memory_bytes=1 << 30,
         largest_frame=LARGEST_FRAME,
@@ -212,8 +220,9 @@ def test_a_master_of_1200_workers_raises_its_low_soft_limit(tmp_path: Path) -> N
         assert process.stdout.readline() == "listening\n"
         context = stack.enter_context(zmq.Context())
         context.set(zmq.MAX_SOCKETS, MANY + 10)
+        numerics = numerics_id()
         for number, pair in enumerate(keys):
-            stack.enter_context(connect(context, inventory, pair, f"worker-{number}"))
+            stack.enter_context(connect(context, inventory, pair, f"worker-{number}", numerics))
         assert process.stdout.readline() == f"{MANY}\n"
     assert process.returncode == 0
 

@@ -38,7 +38,11 @@ class SlowLink:
         begin, passed = time.monotonic(), 0
         with component:
             while content := component.recv(16_384):
-                self._master.sendall(content)
+                try:
+                    self._master.sendall(content)
+                except OSError:
+                    assert self._is_over.is_set()
+                    return
                 passed += len(content)
                 if self._is_over.wait(max(0.0, begin + passed / PACE - time.monotonic())):
                     return
