@@ -39,11 +39,12 @@ from hpcapp.applications.surface.normals.consistency import faces_inwards
 from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.applications.surface.stitching.surface import Surface
 from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
+from hpcapp.applications.surface.tiles.halo import mark_near
 from hpcapp.applications.surface.tiles.patterns import surface_box
 from hpcapp.applications.surface.tiles.plan import Plan
 from hpcapp.applications.surface.types.grid import BRICK
-from hpcapp.geometry.lattice import unpack_keys
-from hpcapp.geometry.points import BoolArray, IntArray
+from hpcapp.geometry.lattice import pack_places, unique_keys, unpack_keys
+from hpcapp.geometry.points import IntArray
 from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.cli.option_names import name_option
 from hpccomponent.dataclass import dataclass
@@ -63,6 +64,7 @@ _FILL = 4.0  # times the trim distance: loops that are filled
 _CRUMB = 3.0  # times the trim distance: pieces smaller than a square of this are dropped
 _JUDGED_BRICKS = 20_000  # about: of larger surfaces a sample
 _FACES = 2.0  # of a piece as large as the side of a cell
+_STEPS_OF_PART = 3  # it is judged, surveyed and cut, or less
 _ONE_WAY = 0.5  # length of the mean normal of what is seen from one side; a half sphere's
 
 
@@ -172,18 +174,33 @@ class _Parts:
             return self.shared.place, self.surface.parts[index]
         return self.surface.load(index)
 
-    def near(self, index: int, reach: float) -> Near:
-        """Return the points within reach of what a part gives."""
-        plan, blocks, keys = self.plan, self.cloud.arrangement, self.cloud.keys
-        edge, margin = BRICK * plan.step, reach + 2.0 * plan.step
-        bricks = unpack_keys(self.taken(index).keys)
+    def near(self, bricks: IntArray, reach: float) -> Near:
+        """Return the points within reach of what a part gives in some of its bricks.
+
+        Parameters
+        ----------
+        bricks : ndarray of int64, shape (k,)
+            Keys.
+        reach : float
+            In length units of the input.
+        """
+        blocks, keys, edge = self.cloud.arrangement, self.cloud.keys, BRICK * self.plan.step
         if not len(bricks):
-            return Near(self.cloud.place, keys[:0])
-        low = blocks.origin + blocks.edge * unpack_keys(keys) - margin - plan.grid_origin
-        # (b, 3): from which brick to before which one each block reaches, widened by the margin.
-        first = np.floor(low / edge).astype(np.int64)
-        end = np.floor((low + blocks.edge + 2.0 * margin) / edge).astype(np.int64) + 1
-        return Near(self.cloud.place, keys[_hold_some(bricks, first, end)])
+            return Near(self.cloud.place, keys[:0], np.zeros((2, 3)))
+        # What a part names of others lies in the next cell, which is a brick at most.
+        margin = reach + 2.0 * edge
+        low = self.plan.grid_origin + edge * unpack_keys(bricks) - margin  # (k, 3)
+        high = low + edge + 2.0 * margin
+        # From which block to which each brick reaches; the widest box serves all.
+        places = unpack_keys(keys)
+        ends = places.min(axis=0), places.max(axis=0)
+        first, last = (
+            np.floor((some - blocks.origin) / blocks.edge).clip(*ends).astype(np.int64)
+            for some in (low, high)
+        )
+        boxes = unique_keys(pack_places(first))
+        is_near = mark_near(keys, boxes, 0, (last - first).max(axis=0))
+        return Near(self.cloud.place, keys[is_near], np.stack([low.min(axis=0), high.max(axis=0)]))
 
     def run(
         self, task: Callable[..., Any], batch: Callable[[int], tuple[Any, ...]]
@@ -196,24 +213,6 @@ class _Parts:
             return
         for index in indices:
             yield index, task(*batch(index))
-
-
-def _hold_some(places: IntArray, first: IntArray, end: IntArray) -> BoolArray:
-    """Tell which boxes of a lattice, each from `first` to before `end`, hold one of its places."""
-    low = places.min(axis=0)
-    table = np.zeros(places.max(axis=0) - low + 2, np.int32)
-    # (x, y, z): 1 at each place; then sums from the lowest corner on, of which eight tell a box.
-    table[tuple((places - low + 1).T)] = 1
-    for axis in range(3):  # how many places lie below each corner
-        np.cumsum(table, axis=axis, out=table)
-    most = np.array(table.shape) - 1
-    ends = [np.clip(some - low, 0, most) for some in (first, end)]
-    counts = np.zeros(len(first), np.int64)
-    for corner in np.ndindex(2, 2, 2):
-        at = tuple(ends[side][:, axis] for axis, side in enumerate(corner))
-        # Inclusion and exclusion over the corners: those with one upper end or three add.
-        counts += (1 if sum(corner) % 2 else -1) * table[at]
-    return counts > 0
 
 
 def close_surface(
@@ -241,7 +240,7 @@ def close_surface(
     threads : int
         The result does not depend on it.
     advance : callable
-        Told (parts done, parts in all).
+        Told (steps done, steps in all): each part is judged, surveyed and cut, or less.
 
     Raises
     ------
@@ -255,7 +254,8 @@ def close_surface(
     parts = _Parts(surface, cloud, plan, workforce, shared, threads if shared is None else 1)
     scale = cloud.measured.scale
     usual = SupportRule(max(_NOISES * plan.noise, _STEPS * plan.step), _SPACINGS, scale)
-    closure = Closure(True, "open, as asked") if asked.is_asked else _decide(parts, usual)
+    is_asked = asked.is_asked
+    closure = Closure(True, "open, as asked") if is_asked else _decide(parts, usual, advance)
     if not closure.is_open:
         return surface, closure
     rule = usual if asked.trim is None else _support_by(asked.trim, scale)
@@ -277,10 +277,10 @@ def close_surface(
     return opened, replace(closure, holes=holes, crumbs=crumbs)
 
 
-def _decide(parts: _Parts, rule: SupportRule) -> Closure:
+def _decide(parts: _Parts, rule: SupportRule, advance: Advance) -> Closure:
     """Tell whether a surface stays closed, by its share without points and by what was scanned."""
     measured = parts.cloud.measured
-    share, support = _judge_support(parts, rule)
+    share, support = _judge_support(parts, rule, advance)
     # Of a surface that is whole, nobody asks what the normals tell.
     is_telling = share > TELLING_SHARE
     is_one_way = is_telling and _faces_one_way(measured)
@@ -297,15 +297,21 @@ def _decide(parts: _Parts, rule: SupportRule) -> Closure:
     return Closure(True, reason, is_room=is_room)
 
 
-def _judge_support(parts: _Parts, rule: SupportRule) -> tuple[float, Callable[[], Support]]:
+def _judge_support(
+    parts: _Parts, rule: SupportRule, advance: Advance
+) -> tuple[float, Callable[[], Support]]:
     """Return the share of a surface that no point supports, 0 to 1, and what tells more of it."""
     one_in = max(1, len(parts.surface.plan.bricks.keys) // _JUDGED_BRICKS)
 
     def batch(index: int) -> tuple[Any, ...]:
-        near = parts.near(index, rule.reach)
-        return parts.part(index), parts.taken(index), near, rule, one_in, parts.threads
+        taken = parts.taken(index)
+        near = parts.near(taken.sample(one_in), rule.reach)
+        return parts.part(index), taken, near, rule, one_in, parts.threads
 
-    found = [judged for _, judged in parts.run(judge_support, batch)]
+    found = []
+    for _, judged in parts.run(judge_support, batch):
+        found.append(judged)
+        advance(len(found), _STEPS_OF_PART * len(parts))
     bare, whole, places = zip(*found, strict=True)
     share = float(sum(bare) / max(1, sum(whole)))
     return share, lambda: measure_support(1.0 - share, np.concatenate(places), parts.cloud, rule)
@@ -315,18 +321,18 @@ def _cut_parts(
     parts: _Parts, rule: SupportRule, fill: SupportRule, advance: Advance
 ) -> tuple[Surface, int]:
     """Cut all parts; return the open surface, and how many holes of it are filled."""
-    surface, whole = parts.surface, 2 * len(parts)
+    surface, whole = parts.surface, _STEPS_OF_PART * len(parts)
     # Workers finish in any order.
     surveys: dict[int, OpeningSurvey] = {}
     seams: dict[int, OpeningSeams] = {}
     for index, found in _survey_parts(parts, rule):
         surveys[index], seams[index] = found
-        advance(len(seams), whole)
+        advance(len(parts) + len(seams), whole)
     matched = match_seams(surface.plan, [seams[index] for index in range(len(parts))], fill.radii)
     opened: dict[int, tuple[MeshPart | str, PartSummary]] = {}
     for index, part in _open_parts(parts, surveys, matched):
         opened[index] = part
-        advance(len(parts) + len(opened), whole)
+        advance(2 * len(parts) + len(opened), whole)
     cuts, summaries = zip(*(opened[index] for index in range(len(parts))), strict=True)
     # As many faces as a square of that size has at the usual step.
     crumb = int(_FACES * (_CRUMB * rule.typical / parts.plan.usual_step) ** 2)
@@ -344,9 +350,9 @@ def _survey_parts(
     places = place_foreign(surface.plan)
 
     def batch(index: int) -> tuple[Any, ...]:
-        rim, near = surface.summaries[index].rim, parts.near(index, rule.reach)
-        given = parts.part(index), parts.taken(index), places[index], rim, near, rule
-        return *given, parts.threads
+        taken, rim = parts.taken(index), surface.summaries[index].rim
+        near = parts.near(taken.keys, rule.reach)
+        return parts.part(index), taken, places[index], rim, near, rule, parts.threads
 
     return parts.run(survey_support, batch)
 

@@ -59,14 +59,17 @@ class Near:
         A folder that the worker sees; in this process the cloud itself.
     blocks : ndarray of int64
         Sorted keys of its blocks.
+    box : ndarray of float64, shape (2, 3)
+        In which the points lie that matter, in length units of the input.
     """
 
     cloud: Place
     blocks: IntArray
+    box: FloatArray
 
     def read(self) -> PointCloud:
         """Return the points."""
-        return PointCloud(*open_place(self.cloud).take_blocks(self.blocks))
+        return PointCloud(*open_place(self.cloud).take_within(self.blocks, *self.box))
 
 
 @declare(result=judged_support, limit=lambda _part, taken, *_: judged_bytes(taken))

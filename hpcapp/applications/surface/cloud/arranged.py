@@ -119,6 +119,16 @@ class ArrangedCloud(Protocol):
             See `Points`.
         """
 
+    def take_within(self, keys: IntArray, low: FloatArray, high: FloatArray) -> Points:
+        """Return the same points as `take_blocks`; those outside of a box may be missing.
+
+        Parameters
+        ----------
+        keys : ndarray of int64, shape (k,)
+        low, high : ndarray of float64, shape (3,)
+            Corners of the box, in length units of the input.
+        """
+
     def take_columns(self, keys: IntArray) -> PointCloud:
         """Return the same points as `take_blocks`, with the attributes that lie beside them."""
 
@@ -234,6 +244,11 @@ class MemoryCloud:
         slices = self._find_rows(keys)
         positions = _join([self.points.positions[some] for some in slices])
         return positions, _join([self.points.normals[some] for some in slices])
+
+    def take_within(self, keys: IntArray, low: FloatArray, high: FloatArray) -> Points:
+        """See `ArrangedCloud`: all of them."""
+        del low, high
+        return self.take_blocks(keys)
 
     def take_columns(self, keys: IntArray) -> PointCloud:
         """See `ArrangedCloud`; a view where the blocks lie side by side. Colours come too."""

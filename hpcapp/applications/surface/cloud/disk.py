@@ -36,6 +36,7 @@ from hpcapp.applications.surface.cloud.arrangement import (
     RECORDS_AT_ONCE,
     Arrangement,
     PackedPoints,
+    unpack_near,
     unpack_points,
     unpacking_arguments,
 )
@@ -129,6 +130,12 @@ class DiskCloud:
     def take_blocks(self, keys: IntArray) -> Points:
         """See `ArrangedCloud` and `take_packed`."""
         return unpack_points(self.arrangement, self.take_packed(keys))
+
+    def take_within(self, keys: IntArray, low: FloatArray, high: FloatArray) -> Points:
+        """See `ArrangedCloud`."""
+        packed = self.take_packed(keys)
+        positions, rows = unpack_near(self.arrangement, packed, low, high)
+        return positions, packed.to_records()[rows, 3:].astype(np.float64)
 
     def take_columns(self, keys: IntArray) -> PointCloud:
         """See `ArrangedCloud`."""

@@ -57,6 +57,10 @@ class TakenBricks:
         )
         return np.where(are_sampled(self.keys, one_in), areas, 0)
 
+    def sample(self, one_in: int) -> IntArray:
+        """Return the keys of those that count in `areas`."""
+        return self.keys[are_sampled(self.keys, one_in)]
+
     def holds(self, keys: IntArray) -> bool:
         """Tell whether all of some bricks are among these."""
         return bool((find_keys(self.keys, keys) < len(self.keys)).all())

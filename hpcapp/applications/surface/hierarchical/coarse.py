@@ -84,7 +84,6 @@ class Coarse:
         plan = self.plan
         reach = halo_steps(plan.grid) * plan.step
         size = plan.cell_size * 2.0**plan.coarse
-        # Corners that nobody needs have parents, too: those that `near_bricks` names beyond.
         wide = int(np.ceil((reach + BRICK * plan.step + 3.0 * size) / size))
         rows = _find_around(self.parents.keys, cells, wide)
         above = self.parents

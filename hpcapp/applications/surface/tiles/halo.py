@@ -22,7 +22,6 @@ from hpcapp.applications.surface.types.grid import (
     BrickKinds,
     Grid,
 )
-from hpcapp.applications.surface.types.rims import dilate, mark_rim
 from hpcapp.geometry.lattice import find_keys, unpack_keys
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 
@@ -119,7 +118,7 @@ def plan_tile(grid: Grid, own: IntArray, earlier: IntArray, later: IntArray) -> 
     end = np.minimum(places.max(axis=0) + far + 1, grid.bricks)
     mask = np.zeros(end - first, np.bool_)
     mask[tuple((places - first).T)] = True
-    beside = dilate(mask)
+    beside = kernels.mark_rim(mask, None)
     is_rim = _mark_rim(grid, first, beside)
     kinds = BrickKinds(first, np.where(is_rim, np.uint8(BESIDE), np.uint8(OUT)))
     kinds.kinds[beside] = OPEN
@@ -188,24 +187,15 @@ def near_bricks(
     Returns
     -------
     ndarray of bool, shape (c,)
-        True also for some beyond, where the reach is longer than half a brick.
     """
     edge = BRICK * grid.step
-    wanted = kinds.kinds != OUT
-    far = int(np.ceil(max(0.0, reach / edge - 0.5)))  # bricks, beyond what two lookups see
-    # Room for the bricks that are added, and for one more to look up.
-    wanted = np.pad(wanted, far + 1)
-    for _ in range(far):
-        wanted = dilate(wanted)
-    pairs = wanted.astype(np.uint8)  # bit a + 2 b + 4 c: also the next one along x, y, z
-    for axis in range(3):
-        ahead = np.roll(pairs, -1, axis=axis)
-        pairs |= (pairs | ahead) << np.uint8(1 << axis)
-    corner, margin = grid.origin + edge * kinds.first, min(reach, 0.5 * edge)
-    return kernels.look_near(cells, origin, cell_size, pairs, corner, edge, margin, far + 1)
+    corner = grid.origin + edge * kinds.first
+    return kernels.look_near(cells, origin, cell_size, kinds.kinds, corner, edge, reach)
 
 
 def _mark_rim(grid: Grid, first: IntArray, bricks: BoolArray) -> BoolArray:
     """Mark some bricks of a box and their rim, given the lowest brick of the box."""
     strides = grid.strides
-    return mark_rim(bricks, None if strides is None else strides.cells_within(first, bricks.shape))
+    return kernels.mark_rim(
+        bricks, None if strides is None else strides.cells_within(first, bricks.shape)
+    )

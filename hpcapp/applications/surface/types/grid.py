@@ -100,7 +100,7 @@ class Grid:
 
     @property
     def rim(self) -> int:
-        """How many bricks deep the rim of a tile is at most (see `rims.mark_rim`)."""
+        """How many bricks deep the rim of a tile is at most (see `kernels.mark_rim`)."""
         return 1 if self.strides is None else 1 << MOST_SHIFT
 
 

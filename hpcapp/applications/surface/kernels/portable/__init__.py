@@ -32,6 +32,7 @@ from hpcapp.applications.surface.kernels.portable.quadrics.moments import *
 from hpcapp.applications.surface.kernels.portable.quadrics.robust import *
 from hpcapp.applications.surface.kernels.portable.surface.balance import *
 from hpcapp.applications.surface.kernels.portable.surface.bricks import *
+from hpcapp.applications.surface.kernels.portable.surface.rims import *
 
 KERNELS = sorted(name for name, kernel in globals().items() if isinstance(kernel, FunctionType))
 if not TYPE_CHECKING:  # which takes what is imported here as it stands

@@ -1,9 +1,11 @@
 // Sets of places: all within a box around each, all parents, which lie near something, which touch.
+#include <algorithm>
 #include <cmath>
 #include <deque>
 #include <iterator>
 
 #include "arrays.h"
+#include "constants.h"
 #include "keys.h"
 #include "sets.h"
 #include "threads.h"
@@ -224,36 +226,46 @@ Output<uint32_t> mark_ancestors(Integers cells_of, int64_t depth, Integers ances
   return give(std::move(marks), {static_cast<size_t>(known)});
 }
 
-Output<bool> look_near(Integers cells_of, Input origin_of, double size, Input pairs_of, Input corner_of, double edge,
-                       double margin, int64_t beyond) {
+// Tell whether a brick of a box may be evaluated, from `first` to before `end`.
+bool holds_wanted(const uint8_t* kinds, const int64_t* sides, const int64_t* first, const int64_t* end) {
+  for (int64_t x = first[0]; x < end[0]; ++x)
+    for (int64_t y = first[1]; y < end[1]; ++y) {
+      const uint8_t* row = kinds + (x * sides[1] + y) * sides[2];
+      for (int64_t z = first[2]; z < end[2]; ++z)
+        if (row[z] != constants::grid::OUT) return true;
+    }
+  return false;
+}
+
+Output<bool> look_near(Integers cells_of, Input origin_of, double size, Bytes kinds_of, Input corner_of, double edge,
+                       double reach) {
   const int64_t* cells = check_keys(cells_of, "cells");
   const double* origin = check<double>(origin_of, "origin", {3});
-  const uint8_t* pairs = check<uint8_t>(pairs_of, "pairs", {ANY, ANY, ANY});
+  const uint8_t* kinds = check<uint8_t>(kinds_of, "kinds", {ANY, ANY, ANY});
   const double* corner = check<double>(corner_of, "corner", {3});
   check_finite(origin, 3, "origin");
   check_finite(corner, 3, "corner");
   check_positive(size, "cell_size");
   check_positive(edge, "edge");
-  if (!(margin >= 0.0 && margin <= edge)) refuse("margin: expected 0 to an edge");
-  if (beyond < 0 || beyond > 4096) refuse("beyond: expected 0 to 4096");
+  check_positive(reach, "reach");
+  const double bricks = reach / edge;
+  check_positive(bricks, "reach by edge");
+  int64_t sides[3];
+  for (size_t axis = 0; axis < 3; ++axis) sides[axis] = static_cast<int64_t>(kinds_of.shape(axis));
   const int64_t count = rows_of(cells_of);
   auto near = make_buffer<bool>(count);
   {
     const Unlocked unlocked;
     for (int64_t i = 0; i < count; ++i) {
       const Place place = unpack(cells[i]);
-      int64_t index = 0;
-      int span = 0;
-      bool inside = true;
+      int64_t first[3], end[3];
       for (int axis = 0; axis < 3; ++axis) {
         const double column = (origin[axis] + size * (static_cast<double>(place[axis]) + 0.5) - corner[axis]) / edge;
-        const double low = std::floor(column - margin / edge);
-        const double at = low + static_cast<double>(beyond), sides = static_cast<double>(pairs_of.shape(axis));
-        span |= (std::floor(column + margin / edge) > low) << axis;
-        inside = inside && at >= 0.0 && at < sides - 1.0;
-        index = index * static_cast<int64_t>(pairs_of.shape(axis)) + (inside ? static_cast<int64_t>(at) : 0);
+        const double most = static_cast<double>(sides[axis]);
+        first[axis] = static_cast<int64_t>(std::clamp(std::floor(column - bricks), 0.0, most));
+        end[axis] = static_cast<int64_t>(std::clamp(std::floor(column + bricks) + 1.0, 0.0, most));
       }
-      near[i] = inside && pairs[index] >> span & 1;
+      near[i] = holds_wanted(kinds, sides, first, end);
     }
   }
   return give(std::move(near), {static_cast<size_t>(count)});
@@ -375,8 +387,8 @@ HPC_KERNELS {
   module.def("find_keys", &find_keys, "keys"_a, "wanted"_a, "threads"_a = 1);
   module.def("unite_keys", &unite_keys, "first"_a, "second"_a);
   module.def("mark_ancestors", &mark_ancestors, "cells"_a, "depth"_a, "ancestors"_a);
-  module.def("look_near", &look_near, "cells"_a, "origin"_a, "cell_size"_a, "pairs"_a, "corner"_a, "edge"_a,
-             "margin"_a, "beyond"_a);
+  module.def("look_near", &look_near, "cells"_a, "origin"_a, "cell_size"_a, "kinds"_a, "corner"_a, "edge"_a,
+             "reach"_a);
   module.def("mark_near", &mark_near, "keys"_a, "cells"_a, "low"_a, "high"_a);
   module.def("label_cells", &label_cells, "keys"_a);
 }

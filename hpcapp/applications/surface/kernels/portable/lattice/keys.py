@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.applications.surface.kernels.portable.mesh.topology import label_components
+from hpcapp.applications.surface.types.grid import OUT
 from hpcapp.geometry import lattice
 from hpcapp.geometry.lattice import (
     NEIGHBOURS,
@@ -106,43 +107,42 @@ def look_near(
     cells: IntArray,
     origin: FloatArray,
     cell_size: float,
-    pairs: ByteArray,
+    kinds: ByteArray,
     corner: FloatArray,
     edge: float,
-    margin: float,
-    beyond: int,
+    reach: float,
 ) -> BoolArray:
-    """Look up the middles of cells among bricks, see `halo.near_bricks`.
+    """Tell which cells have a brick that may be evaluated within reach, see `halo.near_bricks`.
 
     Parameters
     ----------
-    pairs : ndarray of uint8, shape (x, y, z)
-        Of each brick, bit a + 2 b + 4 c: whether it, or the next a, b and c ones along x, y and z,
-        may be evaluated.
+    kinds : ndarray of uint8, shape (x, y, z)
+        Of the bricks of a box, such as `OUT`.
     corner : ndarray of float64, shape (3,)
-        Where brick (`beyond`, `beyond`, `beyond`) of these begins, in length units of the input.
-    edge, margin : float
-        Of a brick, and how near a place must be to one, half an edge at most; likewise.
+        Where the lowest of them begins, in length units of the input.
+    edge, reach : float
+        Of a brick, and from the middle of a cell along every axis; likewise.
 
     Returns
     -------
     ndarray of bool, shape (c,)
     """
     places = origin + cell_size * (unpack_keys(cells) + 0.5)  # (c, 3): the middles
-    # (c,): the brick that begins below the margin, and bit by axis whether the margin reaches into
-    # the next one too: so one lookup answers for eight bricks.
-    index = np.zeros(len(places), np.int64)
-    spans = np.zeros(len(places), np.uint8)
-    inside = np.ones(len(places), np.bool_)
-    for axis, length in enumerate(pairs.shape):
-        column = (places[:, axis] - corner[axis]) / edge
-        low = np.floor(column - margin / edge).astype(np.int64)
-        spans |= ((np.floor(column + margin / edge) > low).astype(np.uint8)) << np.uint8(axis)
-        low += beyond
-        inside &= (low >= 0) & (low < length - 1)
-        index = index * length + np.clip(low, 0, length - 1)
-    near: BoolArray = inside & (pairs.reshape(-1)[index] >> spans & 1).astype(np.bool_)
-    return near
+    # (x + 1, y + 1, z + 1): how many such bricks lie below each corner of the bricks
+    below = np.pad((kinds != OUT).astype(np.int32), ((1, 0),) * 3)
+    for axis in range(3):
+        np.cumsum(below, axis=axis, out=below)
+    # (c, 3): from which brick to before which one a cell reaches
+    first, end = (
+        np.clip(np.floor((places - corner) / edge + side * (reach / edge)) + more, 0, kinds.shape)
+        for side, more in ((-1, 0), (1, 1))
+    )
+    counts = np.zeros(len(cells), np.int64)
+    for ends in np.ndindex(2, 2, 2):
+        x, y, z = np.where(ends, end, first).astype(np.int64).T
+        # Inclusion and exclusion over the corners: those with one upper end or three add.
+        counts += (1 if sum(ends) % 2 else -1) * below[x, y, z]
+    return counts > 0
 
 
 def parent_keys(vertices: IntArray) -> IntArray:

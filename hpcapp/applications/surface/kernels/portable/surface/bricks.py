@@ -14,6 +14,7 @@ import numpy as np
 
 from hpcapp.applications.surface.kernels.portable.field.field import evaluate_bricks
 from hpcapp.applications.surface.kernels.portable.surface.marching_cubes import extract_surface
+from hpcapp.applications.surface.kernels.portable.surface.rims import mark_rim
 from hpcapp.applications.surface.types.brick_mesh import BrickMesh
 from hpcapp.applications.surface.types.field import Field
 from hpcapp.applications.surface.types.grid import (
@@ -27,7 +28,6 @@ from hpcapp.applications.surface.types.grid import (
     BrickStrides,
     Grid,
 )
-from hpcapp.applications.surface.types.rims import mark_rim
 from hpcapp.geometry.lattice import (
     cells_of,
     pack_places,
@@ -90,7 +90,7 @@ def grow_bricks(
     -----
     No edge that the surface crosses lies on a brick that no tile has, once the exits are grown
     too, so the surface is closed; the cost grows with its area. The rim is what the surface
-    reaches in `rims.mark_rim` of what is taken.
+    reaches in `mark_rim` of what is taken.
     """
     part, beyond = _Grown(evaluate, bricks), [np.empty(0, np.int64)]
     new = kinds.own()

@@ -62,18 +62,38 @@ def test_ancestors(native: ModuleType, places: IntArray, depth: int) -> None:
     np.testing.assert_array_equal(found, portable.mark_ancestors(keys, depth, above))
 
 
-@given(st.integers(0, 2**32), st.floats(0.05, 3.0), st.floats(0.0, 0.5), st.integers(1, 3))
+@given(st.integers(0, 2**32), st.floats(0.05, 3.0), st.floats(0.01, 9.0), st.integers(2, 60))
 @settings(deadline=None, max_examples=40)
 def test_looking_near(
-    native: ModuleType, seed: int, size: float, margin: float, beyond: int
+    native: ModuleType, seed: int, size: float, reach: float, one_in: int
 ) -> None:
     random = np.random.default_rng(seed)
     keys = lattice.unique_keys(lattice.pack_places(random.integers(-9, 20, size=(400, 3))))
-    pairs = random.integers(0, 256, size=(6, 4, 5), dtype=np.uint8)
+    kinds = (random.integers(0, one_in, size=(6, 4, 5)) == 0).astype(np.uint8)
     origin, corner = random.normal(size=(2, 3))
     edge = 1.25
-    given = keys, origin, size, pairs, corner, edge, margin * edge, beyond
-    np.testing.assert_array_equal(native.look_near(*given), portable.look_near(*given))
+    given = keys, origin, size, kinds, corner, edge, reach
+    found = native.look_near(*given)
+    np.testing.assert_array_equal(found, portable.look_near(*given))
+    # The distance along the axis where it is largest, to the nearest brick that is wanted.
+    middles = origin + size * (lattice.unpack_keys(keys) + 0.5)
+    low = corner + edge * np.argwhere(kinds)
+    beside = np.maximum(low - middles[:, None], middles[:, None] - low - edge)
+    away = beside.max(axis=2).min(axis=1, initial=np.inf)
+    assert found[away < reach - 1e-9].all()
+    assert not found[away > reach + 1e-9].any()
+
+
+@given(
+    st.integers(0, 2**32), st.integers(1, 300), st.lists(st.integers(1, 13), min_size=3, max_size=3)
+)
+@settings(deadline=None, max_examples=60)
+def test_rims(native: ModuleType, seed: int, one_in: int, sides: list[int]) -> None:
+    random = np.random.default_rng(seed)
+    bricks = random.integers(0, one_in, size=sides) == 0
+    cells = (1 << random.integers(0, 4, size=sides)).astype(np.uint8)
+    for case in ((bricks, None), (bricks, cells), (bricks, cells.clip(2))):
+        np.testing.assert_array_equal(native.mark_rim(*case), portable.mark_rim(*case))
 
 
 sides = st.lists(st.integers(0, 5), min_size=3, max_size=3).map(np.array)

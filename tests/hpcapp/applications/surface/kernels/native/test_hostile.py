@@ -152,7 +152,12 @@ def test_plausible_arguments(native: ModuleType, data: st.DataObject) -> None:
             draw(st.sampled_from([np.ones(1, np.bool_), np.array(True)])),
             Grid(np.ones(3), 0.01, draw(sides)),
         ),
-        ("look_near", keys, np.ones(3), 0.1, means.astype(np.uint8)[None], np.ones(3), 1.0, 0.5, 2),
+        ("look_near", keys, np.ones(3), 0.1, means.astype(np.uint8)[None], np.ones(3), 1.0, 0.5),
+        (
+            "mark_rim",
+            means[None] > 0.0,
+            draw(st.sampled_from([None, means.astype(np.uint8)[None]])),
+        ),
         (
             "gather_points",
             points,

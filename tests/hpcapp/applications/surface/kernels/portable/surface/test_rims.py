@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface.kernels.portable.surface.rims import mark_rim
 from hpcapp.applications.surface.types.grid import BRICK, MOST_SHIFT, BrickStrides, Grid
-from hpcapp.applications.surface.types.rims import mark_rim
 from hpcapp.geometry.lattice import pack_places
 from hpcapp.geometry.points import BoolArray
 

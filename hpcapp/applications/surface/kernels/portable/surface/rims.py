@@ -9,6 +9,8 @@ import numpy as np
 from hpcapp.applications.surface.types.grid import BRICK
 from hpcapp.geometry.points import BoolArray, ByteArray
 
+__all__ = ["mark_rim"]
+
 Array = TypeVar("Array", BoolArray, ByteArray)
 
 
@@ -20,8 +22,8 @@ def mark_rim(bricks: BoolArray, cells: ByteArray | None) -> BoolArray:
     bricks : ndarray of bool, shape (x, y, z)
         Of a box.
     cells : ndarray of uint8, shape (x, y, z), or None
-        How many cells a way through each brick crosses; None where it is eight everywhere: then the
-        rim is the 26 neighbours.
+        How many cells a way through each brick crosses, 1 or more; None where it is eight
+        everywhere: then the rim is the 26 neighbours.
 
     Returns
     -------
@@ -31,7 +33,7 @@ def mark_rim(bricks: BoolArray, cells: ByteArray | None) -> BoolArray:
     -----
     What a vertex gets depends on faces seven cells away, which have their vertices in one more.
     """
-    near = dilate(bricks)
+    near = _widen(bricks)
     if cells is None:
         return near
     # How many cells lie between each brick and the given ones; eight are too many.
@@ -44,11 +46,6 @@ def mark_rim(bricks: BoolArray, cells: ByteArray | None) -> BoolArray:
             marked: BoolArray = depth < BRICK
             return marked
         depth = nearer
-
-
-def dilate(mask: BoolArray) -> BoolArray:
-    """Add the 26 neighbours to the marked bricks of a box."""
-    return _widen(mask)
 
 
 def _widen(values: Array) -> Array:
