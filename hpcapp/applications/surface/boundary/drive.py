@@ -257,6 +257,7 @@ def close_surface(
     is_asked = asked.is_asked
     closure = Closure(True, "open, as asked") if is_asked else _decide(parts, usual, advance)
     if not closure.is_open:
+        advance(len(parts), len(parts))
         return surface, closure
     rule = usual if asked.trim is None else _support_by(asked.trim, scale)
     fill = (

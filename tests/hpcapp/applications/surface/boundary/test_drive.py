@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
+from disk_clouds import DiskCloudWriter
 
 from hpcapp.applications.surface.boundary.drive import OpeningSettings
 from hpcapp.applications.surface.boundary.lengths import Length
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.cloud.measure import measure_points
 from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
 from hpcapp.applications.surface.job.outcome import Reconstruction
@@ -48,11 +53,17 @@ def ground(count: int = 100) -> PointCloud:
 def run(
     cloud: PointCloud, opening: OpeningSettings, tile_points: int | None = None
 ) -> Reconstruction:
+    return reconstruct(measure_points(cloud), opening, tile_points)
+
+
+def reconstruct(
+    cloud: ArrangedCloud, opening: OpeningSettings, tile_points: int | None = None
+) -> Reconstruction:
     with SerialExecutor() as executor:
         method = HierarchicalMethod(GRID, tile_points=tile_points, opening=opening)
         clock = StageClock(Progress())
         workforce = Workforce(executor, in_process=True)
-        return make_surface(measure_points(cloud), method, workforce, clock)
+        return make_surface(cloud, method, workforce, clock)
 
 
 def open_mesh(
@@ -168,6 +179,22 @@ def test_tiles_give_the_same_bytes() -> None:
         tiled, _ = open_mesh(cloud, asked, tile_points=500)
         assert tiled.vertices.tobytes() == whole.vertices.tobytes()
         assert tiled.faces.tobytes() == whole.faces.tobytes()
+
+
+@pytest.mark.parametrize("asked", [OpeningSettings("auto"), OpeningSettings("no")])
+def test_points_on_a_disk_give_the_same_bytes(asked: OpeningSettings, tmp_path: Path) -> None:
+    """Of an uneven cloud, where the largest reach is that of its sparsest points."""
+    whole = cap(hole=0.2)
+    assert whole.normals is not None
+    dense = whole.positions[:, 0] > 0.5
+    kept = dense | (np.arange(len(whole)) % 16 == 0)
+    cloud = measure_points(PointCloud(whole.positions[kept], whole.normals[kept]))
+    writer = DiskCloudWriter(tmp_path, cloud.arrangement, cloud.origin)
+    writer.add(*cloud.take_blocks(cloud.keys))
+    disk = replace(writer.finish(), noted=cloud.measured)
+    one, other = (reconstruct(some, asked, 500).surface.mesh() for some in (cloud, disk))
+    assert one.vertices.tobytes() == other.vertices.tobytes()
+    assert one.faces.tobytes() == other.faces.tobytes()
 
 
 def test_where_nothing_is_left_it_is_said_what_to_do() -> None:

@@ -68,6 +68,19 @@ def test_disk_and_memory_hold_the_same_bytes(
             assert one.shape[1:] == (3,)
 
 
+def test_of_a_box_only_what_lies_in_it_comes_from_a_disk(
+    tmp_path: Path, memory: MemoryCloud
+) -> None:
+    disk = _write(_scan(), memory, tmp_path, 700)
+    low, high, some = np.array([-0.5, -0.1, -1.0]), np.array([1.0, 0.1, 0.2]), memory.keys[::2]
+    positions, normals = memory.take_blocks(some)
+    inside = ((positions > low) & (positions < high)).all(axis=1)
+    assert 100 < inside.sum() < 0.5 * len(positions)
+    found = disk.take_within(some, low, high)
+    assert _rows(found) == _rows((positions[inside], normals[inside]))
+    assert _rows(memory.take_within(some, low, high)) >= _rows(found)
+
+
 @pytest.mark.parametrize("size", [0.01, 0.3, 50.0])
 def test_disk_and_memory_answer_alike(tmp_path: Path, memory: MemoryCloud, size: float) -> None:
     disk = _write(_scan(), memory, tmp_path, 700)
