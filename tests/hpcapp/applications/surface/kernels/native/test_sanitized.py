@@ -40,7 +40,7 @@ def sanitizer_libraries(compiler: str) -> list[str]:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(600)
+@pytest.mark.timeout(1800)
 def test_kernels_under_sanitizers(tmp_path: Path) -> None:
     if os.environ.get(INSIDE):
         pytest.skip("this is the run under the sanitizers")
