@@ -187,7 +187,8 @@ class _Parts:
         blocks, keys, edge = self.cloud.arrangement, self.cloud.keys, BRICK * self.plan.step
         if not len(bricks):
             return Near(self.cloud.place, keys[:0], np.zeros((2, 3)))
-        # What a part names of others lies in the next cell, which is a brick at most.
+        # What a part names of others lies in the next cell, which is a brick at most; points
+        # beyond change nothing.
         margin = reach + 2.0 * edge
         low = self.plan.grid_origin + edge * unpack_keys(bricks) - margin  # (k, 3)
         high = low + edge + 2.0 * margin
@@ -254,8 +255,9 @@ def close_surface(
     parts = _Parts(surface, cloud, plan, workforce, shared, threads if shared is None else 1)
     scale = cloud.measured.scale
     usual = SupportRule(max(_NOISES * plan.noise, _STEPS * plan.step), _SPACINGS, scale)
-    is_asked = asked.is_asked
-    closure = Closure(True, "open, as asked") if is_asked else _decide(parts, usual, advance)
+    closure = Closure(True, "open, as asked")
+    if not asked.is_asked:
+        closure = _decide(parts, usual, advance)
     if not closure.is_open:
         advance(len(parts), len(parts))
         return surface, closure
