@@ -179,6 +179,8 @@ class MeshWriter:
         Whether it holds triangles in single precision and no word of what they mean.
     textures : bool
         Whether a texture is held.
+    texture_files : str, optional
+        Function that names the files beside a mesh that hold it.
     """
 
     function: str
@@ -190,10 +192,15 @@ class MeshWriter:
     turns: bool = False
     is_bare: bool = False
     textures: bool = False
+    texture_files: str | None = None
 
     def write(self, path: Path, mesh: MeshStream) -> None:
         """Write a file."""
         _call(self.function, path, mesh)
+
+    def list_texture_files(self, path: Path) -> list[Path]:
+        """Return the files beside a mesh that hold its texture."""
+        return [] if self.texture_files is None else list(_call(self.texture_files, path))
 
     @property
     def holds_all(self) -> bool:
@@ -299,7 +306,14 @@ FORMATS = (
         PointReader("points.mesh_points:open_obj", 8),
         MeshReader("meshes.obj:read_obj", "meshes.obj:holds_obj_faces"),
         None,
-        MeshWriter("meshes.obj:write_obj", True, True, is_near=True, textures=True),
+        MeshWriter(
+            "meshes.obj:write_obj",
+            True,
+            True,
+            is_near=True,
+            textures=True,
+            texture_files="meshes.mtl:name_texture_files",
+        ),
     ),
     Format(
         (".off",),

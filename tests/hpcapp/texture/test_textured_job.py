@@ -169,15 +169,16 @@ def test_no_seam_shows_where_charts_meet(textured: Path) -> None:
 def test_an_obj_has_the_same_pictures_beside_it(sphere: Path, tmp_path: Path) -> None:
     output = tmp_path / "my sphere.obj"
     run(sphere, output, "--faces", str(FACES), "--texture", str(PIXELS))
-    names = {"my sphere.obj", "my_sphere.mtl", "my_sphere_colours.png", "my_sphere_normals.png"}
+    names = {"my sphere.obj", "my~20sphere.mtl", "my~20sphere_colours.png",
+             "my~20sphere_normals.png"}  # fmt: skip
     assert {path.name for path in tmp_path.iterdir()} == names
     text = output.read_text()
-    assert "mtllib my_sphere.mtl\n" in text
-    assert "map_Kd my_sphere_colours.png\n" in (tmp_path / "my_sphere.mtl").read_text()
+    assert "mtllib my~20sphere.mtl\n" in text
+    assert "map_Kd my~20sphere_colours.png\n" in (tmp_path / "my~20sphere.mtl").read_text()
     uv = np.array([line.split()[1:] for line in text.splitlines() if line[:3] == "vt "], float)
     corner = next(line for line in text.splitlines() if line[:2] == "f ").split()[1].split("/")
     mesh = read_mesh(output)
-    picture = np.asarray(Image.open(tmp_path / "my_sphere_colours.png"), float)
+    picture = np.asarray(Image.open(tmp_path / "my~20sphere_colours.png"), float)
     place = mesh.vertices[int(corner[0]) - 1]
     seen = _blend(picture, (uv[int(corner[1]) - 1] * (1.0, -1.0) + (0.0, 1.0))[None])
     assert np.abs(seen - paint(place / np.linalg.norm(place))).max() < 25.0
