@@ -38,12 +38,14 @@ def read_size(size: int | str, output: str | PathLike[str]) -> int:
     Raises
     ------
     UsageError
-        It is no size, or the output is a folder.
+        It is no size, or that of no mesh, or the output is a folder.
     """
     try:
         bytes_ = parse_size(size)
     except ValueError as error:
         raise UsageError(f"size is {size!r}", str(error).replace("should be", "give")) from None
+    if bytes_ < _LEAST_BYTES:
+        raise UsageError(f"size is {size!r}: no mesh fits", "give a size such as 20MB")
     if Path(output).suffix.lower() in FOLDER_SUFFIXES:
         raise UsageError(f"size is of a file, and {output} is a folder", "give faces instead")
     return bytes_
