@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,6 +18,7 @@ from typing import TYPE_CHECKING, TextIO
 from hpcapp.progress import ProgressObserver
 from hpccomponent.cli.verbosity import is_quiet
 from hpccomponent.errors import OutputError
+from hpccomponent.files.private_files import open_if_read
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bars
@@ -128,13 +128,6 @@ class ProgressEvents(ProgressObserver):
         _write_line(self._stream, json.dumps(event))
 
 
-def _open_if_read(name: str, flags: int) -> int:
-    """Open a file; of a pipe that nobody reads it is an error, and not waited for."""
-    descriptor = os.open(name, flags | os.O_NONBLOCK, 0o666)
-    os.set_blocking(descriptor, True)
-    return descriptor
-
-
 @contextmanager
 def open_events(path: Path | None, dashboard: str | None = None) -> Iterator[ProgressObserver]:
     """Yield an observer that writes events to a file, if there is one.
@@ -155,7 +148,7 @@ def open_events(path: Path | None, dashboard: str | None = None) -> Iterator[Pro
         yield ProgressObserver()
         return
     try:
-        stream = open(path, "w", encoding="utf-8", opener=_open_if_read)  # noqa: SIM115
+        stream = open(path, "w", encoding="utf-8", opener=open_if_read)  # noqa: SIM115
     except OSError as error:
         raise OutputError(
             f"{path}: cannot be written ({error.strerror})", "give another --events"

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from hpcapp.timeline import ANY_WORKER, MASTER, Span, Timeline
 from hpccomponent.errors import OutputError
+from hpccomponent.files.private_files import open_if_read
 
 _PROCESS = 1  # the job: all rows belong to it
 _MICROSECONDS = 1e6
@@ -28,7 +29,7 @@ def open_trace(path: Path | None, timeline: Timeline) -> Iterator[None]:
         yield
         return
     with _translated(path):
-        stream = path.open("w", encoding="utf-8")
+        stream = open(path, "w", encoding="utf-8", opener=open_if_read)  # noqa: SIM115
     with closing(stream):
         try:
             yield

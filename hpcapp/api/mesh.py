@@ -31,12 +31,14 @@ from hpcapp.io.crs import UNKNOWN, Crs
 from hpcapp.io.frame import to_local
 from hpcapp.io.meshes.mesh_stream import as_stream
 from hpcapp.io.placement import Placement, check_up, choose_up, parse_origin
+from hpcapp.named_files import PAGE, PICTURE
 from hpcapp.pages.browser import show_page
 from hpcapp.pages.page import build_page, write_page
 from hpcapp.pages.scene import Scene, fields_of
 from hpcapp.pages.thin import MOST_FACES, thin_mesh
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
+from hpccomponent.files.outputs import check_files
 from hpccomponent.ranges import check_range
 
 if TYPE_CHECKING:
@@ -300,6 +302,7 @@ class Mesh:
         OutputError
             The suffix is unknown, or the file cannot be written.
         """
+        formats.check_writable(path)
         plain = self._plain
         words = origin if isinstance(origin, str) else ",".join(map(repr, map(float, origin)))
         placement = Placement(parse_origin(words), self._up if up is None else check_up(up))
@@ -323,10 +326,8 @@ class Mesh:
         UsageError, OutputError
             The path is no page, or cannot be written; or the points were larger than `max_memory`.
         """
-        from hpcapp.applications.view.command import check_page
-
         page = Path(path)
-        check_page(page, "page")
+        check_files([*PAGE.list_written(page)])
         job = self._job
         if job is None:
             write_page(page, self._page(MOST_FACES))
@@ -361,10 +362,9 @@ class Mesh:
         up : {"z", "y", "x", "-z", "-y", "-x"}, optional
             The axis that points up; by default z, or y of what stands on a flat base there.
         """
-        from hpcapp.applications.view.command import check_picture
         from hpcapp.pages.picture import write_picture
 
-        check_picture(Path(path), "picture")
+        check_files([*PICTURE.list_written(path)])
         write_picture(Path(path), self._plain, eye, size, self._choose_up(up), self._crs.unit)
 
     def show(self, points: PointCloud | None = None, *, open_browser: bool = True) -> Path:

@@ -15,6 +15,7 @@ from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import PointCloud
 from hpcapp.io.crs import Crs
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
+from hpcapp.io.output import list_mesh_files, list_point_files
 from hpcapp.io.placement import BESIDE, Placement, bring_back, find_crs_beside, note_origin
 from hpcapp.io.points.point_source import PointSource, Scan, read_whole, translated
 from hpcapp.io.points.recognition import recognise
@@ -25,13 +26,10 @@ from hpcapp.io.registry import (
     find_point_writer,
     list_suffixes,
 )
-from hpcapp.io.staging import check_folder, check_place
 from hpccomponent.errors import InputError, UsageError
+from hpccomponent.files.outputs import STANDARD_INPUT, check_files
 
 log = logging.getLogger("hpcapp")
-
-STANDARD_INPUT = ("-", "/dev/stdin", "/dev/fd/0", "/proc/self/fd/0")
-"""Its names."""
 
 MESH_SUFFIXES = list_suffixes(lambda one: one.mesh_reader)
 """Of the files that meshes are read from."""
@@ -266,16 +264,11 @@ def check_writable(path: str | PathLike[str], kind: Literal["mesh", "points"] = 
     Raises
     ------
     OutputError
-        The suffix is unknown, the folder does not exist or cannot be written, or `path` is
-        not a file.
+        The suffix is unknown, the folder does not exist or cannot be written, or `path`, or a name
+        beside it, is not a file.
     """
-    file = Path(path)
-    if kind == "mesh" and find_mesh_writer(file).makes_folder:
-        check_folder(file)
-        return
-    if kind == "points":
-        find_point_writer(file)
-    check_place(file)
+    lists = list_mesh_files if kind == "mesh" else list_point_files
+    check_files([*lists(Path(path))])
 
 
 def check_holds_texture(output: str) -> None:

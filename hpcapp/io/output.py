@@ -1,57 +1,57 @@
-"""Where a result goes: a file or the standard output."""
+"""Where a result goes, a file or the standard output, and what comes to lie beside it."""
 
 from __future__ import annotations
 
-import os
 import shutil
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
 
-from hpcapp.io.formats import check_writable
-from hpccomponent.errors import OutputError
+from hpcapp.io.placement import name_beside
+from hpcapp.io.registry import find_mesh_writer, find_point_writer
 from hpccomponent.files.held_folders import temporary_folder
-
-_STANDARD_OUTPUT = ("/dev/stdout", "/dev/fd/1", "/proc/self/fd/1")
+from hpccomponent.files.outputs import Role, Written
 
 
 @contextmanager
-def open_output(
-    output: str, inputs: Sequence[Path], kind: Literal["mesh", "points"] = "mesh"
-) -> Iterator[Path]:
-    """Yield the path to write to; find out now whether it can be written.
+def open_output(output: str, kind: Literal["mesh", "points"] = "mesh") -> Iterator[Path]:
+    """Yield the path to write to.
 
     Parameters
     ----------
     output : str
         What the user typed; ``-`` is the standard output, which gets a PLY at the end.
-    inputs : sequence of Path
-        What must not be overwritten.
-
-    Raises
-    ------
-    OutputError
-        Nothing can be written there.
     """
-    if output == "-":
-        with temporary_folder() as folder:
-            path = folder / f"{kind}.ply"
-            yield path
-            with path.open("rb") as mesh:
-                shutil.copyfileobj(mesh, sys.stdout.buffer)
+    if output != "-":
+        yield Path(output)
         return
-    path = Path(output)
-    if output in _STANDARD_OUTPUT:
-        raise OutputError(f"{output} cannot be replaced", "give -o - for a PLY there")
-    if not output or output.endswith(("/", os.sep)):
-        raise OutputError(f"-o {output!r} names no file", "name a file to write to")
-    for file in inputs:
-        with suppress(
-            OSError
-        ):  # what cannot be looked at is no input; check_writable says the rest
-            if path.samefile(file):
-                raise OutputError(f"{path} is the input itself", "give another -o")
-    check_writable(path, kind)
-    yield path
+    with temporary_folder() as folder:
+        path = folder / f"{kind}.ply"
+        yield path
+        with path.open("rb") as mesh:
+            shutil.copyfileobj(mesh, sys.stdout.buffer)
+
+
+def list_mesh_files(path: Path, option: str = "", is_textured: bool = False) -> Iterator[Written]:
+    """Yield what is written with a mesh; OutputError where its suffix is unknown.
+
+    Parameters
+    ----------
+    option : str
+        See `Written`.
+    is_textured : bool
+        Whether it has a texture.
+    """
+    writer = find_mesh_writer(path)
+    yield Written(path, option, Role.FOLDER if writer.makes_folder else Role.FILE)
+    yield Written(name_beside(path), option, is_beside=True)
+    if is_textured:
+        yield from (Written(f, option, is_beside=True) for f in writer.list_texture_files(path))
+
+
+def list_point_files(path: Path, option: str = "") -> Iterator[Written]:
+    """Yield what is written with points; OutputError where the suffix is unknown."""
+    find_point_writer(path)
+    yield Written(path, option)

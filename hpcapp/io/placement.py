@@ -156,7 +156,7 @@ def note_origin(path: Path, origin: FloatArray, crs: Crs, holds_crs: bool = True
     holds_crs : bool
         Whether the mesh's file says that, too.
     """
-    beside = _name_beside(path)
+    beside = name_beside(path)
     if origin.any() or (crs.stated and not holds_crs):
         with replacing(beside) as file:
             text = json.dumps({"origin": origin.tolist(), **crs.stated}, indent=1)
@@ -177,12 +177,13 @@ def find_crs_beside(path: Path) -> Crs:
     return UNKNOWN if beside is None else Crs(beside.crs, beside.unit, beside.height_unit)
 
 
-def _name_beside(path: Path) -> Path:
+def name_beside(path: Path) -> Path:
+    """Return the file beside a mesh."""
     return path.with_name(path.name + BESIDE)
 
 
 def _read_beside(path: Path) -> _Beside | None:
-    beside = _name_beside(path)
+    beside = name_beside(path)
     if not beside.is_file():
         return None
     try:

@@ -12,6 +12,8 @@ import click
 from hpcapp.applications.points.command import AROUND, BOX, POLYGON
 from hpcapp.applications.points.crop import parse_crop
 from hpcapp.geometry.axis_names import AXES
+from hpcapp.named_files import MESH as MESH_FILE
+from hpcapp.named_files import SCAN
 from hpccomponent.cli.verb import Verb
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
@@ -41,13 +43,14 @@ UP = click.option(
 
 MESH = click.argument(
     "mesh",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=SCAN,
     help="A .ply, .obj, .off, .stl, .glb or .vtp.",
 )
 _OUTPUT = click.option(
     "-o",
     "--output",
     required=True,
+    type=MESH_FILE,
     metavar="MESH",
     help="Mesh to write: .ply, .obj, .glb, .vtp, .3mf, .off, .stl, .tiles or .3dtiles; - writes a "
     "PLY to standard output.",
@@ -113,7 +116,7 @@ class Output:
         target.check()
         origin = parse_origin(self.origin)
         most_bytes = None if self.size is None else read_size(self.size, self.output)
-        with open_output(self.output, [mesh]) as path:
+        with open_output(self.output) as path:
             whole = read_mesh(mesh)
             crs = find_mesh_crs(mesh)
             placement = Placement(origin, self.up or find_mesh_up(mesh))

@@ -10,7 +10,9 @@ from typing import Any
 
 import click
 
+from hpccomponent.cli.named_files import list_files
 from hpccomponent.cli.verbosity import Verbosity, set_verbosity
+from hpccomponent.files.outputs import check_files
 from hpccomponent.ranges import is_finite
 
 
@@ -29,6 +31,17 @@ COMMON = (
     _flag(["--debug"], "Log everything; show the traceback of an error."),
 )
 """Options of the command and of each of its verbs; the last that was typed holds."""
+
+
+def _say_missing(error: click.MissingParameter, ctx: click.Context) -> str:
+    """Say which parameter is missing, and what it is to be."""
+    missing, problem = error.param, " ".join(error.format_message().split()).rstrip(".")
+    is_told = missing is None or missing.type.get_missing_message(missing, ctx)
+    if is_told or not isinstance(missing, click.Option | click.Argument):
+        return problem
+    words = [*missing.opts[:1]] if isinstance(missing, click.Option) else []
+    meaning = (missing.help or "").partition(". ")[0].rstrip(".")
+    return f"{problem}; give {' '.join([*words, missing.make_metavar(ctx)])}. {meaning}"
 
 
 class Verb(click.Command):
@@ -68,12 +81,20 @@ class Verb(click.Command):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse what was typed; NaN and infinity are no numbers of any option."""
-        rest = super().parse_args(ctx, args)
+        try:
+            rest = super().parse_args(ctx, args)
+        except click.MissingParameter as error:
+            raise click.UsageError(_say_missing(error, ctx), ctx) from None
         for parameter in self.params:
             value = ctx.params.get(parameter.name or "")
             if not is_finite(value):
                 raise click.BadParameter("give a finite number", ctx, parameter)
         return rest
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run it, once all files of the call are known to be safe."""
+        check_files(*list_files(ctx))
+        return super().invoke(ctx)
 
     def group_options(self, ctx: click.Context) -> dict[str, list[click.Option]]:
         """Return the options below their headings, the common ones last."""

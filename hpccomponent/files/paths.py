@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import errno
+import glob
 import os
 import stat
 from pathlib import Path
 
-from hpccomponent.cli.terminal import visible_line
-from hpccomponent.errors import OutputError, UsageError
+from hpccomponent.errors import UsageError
 
 _KINDS = (
     (stat.S_ISFIFO, "it is a pipe, not a regular file"),
@@ -70,28 +70,17 @@ def expand_home(path: str | Path) -> Path:
     return Path(home) / rest if slash else Path(home)
 
 
-def new_file_here(name: str, flag: str) -> Path:
-    """Return the place in the present folder for a file whose name a machine has told.
-
-    Raises
-    ------
-    OutputError
-        The name leads elsewhere, hides the file, is an option to other commands or holds what a
-        terminal would obey; or something is there.
+def expand_pattern(name: str) -> list[str]:
+    """Return the files that fit a pattern, sorted; what is no pattern, or is there, stays.
 
     Examples
     --------
-    >>> try:
-    ...     new_file_here("../../.bashrc", "-o")
-    ... except OutputError as error:
-    ...     print(error)
-    '../../.bashrc' is no name for a new file here; name one by -o
+    >>> expand_pattern("a.ply"), expand_pattern("no-such-folder/*.ply")
+    (['a.ply'], [])
     """
-    if not name or "/" in name or name[0] in ".-~" or visible_line(name) != name:
-        raise OutputError(f"{name!r} is no name for a new file here", f"name one by {flag}")
-    if os.path.lexists(name):
-        raise OutputError(f"{name} is there already", f"give {flag} {name} to replace it")
-    return Path(name)
+    if not glob.has_magic(name) or os.path.exists(name):
+        return [name]
+    return sorted(glob.glob(name, recursive=True))
 
 
 def check_regular(path: Path) -> None:

@@ -70,6 +70,13 @@ def open_at_once(name: str, flags: int) -> int:
     return os.open(name, flags | os.O_NONBLOCK)
 
 
+def open_if_read(name: str, flags: int) -> int:
+    """Open a file likewise; of a pipe that nobody reads it is an error."""
+    descriptor = os.open(name, flags | os.O_NONBLOCK, 0o666)
+    os.set_blocking(descriptor, True)
+    return descriptor
+
+
 def remove_path(path: Path) -> None:
     """Take away whatever has a name: a file, a link, or a folder with all that is in it.
 

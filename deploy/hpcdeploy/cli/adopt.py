@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from hpccomponent.cli.named_files import InputFile
 from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import HpcError, OutdatedError
 from hpcdeploy.cli.arguments import FILE
@@ -32,7 +33,7 @@ WAIT_S = 30.0  # the head has just let us in
     ],
 )
 @FILE
-@click.option("--key", type=click.Path(exists=True, dir_okay=False, path_type=Path), metavar="KEY",
+@click.option("--key", type=InputFile(exists=True), metavar="KEY",
               help="Its owner's private key; it is copied.")  # fmt: skip
 @click.option("-y", "--yes", is_flag=True, help="Do not ask.")
 def adopt(file: Path, key: Path | None, yes: bool) -> None:

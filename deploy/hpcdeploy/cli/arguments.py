@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
-PATH = click.Path(dir_okay=False, path_type=Path)
-FILE = click.argument("file", type=PATH, help="The cluster file (.yaml).")
+from hpccomponent.cli.named_files import InputFile
+
+FILE = click.argument("file", type=InputFile(), help="The cluster file (.yaml).")
 FILES = click.argument(
     "files",
     nargs=-1,
-    type=PATH,
+    type=InputFile(),
     help="Cluster files (.yaml); without one, the AWS account of the environment.",
 )
 JOB = click.argument(

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import click
 
+from hpccomponent.cli.named_files import OutputFile
 from hpccomponent.cli.terminal import echo, visible_line
 from hpccomponent.cli.verb import Verb
-from hpccomponent.errors import OutputError, UsageError
-from hpcdeploy.cli.arguments import PATH
+from hpccomponent.errors import UsageError
 
 PROVIDERS = ("aws", "eucalyptus", "ec2", "ssh", "local")
 """Of which there is an example, named after it."""
@@ -25,7 +25,7 @@ PROVIDERS = ("aws", "eucalyptus", "ec2", "ssh", "local")
     ],
 )
 @click.argument(
-    "file", type=PATH, default=Path("cluster.yaml"),
+    "file", type=OutputFile(), default=Path("cluster.yaml"),
     help="The cluster file to write.  [default: cluster.yaml]",
 )  # fmt: skip
 @click.option("--provider", type=click.Choice(PROVIDERS), default="aws", show_default=True,
@@ -39,8 +39,4 @@ def init(file: Path, provider: str, force: bool) -> None:
             stream.write(example)
     except FileExistsError:
         raise UsageError(f"{file}: is there already", "give another name, or --force") from None
-    except OSError as error:
-        raise OutputError(
-            f"{file}: cannot be written ({error.strerror})", "give another name"
-        ) from None
     echo(visible_line(f"{file}: change what is yours, then: hpcapp plan {file} --offline"))

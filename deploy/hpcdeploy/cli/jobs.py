@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING
 
 import click
 
+from hpccomponent.cli.named_files import InputFile, OutputFile, json_option
 from hpccomponent.cli.terminal import align_rows, echo, echo_json
 from hpccomponent.cli.verb import Verb
 from hpccomponent.units import write_duration
-from hpcdeploy.cli.arguments import FILE, JOB, PATH
+from hpcdeploy.cli.arguments import FILE, JOB
 
 if TYPE_CHECKING:
     from hpcdeploy.spec.job_folder import JobStatus
@@ -25,9 +26,7 @@ VERB = "reconstruct"
 DASHBOARD = click.option(
     "--dashboard", is_flag=True, help="Lead to the job's page from this machine; print its address."
 )
-AS_JSON = click.option(
-    "--json", "as_json", is_flag=True, help="Print JSON objects on standard output, one a line."
-)
+AS_JSON = json_option("Print JSON objects on standard output, one a line.")
 
 
 @click.command(
@@ -48,7 +47,7 @@ AS_JSON = click.option(
     ],
 )
 @FILE
-@click.argument("points", type=PATH, help="A point cloud of any format that is read.")
+@click.argument("points", type=InputFile(), help="A point cloud of any format that is read.")
 @click.argument(
     "options",
     nargs=-1,
@@ -56,7 +55,9 @@ AS_JSON = click.option(
     metavar="[-- OPTIONS]",
     help="Options of 'hpcapp reconstruct'.",
 )
-@click.option("-o", "--output", required=True, type=PATH, metavar="MESH", help="Mesh to write.")
+@click.option(
+    "-o", "--output", required=True, type=OutputFile(), metavar="MESH", help="Mesh to write."
+)
 @click.option("--detach", is_flag=True, help="Leave once the job is in the queue.")
 @DASHBOARD
 @AS_JSON
@@ -216,7 +217,7 @@ def cancel(file: Path, job: str | None) -> None:
 )
 @FILE
 @JOB
-@click.option("-o", "--output", type=PATH, metavar="MESH",
+@click.option("-o", "--output", type=OutputFile(), metavar="MESH",
               help="Mesh to write; by default a new file in this folder, called as it was "
               "submitted.")  # fmt: skip
 @AS_JSON

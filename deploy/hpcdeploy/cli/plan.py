@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from hpccomponent.cli.named_files import json_option
 from hpccomponent.cli.terminal import echo, echo_json, visible_line
 from hpccomponent.cli.verb import Verb
 from hpccomponent.dataclass import dataclass
@@ -52,7 +53,7 @@ def validate(file: Path) -> None:
 )
 @FILE
 @click.option("--offline", is_flag=True, help="Ask no network: the plan of the file alone.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@json_option("Print one JSON object.")
 def plan(file: Path, offline: bool, as_json: bool) -> None:
     """Show what 'up' would do, and what it costs; changes nothing.
 

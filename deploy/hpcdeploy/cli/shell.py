@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
+from hpccomponent.cli.named_files import InputFile, OutputFile
 from hpccomponent.cli.terminal import echo, echo_output
 from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import CloudError, HpcError, UsageError
+from hpccomponent.files.outputs import Written
 from hpccomponent.files.paths import check_regular
 from hpcdeploy.cli.arguments import FILE
 from hpcdeploy.cli.asking import say
@@ -25,6 +27,15 @@ if TYPE_CHECKING:
 
 WAIT_S = 30.0  # these machines have answered before
 AT_ONCE = 16
+
+
+def _find_target(target: Path, source: str) -> Path:
+    """Return where a file is put that a machine sends."""
+    return target / source.rstrip("/").rpartition("/")[2] if target.is_dir() else target
+
+
+def _list_fetched(name: str, option: str, params: Mapping[str, Any]) -> Iterator[Written]:
+    yield Written(_find_target(Path(name), params["source"]), option)
 
 
 @click.command(
@@ -101,9 +112,7 @@ def exec_(file: Path, nodes: tuple[str, ...], is_all: bool, command: tuple[str, 
     ],
 )
 @FILE
-@click.argument(
-    "source", type=click.Path(exists=True, dir_okay=False, path_type=Path), help="A file here."
-)
+@click.argument("source", type=InputFile(exists=True), help="A file here.")
 @click.argument(
     "target",
     default="",
@@ -147,7 +156,7 @@ def put(file: Path, source: Path, target: str, nodes: tuple[str, ...], is_all: b
 @click.argument(
     "target",
     default=".",
-    type=click.Path(path_type=Path),
+    type=OutputFile(lists=_list_fetched),
     help="A file or folder here; this folder without.",
 )
 @click.option("--node", default="head", metavar="NAME", help="From where.")
@@ -158,11 +167,8 @@ def get(file: Path, source: str, target: Path, node: str) -> None:
     """
     from hpcdeploy.reconcile.cluster import open_cluster
 
-    if target.is_dir():
-        target /= source.rstrip("/").rpartition("/")[2]
-    check_regular(target)
     with open_cluster(file) as cluster, _open_one(cluster, node) as shell:
-        shell.get(source, target)
+        shell.get(source, _find_target(target, source))
 
 
 def _choose(

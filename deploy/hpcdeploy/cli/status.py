@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from hpccomponent.cli.named_files import json_option
 from hpccomponent.cli.terminal import echo, echo_json
 from hpccomponent.cli.verb import Verb
 from hpcdeploy.cli.arguments import FILE, FILES
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     ],
 )
 @FILE
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@json_option("Print one JSON object.")
 @click.option("--offline", is_flag=True, help="Do not ask the machines, only the cloud.")
 def status(file: Path, as_json: bool, offline: bool) -> None:
     """Show a cluster's machines, loaders, lease and cost."""
@@ -49,7 +50,7 @@ def status(file: Path, as_json: bool, offline: bool) -> None:
 )
 @FILES
 @click.option("--all", "is_all", is_flag=True, help="Every cluster of the account.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@json_option("Print one JSON object.")
 def ls(files: tuple[Path, ...], is_all: bool, as_json: bool) -> None:
     """List clusters, by the clouds' own lists.
 

@@ -17,9 +17,9 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
+from hpccomponent.cli.terminal import visible_line
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import CloudError, HpcError, OutputError, UsageError
-from hpccomponent.files.paths import new_file_here
 from hpcdeploy.jobs.display import ForwardingDisplay, open_display
 from hpcdeploy.jobs.queries import Jobs, open_jobs
 from hpcdeploy.provider import State
@@ -204,15 +204,11 @@ def fetch(jobs: Jobs, status: JobStatus, target: Path) -> dict[str, object]:
 
     Raises
     ------
-    OutputError
-        Nothing can be written to `target`.
     JobError
         The job is not done; other errors by the exit code of its verb.
     CloudError
         The mesh does not come.
     """
-    if not os.access(target.parent, os.W_OK | os.X_OK):
-        raise OutputError(f"{target}: its folder cannot be written", "choose or make another one")
     with open_display(sys.stderr) as display:
         return jobs.fetch(status, target, partial(display.show_bytes, "fetch"))
 
@@ -228,9 +224,15 @@ def new_mesh_here(status: JobStatus) -> Path:
     Raises
     ------
     OutputError
-        The name is not that of one, or something is there.
+        The name leads elsewhere, hides the file, is an option to other commands, holds what a
+        terminal would obey or is not that of a mesh; or something is there.
     """
-    target = new_file_here(status.mesh, "-o")
+    name = status.mesh
+    if not name or "/" in name or name[0] in ".-~" or visible_line(name) != name:
+        raise OutputError(f"{name!r} is no name for a new file here", "name one by -o")
+    if os.path.lexists(name):
+        raise OutputError(f"{name} is there already", f"give -o {name} to replace it")
+    target = Path(name)
     for entry in entry_points(group="hpc.checks", name="mesh"):
         entry.load()(target)
     return target

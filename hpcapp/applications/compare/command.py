@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 import click
 from click.core import ParameterSource
 
-from hpcapp.applications.view.command import check_page, check_picture
+from hpcapp.named_files import PAGE, PICTURE, SCAN, SCAN_OR_WORD
+from hpccomponent.cli.named_files import json_option
 from hpccomponent.cli.terminal import echo, echo_json
 from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import InputError, UsageError
@@ -53,11 +54,12 @@ GROUPS = {
 )
 @click.argument(
     "mesh",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=SCAN,
     help="The mesh to be judged; of volumes the new mesh or points.",
 )
 @click.argument(
     "truth",
+    type=SCAN_OR_WORD,
     help="A mesh, points, or shape:NAME, a model of 'hpcapp simulate'; of volumes the old mesh or "
     "points.",
 )
@@ -98,16 +100,11 @@ GROUPS = {
     help="Standard deviation of the shift between both, as control points tell it.  "
     "[default: the shift where nothing changed]",
 )
-@click.option(
-    "--png",
-    type=click.Path(dir_okay=False, path_type=Path),
-    metavar="FILE",
-    help="Draw what changed into a picture.",
-)
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
+@click.option("--png", type=PICTURE, metavar="FILE", help="Draw what changed into a picture.")
+@json_option()
 @click.option(
     "--html",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=PAGE,
     metavar="PAGE",
     help="Write a page with the mesh, coloured by its distance or by what changed.",
 )
@@ -134,8 +131,6 @@ def compare(
     and are in per cent of the diagonal of TRUTH's bounding box. Volumes (--volume) lie between
     MESH, the new epoch, and TRUTH, the old one.
     """
-    check_page(html, "--html")
-    check_picture(png, "--png")
     kind, other = ("Distances", "Volumes") if is_volume else ("Volumes", "Distances")
     for name in GROUPS[kind]:
         if ctx.get_parameter_source(name) is not ParameterSource.DEFAULT:

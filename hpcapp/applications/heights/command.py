@@ -8,7 +8,8 @@ from pathlib import Path
 
 import click
 
-from hpcapp.applications.view.command import check_output
+from hpcapp.named_files import SCAN_OR_WORD
+from hpccomponent.cli.named_files import OutputFile
 from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import UsageError
 
@@ -32,11 +33,11 @@ log = logging.getLogger("hpcapp")
         ),
     ],
 )
-@click.argument("terrain", help="A mesh, or points; z is up.")
+@click.argument("terrain", type=SCAN_OR_WORD, help="A mesh, or points; z is up.")
 @click.option(
     "-o",
     "--output",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=OutputFile("GeoTIFF", (".tif", ".tiff")),
     required=True,
     metavar="TIF",
     help="GeoTIFF to write.",
@@ -49,7 +50,7 @@ log = logging.getLogger("hpcapp")
 )
 @click.option(
     "--contours",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=OutputFile("GeoJSON", (".geojson", ".json")),
     metavar="GEOJSON",
     help="Write contours, too.",
 )
@@ -67,8 +68,6 @@ def heights(
     interval: float | None,
 ) -> None:
     """Write the heights of a terrain as a GeoTIFF, and contours."""
-    check_output(output, "-o", (".tif", ".tiff"), "GeoTIFF")
-    check_output(contours, "--contours", (".geojson", ".json"), "GeoJSON")
     if (contours is None) != (interval is None):
         raise UsageError("--contours and --interval belong together", "give both, or none")
     import numpy as np

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 import click
 
 from hpcapp.applications.points.crop import parse_crop
+from hpcapp.named_files import FILE_OR_WORD, PICTURE, POINTS, SCANS
+from hpccomponent.cli.named_files import json_option
 from hpccomponent.cli.terminal import echo, echo_json, visible_line
 from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import UsageError
@@ -27,7 +29,7 @@ INPUTS = click.argument(
     "points",
     nargs=-1,
     required=True,
-    type=click.Path(dir_okay=False),
+    type=SCANS,
     help="Files of any format that is read (.ply, .las, .laz, .e57, .xyz and others), or patterns "
     "as 'scans/*.laz', in quotes; several are one cloud. - is the standard input.",
 )
@@ -49,6 +51,7 @@ AROUND = click.option(
 )
 POLYGON = click.option(
     "--polygon",
+    type=FILE_OR_WORD,
     metavar="FILE",
     help="Only what lies above and below polygons: .geojson, .wkt or .shp, or WKT itself.",
 )
@@ -92,13 +95,8 @@ GROUND = click.option(
 @CLASSES
 @NOT_CLASSES
 @GROUND
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
-@click.option(
-    "--png",
-    type=click.Path(dir_okay=False, path_type=Path),
-    metavar="FILE",
-    help="Draw the points into a picture.",
-)
+@json_option()
+@click.option("--png", type=PICTURE, metavar="FILE", help="Draw the points into a picture.")
 @click.option(
     "--by-spacing",
     is_flag=True,
@@ -130,6 +128,11 @@ def info(
     from hpcapp.io.points.inputs import gather_points
     from hpcapp.pages.thumbnail import write_thumbnail
 
+    words = ["--by-spacing"] * by_spacing + ["--by-noise"] * by_noise
+    if words and png is None:
+        raise UsageError(f"{words[0]} is for the picture", "add --png FILE, or leave it out")
+    if len(words) > 1:
+        raise UsageError("a picture has one colouring", f"leave {' or '.join(words)} out")
     crop = parse_crop(box, around, polygon, classes, not_classes, ground)
     with gather_points(points, sample, keeps_noise=crop.keeps_noise, choose=crop.narrow) as path:
         source = crop.take(open_points(path, keeps_noise=crop.keeps_noise))
@@ -137,11 +140,6 @@ def info(
     shown = points[0] if len(points) == 1 else f"{points[0]} and others"
     for line in findings.lines():
         log.warning("warning: %s: %s", shown, line)
-    words = ["--by-spacing"] * by_spacing + ["--by-noise"] * by_noise
-    if words and png is None:
-        raise UsageError(f"{words[0]} is for the picture", "add --png FILE, or leave it out")
-    if len(words) > 1:
-        raise UsageError("a picture has one colouring", f"leave {' or '.join(words)} out")
     if png is not None:
         scans = source.isotropic().scans
         scanner = scans[0].scanner if len(scans) == 1 else None
@@ -195,11 +193,13 @@ def readable(value: object) -> str:
     "-o",
     "--output",
     required=True,
+    type=POINTS,
     metavar="POINTS",
     help="Point cloud to write: .ply, .las, .laz, .e57, .xyz, .npz and others.",
 )
 @click.option(
     "--rejected",
+    type=POINTS,
     metavar="FILE",
     help="Write the outliers, strays and wires that a job drops into a cloud of their own, too.",
 )
@@ -226,7 +226,7 @@ def convert(
 
     crop, files = parse_crop(box, around, polygon, classes, not_classes, ground), find_paths(points)
     with (
-        open_output(output, files, "points") as target,
+        open_output(output, "points") as target,
         gather_points(points, sample, keeps_noise=crop.keeps_noise, choose=crop.narrow) as path,
     ):
         source = crop.take(open_points(path, keeps_noise=crop.keeps_noise))
@@ -236,7 +236,7 @@ def convert(
             log.warning("warning: %s: %s", files[0] if files else "standard input", warning)
         log.info("%s: %d points", output, written)
         if rejected is not None:
-            with open_output(rejected, files, "points") as target:
+            with open_output(rejected, "points") as target:
                 _write_rejected(target, source, rejected)
 
 

@@ -13,34 +13,13 @@ import click
 from hpcapp.applications.points.command import AROUND, BOX, POLYGON
 from hpcapp.applications.points.crop import parse_crop
 from hpcapp.geometry.axis_names import AXES
+from hpcapp.named_files import PAGE, PICTURE, SCAN
+from hpccomponent.cli.named_files import InputFile
 from hpccomponent.cli.terminal import echo_output
 from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import UsageError
 
 log = logging.getLogger("hpcapp")
-
-FILE = click.Path(dir_okay=False, path_type=Path)
-
-
-def check_page(path: Path | None, flag: str) -> None:
-    """Refuse, before the work, a page whose suffix is wrong or that cannot be written there."""
-    check_output(path, flag, (".html", ".htm"), "page")
-
-
-def check_picture(path: Path | None, flag: str) -> None:
-    """Refuse, before the work, a picture that is no PNG or that cannot be written there."""
-    check_output(path, flag, (".png",), "picture")
-
-
-def check_output(path: Path | None, flag: str, suffixes: tuple[str, ...], what: str) -> None:
-    """Refuse, before the work, a file whose suffix is wrong or that cannot be written there."""
-    if path is None:
-        return
-    if path.suffix.lower() not in suffixes:
-        raise UsageError(f"{flag} {path}: is no {what}", f"give a file that ends in {suffixes[0]}")
-    from hpcapp.io.staging import check_place
-
-    check_place(path)
 
 
 def _parse_eye(
@@ -71,29 +50,29 @@ def _parse_eye(
 )
 @click.argument(
     "file",
-    type=FILE,
+    type=SCAN,
     help="A mesh (.ply, .obj, .stl, .off, .glb, .vtp), or points of any format that is read.",
 )
 @click.option(
     "--points",
-    type=FILE,
+    type=SCAN,
     metavar="POINTS",
     help="Show these points beside the mesh, and how far it is from them.",
 )
 @click.option(
     "--report",
-    type=FILE,
+    type=InputFile(),
     metavar="JSON",
     help="Say what the job decided: the object that 'reconstruct --json' has printed.",
 )
 @click.option(
     "-o",
     "--output",
-    type=FILE,
+    type=PAGE,
     metavar="PAGE",
     help="Page to write, .html.  [default: one in the temporary folder]",
 )
-@click.option("--png", type=FILE, metavar="FILE", help="Draw it into a picture.")
+@click.option("--png", type=PICTURE, metavar="FILE", help="Draw it into a picture.")
 @click.option(
     "--eye",
     callback=_parse_eye,
@@ -132,8 +111,6 @@ def view(
 
     With --png and without -o only the picture is made.
     """
-    check_page(output, "--output")
-    check_picture(png, "--png")
     if png is None and eye is not None:
         raise UsageError("--eye means nothing without --png", "the page can be turned by hand")
     for flag, beside in (("--points", points), ("--report", report)):

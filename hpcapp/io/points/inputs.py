@@ -12,7 +12,6 @@ So every later step, on workers and other machines too, has one file to read.
 
 from __future__ import annotations
 
-import glob
 import logging
 import re
 import shutil
@@ -24,11 +23,13 @@ from io import FileIO
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, BinaryIO
 
-from hpcapp.io.formats import STANDARD_INPUT, open_points, read_mesh
+from hpcapp.io.formats import open_points, read_mesh
 from hpcapp.io.points.point_source import PointSource, translated
 from hpcapp.io.registry import find_point_reader
 from hpccomponent.errors import HpcError, InputError, UsageError
 from hpccomponent.files.held_folders import temporary_folder
+from hpccomponent.files.outputs import STANDARD_INPUT
+from hpccomponent.files.paths import expand_pattern
 from hpccomponent.limits import is_shortage
 
 if TYPE_CHECKING:
@@ -126,10 +127,7 @@ def find_files(names: Sequence[str]) -> list[str]:
     files: list[str] = []
     for named in names:
         name = _PIPED if named in STANDARD_INPUT else named
-        if not glob.has_magic(name) or Path(name).exists():
-            files.append(name)
-            continue
-        matches = sorted(glob.glob(name, recursive=True))
+        matches = expand_pattern(name)
         if not matches:
             raise InputError(f"{name}: no file fits", "check the pattern")
         files += matches

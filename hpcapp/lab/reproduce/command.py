@@ -7,15 +7,19 @@ from __future__ import annotations
 
 import logging
 import sys
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
 
+from hpcapp.named_files import SCAN
+from hpccomponent.cli.named_files import InputFile, OutputFile
 from hpccomponent.cli.terminal import echo
 from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import OutputError, UsageError
+from hpccomponent.files.outputs import Role, Written
 
 if TYPE_CHECKING:
     from hpcapp.lab.reproduce.finding import Finding
@@ -34,6 +38,21 @@ _OPTIONS = {
     "table1": ("up", "grid", "cluster"),
 }
 _GRIDS = {"fig7-8": 128, "table1": 64}
+_EMULATED = "table1.yaml"  # the cluster file that is written where none is given
+
+
+def _list_figures(name: str, option: str, params: Mapping[str, Any]) -> Iterator[Written]:
+    """Yield the pictures and tables in the folder of a figure."""
+    figure = params["figure"]
+    files = [
+        f"{one}{suffix}"
+        for one in (("fig7", "fig8") if figure == "fig7-8" else (figure,))
+        for suffix in (".png", ".md")
+    ]
+    if figure == "table1" and params["cluster"] is None:
+        files.append(_EMULATED)
+    for file in files:
+        yield Written(Path(name, file), option, makes_folders=True)
 
 
 @click.command(
@@ -49,13 +68,13 @@ _GRIDS = {"fig7-8": 128, "table1": 64}
 )
 @click.argument(
     "points",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=SCAN,
     required=False,
     help="A point cloud of any format that is read; a simulated scan without.",
 )
 @click.option(
     "--out",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=OutputFile("folder", role=Role.SCRATCH, lists=_list_figures),
     default=Path(),
     metavar="DIR",
     help="Folder for FIGURE.png and FIGURE.md.  [default: this one]",
@@ -74,7 +93,7 @@ _GRIDS = {"fig7-8": 128, "table1": 64}
               metavar="N", help="Runs with each number of workers.")  # fmt: skip
 @click.option(
     "--cluster",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=InputFile(),
     metavar="FILE",
     help="Cluster file of table1.  [default: four emulated machines]",
 )
@@ -143,9 +162,6 @@ def _make_folder(out: Path) -> None:
         raise OutputError(
             f"{out}: {error.strerror or error}", "name another folder with --out"
         ) from error
-    from hpcapp.io.staging import check_place
-
-    check_place(out / "reproduced.md")
 
 
 def _draw(figure: str, subject: Subject, up: str, out: Path, clock: StageClock) -> Finding:
@@ -170,7 +186,7 @@ def _deploy(
     from hpcapp.lab.reproduce.deployment import make_table_1, write_local_cluster
     from hpcapp.pages.png import write_png
 
-    file = cluster or out / "table1.yaml"
+    file = cluster or out / _EMULATED
     if cluster is None:
         write_local_cluster(file)
     finding, pixels = make_table_1(subject, file, *looks, clock, is_emulated=cluster is None)

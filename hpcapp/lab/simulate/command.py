@@ -6,14 +6,18 @@ This module is imported for every ``--help``: numpy and all that stands on it ar
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
 from click.core import ParameterSource
 
+from hpccomponent.cli.named_files import OutputFile
 from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import UsageError
+from hpccomponent.files.outputs import Written
 
 log = logging.getLogger("hpcapp")
 
@@ -30,7 +34,26 @@ GROUPS = {
     ),
     "A scene's scan": ("scanner", "flying", "strays"),
 }  # fmt: skip
-POINTS = click.Path(dir_okay=False, path_type=Path)
+
+
+def _list_scan(name: str, option: str, params: Mapping[str, Any]) -> Iterator[Written]:
+    """Yield the points, and of a scene the truth and the trajectory beside them."""
+    from hpcapp.io.output import list_mesh_files, list_point_files
+
+    output = Path(name)
+    yield from list_point_files(output, option)
+    if params["scene"] is not None:
+        truth, trajectory = _name_beside(output)
+        for one in (*list_mesh_files(truth, option), Written(trajectory, option)):
+            yield replace(one, is_beside=True)
+
+
+def _name_beside(output: Path) -> tuple[Path, Path]:
+    """Return the files of a scene's truth and of the scanner's trajectory."""
+    return (
+        output.with_name(f"{output.stem}_truth.ply"),
+        output.with_name(f"{output.stem}_trajectory.csv"),
+    )
 
 
 def _complete_shape(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
@@ -71,7 +94,13 @@ def _complete_shape(ctx: click.Context, param: click.Parameter, incomplete: str)
     type=click.Choice(SCANNERS),
     help="Which scanner; the usual one of the scene without.",
 )
-@click.option("-o", "--output", required=True, type=POINTS, help="Point cloud to write.")
+@click.option(
+    "-o",
+    "--output",
+    required=True,
+    type=OutputFile("points", lists=_list_scan),
+    help="Point cloud to write.",
+)
 @click.option(
     "-n",
     "--points",
@@ -233,12 +262,11 @@ def _refuse(names: set[str], problem: str, advice: str) -> None:
 
 
 def _write_model(output: Path, shape: str, settings: dict[str, Any]) -> None:
-    from hpcapp.io import check_writable, write_points
+    from hpcapp.io import write_points
     from hpcapp.lab.simulate.scanner import simulate_scan
     from hpcapp.lab.simulate.settings import ScanSettings
     from hpcapp.lab.simulate.shapes import find_shape
 
-    check_writable(output, "points")
     cloud = simulate_scan(find_shape(shape), ScanSettings(**settings))
     write_points(output, cloud)
     log.info("%s: %d points of %s", output, len(cloud), shape)
@@ -246,16 +274,12 @@ def _write_model(output: Path, shape: str, settings: dict[str, Any]) -> None:
 
 def _write_scene(output: Path, scene: str, scanner: str | None, settings: dict[str, Any]) -> None:
     """Write the points, and beside them the truth and the trajectory."""
-    from hpcapp.io import check_writable, write_mesh, write_points
+    from hpcapp.io import write_mesh, write_points
     from hpcapp.io.rows import write_rows
-    from hpcapp.io.staging import check_place, replacing
+    from hpcapp.io.staging import replacing
     from hpcapp.lab.simulate.raw.scan import RawSettings, scan_scene
 
-    truth = output.with_name(f"{output.stem}_truth.ply")
-    trajectory = output.with_name(f"{output.stem}_trajectory.csv")
-    check_writable(output, "points")
-    check_writable(truth)
-    check_place(trajectory)
+    truth, trajectory = _name_beside(output)
     raw = scan_scene(scene, scanner, RawSettings(**settings))
     write_points(output, raw.cloud)
     write_mesh(truth, raw.truth)

@@ -15,7 +15,7 @@ import pytest
 
 import hpcapp
 from hpcapp.geometry.points import PointCloud
-from hpccomponent.errors import HpcError, InputError, MissingLibraryError, UsageError
+from hpccomponent.errors import HpcError, InputError, MissingLibraryError, OutputError, UsageError
 
 CORNERS = np.array([[0.0, 0, 0], [2.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
@@ -120,6 +120,13 @@ def test_a_mesh_far_from_zero_is_written_and_read_as_it_is(tmp_path: Path) -> No
         read = hpcapp.read_mesh(tmp_path / name)
         assert np.abs(read.bounds - mesh.bounds).max() < 1e-6
         assert np.abs(read.vertices - mesh.origin).max() < 10.0
+
+
+def test_what_cannot_lie_beside_a_mesh_is_refused_before_it_is_written(tmp_path: Path) -> None:
+    (tmp_path / "a.glb.origin.json").mkdir()
+    with pytest.raises(OutputError, match=r"a.glb.origin.json: is not a file; give another name"):
+        hpcapp.Mesh(CORNERS + FAR, FACES).save(tmp_path / "a.glb")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.glb.origin.json"]
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import pytest
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.io import check_writable, write_mesh
 from hpcapp.io.meshes.tiles import shared_tiles
-from hpcapp.io.staging import check_place, replacing
+from hpcapp.io.staging import replacing
 from hpccomponent.errors import OutputError
 
 
@@ -87,35 +87,18 @@ def test_a_link_stays_and_its_file_is_replaced(tmp_path: Path) -> None:
     assert (tmp_path / "deep" / "mesh.ply").read_bytes() == b"new"
 
 
+def test_a_link_to_an_empty_folder_stays_and_the_folder_is_replaced(tmp_path: Path) -> None:
+    (tmp_path / "deep").mkdir()
+    (tmp_path / "link.tiles").symlink_to(tmp_path / "deep")
+    (tmp_path / "none.tiles").symlink_to(tmp_path / "new")
+    for name in ("link.tiles", "none.tiles"):
+        with shared_tiles(tmp_path / name) as file_of:
+            file_of(0).touch()
+        assert (tmp_path / name).is_symlink()
+        assert (tmp_path / name / "tile-0000.ply").exists()
+
+
 def test_a_good_place_is_left_as_it_was(tmp_path: Path) -> None:
     check_writable(tmp_path / "mesh.ply")
     check_writable(tmp_path / "scan.xyz", "points")
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [
-        ("missing/mesh.ply", "No such file or directory; create the folder"),
-        ("file/mesh.ply", "Not a directory; create the folder"),
-        ("folder.ply", "is not a file"),
-        ("pipe.ply", "is not a file"),
-        ("n" * 300 + ".ply", "File name too long"),
-    ],
-)
-def test_bad_places_are_found_out_early(tmp_path: Path, name: str, said: str) -> None:
-    (tmp_path / "file").touch()
-    (tmp_path / "folder.ply").mkdir()
-    os.mkfifo(tmp_path / "pipe.ply")
-    before = sorted(tmp_path.iterdir())
-    with pytest.raises(OutputError, match=said):
-        check_place(tmp_path / name)
-    assert sorted(tmp_path.iterdir()) == before
-
-
-def test_a_folder_that_refuses_is_found_out_even_by_root() -> None:
-    place = Path("/proc/mesh.ply")
-    if not place.parent.is_dir():
-        pytest.skip("no /proc: no folder at hand that refuses root")
-    with pytest.raises(OutputError, match="cannot be written"):
-        check_place(place)

@@ -38,22 +38,21 @@ from hpcapp.applications.surface.methods.options import (
 )
 from hpcapp.applications.surface.methods.table import DEFAULT_METHOD, METHODS, find_method
 from hpcapp.applications.surface.normals.viewpoint import parse_viewpoint
-from hpcapp.applications.view.command import check_page, check_picture
 from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY, POLICIES
 from hpcapp.dashboard import DEFAULT_ADDRESS
 from hpcapp.mending.options import PIECES, SMALLEST
+from hpcapp.named_files import FILE_OR_WORD, MESH, PAGE, PICTURE, STORAGE
 from hpcapp.progress import Progress
 from hpcapp.simplification.command import ORIGIN, UP
 from hpcapp.texture.request import LEAST_PIXELS, MOST_PIXELS, check_library, check_texture
 from hpcapp.timeline import Timeline
+from hpccomponent.cli.named_files import STREAM, InputFile, json_option
 from hpccomponent.cli.terminal import echo_json
 from hpccomponent.cli.verb import Verb
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
 
 log = logging.getLogger("hpcapp")
-
-POINTS = click.Path(dir_okay=False, path_type=Path)
 
 
 def _check_method_options(ctx: click.Context) -> None:
@@ -165,10 +164,6 @@ def check_flags(ctx: click.Context) -> None:
     if len(chosen) > 1:
         flags = " and ".join(map(_flag, chosen))
         raise UsageError(f"{flags} exclude each other", "give one of them")
-    if sys.stdout is None and (ctx.params["output"] == "-" or ctx.params["as_json"]):
-        raise UsageError("the standard output is closed", "give -o a file and leave --json out")
-    if ctx.params["output"] == "-" and ctx.params["as_json"]:
-        raise UsageError("-o - and --json both want the standard output", "give one of them")
     if ctx.params["details"] and not ctx.params["as_json"] and ctx.params["cluster"] is None:
         raise UsageError("--details means nothing without --json", "give --json too")
     if ctx.params["texture"] is not None:
@@ -190,8 +185,10 @@ def check_flags(ctx: click.Context) -> None:
 
         parse_origin(ctx.params["origin"])
     parse_crop(*(ctx.params[name] for name in CROPPED))
-    check_page(ctx.params["report"], "--report")
-    check_picture(ctx.params["png"], "--png")
+    if ctx.params["size"] is not None:
+        from hpcapp.simplification.size import read_size
+
+        read_size(ctx.params["size"], ctx.params["output"])
     _check_method_options(ctx)
 
 
@@ -249,6 +246,7 @@ def _add_method_options(command: click.Command) -> click.Command:
     "-o",
     "--output",
     required=True,
+    type=MESH,
     metavar="MESH",
     help="Mesh to write: .ply, .obj, .glb, .vtp, .3mf, .off, .stl, or a folder: of PLYs, .tiles, "
     "or for web viewers, .3dtiles; - writes a PLY to standard output.",
@@ -304,7 +302,7 @@ def _add_method_options(command: click.Command) -> click.Command:
 )
 @click.option(
     "--cluster",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=InputFile(),
     metavar="FILE",
     help="Run on a cluster: by its cluster file (.yaml), or on its head by its inventory (.json).",
 )
@@ -315,6 +313,7 @@ def _add_method_options(command: click.Command) -> click.Command:
 )
 @click.option(
     "--temp-dir",
+    type=STORAGE,
     metavar="PLACE",
     help="Where points and finished tiles lie meanwhile: a folder, or s3://BUCKET/PREFIX.",
 )
@@ -334,6 +333,7 @@ def _add_method_options(command: click.Command) -> click.Command:
 )
 @click.option(
     "--viewpoint",
+    type=FILE_OR_WORD,
     multiple=True,
     metavar="WHERE",
     help="Where the points were measured from: above, below, inside, outside, or the scanner's "
@@ -397,23 +397,23 @@ def _add_method_options(command: click.Command) -> click.Command:
 )
 @click.option(
     "--events",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=STREAM,
     metavar="FILE",
     help="Write the progress to a file as it comes, one JSON object a line.",
 )
 @click.option(
     "--trace",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=STREAM,
     metavar="FILE",
     help="Write when each stage and each task ran, and on which worker, as a Chrome trace.",
 )
 @click.option(
     "--report",
-    type=POINTS,
+    type=PAGE,
     metavar="PAGE",
     help="Write a page (.html) with the mesh and all that the job decided and did; works offline.",
 )
-@click.option("--png", type=POINTS, metavar="FILE", help="Draw the mesh into a picture.")
+@click.option("--png", type=PICTURE, metavar="FILE", help="Draw the mesh into a picture.")
 @click.option(
     "--dashboard",
     is_flag=False,
@@ -422,7 +422,7 @@ def _add_method_options(command: click.Command) -> click.Command:
     help="Show the job on a page while it runs; its address is printed. On loopback unless a host "
     "is given.",
 )
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
+@json_option()
 @click.option(
     "--details",
     is_flag=True,

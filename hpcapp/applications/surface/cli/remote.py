@@ -21,7 +21,7 @@ from hpcapp.io import FOLDER_SUFFIXES, MESH_SUFFIXES, drop_unusable, read_points
 from hpcapp.io.crs import Crs
 from hpcapp.io.output import open_output
 from hpcapp.io.placement import Place, note_origin
-from hpcapp.io.points.inputs import find_paths, gather_points
+from hpcapp.io.points.inputs import gather_points
 from hpcapp.io.registry import find_mesh_writer
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError, UsageError
@@ -120,12 +120,11 @@ def run_on_cluster(ctx: click.Context) -> dict[str, Any]:
         if ctx.params[name] is not None:
             raise UsageError(f"--{name} means nothing to a cluster file", instead)
     run = load_cluster_function("run")
-    files = find_paths(names)
     crop = parse_crop(*(ctx.params[name] for name in CROPPED))
     check_file(ctx.params["output"])
     _check_shown(ctx)
     with (
-        open_output(ctx.params["output"], files) as target,
+        open_output(ctx.params["output"]) as target,
         gather_points(
             names,
             ctx.params["sample"],

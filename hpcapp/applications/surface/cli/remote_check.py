@@ -17,8 +17,9 @@ from hpcapp.applications.surface.cli.remote import (
     check_points,
     type_for_head,
 )
-from hpcapp.io.output import open_output
+from hpccomponent.cli.named_files import list_files
 from hpccomponent.errors import OutputError, UsageError
+from hpccomponent.files.outputs import check_files
 
 
 def check_job(cluster: Path, points: Path, output: Path, options: Sequence[str]) -> list[str]:
@@ -66,6 +67,7 @@ def check_job(cluster: Path, points: Path, output: Path, options: Sequence[str])
     if str(output) == "-":
         raise OutputError("-o - names no file", "name a file to write to")
     check_file(str(output))
-    with open_output(str(output), [points]):
-        check_points(points, sample)
+    written, read = list_files(ctx)
+    check_files([one for one in written if one.option == "-o"], read)  # the others are of the head
+    check_points(points, sample)
     return type_for_head(ctx, ("points", "output", "cluster"))

@@ -100,7 +100,7 @@ def _run_once(
     """Run a job, or one more attempt at it without those who have lied."""
     with (
         keep_memory() if settings.max_memory is None else nullcontext(),
-        open_output(settings.output, settings.files) as target,
+        open_output(settings.output) as target,
         open_storage(settings) as storage,
         attempt(verification),
     ):
