@@ -18,7 +18,7 @@ from hpcapp.applications.surface.cli.remote import (
     type_for_head,
 )
 from hpccomponent.cli.named_files import list_files
-from hpccomponent.errors import OutputError, UsageError
+from hpccomponent.errors import UsageError
 from hpccomponent.files.outputs import check_files
 
 
@@ -64,8 +64,6 @@ def check_job(cluster: Path, points: Path, output: Path, options: Sequence[str])
             flag = "--json" if name == "as_json" else f"--{name}"
             raise UsageError(f"{flag} is not for the job on the head", "leave it out after --")
     check_flags(ctx)
-    if str(output) == "-":
-        raise OutputError("-o - names no file", "name a file to write to")
     check_file(str(output))
     written, read = list_files(ctx)
     check_files([one for one in written if one.option == "-o"], read)  # the others are of the head
