@@ -146,14 +146,15 @@ def check_files(written: Sequence[Written], read: Sequence[Read] = ()) -> None:
             raise OutputError(f"{other} lies in {one}", other.advice)
     for source in read:
         key = _find_inode(source.path)
-        kept = f"the file of {source.option}" if source.option else "the input itself"
         for one, own, above in placed:
             if one.role is Role.SCRATCH:
                 continue
             if key in own:
+                kept = f"the file of {source.option}" if source.option else "the input itself"
                 raise OutputError(f"{one} is {kept}", one.advice)
             if key in above and one.role is not Role.PRINTED and os.path.lexists(one.path):
-                raise OutputError(f"{one} lies in {kept}", one.advice)
+                problem = f"{one} is there, in the folder of {source.option or 'the input'}"
+                raise OutputError(problem, one.advice)
     for one in written:
         one.check_place()
 

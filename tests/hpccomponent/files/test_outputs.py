@@ -71,7 +71,7 @@ def test_what_lies_in_a_folder_that_is_written_or_read_would_be_lost(place: Path
     with pytest.raises(OutputError, match="lies in -o"):
         check_files([tiles, written("A.tiles/tmp", "--temp-dir", Role.SCRATCH)])
     (place / "folder" / "images.txt").touch()
-    with pytest.raises(OutputError, match="lies in the file of --viewpoint"):
+    with pytest.raises(OutputError, match="is there, in the folder of --viewpoint"):
         check_files([written("link/folder/images.txt")], [Read(Path("folder"), "--viewpoint")])
     check_files([written("folder/new.ply")], [Read(Path("folder"), "--viewpoint")])
     check_files([written("folder/new.ply"), written("folder", "--temp-dir", Role.SCRATCH)])
