@@ -19,6 +19,7 @@ where all others are far from it
 many points at another same place  dropped and counted, with a warning
 a coordinate that is no data       dropped and counted, with a warning (see `no_data`)
 degrees                            a warning
+numbers too coarse for the points  a warning (see `precision`)
 whole metres                       a warning: they may be millimetres
 points measured from above         the source says so (see `survey`)
 =================================  ==========================================================
@@ -43,6 +44,7 @@ from hpcapp.io.columns import Numbers
 from hpcapp.io.points.column_roles import ColourScale, judge_colours, judge_normals
 from hpcapp.io.points.no_data import find_at, find_no_data, leave_out, name_no_data, sum_coordinates
 from hpcapp.io.points.point_source import Findings, PointSource, Read, translated
+from hpcapp.io.points.precision import find_lost_digits
 from hpcapp.io.points.survey import EVIDENCE, is_flown_over, is_projected
 from hpccomponent.dataclass import dataclass
 
@@ -139,6 +141,9 @@ def recognise(source: PointSource) -> PointSource:
     for line in doubts:
         findings.warn(line)
     usable = leave_out(seen, missing)
+    points = len(usable) if source.records is None else source.records.count  # from all of these
+    if lost := find_lost_digits(usable.positions, points):
+        findings.warn(lost)
     use: Use = "normals" if source.normals_from == "faces" else _judge_use(usable, findings)
     colours = usable.normals if use == "colours" else usable.colours
     scale = None if colours is None else _judge_scale(colours, findings)
