@@ -28,7 +28,8 @@ def make_hills(spacing: float) -> FloatArray:
 def make_ball(spacing: float) -> FloatArray:
     directions = RANDOM.normal(size=(POINTS, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]
-    return np.multiply(directions, spacing * (POINTS / 4 / np.pi) ** 0.5)
+    ball: FloatArray = directions * spacing * (POINTS / 4 / np.pi) ** 0.5
+    return ball
 
 
 def make_raster(step: float, side: int = 140) -> FloatArray:
