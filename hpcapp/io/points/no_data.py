@@ -21,7 +21,7 @@ _FEWEST, _FEWEST_ELSEWHERE = 10, 100  # rows: at the origin, or of a number; at 
 _LEAST_SHARE = 0.01  # of the rows, for a place other than the origin
 _TIMES_USUAL = 10  # as many rows as other places, or numbers, have
 
-_WRITTEN = (-9999.0, -99999.0, -32767.0, -32768.0)
+_WRITTEN = (-9999.0, -99999.0, -32768.0, -32767.0, -999.0, 9999.0, 99999.0, 32767.0)
 _SAME = 1e-6  # of a number that text, or integers of a scale, have rounded
 _BEYOND = 1e30  # no coordinate of any unit, as the largest number of single precision
 _LARGEST = (_BEYOND, float(np.finfo(np.float32).max))
@@ -56,17 +56,23 @@ def find_no_data(
         Warnings of what is kept, and may be no data.
     """
     places = list(_find_places(cloud.positions))
+    numbers = _find_numbers(leave_out(cloud, places), unit, crs)
+    places += numbers
     rest = leave_out(cloud, places)
-    while len(rest) >= _FEWEST:
-        numbers = list(_find_numbers(rest.positions, is_projected(rest, unit, crs)))
-        if not numbers:
-            break
-        places, rest = places + numbers, leave_out(rest, numbers)
     if goes_on and len(rest) >= _FEWEST:
         if _is_far_from_origin(rest.positions):
             places = [place for place in places if place.any()] + [np.zeros(3)]
         places += _find_to_come(rest.positions)
     return np.array(places).reshape(-1, 3), list(_find_doubts(rest.positions))
+
+
+def may_be_data(cloud: PointCloud, unit: str | None, crs: str | None) -> bool:
+    """Tell whether rows to come may show that a number of these points is none, or is meant."""
+    if _are_written(cloud.positions[:, 2], may_be_zero=True).all():
+        return True
+    numbers = np.array(_find_numbers(cloud, unit, crs)).ravel()
+    numbers = numbers[~np.isnan(numbers)]
+    return bool(len(numbers) and not _are_written(numbers, may_be_zero=True).all())
 
 
 def leave_out(cloud: PointCloud, places: Iterable[FloatArray]) -> PointCloud:
@@ -136,8 +142,19 @@ def _is_far_from_origin(positions: FloatArray) -> bool:
         return bool(math.hypot(*away) > math.hypot(*(high - low)) > 0)
 
 
-def _find_numbers(positions: FloatArray, is_map: bool) -> Iterator[FloatArray]:
-    """Find single coordinates that are none, as places."""
+def _find_numbers(cloud: PointCloud, unit: str | None, crs: str | None) -> list[FloatArray]:
+    """Find single coordinates that are none, as places: the next where others are set aside."""
+    places: list[FloatArray] = []
+    while len(cloud) >= _FEWEST:
+        numbers = list(_find_far(cloud.positions, is_projected(cloud, unit, crs)))
+        if not numbers:
+            break
+        places, cloud = places + numbers, leave_out(cloud, numbers)
+    return places
+
+
+def _find_far(positions: FloatArray, is_map: bool) -> Iterator[FloatArray]:
+    """Find single coordinates that are far from all others."""
     for axis, column in enumerate(np.ascontiguousarray(positions.T)):
         is_written = _are_written(column, may_be_zero=not (is_map and axis == 2))
         others = column[~is_written]
@@ -157,11 +174,11 @@ def _find_numbers(positions: FloatArray, is_map: bool) -> Iterator[FloatArray]:
 def _are_written(column: FloatArray, *, may_be_zero: bool) -> BoolArray:
     """Tell which coordinates are as programs write them for no data."""
     are_written = np.zeros(len(column), np.bool_) if may_be_zero else column == 0
-    low, high = column.min(), column.max()
-    if low < (1 - _SAME) * max(_WRITTEN):
-        for number in _WRITTEN:
-            are_written |= np.abs(column - number) <= -_SAME * number
-    if max(-low, high) >= _BEYOND:
+    largest = max(-column.min(), column.max())
+    for number in _WRITTEN:
+        if largest >= (1 - _SAME) * abs(number):
+            are_written |= np.abs(column - number) <= _SAME * abs(number)
+    if largest >= _BEYOND:
         are_written |= np.abs(column) >= _BEYOND
     return are_written
 

@@ -42,7 +42,14 @@ from hpcapp.geometry.validity import are_finite
 from hpcapp.io.batches import join_points
 from hpcapp.io.columns import Numbers
 from hpcapp.io.points.column_roles import ColourScale, judge_colours, judge_normals
-from hpcapp.io.points.no_data import find_at, find_no_data, leave_out, name_no_data, sum_coordinates
+from hpcapp.io.points.no_data import (
+    find_at,
+    find_no_data,
+    leave_out,
+    may_be_data,
+    name_no_data,
+    sum_coordinates,
+)
 from hpcapp.io.points.point_source import Findings, PointSource, Read, translated
 from hpcapp.io.points.precision import find_lost_digits
 from hpcapp.io.points.survey import EVIDENCE, is_flown_over, is_projected
@@ -198,7 +205,7 @@ def _look_through(source: PointSource) -> PointCloud:
         part = replace(part, attributes=evidence)
         seen.append(part if number < _ENOUGH_PARTS else part.take(np.arange(0, len(part), _THIN)))
         if number + 1 == _MOST_PARTS or (
-            number + 1 >= _ENOUGH_PARTS and _is_certain(join_points(seen))
+            number + 1 >= _ENOUGH_PARTS and _is_certain(join_points(seen), source)
         ):
             break
     return join_points(seen)
@@ -213,9 +220,10 @@ def _read_runs(records: PointRecords) -> Iterator[PointCloud]:
         yield records.read(start, start + length, _LOOKED_AT)
 
 
-def _is_certain(seen: PointCloud) -> bool:
+def _is_certain(seen: PointCloud, source: PointSource) -> bool:
     """Tell whether more points would change nothing of what these say."""
-    if not are_finite(seen.positions).any() or not seen.positions.any():
+    finite = seen.take(are_finite(seen.positions))
+    if not finite.positions.any() or may_be_data(finite, source.unit, source.crs):
         return False
     if seen.normals is not None and judge_normals(seen.normals) not in ("unit", "any length"):
         return False

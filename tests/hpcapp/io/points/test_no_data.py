@@ -82,6 +82,12 @@ def test_another_number_is_told_by_the_extent(low: float, is_none: bool) -> None
     assert find(spoilt) == ([(2, 0.0)] if is_none else [])
 
 
+@pytest.mark.parametrize("value", [-999, 9999])
+def test_a_map_may_be_wider_than_no_data_is_deep(value: float) -> None:
+    wide = make_terrain(300.0, 400.0, side=20_000.0) + MAP
+    assert find(spoil(wide, value)) == [(2, float(value))]
+
+
 def test_zeros_that_may_be_none_are_kept_and_said() -> None:
     wide = make_terrain(300.0, 400.0, side=5000.0)
     places, doubts = find_no_data(PointCloud(spoil(wide, 0.0)), None, None, goes_on=False)
@@ -171,11 +177,27 @@ def test_all_formats_leave_it_out_and_count_it(tmp_path: Path, suffix: str) -> N
     )
 
 
-def test_what_follows_behind_all_that_was_looked_at_is_left_out(tmp_path: Path) -> None:
-    """A text is looked at from its start."""
+@pytest.mark.parametrize("rows", [slice(-300, None), slice(None, 140_000)])
+def test_no_data_at_the_end_or_at_the_start_of_a_text_is_left_out(
+    tmp_path: Path, rows: slice
+) -> None:
+    """A text is looked at from its start, 131,072 rows at first."""
     terrain = make_terrain(300.0, 400.0, side=2000.0, cells=400) + MAP
-    terrain[-300:, 2] = -9999
+    terrain[rows, 2] = -9999
     np.savetxt(tmp_path / "a.xyz", terrain, fmt="%.2f")
+    source, gone = open_points(tmp_path / "a.xyz"), int((terrain[:, 2] == -9999).sum())
+    assert sum(len(part) for part in source.chunks(50_000)) == len(terrain) - gone
+    assert source.findings.dropped == {"no data": gone}
+
+
+def test_a_sea_with_a_pier_is_kept_where_the_land_follows(tmp_path: Path) -> None:
+    """It is all that the first 131,072 rows have."""
+    coast = make_terrain(-100.0, 50.0, side=2000.0, cells=500) + MAP
+    coast = coast[np.argsort(coast[:, 2])]
+    coast[:, 2] = np.maximum(coast[:, 2], 0)
+    coast[100:1100, 2] = 5.0 + 0.001 * np.arange(1000)
+    assert not coast[1100:131_072, 2].any()
+    np.savetxt(tmp_path / "a.xyz", coast, fmt="%.3f")
     source = open_points(tmp_path / "a.xyz")
-    assert sum(len(part) for part in source.chunks(50_000)) == len(terrain) - 300
-    assert source.findings.dropped == {"no data": 300}
+    assert sum(len(part) for part in source.chunks(50_000)) == len(coast)
+    assert not source.findings.warnings
