@@ -145,11 +145,12 @@ def _is_far_from_origin(positions: FloatArray) -> bool:
 def _find_numbers(cloud: PointCloud, unit: str | None, crs: str | None) -> list[FloatArray]:
     """Find single coordinates that are none, as places: the next where others are set aside."""
     places: list[FloatArray] = []
-    while len(cloud) >= _FEWEST:
+    while len(cloud):
         numbers = list(_find_far(cloud.positions, is_projected(cloud, unit, crs)))
-        if not numbers:
+        cloud = leave_out(cloud, numbers)
+        if not numbers or len(cloud) < _FEWEST:
             break
-        places, cloud = places + numbers, leave_out(cloud, numbers)
+        places += numbers
     return places
 
 

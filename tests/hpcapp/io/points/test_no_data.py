@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import shared_data
 
+from hpcapp.applications.points.ground import take_ground
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import open_points, read_whole, write_points
 from hpcapp.io.points.no_data import find_no_data
@@ -148,6 +149,7 @@ HONEST: dict[str, Shape] = {
     "a lake": lambda: np.maximum(make_terrain(380.0, 425.0), (0, 0, 395.0)),
     "a sea and cliffs on a map": _cliffs,
     "contours": _contours,
+    "nothing else": lambda: np.eye(3)[np.arange(60) % 3] * 1e90,
     "a plane": lambda: TERRAIN * (1, 1, 0),
 }
 
@@ -175,6 +177,13 @@ def test_all_formats_leave_it_out_and_count_it(tmp_path: Path, suffix: str) -> N
     np.testing.assert_allclose(
         found.positions + found.origin, (TERRAIN + MAP)[~IS_GONE], rtol=0, atol=1e-3
     )
+
+
+def test_the_ground_is_that_of_the_terrain(tmp_path: Path) -> None:
+    write_points(tmp_path / "a.xyz", PointCloud(spoil(TERRAIN + MAP, -9999)))
+    ground = read_whole(take_ground(open_points(tmp_path / "a.xyz")))
+    assert (ground.positions[:, 2] + ground.origin[2]).min() >= 300
+    assert len(ground) > 0.9 * (~IS_GONE).sum()
 
 
 @pytest.mark.parametrize("rows", [slice(-300, None), slice(None, 140_000)])
