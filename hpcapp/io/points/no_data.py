@@ -21,7 +21,8 @@ _FEWEST, _FEWEST_ELSEWHERE = 10, 100  # rows: at the origin, or of a number; at 
 _LEAST_SHARE = 0.01  # of the rows, for a place other than the origin
 _TIMES_USUAL = 10  # as many rows as other places, or numbers, have
 
-_WRITTEN = (-9999.0, -99999.0, -32768.0, -32767.0, -999.0, 9999.0, 99999.0, 32767.0)
+_TO_COME = (-9999.0, -99999.0, -32768.0, -32767.0)  # none even where no row that was seen has it
+_WRITTEN = (*_TO_COME, -999.0, 9999.0, 99999.0, 32767.0)
 _SAME = 1e-6  # of a number that text, or integers of a scale, have rounded
 _BEYOND = 1e30  # no coordinate of any unit, as the largest number of single precision
 _LARGEST = (_BEYOND, float(np.finfo(np.float32).max))
@@ -188,7 +189,7 @@ def _find_to_come(positions: FloatArray) -> list[FloatArray]:
     """Return heights that would be none, should they come."""
     heights = positions[:, 2]
     reach = _RANGES * _extent(heights)
-    numbers = [*_WRITTEN, *_LARGEST, *(-number for number in _LARGEST)]
+    numbers = [*_TO_COME, *_LARGEST, *(-number for number in _LARGEST)]
     return [_any_but(2, number) for number in numbers if _is_beyond(number, heights, reach)]
 
 
