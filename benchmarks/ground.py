@@ -16,7 +16,8 @@ from scipy.spatial import cKDTree
 import hpcapp
 from hpcapp.applications.points.ground import GROUND, take_ground
 from hpcapp.geometry.points import FloatArray, PointCloud
-from hpcapp.io.points.mesh_points import sample_faces, slice_cloud
+from hpcapp.io.points.mesh_points import slice_cloud
+from hpcapp.io.points.mesh_samples import sample_faces
 from hpcapp.lab.simulate.raw.scan import RawScan, RawSettings, scan_scene
 
 SCENES = ("terrain", "forest", "town", "yard")

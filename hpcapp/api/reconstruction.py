@@ -126,7 +126,8 @@ def reconstruct(
     grid : int, optional
         Cells along the longest side, 16 to 4096; by default what the points resolve.
     sample : int, optional
-        The files are meshes: so many points on the faces of each are taken.
+        The files are meshes: so many points on the faces of each are taken; by default 100,000 of
+        those whose vertices are too few.
     box : sequence of float, optional
         x, y and z of two corners: the mesh is what lies between them, in the coordinates of the
         points.
@@ -297,7 +298,9 @@ def _open_files(
     asked = {one.name: getattr(settings, one.name) for one in fields(Settings)}
     crop = settings.crop
     choose = partial(crop.narrow, margin=MARGIN)
-    with gather_points(names, sample, keeps_noise=crop.keeps_noise, choose=choose) as path:
+    with gather_points(
+        names, sample, for_surface=True, keeps_noise=crop.keeps_noise, choose=choose
+    ) as path:
         job = JobSettings(points=path, output="", inputs=find_paths(names), **asked)
         yield job, Path(job.shown).name
 

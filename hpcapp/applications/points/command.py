@@ -37,7 +37,8 @@ SAMPLE = click.option(
     "--sample",
     type=click.IntRange(10),
     metavar="N",
-    help="POINTS is a mesh: take N points on its faces in place of its vertices.",
+    help="POINTS is a mesh: take N points on its faces in place of its vertices. A surface is made "
+    "so of 100,000 where the vertices are too few for the faces.",
 )
 BOX = click.option(
     "--box",

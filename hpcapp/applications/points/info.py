@@ -20,6 +20,7 @@ from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import PointSource, drop_unusable, read_whole
 from hpcapp.io.frame import scale_heights
 from hpcapp.io.points.column_roles import tell_use
+from hpcapp.io.points.inputs import find_sample
 from hpcapp.io.points.point_source import Findings
 from hpccomponent.errors import InputError
 
@@ -34,7 +35,8 @@ def describe_file(source: PointSource) -> tuple[dict[str, object], Findings, Poi
         ``normals``: where they are from, ``file`` or ``faces``, or None; ``is_oriented``:
         False where their signs are not known or contradict each other, None without them;
         ``opposed_normals``: share of neighbours whose normals do, or None; ``attributes``: names
-        of other columns that are kept; ``scans``: for each its ``points``, ``scanner`` and
+        of other columns that are kept; ``sample``: how many points on its faces a job takes in
+        place of a mesh's vertices, or None; ``scans``: for each its ``points``, ``scanner`` and
         ``grid``, or None; ``grid`` of the first; ``crs``; ``unit``; ``height_unit``: of z, where
         it is stated of that alone; ``up``: which way that is, and why; ``dropped``: points that
         are no part of the cloud, by reason; ``warnings``; and all that `describe` and
@@ -65,6 +67,7 @@ def describe_file(source: PointSource) -> tuple[dict[str, object], Findings, Poi
         "opposed_normals": opposed,
         "attributes": list(cloud.attributes),
         "columns": {name: tell_use(name, cloud) for name in source.columns},
+        "sample": find_sample(source.path),
         "scans": [
             {
                 "points": scan.points,

@@ -6,6 +6,7 @@
     comment height_unit ft              where heights have another one
     comment crs EPSG:2180
     comment joined 2 files: E57         what the points were read from
+    comment sampled 100000              points on the faces of meshes, unasked
     comment scanner 0 1.5 2 0.25        the number of the scan, and where its scanner stood
 """
 
@@ -33,11 +34,14 @@ class Kept:
     height_unit: str | None = None
     crs: str | None = None
     joined: str | None = None
+    sampled: int = 0
     scanners: dict[int, FloatArray] = field(default_factory=dict)
 
 
-def keep(crs: Crs, scans: Sequence[Scan] = ()) -> Iterator[str]:
+def keep(crs: Crs, scans: Sequence[Scan] = (), sampled: int = 0) -> Iterator[str]:
     """Yield the comment lines that keep what is known of some points; scans in order."""
+    if sampled:
+        yield f"comment sampled {sampled}"
     for name, value in crs.stated.items():
         yield f"comment {name} {value}"
     for number, scan in enumerate(scans):
@@ -56,6 +60,8 @@ def parse_comments(comments: Sequence[Sequence[str]]) -> Kept:
                 kept.height_unit = " ".join(rest)
             case ["joined", *rest] if rest:
                 kept.joined = " ".join(rest)
+            case ["sampled", number] if number.isdecimal():
+                kept.sampled = int(number)
             case ["crs", *rest] if rest:
                 kept.crs = " ".join(rest)
             case ["scanner", number, *place] if number.isdecimal() and len(place) == 3:

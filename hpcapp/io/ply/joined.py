@@ -28,7 +28,9 @@ _ROWS_AT_ONCE = 1 << 18
 _COUNT_DIGITS = 20  # the count is known when the last point is written
 
 
-def write_joined(path: Path, sources: Sequence[PointSource], choose: Choose | None = None) -> int:
+def write_joined(
+    path: Path, sources: Sequence[PointSource], choose: Choose | None = None, sampled: int = 0
+) -> int:
     """Write the points of sources, one after the other, as one PLY; return their number.
 
     Memory is bounded where all sources stream. Coordinates are written as ``double``, in those of
@@ -39,6 +41,8 @@ def write_joined(path: Path, sources: Sequence[PointSource], choose: Choose | No
     ----------
     choose : callable, optional
         Takes all of them as one source, and returns those of its points that are written.
+    sampled : int
+        How many of them were taken on the faces of meshes, unasked: who reads the file is told.
 
     Raises
     ------
@@ -52,7 +56,7 @@ def write_joined(path: Path, sources: Sequence[PointSource], choose: Choose | No
     joined = _chain(path, sources, layout)
     count = 0
     with replacing(path) as file:
-        file.write(_make_header(0, properties, sources))
+        file.write(_make_header(0, properties, sources, sampled))
         for part in (joined if choose is None else choose(joined)).chunks(_ROWS_AT_ONCE):
             rows = np.empty(len(part), dtype)
             for axis, values in zip(AXES, part.positions.T, strict=True):
@@ -61,7 +65,7 @@ def write_joined(path: Path, sources: Sequence[PointSource], choose: Choose | No
             file.write(rows.data)
             count += len(part)
         file.seek(0)
-        file.write(_make_header(count, properties, sources))
+        file.write(_make_header(count, properties, sources, sampled))
     return count
 
 
@@ -155,7 +159,9 @@ def _select(part: PointCloud, layout: PointCloud, first_scan: int) -> PointCloud
     )
 
 
-def _make_header(count: int, properties: VertexProperties, sources: Sequence[PointSource]) -> bytes:
+def _make_header(
+    count: int, properties: VertexProperties, sources: Sequence[PointSource], sampled: int
+) -> bytes:
     """Return the header; as long for any count."""
     scans = [scan for source in sources for scan in source.scans]
     joined = [f"comment joined {_name_formats(sources)}"] if len(sources) > 1 else []
@@ -163,7 +169,7 @@ def _make_header(count: int, properties: VertexProperties, sources: Sequence[Poi
     return ply_header(
         [
             *joined,
-            *keep(_find_frame(sources), scans),
+            *keep(_find_frame(sources), scans, sampled),
             *coordinate_lines(count, True),
             *properties.lines,
             filling,

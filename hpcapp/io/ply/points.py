@@ -29,6 +29,7 @@ from hpcapp.io.points.named_columns import (
     stack,
 )
 from hpcapp.io.points.point_source import Findings, PointSource, Scan
+from hpccomponent.cli.option_names import name_option
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 
@@ -57,6 +58,11 @@ def open_ply(path: Path) -> PointSource:
     header = _with_byte_colours(path, header)
     vertices = _choose_vertices(path, header, findings)
     kept = parse_comments(header.comments)
+    if kept.sampled:
+        findings.warn(
+            f"the vertices of a mesh are too few to stand for its faces: {kept.sampled} points on "
+            f"these are taken in their place ({name_option('sample')} takes another number)"
+        )
     columns = tuple(p.name for p in vertices.element.properties)
     return PointSource(
         path,

@@ -6,6 +6,7 @@
     a.ply.gz, -                        a copy, unpacked, in a temporary folder
     a.laz b.laz, 'scans/*.e57'         one PLY there, with all points (`ply.joined`)
     part.stl --sample 100000           one PLY there, with points on the mesh's faces
+    part.stl                           the same for a surface, where its vertices are too few
 
 So every later step, on workers and other machines too, has one file to read.
 """
@@ -18,14 +19,15 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from io import FileIO
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, BinaryIO
 
-from hpcapp.io.formats import open_points, read_mesh
+from hpcapp.io.formats import MESH_SUFFIXES, holds_faces, open_points, read_mesh
+from hpcapp.io.points.mesh_samples import SAMPLED, are_vertices_few, sample_faces
 from hpcapp.io.points.point_source import PointSource, translated
-from hpcapp.io.registry import find_point_reader
+from hpcapp.io.registry import find_point_reader, list_suffixes
 from hpccomponent.errors import HpcError, InputError, UsageError
 from hpccomponent.files.held_folders import temporary_folder
 from hpccomponent.files.outputs import STANDARD_INPUT
@@ -39,9 +41,11 @@ if TYPE_CHECKING:
 log = logging.getLogger("hpcapp")
 
 _PIPED = "-"
+_POINT_SUFFIXES = list_suffixes(lambda one: one.point_reader)
 _COMPRESSED = ".gz"
 _SPOOLED = 0.5  # of what the disk has free
 _PIECE = 1 << 20  # bytes
+_LARGEST_JUDGED = 1 << 25  # bytes of a mesh: a larger one has vertices enough
 _MAGIC = (
     (b"ply", ".ply"), (b"LASF", ".las"), (b"ASTM-E57", ".e57"), (b"\x93NUMPY", ".npy"),
     (b"PK\x03\x04", ".npz"), (b"# .PCD", ".pcd"), (b"VERSION", ".pcd"), (b"# vtk", ".vtk"),
@@ -54,6 +58,7 @@ def gather_points(
     names: Sequence[str],
     sample: int | None = None,
     *,
+    for_surface: bool = False,
     goes_elsewhere: bool = False,
     keeps_noise: bool = False,
     choose: Callable[[PointSource], PointSource] | None = None,
@@ -66,6 +71,9 @@ def gather_points(
         Files, patterns as ``scans/*.laz``, or ``-`` for the standard input.
     sample : int, optional
         The files are meshes: so many points on the faces of each are taken.
+    for_surface : bool
+        Points on the faces are taken, too, of meshes whose vertices are too few for a surface; a
+        warning of what is yielded says so.
     goes_elsewhere : bool
         Another machine reads what is yielded: files that need a library become PLYs.
     keeps_noise : bool
@@ -88,16 +96,26 @@ def gather_points(
         The standard input is named beside other files, or a suffix is unknown.
     """
     files = find_files(names)
-    can_stay = len(files) == 1 and sample is None
-    if can_stay and not _is_packed(files[0]) and not (goes_elsewhere and _is_special(files[0])):
-        yield Path(files[0])
-        return
+    is_one, samples = len(files) == 1, list[int | None]()
+
+    def choose_sample(path: Path) -> int | None:
+        return find_sample(path) if for_surface and sample is None else sample
+
+    def stays(file: str | Path) -> bool:
+        return is_one and samples == [None] and not (goes_elsewhere and _is_special(file))
+
+    if is_one and not _is_packed(files[0]):
+        samples = [choose_sample(Path(files[0]))]
+        if stays(files[0]):
+            yield Path(files[0])
+            return
     with temporary_folder() as folder:
         places = [folder / str(number) for number in range(len(files))]
         renamed = {f"{place}/input": _name(file) for place, file in zip(places, files, strict=True)}
         with _named(renamed):
             paths = [_fetch(file, place) for file, place in zip(files, places, strict=True)]
-        if can_stay and not (goes_elsewhere and _is_special(paths[0])):
+            samples = samples or [choose_sample(path) for path in paths]
+        if stays(paths[0]):
             with _named(renamed):
                 yield paths[0]
             return
@@ -106,8 +124,12 @@ def gather_points(
         joined = folder / "points.ply"
         renamed[str(joined)] = _shorten(files)
         with _named(renamed):
-            sources = [_open(path, sample, keeps_noise) for path in paths]
-            write_joined(joined, sources, choose)
+            sources = [
+                _open(path, points, keeps_noise)
+                for path, points in zip(paths, samples, strict=True)
+            ]
+            unasked = sum(points is not None for points in samples) if sample is None else 0
+            write_joined(joined, sources, choose, unasked * SAMPLED)
             for file, source in zip(files, sources, strict=True):
                 _report(file, source)
         with _named(renamed):
@@ -139,6 +161,19 @@ def find_files(names: Sequence[str]) -> list[str]:
 def find_paths(names: Sequence[str]) -> tuple[Path, ...]:
     """Return the files that a user has named, as `find_files` does, without the standard input."""
     return tuple(Path(name) for name in find_files(names) if name != _PIPED)
+
+
+def find_sample(path: Path) -> int | None:
+    """Return how many points on its faces stand for a mesh; None where those of the file do."""
+    suffix = path.suffix.lower()
+    if suffix not in MESH_SUFFIXES:
+        return None
+    if suffix not in _POINT_SUFFIXES:
+        return SAMPLED  # it is read as a mesh alone
+    with suppress(InputError, OSError):  # who reads the points will say so
+        if path.stat().st_size <= _LARGEST_JUDGED and holds_faces(path):
+            return SAMPLED if are_vertices_few(read_mesh(path)) else None
+    return None
 
 
 def _is_packed(file: str) -> bool:
@@ -231,7 +266,7 @@ def _decompress(packed: BinaryIO, target: FileIO, file: str) -> None:
 def _open(path: Path, sample: int | None, keeps_noise: bool) -> PointSource:
     if sample is None:
         return open_points(path, keeps_noise=keeps_noise)
-    from hpcapp.io.points.mesh_points import sample_faces, slice_cloud
+    from hpcapp.io.points.mesh_points import slice_cloud
 
     return slice_cloud(path, "a sampled mesh", sample_faces(read_mesh(path), sample))
 

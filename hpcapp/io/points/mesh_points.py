@@ -1,4 +1,4 @@
-"""Meshes as point clouds: their vertices, or points sampled on their faces.
+"""Meshes as point clouds: their vertices.
 
 A vertex takes its normal from the faces around it, weighted by their areas; an OBJ may also have
 normals and colours of its own, or no faces at all.
@@ -107,31 +107,3 @@ def slice_cloud(
         path, len(cloud), True, cloud.normals is not None, partial(cut_points, cloud), format=name,
         columns=name_columns(cloud), findings=findings or Findings(),
     )  # fmt: skip
-
-
-def sample_faces(mesh: Mesh, points: int) -> PointCloud:
-    """Sample points evenly on the faces of a mesh, with the faces' normals.
-
-    They are in the mesh's own coordinates (its origin is added). The same mesh and number give the
-    same points.
-
-    Raises
-    ------
-    InputError
-        The mesh has no area.
-    """
-    a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
-    normals = np.cross(b - a, c - a)
-    doubled = np.linalg.norm(normals, axis=1)
-    ends = np.cumsum(doubled)
-    if not len(ends) or not ends[-1] > 0:
-        raise InputError("the mesh has no area to sample", "check that the right file was exported")
-    random = np.random.default_rng(0)
-    # One point in each of as many equal shares of the area: more even than independent ones.
-    places = (np.arange(points) + random.random(points)) / points * ends[-1]
-    face = np.minimum(np.searchsorted(ends, places, side="right"), len(ends) - 1)
-    u, v = random.random((2, points, 1))
-    folded = u + v > 1
-    u, v = np.where(folded, 1 - u, u), np.where(folded, 1 - v, v)
-    positions = a[face] + u * (b[face] - a[face]) + v * (c[face] - a[face]) + mesh.origin
-    return PointCloud(positions, normals[face] / doubled[face][:, None])

@@ -17,7 +17,9 @@ other vectors off the surface      left out, with a warning
 many points at the origin, or any  dropped and counted, with a warning
 where all others are far from it
 many points at another same place  dropped and counted, with a warning
+a coordinate that is no data       dropped and counted, with a warning (see `no_data`)
 degrees                            a warning
+numbers too coarse for the points  a warning (see `precision`)
 whole metres                       a warning: they may be millimetres
 points measured from above         the source says so (see `survey`)
 =================================  ==========================================================
@@ -25,7 +27,6 @@ points measured from above         the source says so (see `survey`)
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterator
 from dataclasses import replace
@@ -36,12 +37,21 @@ from numpy.typing import NDArray
 
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.point_records import PointRecords
-from hpcapp.geometry.points import BoolArray, FloatArray, PointCloud
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.geometry.validity import are_finite
 from hpcapp.io.batches import join_points
 from hpcapp.io.columns import Numbers
 from hpcapp.io.points.column_roles import ColourScale, judge_colours, judge_normals
+from hpcapp.io.points.no_data import (
+    find_at,
+    find_no_data,
+    leave_out,
+    may_be_data,
+    name_no_data,
+    sum_coordinates,
+)
 from hpcapp.io.points.point_source import Findings, PointSource, Read, translated
+from hpcapp.io.points.precision import find_lost_digits
 from hpcapp.io.points.survey import EVIDENCE, is_flown_over, is_projected
 from hpccomponent.dataclass import dataclass
 
@@ -50,10 +60,6 @@ _ENOUGH_PARTS, _MOST_PARTS = 2, 64  # looked at where nothing is in doubt, and w
 _THIN = 16  # one row in so many is kept of the parts after the first
 _LOOKED_AT = ("normals", "colours", *EVIDENCE)  # beside positions
 _RUNS = 64  # over a file that is read from any row on
-
-_FEWEST_AT_ORIGIN, _FEWEST_ELSEWHERE = 10, 100  # rows that make a place one of missing returns
-_LEAST_SHARE = 0.01  # of the rows, for a place other than the origin
-_TIMES_USUAL = 10  # as many rows as other places have
 
 _BRIGHT = 63  # no 16-bit colours are all below this, or 0
 _OVERSHOOT = 0.05  # of colours from 0 to 1 that were computed
@@ -84,7 +90,7 @@ class _Decisions:
     colours : ColourScale or None
         How colours are scaled; None where there are none.
     missing : ndarray of float64, shape (k, 3)
-        Places of missing returns.
+        Places of missing returns and of no data, as of `find_no_data`.
     """
 
     colours: ColourScale | None
@@ -103,14 +109,13 @@ class _Decisions:
         meant = replace(part, normals=normals, colours=scaled)
         dropped = np.zeros(len(part), np.bool_)
         for place in self.missing:
-            is_there = _find_at(part.positions, place)
+            is_there = find_at(part.positions, place) & ~dropped
             if is_there.any():
-                findings.warn(_name_missing(place))
+                reason, line = name_no_data(place)
+                findings.warn(line)
+                findings.drop(reason, int(is_there.sum()))
                 dropped |= is_there
-        if not dropped.any():
-            return meant
-        findings.drop("repeated", int(dropped.sum()))
-        return meant.take(~dropped)
+        return meant.take(~dropped) if dropped.any() else meant
 
 
 def recognise(source: PointSource) -> PointSource:
@@ -139,12 +144,13 @@ def recognise(source: PointSource) -> PointSource:
         seen = _look_through(source)
     finite = np.flatnonzero(are_finite(seen.positions))
     seen = seen if len(finite) == len(seen) else seen.take(finite)
-    missing = _find_missing(seen.positions)
-    usable = seen
-    for place in missing:
-        usable = usable.take(~_find_at(usable.positions, place))
-    if source.records is None and _is_far_from_origin(usable.positions):
-        missing = np.vstack([missing[missing.any(axis=1)], np.zeros(3)])  # what is to come, too
+    missing, doubts = find_no_data(seen, source.unit, source.crs, goes_on=source.records is None)
+    for line in doubts:
+        findings.warn(line)
+    usable = leave_out(seen, missing)
+    points = len(usable) if source.records is None else source.records.count  # from all of these
+    if lost := find_lost_digits(usable.positions, points):
+        findings.warn(lost)
     use: Use = "normals" if source.normals_from == "faces" else _judge_use(usable, findings)
     colours = usable.normals if use == "colours" else usable.colours
     scale = None if colours is None else _judge_scale(colours, findings)
@@ -199,7 +205,7 @@ def _look_through(source: PointSource) -> PointCloud:
         part = replace(part, attributes=evidence)
         seen.append(part if number < _ENOUGH_PARTS else part.take(np.arange(0, len(part), _THIN)))
         if number + 1 == _MOST_PARTS or (
-            number + 1 >= _ENOUGH_PARTS and _is_certain(join_points(seen))
+            number + 1 >= _ENOUGH_PARTS and _is_certain(join_points(seen), source)
         ):
             break
     return join_points(seen)
@@ -214,9 +220,10 @@ def _read_runs(records: PointRecords) -> Iterator[PointCloud]:
         yield records.read(start, start + length, _LOOKED_AT)
 
 
-def _is_certain(seen: PointCloud) -> bool:
+def _is_certain(seen: PointCloud, source: PointSource) -> bool:
     """Tell whether more points would change nothing of what these say."""
-    if not are_finite(seen.positions).any() or not seen.positions.any():
+    finite = seen.take(are_finite(seen.positions))
+    if not finite.positions.any() or may_be_data(finite, source.unit, source.crs):
         return False
     if seen.normals is not None and judge_normals(seen.normals) not in ("unit", "any length"):
         return False
@@ -226,66 +233,6 @@ def _is_certain(seen: PointCloud) -> bool:
     if scale == "8 bit":  # or dark ones of 16 bit
         return bool(seen.colours.max() > _BRIGHT)
     return scale == "16 bit" or (scale == "float" and bool((seen.colours % 1 > 0).any()))
-
-
-def _find_missing(positions: FloatArray) -> FloatArray:
-    """Find the places where so many points are the same that they are missing returns."""
-    nowhere = np.zeros((0, 3))
-    if len(positions) < _FEWEST_AT_ORIGIN:
-        return nowhere
-    sums = _sum_coordinates(positions)
-    values, counts = np.unique(sums, return_counts=True)
-    fewest = max(_FEWEST_AT_ORIGIN, _TIMES_USUAL * float(np.median(counts)))
-    if len(counts) <= _FEWEST_AT_ORIGIN:
-        return nowhere
-    firsts = [int(np.argmax(sums == value)) for value in values[counts >= fewest]]
-    missing = [
-        place
-        for place in positions[firsts]
-        if _find_at(positions, place).sum()
-        >= (
-            max(fewest, _FEWEST_ELSEWHERE, _LEAST_SHARE * len(positions)) if place.any() else fewest
-        )
-    ]
-    return np.array(missing) if missing else nowhere
-
-
-def _is_far_from_origin(positions: FloatArray) -> bool:
-    """Tell whether points are so far from the origin that one there can be none of them."""
-    if len(positions) < _FEWEST_TO_DOUBT:
-        return False
-    low, high = bound_points(positions)
-    away = np.maximum(np.maximum(low, -high), 0)
-    with np.errstate(over="ignore"):  # beyond all numbers: not far
-        return bool(math.hypot(*away) > math.hypot(*(high - low)) > 0)
-
-
-def _name_missing(place: FloatArray) -> str:
-    """Say what was found at a place of missing returns."""
-    if not place.any():
-        return "points at the origin (0, 0, 0) are missing returns: they are dropped"
-    named = ", ".join(f"{coordinate:.9g}" for coordinate in place)
-    return (
-        f"many points are at the same place ({named}), which is that of missing returns: "
-        "they are dropped"
-    )
-
-
-def _sum_coordinates(positions: FloatArray) -> FloatArray:
-    """Return a number of each point that is another where the point is another, but for chance."""
-    x, y, z = positions.T
-    with np.errstate(over="ignore", invalid="ignore"):  # then some points count as one
-        sums: FloatArray = x + math.pi * y + math.e * z
-    sums[np.isnan(sums)] = np.inf
-    return sums
-
-
-def _find_at(positions: FloatArray, place: FloatArray) -> BoolArray:
-    """Tell which points are at a place."""
-    # Column by column: reductions along rows of three are several times slower.
-    columns = zip(positions.T, place, strict=True)
-    is_there: BoolArray = np.logical_and.reduce([column == value for column, value in columns])
-    return is_there
 
 
 def _judge_use(seen: PointCloud, findings: Findings) -> Use:
@@ -319,7 +266,7 @@ def _fit_surface(positions: FloatArray, normals: FloatArray) -> bool:
     from scipy.spatial import cKDTree  # few clouds are in doubt
 
     rows = np.flatnonzero(np.isfinite(normals).all(axis=1) & normals.any(axis=1))
-    rows = rows[np.sort(np.unique(_sum_coordinates(positions[rows]), return_index=True)[1])]
+    rows = rows[np.sort(np.unique(sum_coordinates(positions[rows]), return_index=True)[1])]
     if len(rows) < _FEWEST_TO_DOUBT:
         return True
     rows = rows[:: -(-len(rows) // _TREE_ROWS)]  # scan lines of a file's order are broken up

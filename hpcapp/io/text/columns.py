@@ -1,6 +1,7 @@
 """What the columns of a text file are: by their names, by the file's suffix, or by their values.
 
-Where nothing is named, x, y and z come first. What follows is told by its values: three columns of
+Where nothing is named, x, y and z come first, behind the number of the point or the time (see
+`leading`). What follows is told by its values: three columns of
 unit vectors are normals, three of whole numbers (or of numbers from 0 to 1) are colours, and others
 are single. Of four columns that could all be of a colour the first is the intensity, as PTS files
 have it, unless the last is opaque throughout: then that is alpha.
@@ -26,6 +27,7 @@ from hpcapp.io.points.column_roles import (
     name_some,
 )
 from hpcapp.io.points.point_source import Findings
+from hpcapp.io.text.leading import find_named_order, find_order, is_time
 from hpcapp.io.text.tables import RowNotes
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
@@ -35,6 +37,8 @@ DEGREES = ("lon", "long", "longitude", "lat", "latitude")
 
 _PROMISED = {".xyzn": NORMALS, ".pwn": NORMALS, ".xyzrgb": COLOURS, ".xyzi": ("intensity",)}
 _OPAQUE = {"8 bit": 255, "16 bit": 65535, "float": 1}
+_TIME = "time"
+_WORDS = {"x": "easting", "y": "northing", "z": "height"}
 _Kind = Literal["normals", "vectors", "zeros"] | ColourScale
 _DOUBTS: dict[_Kind | None, str] = {
     "float": "colours of 0 to 1",
@@ -143,7 +147,12 @@ def _rank(name: str) -> int:
 
 
 def assign_by_value(
-    path: Path, sample: FloatArray, numbers: tuple[int, ...], findings: Findings
+    path: Path,
+    sample: FloatArray,
+    numbers: tuple[int, ...],
+    findings: Findings,
+    *,
+    width: int = 0,
 ) -> Columns:
     """Say what columns without names are; the file's suffix may promise some.
 
@@ -155,6 +164,8 @@ def assign_by_value(
         Of these columns in the file, from 0.
     findings : Findings
         Is told what was guessed against the usual, and what could not be told.
+    width : int
+        Columns of the file, words too.
 
     Raises
     ------
@@ -162,7 +173,7 @@ def assign_by_value(
         There are fewer columns than the suffix promises.
     """
     suffix = path.suffix.lower()
-    roles = dict(enumerate(AXES + _PROMISED.get(suffix, ())))
+    roles = dict(enumerate(_find_first(path, sample, numbers, findings, width)))
     if sample.shape[1] < len(roles):
         raise InputError(
             f"{path}: {sample.shape[1]} columns, a {suffix} file has {' '.join(roles.values())}",
@@ -180,6 +191,27 @@ def assign_by_value(
             findings.warn(f"{columns} have no names and are taken for {_DOUBTS[kinds[at]]}")
     _name_singles(sample, roles, findings)
     return _make_columns([roles[i] for i in range(sample.shape[1])], sample)
+
+
+def _find_first(
+    path: Path, sample: FloatArray, numbers: tuple[int, ...], findings: Findings, width: int
+) -> tuple[str, ...]:
+    """Return the roles of the first columns: the coordinates, and what the suffix promises."""
+    promised = _PROMISED.get(path.suffix.lower(), ())
+    if not promised and is_time(sample):
+        findings.warn(f"column {numbers[0] + 1} only grows, as the time does, and is taken for it")
+        return (_TIME, *AXES)
+    is_numbered = numbers[0] > 0
+    is_list = is_numbered and len(numbers) == 3 and numbers[-1] + 1 < width  # with a code
+    named, told = find_named_order(path), find_order(sample) if is_numbered else ()
+    order = named or told or AXES
+    if named or order != AXES or (is_list and not told):
+        words = ", ".join(_WORDS[axis] for axis in order) if named or told else "x, y, z"
+        findings.warn(
+            f"columns {numbers[0] + 1} to {numbers[2] + 1} have no names and are taken for {words}:"
+            " if they are not, put a line of names in front, as number,y,x,z,code (y is north)"
+        )
+    return order + promised
 
 
 def _judge(values: FloatArray) -> _Kind | None:

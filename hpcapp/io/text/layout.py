@@ -18,6 +18,7 @@ from hpcapp.geometry.points import FloatArray
 from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS, find_role, name_some
 from hpcapp.io.points.point_source import Findings
 from hpcapp.io.rows import Line, is_count, line_error, numbered
+from hpcapp.io.text.leading import are_point_numbers, find_named_order
 from hpcapp.io.text.lines import find_encoding, read_blocks, sample_lines
 from hpcapp.io.text.tables import RowFormat, is_missing, is_number, parse_sample
 from hpccomponent.dataclass import dataclass
@@ -26,7 +27,6 @@ from hpccomponent.errors import InputError
 _COMMENT_MARK = re.compile(r"\s*(?:#+|//+|;+|%+|!+)\s*")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?", re.ASCII)
 _LONGEST_COUNT = 24
-_COUNTED_ROWS = 20
 _MOST_COUNTS = 10_000
 _HEAD_ROWS = 1 << 12
 _PROBED_ROWS = 1 << 11
@@ -103,7 +103,8 @@ def find_layout(path: Path, findings: Findings) -> tuple[Layout, FloatArray]:
         takes_surplus=names is not None,
     )
     sample = parse_sample(texts, rows)
-    if names is None and _counts_points(sample):
+    is_named = bool(find_named_order(path)) and rows.wanted[0] == 0 and len(rows.wanted) > len(AXES)
+    if names is None and (is_named or are_point_numbers(sample)):
         findings.warn(f"column {rows.wanted[0] + 1} counts the points, and is passed over")
         rows, sample = replace(rows, wanted=rows.wanted[1:]), sample[:, 1:]
     counts = _find_counts(path, encoding, head.count) if head.count else ()
@@ -271,15 +272,6 @@ def _choose_by_name(
     if mixed:
         findings.warn(f"left out, as not all of a column is numbers: {name_some(mixed)}")
     return tuple(wanted)
-
-
-def _counts_points(sample: FloatArray) -> bool:
-    """Tell whether the first column goes 1, 2, 3, and three that are no whole numbers follow."""
-    start = sample[:_COUNTED_ROWS]
-    if sample.shape[1] < 4 or len(start) < _COUNTED_ROWS or start[0, 0] not in (0, 1):
-        return False
-    has_fractions = (start[:, 1:4] != np.rint(start[:, 1:4])).any(axis=0).all()
-    return bool(has_fractions and (np.diff(start[:, 0]) == 1).all())
 
 
 def _find_counts(

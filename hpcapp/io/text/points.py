@@ -39,7 +39,7 @@ def open_text(path: Path) -> PointSource:
     layout, sample = find_layout(path, findings)
     wanted = layout.rows.wanted
     if layout.names is None:
-        columns = assign_by_value(path, sample, wanted, findings)
+        columns = assign_by_value(path, sample, wanted, findings, width=layout.rows.columns)
         names = columns.roles
     else:
         columns = assign_by_name([layout.names[i] for i in wanted], sample)

@@ -551,6 +551,7 @@ def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:
             gather_points(
                 names,
                 sample,
+                for_surface=True,
                 keeps_noise=crop.keeps_noise,
                 choose=partial(crop.narrow, margin=MARGIN),
             ) as points,

@@ -76,7 +76,7 @@ def check_points(points: Path, sample: int | None = None) -> None:
     InputError
         It cannot be read, or its points cannot be used.
     """
-    with gather_points([str(points)], sample) as path:
+    with gather_points([str(points)], sample, for_surface=True) as path:
         drop_unusable(read_points(path), str(path))
 
 
@@ -128,6 +128,7 @@ def run_on_cluster(ctx: click.Context) -> dict[str, Any]:
         gather_points(
             names,
             ctx.params["sample"],
+            for_surface=True,
             goes_elsewhere=True,
             keeps_noise=crop.keeps_noise,
             choose=partial(crop.narrow, margin=MARGIN),

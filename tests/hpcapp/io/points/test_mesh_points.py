@@ -9,7 +9,7 @@ from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray
 from hpcapp.io import read_whole
 from hpcapp.io.meshes.stl import write_stl
-from hpcapp.io.points.mesh_points import open_obj, open_off, open_stl, sample_faces
+from hpcapp.io.points.mesh_points import open_obj, open_off, open_stl
 from hpccomponent.errors import InputError
 
 OCTAHEDRON = np.array(
@@ -72,15 +72,3 @@ def test_an_off_is_read_as_its_vertices(tmp_path: Path) -> None:
     rows += ["3 {} {} {}".format(*row) for row in FACES]
     (tmp_path / "a.off").write_text("OFF\n6 8 0\n" + "\n".join(rows))
     np.testing.assert_array_equal(read_whole(open_off(tmp_path / "a.off")).positions, OCTAHEDRON)
-
-
-def test_the_same_sample_comes_twice() -> None:
-    mesh = Mesh(OCTAHEDRON, FACES.astype(np.int64))
-    first, second = (sample_faces(mesh, 100).positions for _ in range(2))
-    np.testing.assert_array_equal(first, second)
-    np.testing.assert_allclose(np.abs(first).sum(axis=1), 1.0, atol=1e-12)
-
-
-def test_a_mesh_without_area_has_no_sample() -> None:
-    with pytest.raises(InputError, match="no area"):
-        sample_faces(Mesh(np.zeros((3, 3)), np.array([[0, 1, 2]])), 10)
