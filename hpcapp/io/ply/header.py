@@ -30,6 +30,11 @@ SCALAR_TYPES = {name: dtype for dtype, names in _SPELLINGS.items() for name in n
 
 _BYTE_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _KEYWORDS = ("comment", "obj_info", "format", "element", "property")
+_FIRST_LINE = re.compile(rb"(?:\xef\xbb\xbf)?ply[ \t]*(\r\n|\n|\r)")
+_LAST_LINE = (
+    re.compile(rb"[\r\n]end_header[ \t]*(?:\r?\n|\Z)"),
+    re.compile(rb"[\r\n]end_header[ \t]*(?:\r|\Z)"),
+)
 _LONGEST_HEADER = 1 << 20
 _EXPORT_AGAIN = "export the file again as PLY 1.0"
 
@@ -127,15 +132,14 @@ def read_header(path: Path) -> Header:
         head = file.read(_LONGEST_HEADER)
     if not head:
         raise InputError(f"{path}: the file is empty", "export or copy it again")
-    first = re.match(rb"(?:\xef\xbb\xbf)?ply[ \t]*(\r\n|\n|\r)", head)
+    first = _FIRST_LINE.match(head)
     if first is None:
         raise InputError(
             f"{path}: not a PLY file: its first line is not 'ply'", "check the file and its suffix"
         )
     # A lone CR ends the header only where it ends lines: otherwise the next byte may be an LF
     # that belongs to it, or to a binary body.
-    newline = rb"\r" if first[1] == b"\r" else rb"\r?\n"
-    end = re.search(rb"[\r\n]end_header[ \t]*(?:" + newline + rb"|\Z)", head)
+    end = _LAST_LINE[first[1] == b"\r"].search(head)
     if end is None:
         raise InputError(f"{path}: the PLY header has no 'end_header'", _EXPORT_AGAIN)
     # Bytes know no line ends but these: comments may hold any character.

@@ -51,6 +51,7 @@ _SPELLINGS = {
     "columnindex": "column",
     **dict.fromkeys(("class", "classification", "scalarclassification"), "classification"),
 }
+_BRACKET = re.compile(r"[\[(]")
 _NAMED = 5  # columns in a message
 _UNIT = 0.05  # how far from 1 the length of a unit vector may be: two decimals of each component
 _MOST = 0.9  # share of the rows that decide: a file may have some bad ones
@@ -72,7 +73,9 @@ def find_role(name: str) -> str:
     ['x', 'ny', 'red', 'z', 'OffsetTime']
     """
     stripped = name.strip().strip("\"'").strip()
-    bare = re.sub(r"(?<=.)[\[(].*[\])]$", "", stripped.lower())  # without a unit
+    bare = stripped.lower()
+    if bare.endswith(("]", ")")):  # a unit
+        bare = bare[:1] + _BRACKET.split(bare[1:], 1)[0]
     return _SPELLINGS.get(re.sub(r"[^a-z0-9]", "", bare), stripped)
 
 

@@ -24,7 +24,8 @@ from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 
 _COMMENT_MARK = re.compile(r"\s*(?:#+|//+|;+|%+|!+)\s*")
-_DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?", re.ASCII)
+_DECIMAL_COMMA = re.compile(r"[+-]?\d*+,\d+(?:[eE][+-]?\d+)?", re.ASCII)
+_COMMA_AND_DIGIT = re.compile(r",\d", re.ASCII)
 _LONGEST_COUNT = 24
 _COUNTED_ROWS = 20
 _MOST_COUNTS = 10_000
@@ -183,7 +184,7 @@ def _find_separator(texts: list[str], first: Line, path: Path) -> RowFormat:
     texts = [text for text in texts if mark in text]
     if mark == ",":
         return _judge_commas(texts, first, path)
-    return RowFormat(";", "." if any(map(_DECIMAL_COMMA.search, texts)) else ",")
+    return RowFormat(";", "." if any(map(_COMMA_AND_DIGIT.search, texts)) else ",")
 
 
 def _judge_commas(texts: list[str], first: Line, path: Path) -> RowFormat:
