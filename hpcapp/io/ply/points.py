@@ -31,6 +31,7 @@ from hpcapp.io.points.named_columns import (
 from hpcapp.io.points.point_source import Findings, PointSource, Scan
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
+from hpccomponent.ranges import is_place
 
 _ROWS_AT_ONCE = 1 << 16
 _EXACT_IN_SINGLE = ("f4", "i1", "u1", "i2", "u2")
@@ -295,4 +296,4 @@ def _find_scanner(path: Path, header: Header) -> FloatArray | None:
     if camera is None or camera.count != 1 or not set(_VIEW) <= {p.name for p in camera.properties}:
         return None
     place = stack(read_body(path, header, {"camera"})["camera"].scalars, _VIEW)[0]
-    return place if place.any() and np.isfinite(place).all() else None
+    return place if place.any() and is_place(*place) else None

@@ -11,6 +11,7 @@ import numpy as np
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.points import BoolArray, FloatArray, PointCloud
 from hpcapp.geometry.validity import Dropped, select_usable
+from hpcapp.io.frame import check_coordinates, choose_origin
 from hpccomponent.errors import InputError, OutputError
 
 log = logging.getLogger("hpcapp")
@@ -99,7 +100,8 @@ def refuse_degenerate(low: FloatArray, high: FloatArray, points: int, source: st
     Raises
     ------
     InputError
-        The largest coordinate is above 1e35, or below 1e-35 and not zero; or the box has no extent.
+        The largest coordinate is above 1e35, or below 1e-35 and not zero; all lie beyond
+        `FARTHEST`, far from zero for their extent; or the box has no extent.
     """
     largest = float(np.abs([low, high]).max())
     if largest > _LARGEST or 0 < largest < _SMALLEST:
@@ -107,6 +109,7 @@ def refuse_degenerate(low: FloatArray, high: FloatArray, points: int, source: st
             f"{source}: the largest coordinate is {largest:g}",
             "scale the points: such numbers leave the range of float32",
         )
+    check_coordinates(choose_origin(low, high), source, "the middle of the points")
     if (low == high).all():
         raise InputError(
             f"{source}: all {points} points lie in one place",
