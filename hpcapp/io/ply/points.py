@@ -219,7 +219,7 @@ def _find_points(
     start, dtype = located
     columns: dict[str, Column] = {}
     for number, p in enumerate(vertex.properties):
-        if p in vertex.scalars:
+        if p.count_dtype is None:
             assert dtype.fields is not None  # noqa: S101 - it has these
             kind, offset = dtype.fields[f"v{number}"][:2]
             columns[p.name] = (int(offset), kind.str)

@@ -27,6 +27,9 @@ NormalKind = Literal["unit", "encoded", "any length", "zero", "one octant", "non
 """Unit vectors; (n + 1) / 2; vectors of other lengths on all sides; zeros; vectors of which no
 component is negative, as no closed cloud has them; or none of these: no normals."""
 
+MOST_COLUMNS = 4096
+"""That a point may have: features and spectra have some hundreds."""
+
 _SPELLINGS = {
     **dict.fromkeys(("x", "px", "pointx", "coordx", "xcoordinate", "points0"), "x"),
     **dict.fromkeys(("y", "py", "pointy", "coordy", "ycoordinate", "points1"), "y"),

@@ -15,7 +15,14 @@ from pathlib import Path
 import numpy as np
 
 from hpcapp.geometry.points import FloatArray
-from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS, find_role, name_some
+from hpcapp.io.points.column_roles import (
+    AXES,
+    COLOURS,
+    MOST_COLUMNS,
+    NORMALS,
+    find_role,
+    name_some,
+)
 from hpcapp.io.points.point_source import Findings
 from hpcapp.io.rows import Line, is_count, line_error, numbered
 from hpcapp.io.text.lines import find_encoding, read_blocks, sample_lines
@@ -97,6 +104,9 @@ def find_layout(path: Path, findings: Findings) -> tuple[Layout, FloatArray]:
         raise InputError(f"{path}: no points: the file has no line of numbers", "check the file")
     rows = replace(rows, columns=Counter(map(len, fields)).most_common(1)[0][0])
     fields = [row for row in fields if len(row) == rows.columns]
+    if rows.columns > MOST_COLUMNS:
+        problem = f"{rows.columns} columns, more than {MOST_COLUMNS}"
+        raise line_error(path, first, problem, "export fewer of them")
     names = _match_names(head, fields, path, findings)
     rows = replace(
         rows,
