@@ -89,7 +89,8 @@ class _Unroller:
         if name in _SINGLE:
             yield [Piece(self._expand(item))]
         elif name in _REPEATS:
-            yield from self._repeat(*value, gives_back=name != "POSSESSIVE_REPEAT")
+            least, most, body = value
+            yield from self._repeat(least, most, body, name != "POSSESSIVE_REPEAT")
         elif name == "BRANCH":
             for branch in value[1]:
                 yield from self.unroll(list(branch))

@@ -58,12 +58,13 @@ def read_glb(path: Path) -> Mesh:
     with _translated(path):
         file = _open(path)
         known: set[int] = set()
-        parts = [
-            part for root in file.roots for part in _list_parts(file, root, np.eye(4), known, 0)
-        ]
-        for part in parts:
-            file.claim(part)
-        mesh = parts[0].read(file) if len(parts) == 1 else _join(file, parts)
+        parts: list[_Part] = []
+        for root in file.roots:
+            for part in _list_parts(file, root, np.eye(4), known, 0):
+                file.claim(part)
+                parts.append(part)
+        with np.errstate(invalid="ignore", over="ignore"):  # NaN of any kind
+            mesh = parts[0].read(file) if len(parts) == 1 else _join(file, parts)
         if not len(mesh.faces):
             raise InputError(f"{path}: holds no triangles", "give a mesh")
         return mesh

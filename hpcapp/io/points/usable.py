@@ -24,6 +24,8 @@ FEWEST_POINTS = 10
 _SMALLEST, _LARGEST = 1e-35, 1e35
 """Largest coordinate of a cloud: fields are computed in float32."""
 
+_MIDDLE = "the middle of the points"
+
 _SAMPLE = 100_000  # points that show whether they lie on a line, if they do not
 
 _FLATTEST = 1e-6
@@ -41,11 +43,12 @@ def drop_unusable(cloud: PointCloud, source: str = "the point cloud") -> tuple[P
     Raises
     ------
     InputError
-        Fewer than `FEWEST_POINTS` points are left, or all of them lie in one place or on one
-        line.
+        Fewer than `FEWEST_POINTS` points are left, or all of them lie in one place, on one line or
+        too far from zero.
     """
     if not len(cloud):
         raise InputError(f"{source} holds no points", "check that the right file was exported")
+    check_coordinates(cloud.origin, source, _MIDDLE)
     usable, dropped = select_usable(cloud)
     refuse_too_few(len(usable), dropped, source)
     low, high = bound_points(usable.positions)
@@ -109,7 +112,7 @@ def refuse_degenerate(low: FloatArray, high: FloatArray, points: int, source: st
             f"{source}: the largest coordinate is {largest:g}",
             "scale the points: such numbers leave the range of float32",
         )
-    check_coordinates(choose_origin(low, high), source, "the middle of the points")
+    check_coordinates(choose_origin(low, high), source, _MIDDLE)
     if (low == high).all():
         raise InputError(
             f"{source}: all {points} points lie in one place",
