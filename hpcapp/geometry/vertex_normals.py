@@ -38,6 +38,7 @@ def scale_normals(sums: FloatArray) -> FloatArray:
     ndarray of float64, shape (v, 3)
         Zero where there are no faces with an area.
     """
-    lengths = np.sqrt(sums[0] * sums[0] + sums[1] * sums[1] + sums[2] * sums[2])
+    with np.errstate(over="ignore"):  # of vertices far beyond all: no direction
+        lengths = np.sqrt(sums[0] * sums[0] + sums[1] * sums[1] + sums[2] * sums[2])
     scaled = np.divide(sums, lengths, out=np.zeros_like(sums), where=lengths > 0.0)
     return np.ascontiguousarray(scaled.T)

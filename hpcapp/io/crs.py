@@ -62,7 +62,7 @@ class _Node:
                 yield child
 
 
-_TOKEN = re.compile(r'"((?:[^"]|"")*)"|([A-Za-z_]\w*)\s*[\[(]|([\])])|([^\s,\[\]()"]+)')
+_TOKEN = re.compile(r'"((?:[^"]++|"")*+)"?|([^\s,\[\]()"]++)(\s*+[\[(])?|([\])])')
 _PROJECTED = ("PROJCS", "PROJCRS", "PROJECTEDCRS", "LOCAL_CS", "ENGCRS", "ENGINEERINGCRS")
 _GEOCENTRIC = ("GEOCCS", "GEODCRS", "GEODETICCRS")
 _VERTICAL = ("VERT_CS", "VERTCS", "VERTCRS", "VERTICALCRS")
@@ -176,16 +176,16 @@ def _parse_tree(text: str) -> _Node:
     """Parse brackets into a tree; what is not closed ends with the text."""
     root = _Node("", [])
     open_nodes = [root]
-    for quoted, keyword, closing, other in _TOKEN.findall(text):
-        if keyword:
-            node = _Node(keyword.upper(), [])
+    for quoted, word, opening, closing in _TOKEN.findall(text):
+        if opening:
+            node = _Node(word.upper(), [])
             open_nodes[-1].children.append(node)
             open_nodes.append(node)
         elif closing:
             if len(open_nodes) > 1:
                 open_nodes.pop()
         else:
-            open_nodes[-1].children.append(quoted or other)
+            open_nodes[-1].children.append(quoted or word)
     return root
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import PointCloud
 from hpcapp.io.crs import Crs
+from hpcapp.io.frame import check_coordinates
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.output import list_mesh_files, list_point_files
 from hpcapp.io.placement import BESIDE, Placement, bring_back, find_crs_beside, note_origin
@@ -26,6 +27,7 @@ from hpcapp.io.registry import (
     find_point_writer,
     list_suffixes,
 )
+from hpcapp.io.text.endings import find_cut, warn_of_cut
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.files.outputs import STANDARD_INPUT, check_files
 
@@ -83,7 +85,10 @@ def open_points(path: str | PathLike[str], *, keeps_noise: bool = False) -> Poin
     reader = find_point_reader(Path(path))
     with translated(Path(path)):
         _refuse_special(Path(path))
-        return recognise(reader.open(Path(path), keeps_noise=keeps_noise))
+        source = recognise(reader.open(Path(path), keeps_noise=keeps_noise))
+        if cut := find_cut(Path(path)):
+            source.findings.warn(cut)
+    return source
 
 
 def holds_faces(path: str | PathLike[str]) -> bool:
@@ -142,7 +147,10 @@ def read_mesh(path: str | PathLike[str]) -> Mesh:
     reader = find_mesh_reader(Path(path))
     with translated(Path(path)):
         _refuse_special(Path(path))
-        return bring_back(Path(path), reader.read(Path(path)))
+        mesh = bring_back(Path(path), reader.read(Path(path)))
+        warn_of_cut(Path(path))
+    check_coordinates(mesh.origin, path, "the middle of the mesh")
+    return mesh
 
 
 def write_points(

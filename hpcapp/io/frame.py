@@ -7,11 +7,14 @@ another unit than x and y are scaled as well.
 from __future__ import annotations
 
 from dataclasses import replace
+from os import PathLike
 
 import numpy as np
 
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.points import FloatArray, PointCloud
+from hpccomponent.errors import InputError
+from hpccomponent.ranges import FARTHEST
 
 FAR_IN_DIAGONALS = 10.0
 """Coordinates beyond so many diagonals of the bounding box count as georeferenced."""
@@ -84,6 +87,22 @@ def finite_bounds(positions: FloatArray) -> tuple[FloatArray, FloatArray]:
         return low, high
     finite = positions[np.isfinite(positions).all(axis=1)]
     return bound_points(finite) if len(finite) else (np.zeros(3), np.zeros(3))
+
+
+def check_coordinates(numbers: FloatArray, path: str | PathLike[str], what: str) -> None:
+    """Refuse what moves all points of a file: an origin, an offset, a scanner's place, a matrix.
+
+    Raises
+    ------
+    InputError
+        A number is NaN, or beyond `FARTHEST`: all points would fall on few.
+    """
+    is_number = np.abs(numbers) <= FARTHEST
+    if not is_number.all():
+        wrong = float(numbers[~is_number].flat[0])
+        raise InputError(
+            f"{path}: {what} has {wrong:g}", f"numbers up to {FARTHEST:.0e} move points: correct it"
+        )
 
 
 def scale_heights(cloud: PointCloud, factor: float) -> PointCloud:

@@ -18,7 +18,7 @@ from hpccomponent.foreign_json import decode
 from hpccomponent.ranges import FARTHEST, is_place
 
 OUTLINE_SUFFIXES = (".geojson", ".json", ".wkt", ".txt", ".shp")
-_WKT = re.compile(r"\s*(SRID=\d+;)?\s*(MULTI)?POLYGON", re.IGNORECASE)
+_WKT = re.compile(r"\s*+(SRID=\d+;\s*+)?(MULTI)?POLYGON", re.IGNORECASE)
 _EXPORT = "export the polygons again, as GeoJSON"
 
 

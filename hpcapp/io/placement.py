@@ -27,6 +27,7 @@ from hpccomponent.cli.option_names import name_option
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.foreign_json import decode
+from hpccomponent.ranges import FARTHEST, is_place
 
 if TYPE_CHECKING:
     from hpcapp.geometry.mesh import Mesh
@@ -34,9 +35,9 @@ if TYPE_CHECKING:
 Origin: TypeAlias = "str | tuple[float, float, float]"
 """``auto``, ``keep``, or what is subtracted from the coordinates."""
 
-_Coordinate: TypeAlias = Annotated[float, Meta(ge=-1e300, le=1e300)]
+_Coordinate: TypeAlias = Annotated[float, Meta(ge=-FARTHEST, le=FARTHEST)]
 Place: TypeAlias = tuple[_Coordinate, _Coordinate, _Coordinate]
-"""A place that a file or a report may name: three finite numbers."""
+"""A place that a file or a report may name: see `is_place`."""
 
 BESIDE = ".origin.json"
 """Ends the name of the file beside a mesh."""
@@ -106,7 +107,7 @@ def parse_origin(text: str) -> Origin:
     Raises
     ------
     UsageError
-        It is neither a word nor three finite numbers.
+        It is neither a word nor a place.
 
     Examples
     --------
@@ -119,9 +120,10 @@ def parse_origin(text: str) -> Origin:
         x, y, z = (float(word) for word in text.split(","))
     except ValueError:
         x = y = z = np.nan
-    if not np.isfinite([x, y, z]).all():
+    if not is_place(x, y, z):
         asked = name_option("origin", repr(text))
-        raise UsageError(f"{asked}: is no place", "give auto, keep, or X,Y,Z")
+        advice = f"give auto, keep, or X,Y,Z, numbers up to {FARTHEST:.0e}"
+        raise UsageError(f"{asked}: is no place", advice)
     return x, y, z
 
 

@@ -31,6 +31,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hpccomponent.decoding.claims import Claims, most_memory
 from hpccomponent.errors import InputError, JobError, UsageError
 
 Refuse = Callable[[str], InputError]
@@ -39,8 +40,6 @@ Refuse = Callable[[str], InputError]
 _LEAST_S = 5.0  # of computing, which the kernel counts: a busy machine is no fault of the file
 _BYTES_PER_S = 50_000  # of the file: good ones are decoded a hundred times as fast
 _PATIENCE_S = 60.0  # for one answer, beside that: only who waits for ever takes so long
-_LEAST_MEMORY = 1 << 30  # bytes
-_FILE_SIZES = 4  # of memory, beside that
 _LONGEST_ANSWER = 4096  # bytes
 _DIGITS = 20
 _ENDS_S = 1.0  # so long after its pipe has closed
@@ -149,14 +148,16 @@ def open_decoder(
 
     Raises
     ------
+    InputError
+        The file claims too much memory.
     OSError
         The process cannot be started, or the file is not there.
     """
-    file_size = path.stat().st_size
-    computing_s = _LEAST_S + file_size / _BYTES_PER_S
+    Claims(path).add(size, "what is decoded at once")
+    computing_s = _LEAST_S + path.stat().st_size / _BYTES_PER_S
     with _open_shared(max(size, 1)) as shared:
         memory = np.frombuffer(mmap.mmap(shared, max(size, 1)), np.uint8)
-        limits = [_LEAST_MEMORY + _FILE_SIZES * file_size, round(computing_s)]
+        limits = [most_memory(path), round(computing_s)]
         program = f"from hpccomponent.decoding.{module} import main; main()"
         command = [sys.executable, "-P", "-S", "-c", program]  # -m would import twice as much
         process = subprocess.Popen(  # noqa: S603 - our own interpreter and module

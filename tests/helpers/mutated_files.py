@@ -10,10 +10,12 @@ import argparse
 import multiprocessing
 import os
 import re
+import resource
 import struct
 import sys
 import tempfile
 import time
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from multiprocessing.connection import Connection
@@ -21,14 +23,18 @@ from pathlib import Path
 
 import numpy as np
 
-from hpcapp.io import open_points, read_whole
+from hpcapp.io import open_points, read_mesh, read_whole
 from hpcapp.io.e57.document import sum_pages
+from hpcapp.io.formats import MESH_SUFFIXES
+from hpcapp.io.registry import list_suffixes
 from hpccomponent.errors import HpcError
 
 GOOD = ("a cloud", "refused", "refused: the decoder died", "refused: the decoder hung")
 """Ends of reading that are as they should be."""
 
 LONGEST_S = 10.0
+MOST_MEMORY = 1 << 30  # bytes, beside what the libraries map
+POINT_SUFFIXES = list_suffixes(lambda one: one.point_reader)
 
 _PAGE, _HELD = 1024, 1020
 _NUMBERS = (b"0", b"-1", b"1", b"255", b"65536", b"2147483647", b"99999999999999999999", b"1e999")
@@ -227,6 +233,11 @@ def _hear(ours: Connection) -> tuple[str, str]:
 
 
 def _read_files(theirs: Connection) -> None:
+    """Read files with so little memory that what they claim beyond the rule cannot be had."""
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    most = pages * resource.getpagesize() + MOST_MEMORY
+    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    warnings.simplefilter("error")  # each is a line of its own on a terminal
     theirs.send("up")
     while True:
         try:
@@ -237,11 +248,21 @@ def _read_files(theirs: Connection) -> None:
 
 
 def _read(path: Path) -> tuple[str, str]:
+    """Read points and meshes, as far as a format has both; tell how the last of them ended."""
+    end = ("", "")
+    if path.suffix in POINT_SUFFIXES:
+        end = _try(path, lambda: read_whole(open_points(path)))
+    if path.suffix in MESH_SUFFIXES and end[0] in ("", *GOOD):
+        end = _try(path, lambda: read_mesh(path))
+    return end
+
+
+def _try(path: Path, read: Callable[[], object]) -> tuple[str, str]:
     try:
-        read_whole(open_points(path))
+        read()
     except HpcError as error:
         said = str(error)
-        if error.exit_code != 3 or "\n" in said:
+        if error.exit_code != 3 or "\n" in said or str(path) not in said:
             return f"exit code {error.exit_code}", said
         if "decoder was ended" in said:
             return "refused: the decoder died", said

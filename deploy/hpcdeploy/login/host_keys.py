@@ -16,7 +16,7 @@ import paramiko
 
 from hpccomponent.errors import CloudError
 
-_BLOCK = re.compile(r"-----BEGIN SSH HOST KEY KEYS-----(.*?)-----END SSH HOST KEY KEYS-----", re.S)
+_BEGIN, _END = "-----BEGIN SSH HOST KEY KEYS-----", "-----END SSH HOST KEY KEYS-----"
 _KEY = re.compile(r"\b(ssh-ed25519|ssh-rsa|ecdsa-sha2-nistp\d+) +(AAAA[\w+/]+={0,2})")
 
 
@@ -41,8 +41,9 @@ def parse_console(text: str) -> list[tuple[str, str]]:
     ... -----END SSH HOST KEY KEYS-----''')
     [('ssh-ed25519', 'AAAAC3Nz')]
     """
+    blocks = (part.partition(_END) for part in text.split(_BEGIN)[1:])
     printed_keys = (
-        match.groups() for block in _BLOCK.findall(text) for match in _KEY.finditer(block)
+        match.groups() for block, end, _ in blocks if end for match in _KEY.finditer(block)
     )
     return list(dict.fromkeys((kind, key) for kind, key in printed_keys))
 

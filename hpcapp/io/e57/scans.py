@@ -13,6 +13,7 @@ import numpy as np
 from hpcapp.geometry.points import FloatArray
 from hpcapp.io.e57.document import Element, refuse
 from hpcapp.io.e57.packets import hold_more
+from hpcapp.io.frame import check_coordinates
 from hpcapp.io.points.column_roles import COLOURS, find_role
 from hpccomponent.dataclass import dataclass
 from hpccomponent.decoding.process import Decoder, open_decoder
@@ -122,6 +123,8 @@ def describe_scan(node: Element, index: int, path: Path) -> E57Scan:
         )
     invalid = _INVALID[position is SPHERICAL]
     columns = _name_columns(fields)
+    translation = _read_pose(node, "translation", "xyz")
+    check_coordinates(translation, path, f"the pose of scan {index}")
     return E57Scan(
         index,
         _count_points(points, fields, index, path),
@@ -130,16 +133,16 @@ def describe_scan(node: Element, index: int, path: Path) -> E57Scan:
         columns,
         _find_colour_limit(node, fields, columns),
         _find_rotation(node),
-        _read_pose(node, "translation", "xyz"),
+        translation,
     )
 
 
 def _count_points(points: Element, fields: dict[str, Element], index: int, path: Path) -> int:
     """Return how many points a scan declares; the file must have room for them."""
     count = int(points.attributes.get("recordCount", 0))
-    bits = sum(_count_bits(field) for field in fields.values())
+    bits = max(1, sum(_count_bits(field) for field in fields.values()))
     size = path.stat().st_size
-    if count * bits > 8 * size:
+    if not 0 <= count * bits <= 8 * size:
         raise refuse(
             path,
             f"scan {index} declares {count} points of {bits} bits, more than the file's {size} "

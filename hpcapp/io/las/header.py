@@ -16,6 +16,7 @@ import numpy as np
 
 from hpcapp.geometry.points import FloatArray
 from hpcapp.io.crs import Crs, parse_geokeys, parse_wkt
+from hpcapp.io.frame import check_coordinates
 from hpcapp.io.points.point_source import Findings
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
@@ -26,6 +27,7 @@ _EXTENDED_SIZE = 375
 _RECORD = struct.Struct("<2x16sHH32x")
 _LONG_RECORD = struct.Struct("<2x16sHQ32x")
 _MOST_PAYLOAD = 1 << 20  # of a record that is kept: a CRS in WKT takes some thousand bytes
+_LARGEST = 2.0**31  # coordinate, before it is scaled
 _COMPRESSED = 0xC0  # bits of the point format that LAZ sets
 
 _WAVEFORMS = (4, 5, 9, 10)  # point formats whose waveforms may be behind the points
@@ -129,7 +131,13 @@ def read_header(file: BinaryIO, path: Path, findings: Findings) -> LasHeader:
         records,
         minor >= 3 and (extended is None or extended[1] > 0 or bits & 0x3F in _WAVEFORMS),
     )  # fmt: skip
-    _check_scales(header, path)
+    if not header.scales.all():
+        raise InputError(
+            f"{path}: the header is damaged: scale {header.scales.tolist()}",
+            "export the file again",
+        )
+    check_coordinates(header.scales * _LARGEST, path, "the scale of 32-bit coordinates")
+    check_coordinates(header.offsets, path, "the offset of the header")
     return header
 
 
@@ -162,16 +170,6 @@ def _walk(
             return
         yield user, number, at + layout.size, length
         at += layout.size + length
-
-
-def _check_scales(header: LasHeader, path: Path) -> None:
-    numbers = np.concatenate([header.scales, header.offsets])
-    if not np.isfinite(numbers).all() or not header.scales.all():
-        raise InputError(
-            f"{path}: the header is damaged: scale {header.scales.tolist()}, "
-            f"offset {header.offsets.tolist()}",
-            "export the file again",
-        )
 
 
 def _cut(path: Path, where: str) -> InputError:

@@ -24,6 +24,7 @@ from hpccomponent.limits import available_cores
 
 _COORDINATES = 12  # bytes of a point that hold its coordinates
 _A_CORE = 1 << 17  # compressed points that are taken at once: some chunks, which stay in the cache
+_LARGEST_PART = 1 << 28  # bytes of them, as a file may say that a point has 65,535
 
 
 def open_las(path: Path, *, keeps_noise: bool = False) -> PointSource:
@@ -54,7 +55,7 @@ def open_las(path: Path, *, keeps_noise: bool = False) -> PointSource:
 
     def scan(rows: int) -> Iterator[PointCloud]:
         findings.dropped.clear()  # they are counted anew
-        at_once = _A_CORE * available_cores() if header.is_compressed else rows
+        at_once = _count_at_once(header) if header.is_compressed else rows
         parts = _read_points(path, header, layout, min(rows, at_once), findings)
         return batch_points(_decode_parts(parts, layout, findings, keeps_noise), rows)
 
@@ -137,6 +138,11 @@ def _read_sound_header(file: BinaryIO, path: Path, findings: Findings) -> LasHea
     return header
 
 
+def _count_at_once(header: LasHeader) -> int:
+    """Return how many compressed points are taken at once."""
+    return min(_A_CORE * available_cores(), _LARGEST_PART // header.record_length)
+
+
 def _read_points(
     path: Path, header: LasHeader, layout: LasLayout, rows: int, findings: Findings
 ) -> Iterator[NDArray[np.void]]:
@@ -153,7 +159,7 @@ def _read_chunks(
     """Yield the points of chunks, some at a time; each part may overwrite the one before."""
     if not chunks:
         return
-    rows = max(_A_CORE * available_cores(), max(chunk.points for chunk in chunks))
+    rows = max(_count_at_once(header), max(chunk.points for chunk in chunks))
     with open_chunks(path, header, rows) as take:
         waiting: list[Chunk] = []
         for chunk in chunks:

@@ -5,30 +5,42 @@ https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from hpcapp.geometry.axes import turn_up
 from hpcapp.geometry.axis_names import AXES
 from hpcapp.geometry.mesh import Mesh
-from hpcapp.geometry.points import ByteArray, FloatArray
+from hpcapp.geometry.points import ByteArray, FloatArray, IntArray
 from hpcapp.io.columns import Numbers
-from hpcapp.io.frame import to_local
+from hpcapp.io.frame import check_coordinates, choose_origin, finite_bounds
+from hpcapp.io.meshes.glb_document import (
+    MEMORY,
+    Accessor,
+    Document,
+    MeshExtras,
+    Node,
+    NodeExtras,
+    Primitive,
+    pick,
+    read_extras,
+)
 from hpcapp.io.meshes.linear_colours import to_bytes
 from hpccomponent.dataclass import dataclass
+from hpccomponent.decoding.claims import Claims
 from hpccomponent.errors import InputError
-from hpccomponent.foreign_json import decode
+from hpccomponent.foreign_json import decode_large
 
 _TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _HEAD, _CHUNK = 12, 8  # bytes
 _TRIANGLES = 4
 _DEEPEST = 64  # of nodes in nodes
+_SIZES = {"POSITION": 1, "indices": 3}  # rows that make a vertex, and a face
+_DECODED = 8  # bytes of a number, as float64 or int64
 
 
 def read_glb(path: Path) -> Mesh:
@@ -41,17 +53,21 @@ def read_glb(path: Path) -> Mesh:
     Raises
     ------
     InputError
-        The file is damaged, has no triangles, or needs an extension.
+        The file is damaged, has no triangles, needs an extension, or claims too much memory.
     """
     with _translated(path):
         file = _open(path)
         known: set[int] = set()
-        parts = [
-            part for root in file.roots for part in _read_node(file, root, np.eye(4), known, 0)
-        ]
-        if not parts:
+        parts: list[_Part] = []
+        for root in file.roots:
+            for part in _list_parts(file, root, np.eye(4), known, 0):
+                file.claim(part)
+                parts.append(part)
+        with np.errstate(invalid="ignore", over="ignore"):  # NaN of any kind
+            mesh = parts[0].read(file) if len(parts) == 1 else _join(file, parts)
+        if not len(mesh.faces):
             raise InputError(f"{path}: holds no triangles", "give a mesh")
-        return _join(parts)
+        return mesh
 
 
 def find_glb_up(path: Path) -> str:
@@ -66,13 +82,13 @@ def find_glb_up(path: Path) -> str:
     """
     with _translated(path):
         file = _open(path)
-        nodes = [file.document["nodes"][root] for root in file.roots]
+        nodes = [pick(file.document.nodes, root, "node") for root in file.roots]
         return next((up for node in nodes if (up := _find_turned(node))), "y")
 
 
-def _find_turned(node: dict[str, Any]) -> str | None:
+def _find_turned(node: Node) -> str | None:
     """Return the axis that `write_glb` has turned to y in a node; None of other nodes."""
-    up = node.get("extras", {}).get("up")
+    up = read_extras(node.extras, NodeExtras).up
     return up if up in AXES else None
 
 
@@ -81,7 +97,7 @@ def _translated(path: Path) -> Iterator[None]:
     """Say of what a damaged file raises that it is damaged."""
     try:
         yield
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
+    except (KeyError, IndexError, ValueError, OverflowError) as error:
         raise InputError(
             f"{path}: is no whole GLB: {type(error).__name__}: {error}", "export it again"
         ) from None
@@ -92,39 +108,67 @@ class _File:
     """What is in a GLB."""
 
     path: Path
-    document: dict[str, Any]
-    body: bytes
+    document: Document
+    body: memoryview
+    claims: Claims
 
     @property
     def roots(self) -> list[int]:
-        scenes = self.document.get("scenes")
+        scenes, nodes = self.document.scenes, self.document.nodes
         if scenes:
-            return list(scenes[self.document.get("scene", 0)].get("nodes", []))
-        nodes = self.document.get("nodes", [])
-        inner = {child for node in nodes for child in node.get("children", [])}
+            return pick(scenes, self.document.scene, "scene").nodes
+        inner = {child for node in nodes for child in node.children}
         return [number for number in range(len(nodes)) if number not in inner]
 
-    def array(self, number: int) -> Numbers:
-        """Return the rows of an accessor."""
-        accessor = self.document["accessors"][number]
-        if "sparse" in accessor or "bufferView" not in accessor:
+    def accessor(self, number: int) -> Accessor:
+        """Return an accessor."""
+        return pick(self.document.accessors, number, "accessor")
+
+    def claim(self, part: _Part) -> None:
+        """Ask for the memory of what is read of a part."""
+        for semantic, number in part.numbers.items():
+            size = _DECODED * self._map(number).size
+            self.claims.add(size, f"{semantic}, accessor {number}")
+
+    def array(self, number: int, widths: Sequence[int], rows: int | None = None) -> Numbers:
+        """Return the rows of an accessor: of such widths, and of so many rows."""
+        accessor, array = self.accessor(number), self._map(number)
+        if array.shape[1] not in widths or rows not in (None, len(array)):
+            raise ValueError(f"accessor {number} is {len(array)} rows of {accessor.type}")
+        if accessor.normalized and array.dtype.kind != "f":
+            return np.divide(array, float(np.iinfo(array.dtype.str).max))
+        return array
+
+    def _map(self, number: int) -> Numbers:
+        """Return the rows of an accessor as they are in the file, where nothing is copied."""
+        accessor = self.accessor(number)
+        if accessor.is_sparse or accessor.buffer_view is None:
             raise InputError(f"{self.path}: holds sparse accessors", "export it without them")
-        view = self.document["bufferViews"][accessor["bufferView"]]
-        dtype, width = np.dtype(_TYPES[accessor["componentType"]]), _WIDTHS[accessor["type"]]
-        stride = view.get("byteStride", dtype.itemsize * width)
-        start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
-        needed = start + (accessor["count"] - 1) * stride + dtype.itemsize * width
-        if needed > len(self.body):
+        dtype, width = np.dtype(_TYPES[accessor.component_type]), _WIDTHS[accessor.type]
+        start, end, stride = self._view(accessor.buffer_view)
+        count, length = accessor.count, dtype.itemsize * width
+        stride = length if stride is None else stride
+        if stride < length:
+            raise ValueError(f"rows of accessor {number} overlap: they are {stride} bytes apart")
+        start += accessor.byte_offset
+        needed = start + (count - 1) * stride + length
+        if not count:
+            return np.empty((0, width), dtype)
+        if needed > end:
             raise ValueError(
-                f"{accessor['count']} rows of accessor {number} end at byte {needed} of "
-                f"{len(self.body)}"
+                f"{count} rows of accessor {number} end at byte {needed}, their view at {end}"
             )
-        rows = np.ndarray(
-            (accessor["count"], width), dtype, self.body, start, (stride, dtype.itemsize)
-        )
-        if accessor.get("normalized") and dtype.kind != "f":
-            return rows / np.iinfo(dtype).max
-        return rows
+        return np.ndarray((count, width), dtype, self.body, start, (stride, dtype.itemsize))
+
+    def _view(self, number: int) -> tuple[int, int, int | None]:
+        """Return where a view starts and ends in the body, and how far its rows are apart."""
+        view = pick(self.document.buffer_views, number, "buffer view")
+        if view.buffer or pick(self.document.buffers, 0, "buffer").has_uri:
+            raise InputError(f"{self.path}: has buffers in other files", "export it as one file")
+        end = view.byte_offset + view.byte_length
+        if end > len(self.body):
+            raise ValueError(f"buffer view {number} ends at byte {end} of {len(self.body)}")
+        return view.byte_offset, end, view.byte_stride
 
 
 def _open(path: Path) -> _File:
@@ -136,102 +180,132 @@ def _open(path: Path) -> _File:
             f"{path}: truncated: {announced} bytes are announced, the file has {len(raw)}",
             "copy or export the file again",
         )
-    chunks: dict[bytes, bytes] = {}
+    chunks: dict[bytes, memoryview] = {}
     at = _HEAD
     while at + _CHUNK <= len(raw):
         length = int.from_bytes(raw[at : at + 4], "little")
-        chunks.setdefault(raw[at + 4 : at + 8], raw[at + _CHUNK : at + _CHUNK + length])
+        chunks.setdefault(raw[at + 4 : at + 8], memoryview(raw)[at + _CHUNK :][:length])
         at += _CHUNK + length
-    document = decode(chunks[b"JSON"], dict[str, Any])
-    if needed := document.get("extensionsRequired"):
+    text, claims = bytes(chunks[b"JSON"]), Claims(path)
+    claims.add(MEMORY * len(text), "its JSON")
+    document = decode_large(text, Document)
+    if needed := document.extensions_required:
         raise InputError(
             f"{path}: needs the extension {needed[0]}", "export it without compression"
         )
-    return _File(path, document, chunks.get(b"BIN\0", b""))
+    return _File(path, document, chunks.get(b"BIN\0", memoryview(b"")), claims)
 
 
-def _read_node(
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    """A primitive where a node puts it, and what `write_glb` says of its columns."""
+
+    primitive: Primitive
+    matrix: FloatArray
+    extras: MeshExtras
+
+    @property
+    def numbers(self) -> dict[str, int]:
+        """The accessors of what is read of it, by semantic."""
+        columns, corners = self.primitive.attributes, self.primitive.indices
+        found = {"POSITION": columns["POSITION"]}
+        found["indices"] = columns["POSITION"] if corners is None else corners
+        wanted = ("COLOR_0", *self.extras.attributes.values())
+        return found | {name: columns[name] for name in wanted if name in columns}
+
+    def read(self, file: _File) -> Mesh:
+        """Read it; a translation alone keeps the local frame, as `write_glb` writes it."""
+        columns, matrix = self.primitive.attributes, self.matrix
+        places = file.array(columns["POSITION"], [3]).astype(np.float64)
+        faces = self._read_faces(file, len(places))
+        colours: ByteArray | None = None
+        if "COLOR_0" in columns:
+            light = file.array(columns["COLOR_0"], [3, 4], len(places))
+            colours = to_bytes(light[:, :3].astype(np.float64))
+        attributes = {
+            name: file.array(columns[semantic], [1, 2, 3, 4], len(places))[:, 0].copy()
+            for name, semantic in self.extras.attributes.items()
+            if semantic in columns
+        }
+        for name, offset in self.extras.offsets.items():
+            attributes[name] = attributes[name].astype(np.float64) + offset
+        if not np.array_equal(matrix[:3, :3], np.eye(3)):
+            places = places @ matrix[:3, :3].T
+        return Mesh(places, faces, matrix[:3, 3].copy(), None, colours, attributes)
+
+    def _read_faces(self, file: _File, vertices: int) -> IntArray:
+        corners = np.arange(vertices)
+        if self.primitive.indices is not None:
+            named = file.array(self.primitive.indices, [1])
+            if named.dtype.kind != "u":
+                raise ValueError(f"faces that name their vertices as {named.dtype}")
+            corners = named.reshape(-1).astype(np.int64)
+        faces = corners[: len(corners) // 3 * 3].reshape(-1, 3)
+        if len(faces) and faces.max() >= vertices:
+            raise ValueError(f"a face names vertex {faces.max()} of {vertices}")
+        return faces[:, ::-1] if np.linalg.det(self.matrix[:3, :3]) < 0 else faces
+
+
+def _list_parts(
     file: _File, number: int, outer: FloatArray, known: set[int], depth: int
-) -> Iterator[Mesh]:
+) -> Iterator[_Part]:
     """Yield the primitives of a node and of those in it; a node is in one other at most."""
-    if number < 0:
-        raise IndexError(f"there is no node {number}")
+    node = pick(file.document.nodes, number, "node")
     if number in known:
         raise ValueError(f"node {number} is in two others, or in itself")
     if depth > _DEEPEST:
         raise ValueError("nodes are nested too deep")
     known.add(number)
-    node = file.document["nodes"][number]
-    matrix = outer @ _matrix(node)
+    with np.errstate(over="ignore", invalid="ignore"):
+        matrix = outer @ _matrix(node)
     if up := _find_turned(node):
         back = np.eye(4)
         back[:3, :3] = turn_up("y", to=up)
         matrix = back @ matrix
-    if "mesh" in node:
-        mesh = file.document["meshes"][node["mesh"]]
-        is_single = len(mesh["primitives"]) == 1
-        for primitive in mesh["primitives"]:
-            if primitive.get("mode", _TRIANGLES) == _TRIANGLES:
-                extras = mesh.get("extras", {}) if is_single else {}
-                yield _read_primitive(file, primitive, matrix, extras)
-    for child in node.get("children", []):
-        yield from _read_node(file, child, matrix, known, depth + 1)
+    check_coordinates(matrix[:3], file.path, f"the matrix of node {number}")
+    if node.mesh is not None:
+        mesh = pick(file.document.meshes, node.mesh, "mesh")
+        is_single = len(mesh.primitives) == 1
+        extras = read_extras(mesh.extras, MeshExtras) if is_single else MeshExtras()
+        for primitive in mesh.primitives:
+            if primitive.mode == _TRIANGLES:
+                yield _Part(primitive, matrix, extras)
+    for child in node.children:
+        yield from _list_parts(file, child, matrix, known, depth + 1)
 
 
-def _matrix(node: dict[str, Any]) -> FloatArray:
+def _matrix(node: Node) -> FloatArray:
     """Return the matrix of a node."""
-    if "matrix" in node:
-        return np.array(node["matrix"], float).reshape(4, 4).T
-    x, y, z, w = node.get("rotation", (0, 0, 0, 1))
+    if node.matrix is not None:
+        return np.array(node.matrix).reshape(4, 4).T
+    x, y, z, w = node.rotation
     turn = np.array([
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
         [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
         [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
     ])  # fmt: skip
     matrix = np.eye(4)
-    matrix[:3, :3] = turn * np.array(node.get("scale", (1, 1, 1)))
-    matrix[:3, 3] = node.get("translation", (0, 0, 0))
+    matrix[:3, :3] = turn * np.array(node.scale)
+    matrix[:3, 3] = node.translation
     return matrix
 
 
-def _read_primitive(
-    file: _File, primitive: dict[str, Any], matrix: FloatArray, extras: dict[str, Any]
-) -> Mesh:
-    columns = primitive["attributes"]
-    places = file.array(columns["POSITION"]).astype(np.float64)
-    corners = (
-        file.array(primitive["indices"]).reshape(-1).astype(np.int64)
-        if "indices" in primitive
-        else np.arange(len(places))
-    )
-    faces = corners[: len(corners) // 3 * 3].reshape(-1, 3)
-    if len(faces) and faces.max() >= len(places):
-        raise ValueError(f"a face names vertex {faces.max()} of {len(places)}")
-    if np.linalg.det(matrix[:3, :3]) < 0:
-        faces = faces[:, ::-1]
-    colours: ByteArray | None = None
-    if "COLOR_0" in columns:
-        colours = to_bytes(file.array(columns["COLOR_0"])[:, :3].astype(np.float64))
-    attributes = {
-        name: file.array(columns[semantic])[:, 0].copy()
-        for name, semantic in extras.get("attributes", {}).items()
-        if semantic in columns
-    }
-    for name, offset in extras.get("offsets", {}).items():
-        attributes[name] = attributes[name].astype(np.float64) + float(offset)
-    # A translation alone keeps the local frame, as `write_glb` writes it.
-    if np.array_equal(matrix[:3, :3], np.eye(3)):
-        return Mesh(places, faces, matrix[:3, 3].copy(), None, colours, attributes)
-    return Mesh(places @ matrix[:3, :3].T, faces, matrix[:3, 3].copy(), None, colours, attributes)
-
-
-def _join(parts: list[Mesh]) -> Mesh:
-    """Return some meshes as one."""
-    if len(parts) == 1:
-        return parts[0]
-    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
-    vertices, origin = to_local(np.concatenate([part.vertices + part.origin for part in parts]))
-    faces = np.concatenate([p.faces + start for p, start in zip(parts, starts, strict=False)])
-    colours = [part.colours for part in parts if part.colours is not None]
-    mesh = Mesh(vertices, faces, origin)
-    return replace(mesh, colours=np.concatenate(colours)) if len(colours) == len(parts) else mesh
+def _join(file: _File, parts: list[_Part]) -> Mesh:
+    """Read parts as one mesh, one after the other: only one of them is in memory twice."""
+    sizes = [
+        [file.accessor(part.numbers[name]).count // group for name, group in _SIZES.items()]
+        for part in parts
+    ]
+    ends = np.cumsum([[0, 0], *sizes], axis=0)
+    has_colours = all("COLOR_0" in part.primitive.attributes for part in parts)
+    vertices, faces = np.empty((ends[-1, 0], 3)), np.empty((ends[-1, 1], 3), np.int64)
+    colours = np.empty(vertices.shape, np.uint8) if has_colours else None
+    for part, (vertex, face), (end, last) in zip(parts, ends, ends[1:], strict=False):
+        mesh = part.read(file)
+        np.add(mesh.vertices, mesh.origin, out=vertices[vertex:end])
+        np.add(mesh.faces, vertex, out=faces[face:last])
+        if colours is not None and mesh.colours is not None:
+            colours[vertex:end] = mesh.colours
+    origin = choose_origin(*finite_bounds(vertices))
+    vertices -= origin
+    return Mesh(vertices, faces, origin, None, colours)

@@ -29,6 +29,11 @@ def mesh_of_polygons(vertices: FloatArray, polygons: Ragged, path: Path) -> Mesh
         A polygon has fewer than three corners or names a vertex that does not exist.
     """
     lengths, corners = polygons.lengths, polygons.values
+    if len(lengths) and not 0 <= lengths.max() <= len(corners) == lengths.sum():
+        raise InputError(
+            f"{path}: {len(corners)} corners do not make the {len(lengths)} faces",
+            "the file is damaged: export it again",
+        )
     if (lengths < 3).any():
         face = int(np.argmax(lengths < 3))
         raise InputError(

@@ -11,7 +11,7 @@ from hpcapp.geometry.points import FloatArray
 from hpcapp.io.columns import Ragged
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.meshes.polygons import mesh_of_polygons
-from hpcapp.io.rows import numbered, parse_table
+from hpcapp.io.rows import Line, numbered, parse_table
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import InputError
 
@@ -57,18 +57,18 @@ def _binary_corners(path: Path) -> FloatArray | None:
 
 
 def _ascii_corners(path: Path) -> FloatArray:
+    vertex_lines, last = list[Line](), ""
     with path.open(encoding="latin-1") as file:
-        vertex_lines = [
-            (number, text.split("vertex", 1)[1])
-            for number, text in numbered(file)
-            if text.lstrip().startswith("vertex")
-        ]
+        for number, text in numbered(file):
+            last = text.lstrip()
+            if last.startswith("vertex"):
+                vertex_lines.append((number, last.removeprefix("vertex")))
     corners = parse_table(iter(vertex_lines), 3, path)
+    problem = None if last.startswith("endsolid") else "its last line is not 'endsolid'"
     if len(corners) % 3:
-        raise InputError(
-            f"{path}: truncated: {len(corners)} corners are no whole number of triangles",
-            "copy or export the file again",
-        )
+        problem = f"{len(corners)} corners are no whole number of triangles"
+    if problem is not None:
+        raise InputError(f"{path}: truncated: {problem}", "copy or export the file again")
     return corners
 
 

@@ -6,11 +6,10 @@ https://docs.vtk.org/en/latest/vtk_file_formats/vtkxml_file_format.html
 from __future__ import annotations
 
 import base64
-import binascii
-import re
 import zlib
+from collections.abc import Callable
 from dataclasses import replace
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from pathlib import Path
 from xml.etree import ElementTree as Xml
 
@@ -20,11 +19,19 @@ from hpcapp.geometry.mesh import Mesh
 from hpcapp.io.columns import Numbers, Ragged
 from hpcapp.io.meshes.polygons import mesh_of_polygons
 from hpccomponent.dataclass import dataclass
+from hpccomponent.decoding.claims import Claims
 from hpccomponent.errors import InputError
 
 _ZLIB = "vtkZLibDataCompressor"
-_APPENDED = re.compile(rb"<AppendedData[^>]*>\s*_")
+_APPENDED = b"<AppendedData"
 _MOST_XML = 1 << 20  # bytes in front of appended data: far more than any list of arrays
+_A_TAG = 256  # bytes of memory that an element takes, at most, its text set aside
+_TYPES = {
+    f"{name}{bits}": f"{letter}{bits // 8}"
+    for name, letter, sizes in (("Int", "i", 8), ("UInt", "u", 8), ("Float", "f", 32))
+    for bits in (8, 16, 32, 64)
+    if bits >= sizes
+}
 
 
 def read_vtp(path: Path) -> Mesh:
@@ -47,9 +54,9 @@ def read_vtp(path: Path) -> Mesh:
         arrays = {one.get("Name"): one for one in piece.iterfind("Polys/DataArray")}
         if points is None or not {"connectivity", "offsets"} <= arrays.keys():
             raise ValueError("no points, or no polygons")
-        vertices = file.array(points).reshape(-1, 3).astype(np.float64)
-        corners = file.array(arrays["connectivity"]).astype(np.int64)
-        ends = file.array(arrays["offsets"]).astype(np.int64)
+        vertices = np.asarray(file.array(points, to="f8"), np.float64).reshape(-1, 3)
+        corners = file.array(arrays["connectivity"], "iu", "i8")
+        ends = file.array(arrays["offsets"], "iu", "i8")
         if not len(ends):
             raise InputError(f"{path}: holds no polygons", "give a mesh")
         _check_counts(piece, path, len(vertices), len(ends))
@@ -78,78 +85,97 @@ class _File:
     """What is in a VTP."""
 
     root: Xml.Element
-    appended: bytes
+    appended: memoryview
     order: str
     length: np.dtype[np.unsignedinteger]
+    claims: Claims
 
-    def array(self, element: Xml.Element) -> Numbers:
-        """Return the numbers of a ``DataArray``, flat."""
-        kind = element.get("type", "")
-        size = re.fullmatch(r"(U?Int|Float)(8|16|32|64)", kind)
-        if size is None:
-            raise ValueError(f"an array of {kind}")
-        letter = {"Int": "i", "UInt": "u", "Float": "f"}[size[1]]
-        dtype = np.dtype(f"{self.order}{letter}{int(size[2]) // 8}")
+    def array(self, element: Xml.Element, kinds: str = "iuf", to: str | None = None) -> Numbers:
+        """Return the numbers of a ``DataArray``, flat; they are of some kinds, or become a type."""
+        kind, name = element.get("type", ""), element.get("Name", "")
+        dtype = np.dtype(self.order + _TYPES.get(kind, "V0"))
+        if dtype.kind not in kinds:
+            raise ValueError(f"array {name!r} is of {kind}")
+        widened = np.dtype(to or dtype)
         match element.get("format"):
             case "ascii":
-                return np.array((element.text or "").split(), dtype)
+                return np.array((element.text or "").split(), dtype).astype(widened)
             case "binary":
-                return np.frombuffer(self._unpack((element.text or "").strip().encode()), dtype)
+                packed = memoryview((element.text or "").strip().encode())
             case _:
                 start = int(element.get("offset", 0))
-                return np.frombuffer(self._unpack(self.appended[start:]), dtype)
+                if not 0 <= start <= len(self.appended):
+                    raise ValueError(f"an array begins at byte {start} of {len(self.appended)}")
+                packed = self.appended[start:]
 
-    def _unpack(self, packed: bytes) -> bytes:
+        def claim(size: int) -> None:
+            self.claims.add(size // dtype.itemsize * widened.itemsize, f"array {name!r}")
+
+        return np.frombuffer(self._unpack(packed, claim), dtype).astype(widened, copy=False)
+
+    def _unpack(self, packed: memoryview, claim: Callable[[int], None]) -> bytes:
         """Return the bytes of an array, from where it starts."""
         is_compressed = self.root.get("compressor") is not None
         is_text = self.root.find("AppendedData") is None or (
             self.root.find("AppendedData").get("encoding") == "base64"  # type: ignore[union-attr]
         )
         word = self.length.itemsize
-        words = 3 if is_compressed else 1
-        head = self._numbers(packed, words, is_text)
-        if is_compressed:
-            blocks = int(head[0])
-            sizes = self._numbers(packed, 3 + blocks, is_text)[3:]
-            words, total = 3 + blocks, int(sizes.sum())
-        else:
-            total = int(head[0])
-        body = _take(packed, words * word, total, is_text, is_apart=is_compressed)
-        if len(body) < total:
-            raise ValueError("an array is cut")
+        head = self._numbers(packed, 3 if is_compressed else 1, is_text)
         if not is_compressed:
-            return body
-        edges = np.cumsum([0, *sizes.tolist()]).tolist()
-        return b"".join(zlib.decompress(body[a:b]) for a, b in pairwise(edges))
+            claim(head[0])
+            return _take(packed, word, head[0], is_text)
+        blocks, block, last = head
+        claim(max(blocks - 1, 0) * block + (last or block))
+        sizes = self._numbers(packed, 3 + blocks, is_text)[3:]
+        edges = list(accumulate(sizes, initial=0))
+        body = memoryview(_take(packed, (3 + blocks) * word, edges[-1], is_text, is_apart=True))
+        lengths = [block] * (blocks - 1) + [last or block]
+        return b"".join(
+            _inflate(body[a:b], length)
+            for (a, b), length in zip(pairwise(edges), lengths, strict=False)
+        )
 
-    def _numbers(self, packed: bytes, count: int, is_text: bool) -> Numbers:
+    def _numbers(self, packed: memoryview, count: int, is_text: bool) -> list[int]:
         numbers = _take(packed, 0, count * self.length.itemsize, is_text)
-        return np.frombuffer(numbers, self.length, count)
+        return [int(number) for number in np.frombuffer(numbers, self.length, count)]
 
 
-def _take(packed: bytes, start: int, size: int, is_text: bool, is_apart: bool = False) -> bytes:
+def _inflate(packed: memoryview, length: int) -> bytes:
+    """Return what a block holds, which is so long."""
+    inflated = zlib.decompressobj().decompress(packed, length + 1)
+    if len(inflated) != length:
+        raise ValueError("a block holds more or less than it says")
+    return inflated
+
+
+def _take(
+    packed: memoryview, start: int, size: int, is_text: bool, is_apart: bool = False
+) -> bytes:
     """Return some bytes of what is packed; a head that stands apart is padded for itself."""
-    if not is_text:
-        return packed[start : start + size]
-    if is_apart:
-        packed, start = packed[4 * -(-start // 3) :], 0
-    text = packed[: 4 * -(-(start + size) // 3)]
-    try:
-        return base64.b64decode(text)[start : start + size]
-    except binascii.Error as error:
-        raise ValueError(str(error)) from None
+    if is_text:
+        if is_apart:
+            packed, start = packed[4 * -(-start // 3) :], 0
+        text = packed[: 4 * -(-(start + size) // 3)]
+        taken = base64.b64decode(text)[start : start + size]
+    else:
+        taken = bytes(packed[start : start + size])
+    if len(taken) < size:
+        raise ValueError("an array is cut")
+    return taken
 
 
 def _open(path: Path) -> _File:
     raw = path.read_bytes()
-    marker = _APPENDED.search(raw, 0, _MOST_XML)
     if b"<!DOCTYPE" in raw[:_MOST_XML]:
         raise ValueError("it declares a document type")
-    appended = b""
-    text = raw
-    if marker:
-        appended = raw[marker.end() :]
-        text = raw[: marker.end() - 1] + b"</AppendedData></VTKFile>"
+    appended, text = memoryview(b""), raw
+    tag = raw.find(_APPENDED, 0, _MOST_XML)
+    marker = raw.find(b"_", raw.find(b">", tag, _MOST_XML), _MOST_XML) if tag >= 0 else -1
+    if marker >= 0:
+        appended = memoryview(raw)[marker + 1 :]
+        text = raw[:marker] + b"</AppendedData></VTKFile>"
+    claims = Claims(path)
+    claims.add(len(text) + _A_TAG * text.count(b"<"), "its XML")
     root = Xml.fromstring(text)  # noqa: S314 - without a document type nothing is expanded
     if root.tag != "VTKFile" or root.get("type") != "PolyData":
         raise ValueError("it is no PolyData")
@@ -159,7 +185,7 @@ def _open(path: Path) -> _File:
         )
     order = ">" if root.get("byte_order") == "BigEndian" else "<"
     word = 8 if root.get("header_type") == "UInt64" else 4
-    return _File(root, appended, order, np.dtype(f"{order}u{word}"))
+    return _File(root, appended, order, np.dtype(f"{order}u{word}"), claims)
 
 
 def _add_columns(file: _File, piece: Xml.Element, mesh: Mesh) -> Mesh:

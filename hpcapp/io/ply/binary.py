@@ -158,7 +158,7 @@ def _view_even(
     if at + dtype.itemsize * element.count > body.size:
         return None
     rows: NDArray[np.void] = np.ndarray(element.count, dtype, body, at)
-    counts = [f"n{i}" for i, p in enumerate(element.properties) if p in element.lists]
+    counts = [f"n{i}" for i, p in enumerate(element.properties) if p.count_dtype is not None]
     for first in range(0, element.count if counts else 0, _ROWS_AT_ONCE):
         part = rows[first : first + _ROWS_AT_ONCE]
         if not all((part[name] == n).all() for name, n in zip(counts, lengths, strict=True)):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Container
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,16 +38,16 @@ class VertexProperties:
 
         Whole numbers of 64 bits, which PLY lacks, become ``double``.
         """
-        names: list[str] = []
+        names: dict[str, None] = {}  # in their order
         types: list[str] = []
         if points.normals is not None:
-            names += NORMALS
+            names |= dict.fromkeys(NORMALS)
             types += ["<f4"] * 3
         if points.colours is not None:
-            names += COLOURS
+            names |= dict.fromkeys(COLOURS)
             types += [choose_type(points.colours.dtype)] * 3
         for name, column in points.attributes.items():
-            names.append(_spell(name, names))
+            names[_spell(name, names)] = None
             types.append(choose_type(column.dtype))
         return cls(tuple(names), tuple(types))
 
@@ -75,7 +77,7 @@ class VertexProperties:
                 rows[name] = column
 
 
-def _spell(name: str, taken: list[str]) -> str:
+def _spell(name: str, taken: Container[str]) -> str:
     """Return a name as PLY can have it, and that no other property has."""
     plain = "".join(c if c.isascii() and c.isprintable() and c != " " else "_" for c in name)
     spelled, number = plain or "_", 2

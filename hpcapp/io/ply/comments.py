@@ -20,7 +20,9 @@ import numpy as np
 from hpcapp.geometry.points import FloatArray
 from hpcapp.io.crs import Crs
 from hpcapp.io.points.point_source import Scan
+from hpcapp.io.rows import is_count
 from hpccomponent.dataclass import dataclass
+from hpccomponent.ranges import is_place
 
 
 @dataclass(slots=True, eq=False)
@@ -64,10 +66,11 @@ def parse_comments(comments: Sequence[Sequence[str]]) -> Kept:
                 kept.sampled = int(number)
             case ["crs", *rest] if rest:
                 kept.crs = " ".join(rest)
-            case ["scanner", number, *place] if number.isdecimal() and len(place) == 3:
+            case ["scanner", number, *place] if is_count(number) and len(place) == 3:
                 try:
                     scanner = np.array(place, np.float64)
                 except ValueError:
                     continue
-                kept.scanners[int(number)] = scanner
+                if is_place(*scanner):
+                    kept.scanners[int(number)] = scanner
     return kept

@@ -30,6 +30,11 @@ SCALAR_TYPES = {name: dtype for dtype, names in _SPELLINGS.items() for name in n
 
 _BYTE_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _KEYWORDS = ("comment", "obj_info", "format", "element", "property")
+_FIRST_LINE = re.compile(rb"(?:\xef\xbb\xbf)?ply[ \t]*(\r\n|\n|\r)")
+_LAST_LINE = (
+    re.compile(rb"[\r\n]end_header[ \t]*(?:\r?\n|\Z)"),
+    re.compile(rb"[\r\n]end_header[ \t]*(?:\r|\Z)"),
+)
 _LONGEST_HEADER = 1 << 20
 _EXPORT_AGAIN = "export the file again as PLY 1.0"
 
@@ -127,15 +132,14 @@ def read_header(path: Path) -> Header:
         head = file.read(_LONGEST_HEADER)
     if not head:
         raise InputError(f"{path}: the file is empty", "export or copy it again")
-    first = re.match(rb"(?:\xef\xbb\xbf)?ply[ \t]*(\r\n|\n|\r)", head)
+    first = _FIRST_LINE.match(head)
     if first is None:
         raise InputError(
             f"{path}: not a PLY file: its first line is not 'ply'", "check the file and its suffix"
         )
     # A lone CR ends the header only where it ends lines: otherwise the next byte may be an LF
     # that belongs to it, or to a binary body.
-    newline = rb"\r" if first[1] == b"\r" else rb"\r?\n"
-    end = re.search(rb"[\r\n]end_header[ \t]*(?:" + newline + rb"|\Z)", head)
+    end = _LAST_LINE[first[1] == b"\r"].search(head)
     if end is None:
         raise InputError(f"{path}: the PLY header has no 'end_header'", _EXPORT_AGAIN)
     # Bytes know no line ends but these: comments may hold any character.
@@ -152,7 +156,8 @@ class _HeaderParser:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.byte_order: str | None = None
-        self.elements: list[tuple[str, int, list[Property]]] = []
+        self.counts: dict[str, int] = {}
+        self.elements: dict[str, dict[str, Property]] = {}
         self.warnings: list[str] = []
         self.comments: list[tuple[str, ...]] = []
         self.remarks: dict[str, str] = {}
@@ -186,7 +191,10 @@ class _HeaderParser:
         """Return the header, whose last line was taken."""
         if self.byte_order is None:
             raise InputError(f"{self.path}: the PLY header has no 'format' line", _EXPORT_AGAIN)
-        elements = tuple(Element(name, count, tuple(p)) for name, count, p in self.elements)
+        elements = tuple(
+            Element(name, self.counts[name], tuple(properties.values()))
+            for name, properties in self.elements.items()
+        )
         for element in elements:
             if element.count and not element.properties:
                 problem = f"PLY element {element.name!r} has no properties"
@@ -195,23 +203,24 @@ class _HeaderParser:
         return Header(self.byte_order, elements, body_start, body_line, *found)
 
     def _element(self, number: int, name: str, count: int) -> None:
-        if any(name == known for known, _, _ in self.elements):
+        if name in self.elements:
             raise self._wrong(number, f"a second element {name!r}")
-        self.elements.append((name, count, []))
+        self.counts[name], self.elements[name] = count, {}
 
     def _property(self, number: int, name: str, value: str, count: str | None) -> None:
         if not self.elements:
             raise self._wrong(number, f"property {name!r} before any element")
-        element, _, properties = self.elements[-1]
+        element = next(reversed(self.elements))
+        properties = self.elements[element]
         for word in (value, count):
             if word is not None and word not in SCALAR_TYPES:
                 raise self._wrong(number, f"property {name!r} of unknown type {word!r}")
-        if any(name == known.name for known in properties):
+        if name in properties:
             raise self._wrong(number, f"a second property {name!r} of element {element!r}")
         count_dtype = None if count is None else SCALAR_TYPES[count]
         if count_dtype is not None and count_dtype.startswith("f"):
             raise self._wrong(number, f"list {name!r} whose length is a {count}")
-        properties.append(Property(name, SCALAR_TYPES[value], count_dtype, number))
+        properties[name] = Property(name, SCALAR_TYPES[value], count_dtype, number)
 
     def _wrong(self, number: int, problem: str) -> InputError:
         return InputError(f"{self.path}:{number}: PLY header: {problem}", _EXPORT_AGAIN)

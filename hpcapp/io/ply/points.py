@@ -32,6 +32,7 @@ from hpcapp.io.points.point_source import Findings, PointSource, Scan
 from hpccomponent.cli.option_names import name_option
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
+from hpccomponent.ranges import is_place
 
 _ROWS_AT_ONCE = 1 << 16
 _EXACT_IN_SINGLE = ("f4", "i1", "u1", "i2", "u2")
@@ -224,7 +225,7 @@ def _find_points(
     start, dtype = located
     columns: dict[str, Column] = {}
     for number, p in enumerate(vertex.properties):
-        if p in vertex.scalars:
+        if p.count_dtype is None:
             assert dtype.fields is not None  # noqa: S101 - it has these
             kind, offset = dtype.fields[f"v{number}"][:2]
             columns[p.name] = (int(offset), kind.str)
@@ -301,4 +302,4 @@ def _find_scanner(path: Path, header: Header) -> FloatArray | None:
     if camera is None or camera.count != 1 or not set(_VIEW) <= {p.name for p in camera.properties}:
         return None
     place = stack(read_body(path, header, {"camera"})["camera"].scalars, _VIEW)[0]
-    return place if place.any() and np.isfinite(place).all() else None
+    return place if place.any() and is_place(*place) else None

@@ -19,6 +19,7 @@ from hpcapp.geometry.points import IntArray
 from hpcapp.io.columns import Ragged
 from hpcapp.io.ply.header import Header
 from hpcapp.io.rows import is_count
+from hpccomponent.decoding.claims import Claims
 from hpccomponent.errors import InputError
 
 GRID_LIST = "vertex_indices"
@@ -49,6 +50,7 @@ def find_cells(lists: Iterable[Ragged], vertices: int, path: Path) -> IntArray:
     InputError
         A cell names a vertex that does not exist.
     """
+    Claims(path).add(vertices * np.int64().nbytes, f"{vertices} vertices in a grid")
     cells = np.full(vertices, -1)
     first = 0
     for part in lists:

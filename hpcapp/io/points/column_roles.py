@@ -27,6 +27,9 @@ NormalKind = Literal["unit", "encoded", "any length", "zero", "one octant", "non
 """Unit vectors; (n + 1) / 2; vectors of other lengths on all sides; zeros; vectors of which no
 component is negative, as no closed cloud has them; or none of these: no normals."""
 
+MOST_COLUMNS = 4096
+"""That a point may have: features and spectra have some hundreds."""
+
 _SPELLINGS = {
     **dict.fromkeys(("x", "px", "pointx", "coordx", "xcoordinate", "points0"), "x"),
     **dict.fromkeys(("y", "py", "pointy", "coordy", "ycoordinate", "points1"), "y"),
@@ -51,6 +54,7 @@ _SPELLINGS = {
     "columnindex": "column",
     **dict.fromkeys(("class", "classification", "scalarclassification"), "classification"),
 }
+_BRACKET = re.compile(r"[\[(]")
 _NAMED = 5  # columns in a message
 _UNIT = 0.05  # how far from 1 the length of a unit vector may be: two decimals of each component
 _MOST = 0.9  # share of the rows that decide: a file may have some bad ones
@@ -72,7 +76,9 @@ def find_role(name: str) -> str:
     ['x', 'ny', 'red', 'z', 'OffsetTime']
     """
     stripped = name.strip().strip("\"'").strip()
-    bare = re.sub(r"(?<=.)[\[(].*[\])]$", "", stripped.lower())  # without a unit
+    bare = stripped.lower()
+    if bare.endswith(("]", ")")):  # a unit
+        bare = bare[:1] + _BRACKET.split(bare[1:], 1)[0]
     return _SPELLINGS.get(re.sub(r"[^a-z0-9]", "", bare), stripped)
 
 

@@ -18,16 +18,18 @@ import re
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from io import FileIO
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 from hpcapp.io.formats import MESH_SUFFIXES, holds_faces, open_points, read_mesh
 from hpcapp.io.points.mesh_samples import SAMPLED, are_vertices_few, sample_faces
 from hpcapp.io.points.point_source import PointSource, translated
 from hpcapp.io.registry import find_point_reader, list_suffixes
+from hpccomponent.decoding.claims import Claims
 from hpccomponent.errors import HpcError, InputError, UsageError
 from hpccomponent.files.held_folders import temporary_folder
 from hpccomponent.files.outputs import STANDARD_INPUT
@@ -198,7 +200,7 @@ def _unpack(file: str, folder: Path) -> Path:
     path = folder / "unpacked"
     with path.open("wb", buffering=0) as target, translated(Path(_name(file))):
         if file == _PIPED:
-            _spool(sys.stdin.buffer, target, file)
+            _spool(iter(partial(sys.stdin.buffer.read, _PIECE), b""), target, file)
         else:
             with open(file, "rb") as packed:
                 _decompress(packed, target, file)
@@ -222,11 +224,11 @@ def _name(file: str) -> str:
     return "the standard input" if file == _PIPED else file
 
 
-def _spool(stream: IO[bytes] | gzip.GzipFile, target: FileIO, file: str) -> None:
+def _spool(pieces: Iterable[bytes], target: FileIO, file: str) -> None:
     """Copy what comes, as far as the disk has room for it and for the job: it may have no end."""
     folder = tempfile.gettempdir()
     allowed, written = int(_SPOOLED * shutil.disk_usage(folder).free), 0
-    while piece := stream.read(_PIECE):
+    for piece in pieces:
         written += len(piece)
         if written > allowed:
             raise _endless(file, folder, written)
@@ -252,7 +254,7 @@ def _decompress(packed: BinaryIO, target: FileIO, file: str) -> None:
 
     try:
         with gzip.open(packed) as stream:
-            _spool(stream, target, file)
+            _spool(_inflate(stream, Claims(Path(file))), target, file)
     except EOFError:
         raise InputError(
             f"{file}: cut: it ends before its compressed data do", "copy the file again"
@@ -261,6 +263,12 @@ def _decompress(packed: BinaryIO, target: FileIO, file: str) -> None:
         raise InputError(
             f"{file}: damaged, or not compressed by gzip: {error}", "copy the file again"
         ) from None
+
+
+def _inflate(stream: gzip.GzipFile, claims: Claims) -> Iterator[bytes]:
+    while piece := stream.read(_PIECE):
+        claims.add(len(piece), "what it unpacks to")
+        yield piece
 
 
 def _open(path: Path, sample: int | None, keeps_noise: bool) -> PointSource:

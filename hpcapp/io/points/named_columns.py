@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hpcapp.geometry.point_records import Column, PointRecords, colour_type
 from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
 from hpcapp.io.columns import Numbers
-from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS, find_role
+from hpcapp.io.points.column_roles import AXES, COLOURS, MOST_COLUMNS, NORMALS, find_role
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 
@@ -49,13 +49,18 @@ def plan_columns(names: Sequence[str], place: str) -> ColumnPlan:
     Raises
     ------
     InputError
-        A coordinate is missing, or one or two components of the normals are.
+        A coordinate is missing, or one or two components of the normals are; or the columns are
+        more than `MOST_COLUMNS`.
 
     Examples
     --------
     >>> plan_columns(["X", "Y", "Z", "height", "diffuse_red", "class"], "a.ply").attributes
     (('height', 'height'), ('diffuse_red', 'diffuse_red'), ('classification', 'class'))
     """
+    if len(names) > MOST_COLUMNS:
+        raise InputError(
+            f"{place} has {len(names)} columns, more than {MOST_COLUMNS}", "export fewer of them"
+        )
     by_role = _assign_roles(names)
     positions, normals = _pick(by_role, AXES), _pick(by_role, NORMALS)
     colours = _pick(by_role, COLOURS)

@@ -22,6 +22,7 @@ from numpy.lib import format as npy_format
 
 from hpcapp.io.columns import Numbers
 from hpcapp.io.points.point_source import Findings
+from hpccomponent.decoding.claims import Claims
 from hpccomponent.errors import InputError
 
 _COPY_AGAIN = "copy or export the file again"
@@ -66,11 +67,15 @@ def read_archive(path: Path, findings: Findings) -> dict[str, Numbers]:
         The file is damaged, or has arrays of objects.
     """
     arrays: dict[str, Numbers] = {}
+    claims = Claims(path)
     with _translated(path, "the archive"), zipfile.ZipFile(path) as archive:
         for member in archive.infolist():
             if not member.filename.endswith(".npy"):
                 continue
             name = member.filename.removesuffix(".npy")
+            if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                raise NotImplementedError(f"compression {member.compress_type} of {name!r}")
+            claims.add(member.file_size, f"array {name!r}")
             with _translated(path, f"array {name!r}"), archive.open(member) as file:
                 array, following = _read_array(file, member.file_size, f"{path}: array {name!r}")
             arrays[name] = array

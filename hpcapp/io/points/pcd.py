@@ -31,6 +31,7 @@ from hpcapp.io.points.pcd_header import PcdField, PcdHeader, read_pcd_header
 from hpcapp.io.points.point_source import Findings, PointSource, Scan
 from hpcapp.io.rows import numbered, parse_table, take_lines
 from hpccomponent.dataclass import dataclass
+from hpccomponent.decoding.claims import Claims
 from hpccomponent.errors import InputError
 
 _MOST_COLUMNS = 4  # of one field: more of them are a descriptor, not attributes
@@ -251,6 +252,7 @@ class _Compressed:
                 f"the compressed block {whole_size} from {len(packed)}",
                 _COPY_AGAIN,
             )
+        Claims(self.path).add(size, "its compressed block")
         try:
             return expand_lzf(packed, size)
         except ValueError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 from hpcapp.geometry.points import FloatArray
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
+from hpccomponent.ranges import is_place
 
 _KEYWORDS = (
     "VERSION", "FIELDS", "COLUMNS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT",
@@ -90,7 +92,7 @@ def read_pcd_header(path: Path) -> PcdHeader:
         raise InputError(f"{path}: the file is empty", "export or copy it again")
     entries: dict[str, list[str]] = {}
     at = 0
-    for number, line in enumerate(re.findall(rb"[^\n]*\n|[^\n]+\Z", head), start=1):
+    for number, line in enumerate(io.BytesIO(head), start=1):
         at += len(line)
         words = [word.decode("utf-8", "backslashreplace") for word in line.split()]
         if not words or words[0].startswith("#"):
@@ -171,7 +173,7 @@ class _HeaderReader:
             viewpoint = np.array([float(word) for word in words])
         except ValueError:
             raise self._wrong("VIEWPOINT", "is not 7 numbers") from None
-        if len(viewpoint) != 7 or not np.isfinite(viewpoint).all():
+        if len(viewpoint) != 7 or not is_place(*viewpoint):
             return None
         is_default = not viewpoint[:3].any() and not viewpoint[4:].any()
         return None if is_default and not is_organised else viewpoint[:3]

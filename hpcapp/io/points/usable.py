@@ -11,6 +11,7 @@ import numpy as np
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.points import BoolArray, FloatArray, PointCloud
 from hpcapp.geometry.validity import Dropped, select_usable
+from hpcapp.io.frame import check_coordinates, choose_origin
 from hpccomponent.errors import InputError, OutputError
 
 log = logging.getLogger("hpcapp")
@@ -22,6 +23,8 @@ FEWEST_POINTS = 10
 
 _SMALLEST, _LARGEST = 1e-35, 1e35
 """Largest coordinate of a cloud: fields are computed in float32."""
+
+_MIDDLE = "the middle of the points"
 
 _SAMPLE = 100_000  # points that show whether they lie on a line, if they do not
 
@@ -40,11 +43,12 @@ def drop_unusable(cloud: PointCloud, source: str = "the point cloud") -> tuple[P
     Raises
     ------
     InputError
-        Fewer than `FEWEST_POINTS` points are left, or all of them lie in one place or on one
-        line.
+        Fewer than `FEWEST_POINTS` points are left, or all of them lie in one place, on one line or
+        too far from zero.
     """
     if not len(cloud):
         raise InputError(f"{source} holds no points", "check that the right file was exported")
+    check_coordinates(cloud.origin, source, _MIDDLE)
     usable, dropped = select_usable(cloud)
     refuse_too_few(len(usable), dropped, source)
     low, high = bound_points(usable.positions)
@@ -99,7 +103,8 @@ def refuse_degenerate(low: FloatArray, high: FloatArray, points: int, source: st
     Raises
     ------
     InputError
-        The largest coordinate is above 1e35, or below 1e-35 and not zero; or the box has no extent.
+        The largest coordinate is above 1e35, or below 1e-35 and not zero; all lie beyond
+        `FARTHEST`, far from zero for their extent; or the box has no extent.
     """
     largest = float(np.abs([low, high]).max())
     if largest > _LARGEST or 0 < largest < _SMALLEST:
@@ -107,6 +112,7 @@ def refuse_degenerate(low: FloatArray, high: FloatArray, points: int, source: st
             f"{source}: the largest coordinate is {largest:g}",
             "scale the points: such numbers leave the range of float32",
         )
+    check_coordinates(choose_origin(low, high), source, _MIDDLE)
     if (low == high).all():
         raise InputError(
             f"{source}: all {points} points lie in one place",

@@ -36,6 +36,7 @@ _TYPES = {
 _CELLS = ("VERTICES", "LINES", "POLYGONS", "TRIANGLE_STRIPS", "CELLS")
 _POINT_SETS = ("POLYDATA", "UNSTRUCTURED_GRID", "STRUCTURED_GRID")
 _LONGEST_LINE = 4096
+_MOST_COLUMNS = 64  # of one array: more of them are a descriptor, not attributes
 
 Column = Numbers
 
@@ -63,7 +64,7 @@ def open_vtk(path: Path) -> PointSource:
         elif values.shape[1] == 1:
             role = find_role(name)
             attributes[name if role in AXES else role] = values[:, 0]
-        else:
+        elif values.shape[1] <= _MOST_COLUMNS:
             attributes |= {f"{name}_{i}": column for i, column in enumerate(values.T)}
     return slice_cloud(path, reader.kind, PointCloud(positions, normals, colours, attributes))
 

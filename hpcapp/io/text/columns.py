@@ -130,15 +130,17 @@ def assign_by_name(names: list[str], sample: FloatArray) -> Columns:
     best: dict[str, int] = {}
     for i in sorted(range(len(names)), key=lambda i: _rank(names[i])):
         best.setdefault(find_role(names[i]), i)
-    roles: list[str] = []
+    roles: dict[str, None] = {}
+    numbers = dict.fromkeys(names, 1)
     for i, name in enumerate(names):
-        role, again = find_role(name), 2
+        role = find_role(name)
         if best[role] != i:
             role = name
         while role in roles or best.get(role, i) != i:
-            role, again = f"{name}_{again}", again + 1
-        roles.append(role)
-    return _make_columns(roles, sample)
+            numbers[name] += 1
+            role = f"{name}_{numbers[name]}"
+        roles[role] = None
+    return _make_columns(list(roles), sample)
 
 
 def _rank(name: str) -> int:

@@ -15,7 +15,14 @@ from pathlib import Path
 import numpy as np
 
 from hpcapp.geometry.points import FloatArray
-from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS, find_role, name_some
+from hpcapp.io.points.column_roles import (
+    AXES,
+    COLOURS,
+    MOST_COLUMNS,
+    NORMALS,
+    find_role,
+    name_some,
+)
 from hpcapp.io.points.point_source import Findings
 from hpcapp.io.rows import Line, is_count, line_error, numbered
 from hpcapp.io.text.leading import are_point_numbers, find_named_order
@@ -25,7 +32,8 @@ from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 
 _COMMENT_MARK = re.compile(r"\s*(?:#+|//+|;+|%+|!+)\s*")
-_DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?", re.ASCII)
+_DECIMAL_COMMA = re.compile(r"[+-]?\d*+,\d+(?:[eE][+-]?\d+)?", re.ASCII)
+_COMMA_AND_DIGIT = re.compile(r",\d", re.ASCII)
 _LONGEST_COUNT = 24
 _MOST_COUNTS = 10_000
 _HEAD_ROWS = 1 << 12
@@ -96,6 +104,9 @@ def find_layout(path: Path, findings: Findings) -> tuple[Layout, FloatArray]:
         raise InputError(f"{path}: no points: the file has no line of numbers", "check the file")
     rows = replace(rows, columns=Counter(map(len, fields)).most_common(1)[0][0])
     fields = [row for row in fields if len(row) == rows.columns]
+    if rows.columns > MOST_COLUMNS:
+        problem = f"{rows.columns} columns, more than {MOST_COLUMNS}"
+        raise line_error(path, first, problem, "export fewer of them")
     names = _match_names(head, fields, path, findings)
     rows = replace(
         rows,
@@ -184,7 +195,7 @@ def _find_separator(texts: list[str], first: Line, path: Path) -> RowFormat:
     texts = [text for text in texts if mark in text]
     if mark == ",":
         return _judge_commas(texts, first, path)
-    return RowFormat(";", "." if any(map(_DECIMAL_COMMA.search, texts)) else ",")
+    return RowFormat(";", "." if any(map(_COMMA_AND_DIGIT.search, texts)) else ",")
 
 
 def _judge_commas(texts: list[str], first: Line, path: Path) -> RowFormat:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io.batches import batch_points
 from hpcapp.io.columns import Numbers
+from hpcapp.io.frame import check_coordinates
 from hpcapp.io.points.column_roles import AXES, COLOURS
 from hpcapp.io.points.point_source import Findings, PointSource, Scan
 from hpcapp.io.rows import is_count, line_error
@@ -133,6 +134,8 @@ def _read_header(line: tuple[int, str], lines: LineReader, path: Path) -> _Heade
         problem = f"the matrix of the scan ends in the column {matrix[:, 3].tolist()}"
         raise line_error(path, line, problem, "it must be 0 0 0 1: the fourth row is what it adds")
     scanner = np.array(table[0])
+    for numbers in (scanner, matrix):
+        check_coordinates(numbers, path, f"the pose of the scan from line {line[0]} on")
     if not scanner.any():
         scanner = matrix[3, :3]  # some programs leave out where the scanner stood
     return _Header(line[0], (columns, rows), scanner, matrix[:, :3])

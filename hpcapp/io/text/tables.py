@@ -26,7 +26,7 @@ _COMMENT = r"(?<![^\s,;])#.*|//.*|^[ \t]*[%!].*"  # the # of 1.#QNAN starts none
 _COMMENTS = re.compile(rf"{_COMMENT}|^[ \t]*;.*", re.MULTILINE)
 _COMMENTS_BUT_SEMICOLONS = re.compile(_COMMENT, re.MULTILINE)
 _QUOTED = re.compile(r'"([^"\n]*)"')
-_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[edED][+-]?\d+)?", re.ASCII)
+_NUMBER = re.compile(r"[+-]?(?:\d++\.?\d*+|\.\d++)(?:[edED][+-]?\d++)?", re.ASCII)
 _NOT_FINITE = re.compile(
     r"[+-]?(?:nan(?:\(\w*\))?|inf|infinity|1\.#(?:qnan|snan|ind|inf)\d*)", re.ASCII | re.IGNORECASE
 )

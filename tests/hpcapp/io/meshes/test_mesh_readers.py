@@ -120,7 +120,7 @@ def test_a_glb_that_nests_without_end_is_one_line(tmp_path: Path, key: str, half
     head = np.array([2, 20 + len(text), len(text)], "<u4").tobytes()
     (tmp_path / "m.glb").write_bytes(b"glTF" + head + b"JSON" + text)
     with pytest.raises(
-        InputError, match=r"m\.glb: is no whole GLB: .* nested too deeply"
+        InputError, match=r"m\.glb: is no whole GLB: .* (nested too deeply|Expected `)"
     ) as caught:
         read_mesh(tmp_path / "m.glb")
     assert "\n" not in str(caught.value)

@@ -40,6 +40,7 @@ def test_normals_point_out_and_faces_without_area_have_none(tmp_path: Path) -> N
     [
         ("solid empty\nendsolid\n", "no triangles"),
         (f"solid cut\n{FACET}  vertex 1 2 3\n", "4 corners are no whole number of triangles"),
+        (f"solid cut\n{FACET}", "its last line is not 'endsolid'"),
         ("solid bad\nvertex 1 2 x\n", ":2: 'x' is not a number"),
         (b"\0" * 80 + b"\2\0\0\0" + b"\0" * 50, "truncated"),
         (b"\0" * 80 + b"\xff\xff\xff\xff", "truncated"),

@@ -4,6 +4,7 @@ import gzip
 import io
 import subprocess
 import sys
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -193,3 +194,16 @@ def test_what_has_no_end_is_refused_by_its_name(tmp_path: Path, is_packed: bool)
     assert f"hpcapp: {name}: no end after 4 MiB, and no more room for a copy in" in done.stderr
     assert "check that it ends" in done.stderr
     assert done.stderr.endswith("exit code 3, left: \n")
+
+
+@pytest.mark.slow  # it writes a gibibyte
+def test_what_unpacks_to_more_than_its_size_allows_is_refused(tmp_path: Path) -> None:
+    whole = zlib.compressobj(9, wbits=31)
+    head = whole.compress(bytes(1 << 24)) + whole.flush(zlib.Z_FULL_FLUSH)
+    more = whole.compress(bytes(1 << 24)) + whole.flush(zlib.Z_FULL_FLUSH)
+    (tmp_path / "a.npy.gz").write_bytes(head + 69 * more)
+    with (
+        pytest.raises(InputError, match=r"a\.npy\.gz: what it unpacks to: with that it claims 10"),
+        gather_points([str(tmp_path / "a.npy.gz")]),
+    ):
+        pass
