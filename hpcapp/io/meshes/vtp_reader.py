@@ -12,6 +12,7 @@ import zlib
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import NoReturn
 from xml.etree import ElementTree as Xml
 
 import numpy as np
@@ -140,17 +141,24 @@ def _take(packed: bytes, start: int, size: int, is_text: bool, is_apart: bool = 
         raise ValueError(str(error)) from None
 
 
+class _Builder(Xml.TreeBuilder):
+    """Builds elements of a document without a document type, in any encoding."""
+
+    def doctype(self, *declared: object) -> NoReturn:  # noqa: ARG002
+        raise ValueError("it declares a document type")
+
+
 def _open(path: Path) -> _File:
     raw = path.read_bytes()
     marker = _APPENDED.search(raw, 0, _MOST_XML)
-    if b"<!DOCTYPE" in raw[:_MOST_XML]:
-        raise ValueError("it declares a document type")
     appended = b""
     text = raw
     if marker:
         appended = raw[marker.end() :]
         text = raw[: marker.end() - 1] + b"</AppendedData></VTKFile>"
-    root = Xml.fromstring(text)  # noqa: S314 - without a document type nothing is expanded
+    parser = Xml.XMLParser(target=_Builder())  # noqa: S314 - without a document type nothing is expanded
+    parser.feed(text)
+    root: Xml.Element = parser.close()
     if root.tag != "VTKFile" or root.get("type") != "PolyData":
         raise ValueError("it is no PolyData")
     if root.get("compressor") not in (None, _ZLIB):
