@@ -26,7 +26,8 @@ from hpcapp.io.staging import replacing
 from hpccomponent.cli.option_names import name_option
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError, UsageError
-from hpccomponent.foreign_json import decode
+from hpccomponent.foreign_json import decode_large
+from hpccomponent.ranges import is_place
 
 if TYPE_CHECKING:
     from hpcapp.geometry.mesh import Mesh
@@ -106,7 +107,7 @@ def parse_origin(text: str) -> Origin:
     Raises
     ------
     UsageError
-        It is neither a word nor three finite numbers.
+        It is neither a word nor a place.
 
     Examples
     --------
@@ -119,7 +120,7 @@ def parse_origin(text: str) -> Origin:
         x, y, z = (float(word) for word in text.split(","))
     except ValueError:
         x = y = z = np.nan
-    if not np.isfinite([x, y, z]).all():
+    if not is_place(x, y, z):
         asked = name_option("origin", repr(text))
         raise UsageError(f"{asked}: is no place", "give auto, keep, or X,Y,Z")
     return x, y, z
@@ -188,7 +189,7 @@ def _read_beside(path: Path) -> _Beside | None:
     try:
         if beside.stat().st_size > _MOST_BYTES:
             raise ValueError("too large")
-        return decode(beside.read_bytes(), _Beside)
+        return decode_large(beside.read_bytes(), _Beside)
     except ValueError as error:
         raise InputError(
             f"{beside}: does not say where {path.name} is: {error}",

@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from hpccomponent.cli.verbosity import Verbosity, set_verbosity
-from hpccomponent.ranges import is_finite
+from hpccomponent.ranges import NUMBERS, is_number
 
 
 def _obey(ctx: click.Context, param: click.Parameter, value: bool) -> None:
@@ -67,12 +67,12 @@ class Verb(click.Command):
         return own if passes_on else [*own[:-1], *COMMON, own[-1]]
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse what was typed; NaN and infinity are no numbers of any option."""
+        """Parse what was typed; no option takes NaN, infinity, or what is beyond `is_number`."""
         rest = super().parse_args(ctx, args)
         for parameter in self.params:
             value = ctx.params.get(parameter.name or "")
-            if not is_finite(value):
-                raise click.BadParameter("give a finite number", ctx, parameter)
+            if not is_number(value):
+                raise click.BadParameter(f"give {NUMBERS}", ctx, parameter)
         return rest
 
     def group_options(self, ctx: click.Context) -> dict[str, list[click.Option]]:

@@ -22,7 +22,7 @@ from hpcapp.io.frame import to_local
 from hpcapp.io.meshes.linear_colours import to_bytes
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
-from hpccomponent.foreign_json import decode
+from hpccomponent.foreign_json import decode_large
 
 _TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
@@ -142,7 +142,7 @@ def _open(path: Path) -> _File:
         length = int.from_bytes(raw[at : at + 4], "little")
         chunks.setdefault(raw[at + 4 : at + 8], raw[at + _CHUNK : at + _CHUNK + length])
         at += _CHUNK + length
-    document = decode(chunks[b"JSON"], dict[str, Any])
+    document = decode_large(chunks[b"JSON"], dict[str, Any])
     if needed := document.get("extensionsRequired"):
         raise InputError(
             f"{path}: needs the extension {needed[0]}", "export it without compression"
