@@ -106,4 +106,4 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     """Name the interface, for completion in notebooks."""
-    return sorted({*globals(), *__all__})
+    return sorted(__all__)

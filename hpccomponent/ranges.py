@@ -1,4 +1,4 @@
-"""Numbers that a user gives are finite and within their range: one rule for Python and files."""
+"""Numbers that a user gives are within their range: one rule for Python, files and options."""
 
 from __future__ import annotations
 
@@ -10,17 +10,25 @@ FARTHEST = 2.0**53
 """Of a coordinate: beyond it, a double has no fractions of a unit."""
 
 
-def is_finite(value: object) -> bool:
-    """Tell whether a value is no NaN and no infinity; whatever is no number is neither.
+LEAST = 1.0 / FARTHEST
+"""Of a number that is not zero: a smaller length is lost in every coordinate."""
+
+NUMBERS = f"a number from {LEAST:.1e} to {FARTHEST:.0e} in size"
+
+
+def is_number(value: object) -> bool:
+    """Tell whether a float is zero, or from `LEAST` to `FARTHEST` in size; others pass.
+
+    Within them, squares, cubes and counts of cells are numbers, too.
 
     Examples
     --------
-    >>> is_finite(float("nan")), is_finite((1.0, float("inf"))), is_finite(10**400)
-    (False, False, True)
+    >>> is_number(float("nan")), is_number((1.0, 1e300)), is_number(1e-300), is_number(10**400)
+    (False, False, False, True)
     """
     if isinstance(value, list | tuple):
-        return all(map(is_finite, value))
-    return not isinstance(value, float) or -inf < value < inf
+        return all(map(is_number, value))
+    return not isinstance(value, float) or value == 0.0 or LEAST <= abs(value) <= FARTHEST
 
 
 def is_place(*coordinates: float) -> bool:
@@ -37,7 +45,7 @@ def is_place(*coordinates: float) -> bool:
 def check_range(
     name: str, value: float, low: float = -inf, high: float = inf, *, is_open: bool = False
 ) -> None:
-    """Refuse a number that is not finite, or beyond its range.
+    """Refuse what is no number, see `is_number`, or beyond its range.
 
     Parameters
     ----------
@@ -53,10 +61,10 @@ def check_range(
     UsageError
         It is one of these.
     """
-    if is_finite(value) and low <= value <= high and not (is_open and value == low):
+    if is_number(value) and low <= value <= high and not (is_open and value == low):
         return
-    if low == -inf:
-        asked = "a finite number"
+    if low == -inf or not is_number(value):
+        asked = NUMBERS
     elif high < inf:
         asked = f"a number from {low:g} to {high:g}"
     else:

@@ -6,7 +6,6 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
 from functools import cached_property
-from html import escape
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
@@ -35,6 +34,7 @@ from hpcapp.named_files import PAGE, PICTURE
 from hpcapp.pages.browser import show_page
 from hpcapp.pages.page import build_page, write_page
 from hpcapp.pages.scene import Scene, fields_of
+from hpcapp.pages.templates import render
 from hpcapp.pages.thin import MOST_FACES, thin_mesh
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
@@ -424,11 +424,8 @@ class Mesh:
 
     def _repr_html_(self) -> str:
         """Return a page in a frame, for notebooks."""
-        page = escape(self._page(_IN_NOTEBOOK, is_small=True))
-        return (
-            f'<iframe srcdoc="{page}" style="width: 100%; height: {_HEIGHT}px; border: 0" '
-            'title="mesh"></iframe>'
-        )
+        page = self._page(_IN_NOTEBOOK, is_small=True)
+        return render("frame.html", page=page, height=_HEIGHT)
 
     def _repr_png_(self) -> bytes:
         """Return a picture, for notebooks where no page can be shown."""

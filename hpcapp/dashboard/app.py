@@ -15,9 +15,7 @@ import json
 import logging
 import secrets
 from collections.abc import AsyncIterator
-from html import escape
 from importlib.resources import files
-from string import Template
 from urllib.parse import quote
 
 import anyio
@@ -34,6 +32,7 @@ from hpcapp.dashboard.news import Reader
 from hpcapp.dashboard.parts import pack_part
 from hpcapp.dashboard.unauthenticated import UnauthenticatedConnections
 from hpcapp.dashboard.watched_job import WatchedJob
+from hpcapp.pages.templates import render
 from hpccomponent.cli.terminal import visible_line
 
 log = logging.getLogger(__name__)  # not the job's: the page shows that one
@@ -142,16 +141,14 @@ class _Views:
         """Return the page, whose addresses have the token."""
         nonce = secrets.token_urlsafe(16)
         imports = {name: "./" + self._address(file) for name, file in IMPORTS.items()}
-        page = Template(_read("hpcapp.dashboard", "dashboard.html").decode()).substitute(
-            title=escape(visible_line(self._job.title)),
+        page = render(
+            "dashboard.html",
+            title=visible_line(self._job.title),
             nonce=nonce,
             page=self._job.viewers.arrive(),
-            imports=json.dumps({"imports": imports}),
+            imports={"imports": imports},
             program=self._address("dashboard.js"),
-            styles="\n".join(
-                f'<link rel="stylesheet" href="{self._address(name)}">'
-                for name in ("design.css", "page.css", "dashboard.css")
-            ),
+            styles=[self._address(name) for name in ("design.css", "page.css", "dashboard.css")],
         )
         policy = (
             f"default-src 'none'; script-src 'self' 'nonce-{nonce}'; style-src 'self'; "

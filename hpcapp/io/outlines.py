@@ -3,23 +3,38 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta
 
 from hpcapp.extras import how_to_install
 from hpcapp.geometry.prism import load_shapely
 from hpcapp.io.points.point_source import translated
 from hpccomponent.cli.option_names import name_option
-from hpccomponent.errors import InputError, MissingLibraryError
-from hpccomponent.foreign_json import decode
+from hpccomponent.errors import InputError, MissingLibraryError, UsageError
+from hpccomponent.foreign_json import convert, decode
 from hpccomponent.ranges import FARTHEST, is_place
 
 OUTLINE_SUFFIXES = (".geojson", ".json", ".wkt", ".txt", ".shp")
-_WKT = re.compile(r"\s*+(SRID=\d+;\s*+)?(MULTI)?POLYGON", re.IGNORECASE)
+_CURVES = r"CIRCULARSTRING|COMPOUNDCURVE|CURVEPOLYGON|MULTICURVE|MULTISURFACE"
+_CURVED = re.compile(rf"\b({_CURVES})\b", re.IGNORECASE)
+_WKT = re.compile(
+    rf"\s*+(SRID=\d++;\s*+)?({_CURVES}|(MULTI)?(POLYGON|LINESTRING|POINT)|GEOMETRYCOLLECTION)"
+    r"\s*+(ZM|Z|M)?\s*+(\(|EMPTY)",
+    re.IGNORECASE,
+)
+_DEEPEST = 32  # parentheses within each other: a collection of polygons has four
 _EXPORT = "export the polygons again, as GeoJSON"
+_HEADER, _RECORD = 100, 8  # bytes of a shapefile, and in front of each shape
+_POLYGONS = (5, 15, 25)  # types of shapes: flat, with z, and with m
+
+_Position = Annotated[list[float], Meta(min_length=2)]
+_Rings = list[list[_Position]]
+_COORDINATES: dict[object, Any] = {"Polygon": _Rings, "MultiPolygon": list[_Rings]}
 
 
 def read_outline(given: str) -> str:
@@ -34,30 +49,34 @@ def read_outline(given: str) -> str:
     ------
     InputError
         It cannot be read, holds no polygon, or one that crosses itself.
+    UsageError
+        It is WKT itself, of which the same is true.
     MissingLibraryError
         shapely is not installed, or pyshp, which a shapefile needs.
     """
     shapely = load_shapely("polygons")
-    path, name = Path(given), given
-    if _WKT.match(given):
-        shapes, name = [_read_text(given, "the polygon", shapely)], "the polygon"
-    elif path.suffix.lower() not in OUTLINE_SUFFIXES:
+    path, name = Path(given), name_option("polygon")
+    if path.suffix.lower() in OUTLINE_SUFFIXES:
+        with translated(path):
+            return _unite(_read_file(path, shapely), given, shapely)
+    if not _WKT.match(given):
         raise InputError(
             f"{name_option('polygon', given)}: neither WKT nor a file of a known kind",
             f"give one of {', '.join(OUTLINE_SUFFIXES)}, or 'POLYGON ((0 0, 9 0, 9 9, 0 0))'",
         )
-    else:
-        with translated(path):
-            shapes = [shapely.force_2d(shape) for shape in _read_file(path, shapely)]
-    return _unite(shapes, name, shapely)
+    try:
+        return _unite([_read_text(given, name, shapely)], name, shapely)
+    except InputError as error:
+        raise UsageError(error.problem, error.advice) from None
 
 
 def _read_file(path: Path, shapely: Any) -> Iterable[Any]:
     """Return the shapes of a file, some of which may be no polygons."""
     suffix = path.suffix.lower()
+    content = path.read_bytes()
     if suffix == ".shp":
-        return [_make_shape(shape, path, shapely) for shape in _read_shapefile(path)]
-    text = path.read_bytes().decode("utf-8-sig", "replace")
+        return [_make_shape(shape, path, shapely) for shape in _read_shapefile(content, path)]
+    text = content.decode("utf-8-sig", "replace")
     if suffix in (".wkt", ".txt"):
         return [_read_text(line, str(path), shapely) for line in _split_lines(text)]
     try:
@@ -74,49 +93,92 @@ def _split_lines(text: str) -> list[str]:
 
 
 def _read_text(text: str, name: str, shapely: Any) -> Any:
+    """Return the shape that WKT says; GEOS has no bound of its own for what is nested."""
+    if curve := _CURVED.search(text):
+        raise InputError(
+            f"{name}: it has curves ({curve[0].upper()}), which are not read",
+            "make them straight: in QGIS by 'Segmentize by maximum distance'",
+        )
+    steps = np.frombuffer(text.encode("ascii", "replace"), np.uint8)
+    depth = np.cumsum((steps == ord("(")).astype(np.int64) - (steps == ord(")")))
+    if depth.max(initial=0) > _DEEPEST:
+        raise InputError(f"{name}: no WKT: it is nested more than {_DEEPEST} deep", _EXPORT)
+    if 0 in steps:
+        raise InputError(f"{name}: no WKT: it has a zero byte, where GEOS would stop", _EXPORT)
     try:
-        return shapely.from_wkt(text.partition(";")[2] if ";" in text else text)
-    except shapely.errors.GEOSException as error:
+        return shapely.force_2d(shapely.from_wkt(re.sub(r"^\s*SRID=\d+;", "", text)))
+    except (shapely.errors.ShapelyError, NotImplementedError, ValueError) as error:
         raise InputError(f"{name}: no WKT: {str(error).splitlines()[0]}", _EXPORT) from None
 
 
-def _list_shapes(found: object) -> list[Any]:
-    """Return the shapes of GeoJSON, out of features and collections of them."""
-    if isinstance(found, list):
-        return [shape for part in found for shape in _list_shapes(part)]
-    if not isinstance(found, dict):
-        return []
-    for name in ("features", "geometries", "geometry"):
-        if name in found:
-            return _list_shapes(found[name])
-    return [found]
+def _list_shapes(found: object) -> Iterator[dict[str, Any]]:
+    """Yield the polygons of GeoJSON, out of features and collections of them."""
+    waiting = [found]
+    while waiting:
+        part = waiting.pop()
+        if isinstance(part, list):
+            waiting += reversed(part)
+        elif isinstance(part, dict):
+            inside = [part[key] for key in ("features", "geometries", "geometry") if key in part]
+            waiting += inside[:1]
+            if not inside and part.get("type") in ("Polygon", "MultiPolygon"):
+                yield part
 
 
-def _make_shape(found: Any, path: Path, shapely: Any) -> Any:
+def _make_shape(found: dict[str, Any], path: Path, shapely: Any) -> Any:
     from shapely.geometry import shape
 
+    kind = found["type"]
     try:
-        return shape(found)
-    except (
-        shapely.errors.ShapelyError, AttributeError, IndexError, KeyError, TypeError, ValueError,
-    ) as error:  # fmt: skip
+        numbers = convert(found.get("coordinates"), _COORDINATES[kind])
+        return shapely.force_2d(shape({"type": kind, "coordinates": numbers}))
+    except (shapely.errors.ShapelyError, IndexError, TypeError, ValueError) as error:
         said = str(error).splitlines()[0] if str(error) else "it is damaged"
         raise InputError(f"{path}: a shape cannot be read: {said}", _EXPORT) from None
 
 
-def _read_shapefile(path: Path) -> list[Any]:
+def _read_shapefile(content: bytes, path: Path) -> list[dict[str, Any]]:
     try:
         import shapefile
     except ModuleNotFoundError:
         raise MissingLibraryError(
             f"{path}: shapefiles need the package pyshp", how_to_install("gis")
         ) from None
-    with path.open("rb") as file:
-        try:
-            with shapefile.Reader(shp=file) as reader:
-                return [shape.__geo_interface__ for shape in reader.iterShapes()]
-        except Exception as error:
-            raise InputError(f"{path}: no shapefile: {error}", _EXPORT) from None
+    try:
+        _check_shapefile(content)
+        with shapefile.Reader(shp=BytesIO(content)) as reader:
+            found = [shape.__geo_interface__ for shape in reader.iterShapes()]
+    except Exception as error:
+        raise InputError(f"{path}: no shapefile: {error}", _EXPORT) from None
+    return [one for one in found if one["type"] in _COORDINATES]
+
+
+def _check_shapefile(content: bytes) -> None:
+    """Refuse a file that pyshp would read in parts without a word; ValueError says why.
+
+    "ESRI Shapefile Technical Description", July 1998.
+    """
+    stated, kind = 2 * int.from_bytes(content[24:28], "big"), content[32:36]
+    if stated != len(content) or stated < _HEADER:
+        raise ValueError(f"it says it has {stated} bytes, and has {len(content)}")
+    if (number := int.from_bytes(kind, "little")) not in _POLYGONS:
+        raise ValueError(f"it holds shapes of type {number}, which are no polygons")
+    at = _HEADER
+    while at < stated:
+        size = 2 * int.from_bytes(content[at + 4 : at + _RECORD], "big")
+        shape = content[at + _RECORD : at + _RECORD + size]
+        at += _RECORD + size
+        if at > stated or size < len(kind):
+            raise ValueError("a shape of it is cut")
+        if shape == bytes(4):  # one without coordinates
+            continue
+        parts, points = np.frombuffer(shape, "<i4", 2, 36).tolist()
+        least, column = 44 + 4 * parts + 16 * points, 16 + 8 * points  # of z, and of m
+        if shape[:4] != kind or size not in (least, least + column, least + 2 * column):
+            raise ValueError("a shape of it has another length or type than it says")
+        starts = np.frombuffer(shape, "<i4", parts, 44)
+        if not parts or starts[0] != 0 or (np.diff(starts, append=points) < 1).any():
+            raise ValueError("the rings of a shape do not follow each other")
 
 
 def _unite(shapes: Iterable[Any], name: str, shapely: Any) -> str:

@@ -26,7 +26,7 @@ from hpcapp.io.staging import replacing
 from hpccomponent.cli.option_names import name_option
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError, UsageError
-from hpccomponent.foreign_json import decode
+from hpccomponent.foreign_json import decode_large
 from hpccomponent.ranges import FARTHEST, is_place
 
 if TYPE_CHECKING:
@@ -191,7 +191,7 @@ def _read_beside(path: Path) -> _Beside | None:
     try:
         if beside.stat().st_size > _MOST_BYTES:
             raise ValueError("too large")
-        return decode(beside.read_bytes(), _Beside)
+        return decode_large(beside.read_bytes(), _Beside)
     except ValueError as error:
         raise InputError(
             f"{beside}: does not say where {path.name} is: {error}",

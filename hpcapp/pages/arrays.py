@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.geometry.points import FloatArray
+from hpccomponent.dataclass import dataclass
 
 Packable = NDArray[np.uint8 | np.uint16 | np.uint32]
 
@@ -47,15 +48,23 @@ def quantise(positions: FloatArray, low: FloatArray, high: FloatArray) -> NDArra
     return np.clip(np.rint((positions - low) * scale), 0, _LARGEST).astype(np.uint16)
 
 
-def pack_array(name: str, values: Packable) -> str:
-    """Return an array as an element of a page.
+@dataclass(frozen=True, slots=True)
+class PackedArray:
+    """An array as an element of a page has it: its ``id``, its attributes and its text."""
 
-    The same array gives the same text.
+    name: str
+    type: str
+    rows: int
+    columns: int
+    packed: str
+
+
+def pack_array(name: str, values: Packable) -> PackedArray:
+    """Pack an array; the same one gives the same text.
 
     Parameters
     ----------
     name : str
-        Its ``id``.
     values : ndarray of uint8, uint16 or uint32, shape (n,) or (n, c)
     """
     rows = np.ascontiguousarray(values)
@@ -66,10 +75,7 @@ def pack_array(name: str, values: Packable) -> str:
     signed = steps.view(np.dtype(f"i{rows.itemsize}"))
     folded = (steps << 1) ^ (signed >> (bits - 1)).view(steps.dtype)
     planes = folded.reshape(-1, 1).astype(f"<u{rows.itemsize}").view(np.uint8).T
-    return (
-        f'<script type="application/gzip" id="{name}" data-type="u{rows.itemsize}" '
-        f'data-rows="{len(rows)}" data-columns="{columns}">{_pack(planes.tobytes())}</script>'
-    )
+    return PackedArray(name, f"u{rows.itemsize}", len(rows), columns, _pack(planes.tobytes()))
 
 
 def pack_text(text: str) -> str:

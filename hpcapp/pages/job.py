@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
-from html import escape
 
-from hpcapp.pages.page import Section, make_list, make_table
+from hpcapp.pages.page import Section, tabulate
 from hpcapp.pages.report import TaskSpan
 from hpcapp.pages.timeline import MASTER, draw_timeline
 from hpcapp.wording import say_name, say_number, say_share, say_value
@@ -41,18 +40,22 @@ def describe_job(
     has_mesh : bool
         Whether what the mesh is, is said.
     """
+    others = convert(report.get("warnings") or [], list[str])
     sections = [
-        Section("Mesh", make_table(_mesh(report)) if has_mesh else ""),
-        _describe_warnings(report, marked),
-        Section("Decided", make_table(_decisions(report))),
+        Section("Warnings", "warnings.html", {"marked": marked, "others": others}),
+        tabulate("Decided", _decisions(report)),
         *_describe_input(report),
-        Section("Time", _describe_time(report)),
-        Section("Workers and traffic", make_table(_work(report))),
     ]
+    if has_mesh:
+        sections.insert(0, tabulate("Mesh", _mesh(report)))
+    if drawn := draw_timeline(_spans(report) or _stages(report)):
+        sections.append(Section("Time", "timeline.html", drawn))
+    sections.append(tabulate("Workers and traffic", _work(report)))
     if command := report.get("command"):
         words = command if isinstance(command, str) else shlex.join(convert(command, list[str]))
-        sections.append(Section("To do it again", f"<pre>{escape(visible_text(words))}</pre>"))
-    return [section for section in sections if section.body]
+        again = {"command": visible_text(words)}
+        sections.append(Section("To do it again", "command.html", again))
+    return sections
 
 
 def find_unit(report: Mapping[str, object]) -> str:
@@ -115,27 +118,16 @@ def _describe_input(report: Mapping[str, object]) -> list[Section]:
         for name, use in columns.items():
             by_use.setdefault(str(use), []).append(str(name))
         rows |= {f"taken as {use}": ", ".join(names) for use, names in by_use.items()}
-    return [Section("Input", make_table(rows))]
+    return [tabulate("Input", rows)]
 
 
-def _describe_warnings(report: Mapping[str, object], marked: Sequence[str]) -> Section:
-    """Return the warnings, those that are marked on the mesh first."""
-    others = convert(report.get("warnings") or [], list[str])
-    body = make_list(marked, "warning", 0) if marked else ""
-    body += make_list(others, "warning") if others else ""
-    return Section("Warnings", body or "<p>none</p>")
-
-
-def _describe_time(report: Mapping[str, object]) -> str:
-    """Draw the spans of the job; its stages one after the other where there are none."""
-    spans = _spans(report)
-    if not spans:
-        begin = 0.0
-        for name, seconds in convert(report.get("stages") or {}, dict[str, float]).items():
-            end = begin + seconds
-            spans.append(TaskSpan(name, MASTER, begin, end))
-            begin = end
-    return draw_timeline(spans)
+def _stages(report: Mapping[str, object]) -> list[TaskSpan]:
+    """Return the stages of a job one after the other, for where there are no spans."""
+    spans, begin = [], 0.0
+    for name, seconds in convert(report.get("stages") or {}, dict[str, float]).items():
+        spans.append(TaskSpan(name, MASTER, begin, begin + seconds))
+        begin += seconds
+    return spans
 
 
 def _spans(report: Mapping[str, object]) -> list[TaskSpan]:

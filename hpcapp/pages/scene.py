@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
-from hpcapp.pages.arrays import Packable, pack_array, quantise
+from hpcapp.pages.arrays import Packable, PackedArray, pack_array, quantise
 from hpccomponent.dataclass import dataclass
 
 MOST_POINTS = 200_000
@@ -142,24 +141,16 @@ def label_field(name: str, label: str, numbers: NDArray[np.integer], words: str)
     return Field(name, label, numbers, labels=labels)
 
 
-def pack_scene(scene: Scene) -> tuple[str, list[tuple[str, str]], str]:
-    """Return a scene as a page holds it.
+def pack_scene(scene: Scene) -> tuple[dict[str, object], list[PackedArray]]:
+    """Return a scene as a page holds it: JSON values, which name the arrays, and these.
 
-    Returns
-    -------
-    description : str
-        JSON, safe inside of a ``script`` element.
-    colourings : list of (str, str)
-        Name and label of what mesh or points can be coloured by; the first is shown first.
-    arrays : str
-        Elements with the numbers.
+    Of its fields, the first is shown first.
     """
-    arrays: list[str] = []
+    arrays: list[PackedArray] = []
 
     def pack(values: Packable) -> str:
-        name = f"array-{len(arrays)}"
-        arrays.append(pack_array(name, values))
-        return name
+        arrays.append(pack_array(f"array-{len(arrays)}", values))
+        return arrays[-1].name
 
     mesh = None if scene.mesh is None else _pack_mesh(scene.mesh, pack)
     fields = [] if scene.mesh is None else _pack_fields(scene, scene.mesh, pack)
@@ -170,7 +161,7 @@ def pack_scene(scene: Scene) -> tuple[str, list[tuple[str, str]], str]:
             own = [replace(field, values=field.values[rows]) for field in scene.fields]
             fields = _pack_fields(replace(scene, fields=own), sample, pack)
         points = _pack_points(sample, pack, is_alone=scene.mesh is None)
-    described = {
+    described: dict[str, object] = {
         "mesh": mesh,
         "fields": fields,
         "points": points,
@@ -179,9 +170,7 @@ def pack_scene(scene: Scene) -> tuple[str, list[tuple[str, str]], str]:
         "unit": scene.unit,
         "tint": None if scene.tint is None else asdict(scene.tint),
     }
-    text = json.dumps(described, separators=(",", ":"), allow_nan=False)
-    colourings = [(str(field["name"]), str(field["label"])) for field in fields]
-    return text.replace("<", "\\u003c"), colourings, "\n".join(arrays)
+    return described, arrays
 
 
 def _pack_mesh(mesh: Mesh, pack: Pack) -> dict[str, object]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from html import escape
 
 from hpcapp.pages.report import TaskSpan
 from hpcapp.wording import round_ticks, say_number
@@ -17,38 +16,38 @@ _MOST_ROWS = 64
 MASTER = "master"
 
 
-def draw_timeline(spans: Sequence[TaskSpan]) -> str:
-    """Draw spans as SVG in HTML, with a legend; nothing where there are no spans.
+def draw_timeline(spans: Sequence[TaskSpan]) -> dict[str, object]:
+    """Return what ``timeline.html`` draws: an SVG with a legend; nothing without spans.
 
     Parameters
     ----------
-    spans : sequence of mapping
+    spans : sequence of TaskSpan
         Of very many the longest are drawn.
     """
     if not spans:
-        return ""
+        return {}
     end = max(span.end for span in spans) or 1e-9
     workers = sorted({span.worker for span in spans}, key=_order)
     names: dict[str, int] = {}
     for span in spans:
         names.setdefault(span.name, len(names))
     rows = {worker: number for number, worker in enumerate(workers[:_MOST_ROWS])}
-    height = _ROW * len(rows) + 18
     drawn = sorted(spans, key=lambda span: span.begin - span.end)[:_MOST_BARS]
-    parts = [f'<svg class="timeline" viewBox="0 0 {_WIDTH} {height}" role="img">']
-    parts += [_tick(seconds, end, height) for seconds in round_ticks(end, _TICKS)]
-    for worker, row in rows.items():
-        short = worker if len(worker) <= 14 else f"{worker[:13]}…"
-        parts.append(f'<text x="0" y="{_ROW * row + 11}">{escape(short)}</text>')
-    parts += [_bar(span, rows, names, end) for span in drawn if span.worker in rows]
-    parts.append("</svg>")
     notes = []
     if len(drawn) < len(spans):
         notes.append(f"the longest {len(drawn):,} of {len(spans):,} spans")
     if len(rows) < len(workers):
         notes.append(f"{len(rows)} of {len(workers)} workers")
-    note = f"<p>Drawn are {' and '.join(notes)}.</p>" if notes else ""
-    return "\n".join(parts) + _legend(names, spans) + note
+    return {
+        "width": _WIDTH,
+        "height": _ROW * len(rows) + 18,
+        "row": _ROW,
+        "ticks": [_tick(seconds, end) for seconds in round_ticks(end, _TICKS)],
+        "workers": list(rows),
+        "bars": [_bar(span, rows, names, end) for span in drawn if span.worker in rows],
+        "legend": _legend(names, spans),
+        "notes": notes,
+    }
 
 
 def _order(worker: str) -> tuple[bool, int, str]:
@@ -60,44 +59,41 @@ def _at(seconds: float, end: float) -> float:
     return _LEFT + (_WIDTH - _LEFT - 4) * seconds / end
 
 
-def _tick(seconds: float, end: float, height: int) -> str:
+def _tick(seconds: float, end: float) -> dict[str, object]:
     x = _at(seconds, end)
-    anchor = "end" if x > _WIDTH - _ROW else "middle"
-    return (
-        f'<line class="axis" x1="{x:.1f}" x2="{x:.1f}" y1="0" y2="{height - 14}"/>'
-        f'<text x="{x:.1f}" y="{height - 3}" text-anchor="{anchor}">{seconds:g} s</text>'
-    )
+    return {"x": x, "seconds": seconds, "anchor": "end" if x > _WIDTH - _ROW else "middle"}
 
 
 def _colour(name: str, names: Mapping[str, int], outcome: str) -> str:
+    """Return the design's name of a colour."""
     if outcome in _FAILED:
-        return "var(--failed)"
-    return "var(--warn)" if outcome == "repeated" else f"var(--series-{names[name] % _SERIES + 1})"
+        return "--failed"
+    return "--warn" if outcome == "repeated" else f"--series-{names[name] % _SERIES + 1}"
 
 
-def _bar(span: TaskSpan, rows: Mapping[str, int], names: Mapping[str, int], end: float) -> str:
+def _bar(
+    span: TaskSpan, rows: Mapping[str, int], names: Mapping[str, int], end: float
+) -> dict[str, object]:
     outcome = "" if span.outcome == "done" else f", {span.outcome}"
     seconds = span.end - span.begin
-    text = escape(
-        f"{span.name}: {say_number(seconds, 's')} from {say_number(span.begin, 's')}{outcome}"
-    )
     left, right = _at(span.begin, end), _at(span.end, end)
-    return (
-        f'<rect x="{left:.2f}" y="{_ROW * rows[span.worker] + 2}" '
-        f'width="{max(right - left, 0.4):.2f}" height="{_ROW - 4}" '
-        f'style="fill:{_colour(span.name, names, span.outcome)}"><title>{text}</title></rect>'
-    )
+    return {
+        "x": left,
+        "width": max(right - left, 0.4),
+        "row": rows[span.worker],
+        "colour": _colour(span.name, names, span.outcome),
+        "text": f"{span.name}: {say_number(seconds, 's')} from {say_number(span.begin, 's')}"
+        f"{outcome}",
+    }
 
 
-def _legend(names: Mapping[str, int], spans: Sequence[TaskSpan]) -> str:
-    """Name the bars, the longest first, and what has failed."""
+def _legend(names: Mapping[str, int], spans: Sequence[TaskSpan]) -> list[dict[str, object]]:
+    """Name the bars, the longest first."""
     seconds = dict.fromkeys(names, 0.0)
     for span in spans:
         seconds[span.name] += span.end - span.begin
-    rows = [
-        f'<tr><th><svg width="10" height="10"><rect width="10" height="10" '
-        f'style="fill:{_colour(name, names, "done")}"/></svg> {escape(name)}</th>'
-        f'<td class="number">{say_number(total, "s")}</td></tr>'
-        for name, total in sorted(seconds.items(), key=lambda item: -item[1])[:_MOST_ROWS]
+    longest = sorted(seconds.items(), key=lambda item: -item[1])[:_MOST_ROWS]
+    return [
+        {"name": name, "seconds": total, "colour": _colour(name, names, "done")}
+        for name, total in longest
     ]
-    return "\n<table>\n" + "\n".join(rows) + "\n</table>"

@@ -13,7 +13,7 @@ import click
 from hpccomponent.cli.named_files import list_files
 from hpccomponent.cli.verbosity import Verbosity, set_verbosity
 from hpccomponent.files.outputs import check_files
-from hpccomponent.ranges import is_finite
+from hpccomponent.ranges import NUMBERS, is_number
 
 
 def _obey(ctx: click.Context, param: click.Parameter, value: bool) -> None:
@@ -80,15 +80,15 @@ class Verb(click.Command):
         return own if passes_on else [*own[:-1], *COMMON, own[-1]]
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse what was typed; NaN and infinity are no numbers of any option."""
+        """Parse what was typed; no option takes NaN, infinity, or what is beyond `is_number`."""
         try:
             rest = super().parse_args(ctx, args)
         except click.MissingParameter as error:
             raise click.UsageError(_say_missing(error, ctx), ctx) from None
         for parameter in self.params:
             value = ctx.params.get(parameter.name or "")
-            if not is_finite(value):
-                raise click.BadParameter("give a finite number", ctx, parameter)
+            if not is_number(value):
+                raise click.BadParameter(f"give {NUMBERS}", ctx, parameter)
         return rest
 
     def invoke(self, ctx: click.Context) -> Any:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from html import escape
 from math import isnan
 from pathlib import Path
 
@@ -11,7 +10,7 @@ from hpcapp.applications.compare.metrics import Measures
 from hpcapp.applications.compare.truth import Truth
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.io.placement import choose_up
-from hpcapp.pages.page import Section, build_page, make_table
+from hpcapp.pages.page import build_page, tabulate
 from hpcapp.pages.scene import MOST_POINTS, Field, Scene, fields_of
 from hpcapp.pages.thin import thin_mesh
 from hpcapp.wording import say_name, say_number, say_share
@@ -24,6 +23,10 @@ _LENGTHS = (
     ("rms", "root mean square"),
     ("p95", "95 % are below"),
     ("hausdorff", "largest (Hausdorff)"),
+)
+_NOTE = (
+    "Distances are exact: from points spread evenly over one surface to the nearest place on the "
+    "other. The points beside the mesh are the truth's."
 )
 
 
@@ -93,22 +96,11 @@ def make_comparison(
         thin, [distance, *fields_of(thin)], truth.sample(MOST_POINTS, 0), colouring="distance",
         up=choose_up(thin), unit=truth.unit,
     )  # fmt: skip
-    lines = [
-        f'<tr><th>{escape(name)}</th><td class="number">{length}</td>'
-        f'<td class="number">{share}</td></tr>'
-        for name, length, share in list_lengths(measures, truth.unit)
-    ]
-    head = '<tr><th></th><th class="number">length</th><th class="number">% of diagonal</th></tr>'
-    table = f"<table>\n{head}\n" + "\n".join(lines) + "\n</table>"
-    notes = (
-        "<p>Distances are exact: from points spread evenly over one surface to the nearest place "
-        "on the other. The points beside the mesh are the truth's.</p>"
-    )
-    if openness := say_openness(measures):
-        notes = f"<p>{escape(openness)}</p>" + notes
+    notes = [*filter(None, [say_openness(measures)]), _NOTE]
+    head = ("", "length", "% of diagonal")
     sections = [
-        Section("Distances", table + notes),
-        Section("Agreement", make_table(list_agreement(measures))),
-        Section("Mesh", make_table(list_topology(measures))),
+        tabulate("Distances", list_lengths(measures, truth.unit), head, notes),
+        tabulate("Agreement", list_agreement(measures)),
+        tabulate("Mesh", list_topology(measures)),
     ]
     return build_page(path.name, f"compared with {truth_name}", scene, sections)

@@ -12,6 +12,7 @@ import numpy as np
 
 from hpcapp.applications.heights.grid import HeightGrid
 from hpcapp.extras import how_to_install
+from hpcapp.io.crs import parse_epsg
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import MissingLibraryError, OutputError
 
@@ -50,9 +51,10 @@ def read_crs(text: str | None, path: Path) -> Crs | None:
     if text is None:
         log.warning("%s: states no coordinate reference system: the input has none", path)
         return None
+    code, known = parse_epsg(text), rasterio.crs.CRS
     try:
-        return rasterio.crs.CRS.from_user_input(text)
-    except rasterio.errors.CRSError:
+        return known.from_wkt(text) if code is None else known.from_epsg(code)
+    except (rasterio.errors.CRSError, ValueError):  # the latter: characters that are none
         log.warning("%s: states no coordinate reference system: %r is none by name", path, text)
         return None
 
@@ -70,16 +72,18 @@ def write_geotiff(path: Path, grid: HeightGrid, crs: Crs | None) -> None:
     rasterio = load_rasterio(path)
     rows, columns = grid.values.shape
     transform = rasterio.Affine(grid.step, 0.0, grid.west, 0.0, -grid.step, grid.north)
-    with replacing(path) as file:
-        try:
-            with rasterio.open(
-                file.name, "w", driver="GTiff", width=columns, height=rows, count=1,
+    try:
+        with rasterio.MemoryFile() as memory:  # GDAL says nothing of a disk that is full
+            with memory.open(
+                driver="GTiff", width=columns, height=rows, count=1,
                 dtype="float32", nodata=math.nan, crs=crs,
                 transform=transform, compress="deflate", predictor=3, tiled=True,
             ) as image:  # fmt: skip
                 image.write(grid.values.astype(np.float32), 1)
                 image.set_band_description(1, "height")
                 image.units = (grid.crs.height_unit or grid.crs.unit or "",)
-        except rasterio.errors.RasterioError as error:
-            why = str(error).partition("\n")[0]
-            raise OutputError(f"{path}: cannot be written: {why}", "check for room") from error
+            with replacing(path) as file:
+                file.write(memory.getbuffer())
+    except rasterio.errors.RasterioError as error:
+        why = str(error).partition("\n")[0]
+        raise OutputError(f"{path}: cannot be written: {why}", "check for room") from error

@@ -26,7 +26,7 @@ from hpcapp.io.meshes.mesh_stream import as_stream
 from hpcapp.io.placement import choose_up
 from hpcapp.pages.job import describe_job, find_unit
 from hpcapp.pages.owners import mark_tiles, take_labels
-from hpcapp.pages.page import Section, build_page, make_table
+from hpcapp.pages.page import build_page, tabulate
 from hpcapp.pages.report import read_report
 from hpcapp.pages.scene import Field, Scene, fields_of
 from hpcapp.pages.thin import thin_mesh
@@ -89,7 +89,7 @@ def make_page(
     facts = {} if report is None else read_report(report)
     sections = [] if report is None else describe_job(facts, has_mesh=False)
     if isinstance(shown, PointCloud):
-        sections.insert(0, Section("Points", make_table(_describe_points(shown))))
+        sections.insert(0, tabulate("Points", _describe_points(shown)))
         scene = _show_points(shown, up, find_shown_unit(path, shown))
         return build_page(path.name, f"{len(shown):,} points", scene, sections)
     marked, workers = mark_tiles(shown, path, facts, str(report))
@@ -105,7 +105,7 @@ def make_page(
     }
     if len(thin.faces) < len(shown.faces):
         rows["shown"] = f"a copy with {len(thin.faces):,} faces"
-    sections.insert(0, Section("Mesh", make_table(rows)))
+    sections.insert(0, tabulate("Mesh", rows))
     cloud = None if points is None else _read_beside(points, shown, crop)
     stated = find_unit(facts) if points is None else open_points(points).unit
     unit = stated or find_shown_unit(path, shown)

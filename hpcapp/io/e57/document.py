@@ -26,6 +26,7 @@ _POLYNOMIAL, _ALL_ONES = np.uint32(0x82F63B78), np.uint32(0xFFFFFFFF)  # of CRC-
 _LONGEST = 1 << 26  # bytes of XML: some thousand belong to a scan
 _MOST_ELEMENTS = 500_000  # some sixty belong to a scan
 _MOST_CHILDREN = 1000  # of an element that is no list
+_DEEPEST = 64  # elements within each other: a field of a scan is the sixth
 _LONGEST_TEXT = 1 << 20  # characters of an element that are kept: a CRS takes some thousand
 _AT_ONCE = 1 << 20
 
@@ -170,6 +171,8 @@ class _Parser:
         self._elements += 1
         if self._elements > _MOST_ELEMENTS:
             raise refuse(self._path, f"its XML has more than {_MOST_ELEMENTS} elements")
+        if len(self._open) > _DEEPEST:
+            raise refuse(self._path, f"its XML is nested more than {_DEEPEST} deep")
         if len(parent.children) == _MOST_CHILDREN and parent.attributes.get("type") != "Vector":
             raise refuse(
                 self._path, f"its XML has more than {_MOST_CHILDREN} elements in {parent.name[:40]}"

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -91,6 +92,7 @@ def write_las(
     is_compressed = path.suffix.lower() == ".laz"
     with (
         replacing(path) as file,
+        _translated(laspy, path),
         laspy.LasWriter(file, header, do_compress=is_compressed, closefd=False) as writer,
     ):
         for start in range(0, len(cloud), _ROWS_AT_ONCE):
@@ -102,6 +104,16 @@ def write_las(
             for name, values in (fields | extras).items():
                 points[name] = values[rows]
             writer.write_points(points)
+
+
+@contextmanager
+def _translated(laspy: _Foreign, path: Path) -> Iterator[None]:
+    """Turn errors of laspy and of the compressors, which write by themselves, into ours."""
+    try:
+        yield
+    except (RuntimeError, laspy.errors.LaspyException) as error:
+        why = str(error).partition("\n")[0]
+        raise OutputError(f"{path}: cannot be written: {why}", "check for room") from error
 
 
 def choose_grid(low: FloatArray, high: FloatArray) -> tuple[float, FloatArray]:

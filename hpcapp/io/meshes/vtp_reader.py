@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from itertools import accumulate, pairwise
 from pathlib import Path
+from typing import NoReturn
 from xml.etree import ElementTree as Xml
 
 import numpy as np
@@ -164,10 +165,15 @@ def _take(
     return taken
 
 
+class _Builder(Xml.TreeBuilder):
+    """Builds elements of a document without a document type, in any encoding."""
+
+    def doctype(self, *declared: object) -> NoReturn:  # noqa: ARG002
+        raise ValueError("it declares a document type")
+
+
 def _open(path: Path) -> _File:
     raw = path.read_bytes()
-    if b"<!DOCTYPE" in raw[:_MOST_XML]:
-        raise ValueError("it declares a document type")
     appended, text = memoryview(b""), raw
     tag = raw.find(_APPENDED, 0, _MOST_XML)
     marker = raw.find(b"_", raw.find(b">", tag, _MOST_XML), _MOST_XML) if tag >= 0 else -1
@@ -176,7 +182,9 @@ def _open(path: Path) -> _File:
         text = raw[:marker] + b"</AppendedData></VTKFile>"
     claims = Claims(path)
     claims.add(len(text) + _A_TAG * text.count(b"<"), "its XML")
-    root = Xml.fromstring(text)  # noqa: S314 - without a document type nothing is expanded
+    parser = Xml.XMLParser(target=_Builder())  # noqa: S314 - without a document type nothing is expanded
+    parser.feed(text)
+    root: Xml.Element = parser.close()
     if root.tag != "VTKFile" or root.get("type") != "PolyData":
         raise ValueError("it is no PolyData")
     if root.get("compressor") not in (None, _ZLIB):

@@ -11,6 +11,14 @@ from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
 from hpccomponent.ranges import check_range
 
+MOST_POINTS = 10**9
+"""Of a scan: it is made in memory, at some hundred bytes a point."""
+
+MOST_VIEWS = 10_000
+"""Of a shape: the whole of it is traced for each."""
+
+_MOST_BALLS = 10_000
+
 
 @dataclass(frozen=True, slots=True)
 class ScanSettings:
@@ -69,8 +77,8 @@ class ScanSettings:
 
     def __post_init__(self) -> None:
         ranges: dict[str, tuple[float, float]] = {
-            "points": (1, np.inf),
-            "views": (0, np.inf),
+            "points": (1, MOST_POINTS),
+            "views": (0, MOST_VIEWS),
             "noise": (0.0, 0.2),
             "drift": (0.0, 0.2),
             "correlation": (1e-4, 1.0),
@@ -79,7 +87,7 @@ class ScanSettings:
             "pose_error": (0.0, 0.2),
             "outliers": (0.0, 0.9),
             "density_ratio": (1.0, 1e4),
-            "missing": (0, np.inf),
+            "missing": (0, _MOST_BALLS),
             "flipped": (0.0, 1.0),
             "seed": (0, np.inf),
         }

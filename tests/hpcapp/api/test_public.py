@@ -42,6 +42,14 @@ def test_errors_have_their_public_names_in_tracebacks_from_the_first_call_on() -
     assert re.search(r"^hpcapp\.InputError: no-such-file\.ply", found.stderr, re.MULTILINE)
 
 
+def test_what_is_listed_is_the_interface() -> None:
+    code = "import hpcapp; print(*dir(hpcapp)); hpcapp.Mesh; print(*dir(hpcapp))"
+    listed = subprocess.run(
+        [sys.executable, "-P", "-c", code], capture_output=True, text=True, check=True
+    ).stdout
+    assert listed.splitlines() == [" ".join(sorted(hpcapp.__all__))] * 2
+
+
 def test_importing_the_package_imports_nothing_heavy() -> None:
     code = (
         "import sys, hpcapp; print(dir(hpcapp)); "

@@ -109,6 +109,27 @@ def test_a_job_of_a_moment_is_shown_whole(page: Page, errors: list[str]) -> None
     assert errors == []
 
 
+def test_nothing_of_a_jobs_words_runs(page: Page, errors: list[str]) -> None:
+    words = "'\"></script></title><script>ran=1</script><img src=x onerror=ran=1><!--<script>"
+    timeline = Timeline()
+    timeline.list_workers = lambda: [WorkerState(words, words, words)]
+    job = WatchedJob(timeline, words)
+    progress = Progress(job)
+    with open_dashboard("127.0.0.1:0", job) as address, job.running():
+        page.goto(address)
+        for outcome in ("done", "lost", words):
+            timeline.record(words, words, 0.0, outcome)
+            timeline.record(words, MASTER, 0.0, outcome)
+        progress.begin(words)
+        progress.advance(1, 4)
+        job.say(words)
+        for place in ("h1", "#log", "#workers tbody", "#stages", "#stage-name", "#key"):
+            page.locator(place, has_text=words).wait_for()
+        assert page.evaluate("typeof ran") == "undefined"
+        assert page.locator("img, [onerror]").count() == 0
+    assert errors == []
+
+
 def show_four_workers() -> WatchedJob:
     """Return a job with four workers, in the middle of its second stage."""
     seconds = [0.0]

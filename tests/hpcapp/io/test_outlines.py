@@ -10,7 +10,7 @@ import shapefile
 import shapely
 
 from hpcapp.io.outlines import read_outline
-from hpccomponent.errors import InputError
+from hpccomponent.errors import InputError, UsageError
 
 SQUARE = [[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 4.0], [0.0, 0.0]]
 HOLE = [[1.0, 1.0], [1.0, 2.0], [2.0, 2.0], [1.0, 1.0]]
@@ -92,6 +92,7 @@ def test_a_shapefile_is_read(tmp_path: Path) -> None:
         ("a.wkt", b"POLYGON ((1 2, 3", "no WKT"),
         ("a.wkt", b"", "no polygon"),
         ("a.wkt", b"LINESTRING (0 0, 1 1)", "no polygon"),
+        ("a.wkt", b"POLYGON ((0 0, 4 0, 4 4, 0 0))\0, 9 9", "zero byte"),
         ("a.shp", b"nothing of the kind", "no shapefile"),
         ("a.shp", b"", "no shapefile"),
         ("a.dxf", b"0\nSECTION\n", "neither WKT nor a file of a known kind"),
@@ -106,6 +107,106 @@ def test_what_is_no_polygon_is_one_line(
         read_outline(str(path))
     assert "\n" not in found.value.problem
     assert str(path) in found.value.problem
+
+
+CURVED = "CURVEPOLYGON (CIRCULARSTRING (0 0, 4 0, 4 4, 0 4, 0 0))"
+
+
+@pytest.mark.parametrize("depth", [40, 900, 50_000, 500_000])
+@pytest.mark.parametrize("shape", [
+    "POLYGON {}0 0, 1 0, 1 1, 0 0{}",
+    "GEOMETRYCOLLECTION {}POLYGON ((0 0, 1 0, 1 1, 0 0)){}",
+])  # fmt: skip
+def test_wkt_that_is_nested_deeply_is_refused(shape: str, depth: int, tmp_path: Path) -> None:
+    """GEOS would end the process."""
+    path, text = tmp_path / "a.wkt", shape.format(depth * "(", depth * ")")
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"a\.wkt: no WKT: it is nested more than 32 deep"):
+        read_outline(str(path))
+    with pytest.raises(UsageError, match=r"^polygon: no WKT: it is nested more than 32 deep"):
+        read_outline(text)
+
+
+@pytest.mark.parametrize("depth", [40, 300, 900, 200_000])
+@pytest.mark.parametrize("shape", [
+    '{{"type": "Polygon", "coordinates": {}0{}}}',
+    '{{"features": {}{}}}',
+    '{{"type": "MultiPolygon", "coordinates": [[[[0, 0], {}[1, 1]{}]]]}}',
+])  # fmt: skip
+def test_geojson_that_is_nested_deeply_is_one_line(shape: str, depth: int, tmp_path: Path) -> None:
+    path = tmp_path / "a.geojson"
+    path.write_text(shape.format(depth * "[", depth * "]"))
+    with pytest.raises(InputError, match=r"a\.geojson: ") as found:
+        read_outline(str(path))
+    assert "\n" not in str(found.value)
+
+
+@pytest.mark.parametrize(
+    "number", ["1" + 400 * "0", "1" + 5000 * "0", "1e400", '"1"', "null", "{}"]
+)
+def test_what_is_no_coordinate_is_one_line(number: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.geojson"
+    places = f"[[[0, 0], [{number}, 0], [4, 4], [0, 0]]]"
+    path.write_text(f'{{"type": "Polygon", "coordinates": {places}}}')
+    with pytest.raises(InputError, match=r"a\.geojson: ") as found:
+        read_outline(str(path))
+    assert "\n" not in str(found.value)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [CURVED, f"MULTISURFACE ({CURVED})", CURVED.lower(), f"GEOMETRYCOLLECTION ({CURVED})",
+     "CURVEPOLYGON Z (COMPOUNDCURVE Z (CIRCULARSTRING Z (0 0 1, 2 1 1, 4 0 1), (4 0 1, 0 0 1)))"],
+)  # fmt: skip
+def test_curves_say_how_they_become_straight(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.wkt"
+    path.write_text(text)
+    with pytest.raises(
+        InputError, match=r"a\.wkt: it has curves .*'Segmentize by maximum distance'"
+    ):
+        read_outline(str(path))
+    with pytest.raises(UsageError, match=r"^polygon: it has curves"):
+        read_outline(text)
+
+
+def test_a_file_may_be_called_as_a_shape(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("polygon (1).wkt").write_text("POLYGON ((0 0, 4 0, 4 4, 0 0))")
+    assert shapely.from_wkt(read_outline("polygon (1).wkt")).area == 8.0
+
+
+@pytest.mark.parametrize(
+    ("at", "number", "said"),
+    [
+        (32, 77, "shapes of type 77"),
+        (32, 1, "shapes of type 1"),
+        (24, 7, "and has"),
+        (100 + 4, 1 << 24, "cut"),
+        (108, 77, "another length or type"),
+        (108, 3, "another length or type"),
+        (108, 0, "another length or type"),
+        (108 + 36, 1, "another length or type"),
+        (108 + 40, 5, "another length or type"),
+        (108 + 40, -1, "another length or type"),
+        (108 + 44, 1, "do not follow each other"),
+        (108 + 48, -1, "do not follow each other"),
+        (108 + 48, 0, "do not follow each other"),
+        (108 + 48, 99, "do not follow each other"),
+    ],
+)
+def test_a_damaged_shapefile_is_not_read_in_part(
+    at: int, number: int, said: str, tmp_path: Path
+) -> None:
+    with shapefile.Writer(tmp_path / "yard", shapefile.POLYGON) as writer:
+        writer.field("name", "C")
+        writer.poly([SQUARE[::-1], HOLE[::-1]])
+        writer.record("yard")
+    path = tmp_path / "yard.shp"
+    content = bytearray(path.read_bytes())
+    content[at : at + 4] = number.to_bytes(4, "little", signed=True)
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=f"no shapefile: .*{said}"):
+        read_outline(str(path))
 
 
 def test_a_file_that_is_not_there_is_one_line(tmp_path: Path) -> None:

@@ -97,7 +97,7 @@ def test_what_single_precision_does_to_a_map_is_said(
     assert line.endswith("mesh.stl: single precision rounds its coordinates to 0.5")
 
 
-@pytest.mark.parametrize("text", ["here", "1,2", "1,2,3,4", "1,2,nan", "1,2,inf", ""])
+@pytest.mark.parametrize("text", ["here", "1,2", "1,2,3,4", "1,2,nan", "1,2,inf", "1,2,1e300", ""])
 def test_an_origin_that_is_none_is_refused(text: str) -> None:
     with pytest.raises(UsageError, match="is no place"):
         parse_origin(text)
@@ -105,8 +105,9 @@ def test_an_origin_that_is_none_is_refused(text: str) -> None:
 
 @pytest.mark.parametrize(
     "note",
-    ["", "[]", "{}", '{"origin": [1, 2]}', '{"origin": [1, 2, "3"]}', '{"origin": [1, 2, 1e999]}'],
-)
+    ["", "[]", "{}", '{"origin": [1, 2]}', '{"origin": [1, 2, "3"]}', '{"origin": [1, 2, 1e999]}',
+     '{"origin": [1, 2, 3], "crs": "\\ud800"}'],
+)  # fmt: skip
 def test_a_damaged_note_is_said(tmp_path: Path, tetrahedron: Mesh, note: str) -> None:
     path = tmp_path / "mesh.obj"
     write_mesh(path, tetrahedron)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,18 +19,11 @@ from hpcapp.pages.scene import Field, Marker, Scene, Tint, fields_of, label_fiel
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "chrome"))), None)
-
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.leaks_allowed,  # the browser stays for the module
-    pytest.mark.skipif(CHROMIUM is None, reason="no chromium in PATH"),
 ]
 
-_FLAGS = [
-    "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-    "--disable-background-networking", "--no-first-run",
-]  # fmt: skip
 _PIXELS = """() => {
   viewer.draw();
   const gl = viewer.renderer.getContext(), {width, height} = gl.canvas;
@@ -73,15 +65,6 @@ def make_cube() -> Mesh:
             sides.append((faces if sign > 0 else faces[:, ::-1]) + 81 * len(vertices))
             vertices.append(side)
     return Mesh(np.concatenate(vertices), np.concatenate(sides))
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    playwright = pytest.importorskip("playwright.sync_api", reason="no playwright")
-    with playwright.sync_playwright() as driver:
-        chromium = driver.chromium.launch(executable_path=CHROMIUM, args=_FLAGS)
-        yield chromium
-        chromium.close()
 
 
 @pytest.fixture

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from hpcapp.pages.job import describe_job
 from hpcapp.pages.report import TaskSpan
+from hpcapp.pages.templates import render
 from hpcapp.pages.timeline import draw_timeline
 
 REPORT: dict[str, object] = {
@@ -37,7 +38,14 @@ REPORT: dict[str, object] = {
 
 
 def bodies(report: dict[str, object], marked: tuple[str, ...] = ()) -> dict[str, str]:
-    return {section.title: section.body for section in describe_job(report, marked)}
+    return {
+        section.title: render(section.template, body=section.values)
+        for section in describe_job(report, marked)
+    }
+
+
+def drawing(spans: list[TaskSpan]) -> str:
+    return render("timeline.html", body=draw_timeline(spans))
 
 
 def test_everything_that_was_decided_is_said() -> None:
@@ -59,7 +67,7 @@ def test_warnings_that_are_marked_come_first() -> None:
 
 
 def test_the_command_can_be_typed_again() -> None:
-    assert "reconstruct &#x27;my scan.las&#x27; -o m.ply" in bodies(REPORT)["To do it again"]
+    assert "reconstruct &#39;my scan.las&#39; -o m.ply" in bodies(REPORT)["To do it again"]
 
 
 def test_traffic_failures_and_cost_are_said() -> None:
@@ -89,19 +97,19 @@ def test_stages_stand_in_for_spans() -> None:
 
 def test_workers_are_in_the_order_of_their_numbers_behind_the_master() -> None:
     spans = [TaskSpan("t", worker, 0.0, 1.0) for worker in ("w-10", "w-2", "master")]
-    drawn = draw_timeline(spans)
+    drawn = drawing(spans)
     assert drawn.index(">master<") < drawn.index(">w-2<") < drawn.index(">w-10<")
 
 
 def test_of_very_many_spans_the_longest_are_drawn() -> None:
     spans = [TaskSpan("t", f"w-{n % 100}", 0.0, 1.0 + n) for n in range(5000)]
-    drawn = draw_timeline(spans)
+    drawn = drawing(spans)
     assert drawn.count("<title>") <= 4000
     assert "the longest 4,000 of 5,000 spans and 64 of 100 workers" in drawn
 
 
 def test_nothing_is_drawn_of_nothing() -> None:
-    assert draw_timeline([]) == ""
+    assert draw_timeline([]) == {}
 
 
 def test_settings_have_readable_names_and_lengths_their_unit() -> None:
@@ -115,5 +123,5 @@ def test_settings_have_readable_names_and_lengths_their_unit() -> None:
 
 
 def test_times_are_at_round_numbers() -> None:
-    drawn = draw_timeline([TaskSpan("t", "w-1", 0.0, 4.7)])
+    drawn = drawing([TaskSpan("t", "w-1", 0.0, 4.7)])
     assert [f">{tick} s<" in drawn for tick in (0, 2, 4, 4.7)] == [True, True, True, False]

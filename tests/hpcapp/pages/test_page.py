@@ -13,7 +13,7 @@ import pytest
 
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import PointCloud
-from hpcapp.pages.page import Section, build_page, make_list, make_table, write_page
+from hpcapp.pages.page import Section, build_page, tabulate, write_page
 from hpcapp.pages.scene import Field, Marker, Scene, fields_of, label_field
 from hpccomponent.errors import OutputError
 
@@ -30,6 +30,7 @@ class Reader(HTMLParser):
         self.tags: list[str] = []
         self.ids: list[str] = []
         self.loaded: list[str] = []
+        self.texts: list[str] = []
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.tags.append(tag)
@@ -38,6 +39,9 @@ class Reader(HTMLParser):
                 self.ids.append(str(value))
             if name in ("src", "href"):
                 self.loaded.append(str(value))
+
+    def handle_data(self, data: str) -> None:
+        self.texts.append(data)
 
 
 def read(page: str) -> Reader:
@@ -72,14 +76,17 @@ def test_ids_are_unique() -> None:
 
 
 def test_what_is_put_in_is_text() -> None:
-    evil = "</script><script>alert(1)</script>"
-    scene = make_scene(markers=[Marker(np.zeros(3), evil)])
-    body = make_table({evil: evil}) + make_list([evil], evil.replace('"', ""), 0)
-    page = build_page(evil, evil, scene, [Section(evil, make_table({evil: evil}))])
+    evil = "</script><script>alert(1)</script><!--<script>\"'&"
+    sections = [
+        tabulate(evil, {evil: evil}, [evil, evil], [evil]),
+        Section(evil, "warnings.html", {"marked": [evil], "others": [evil]}),
+    ]
+    page = build_page(evil, evil, make_scene(markers=[Marker(np.zeros(3), evil)]), sections)
     plain = build_page("t", "s", make_scene(markers=[Marker(np.zeros(3), "m")]))
-    assert "alert" in body
     assert read(page).tags.count("script") == read(plain).tags.count("script")
+    assert read(page).texts.count(evil) == 12
     assert scene_of(page)["markers"][0]["text"] == evil
+    assert "<!--" not in page
 
 
 def test_the_colours_of_a_mesh_are_shown_first() -> None:

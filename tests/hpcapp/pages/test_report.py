@@ -9,6 +9,7 @@ import pytest
 
 from hpcapp.pages.job import describe_job
 from hpcapp.pages.report import check_report, read_report
+from hpcapp.pages.templates import render
 from hpccomponent.errors import InputError
 
 SPAN: dict[str, object] = {"name": "fit", "worker": "w", "begin": 0.0, "end": 1.0}
@@ -63,7 +64,7 @@ def test_what_is_no_json_object_is_refused(tmp_path: Path, text: str) -> None:
 def test_a_command_to_copy_hides_nothing() -> None:
     sections = describe_job({"command": ["hpcapp", "\x1b[8m", "a\u202eb"], "stages": None,
                              "timeline": None, "warnings": None})  # fmt: skip
-    text = "".join(section.body for section in sections)
+    text = "".join(render(one.template, body=one.values) for one in sections)
     assert not set("\x1b\u202e") & set(text)
 
 
@@ -74,6 +75,7 @@ def test_what_is_new_in_a_report_is_said() -> None:
         "timeline": {"spans": [SPAN | {"name": f"task-{number}"} for number in range(5000)]},
     }
     check_report(report, "r.json")
-    text = "".join(section.body for section in describe_job(report))
+    sections = describe_job(report)
+    text = "".join(render(one.template, body=one.values) for one in sections)
     assert "deep 1, x -" in text
     assert text.count("<tr>") < 100  # however many names there are

@@ -36,7 +36,7 @@ def plane(tmp_path: Path) -> Path:
     return tmp_path / "plane.ply"
 
 
-@pytest.mark.parametrize("tolerance", ["1", "1e300"])
+@pytest.mark.parametrize("tolerance", ["1", "9e15"])
 def test_a_tolerance_may_be_as_large_as_it_likes(
     plane: Path, tmp_path: Path, tolerance: str
 ) -> None:

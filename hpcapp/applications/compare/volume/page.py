@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from hpcapp.geometry.points import ByteArray, FloatArray
 from hpcapp.pages.drawing.camera import look_along
 from hpcapp.pages.drawing.caption import Colour, add_caption
 from hpcapp.pages.drawing.scale_bar import add_scale_bar
-from hpcapp.pages.page import Section, build_page
+from hpcapp.pages.page import build_page, tabulate
 from hpcapp.pages.png import write_png
 from hpcapp.pages.render import draw_mesh
 from hpcapp.pages.scene import Field, Scene, fields_of
@@ -96,20 +95,11 @@ def make_page(new: str, old: str, measured: Measured, up: str) -> str:
         sides=_SIDES[type(measured.change)], high=_find_end(measured.change, values),
     )  # fmt: skip
     scene = Scene(mesh, [field, *fields_of(mesh)], up=up, colouring="change", unit=measured.unit)
-    rows = "".join(
-        f"<tr><th>{escape(name)}</th>"
-        + "".join(f'<td class="number">{escape(cell)}</td>' for cell in cells)
-        + "</tr>\n"
-        for name, *cells in list_rows(measured.change, measured.unit)
-    )
-    head = "".join(f'<th class="number">{name}</th>' for name in HEAD[1:])
-    notes = "".join(f"<p>{escape(n)}</p>" for n in list_notes(measured.change, measured.unit))
+    notes = list_notes(measured.change, measured.unit)
     if doubted := doubt(measured.change, measured.unit):
-        notes = f"<p>{escape(doubted)}</p>{notes}"
-    table = f"<table>\n<tr><th></th>{head}</tr>\n{rows}</table>\n{notes}"
-    return build_page(
-        Path(new).name, f"what changed since {old}", scene, [Section("Volumes", table)]
-    )
+        notes.insert(0, doubted)
+    volumes = tabulate("Volumes", list_rows(measured.change, measured.unit), HEAD, notes)
+    return build_page(Path(new).name, f"what changed since {old}", scene, [volumes])
 
 
 def write_picture(path: Path, measured: Measured, up: str) -> None:

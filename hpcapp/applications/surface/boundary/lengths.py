@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from math import isfinite
-
 from hpccomponent.cli.option_names import name_option
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
+from hpccomponent.ranges import is_number
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +41,7 @@ def parse_length(name: str, text: str) -> Length | None:
     Raises
     ------
     UsageError
-        It is none of these, or negative.
+        It is none of these, negative, or beyond `is_number`.
 
     Examples
     --------
@@ -58,7 +57,7 @@ def parse_length(name: str, text: str) -> Length | None:
         value = float(text[:-1] if in_spacings else text)
     except ValueError:
         value = -1.0
-    if not (isfinite(value) and value >= 0.0):
+    if not (is_number(value) and value >= 0.0):
         raise UsageError(
             f"{name_option(name)} is {text!r}",
             "give auto, a length in the units of the input, as 0.05, or in spacings, as 3s",

@@ -24,7 +24,7 @@ from hpcapp.io.meshes.mesh_stream import MeshStream, find_vertices, make_mesh
 from hpcapp.io.placement import choose_up
 from hpcapp.pages.job import describe_job, find_unit
 from hpcapp.pages.owners import TILE, Owners, mark_tiles, take_labels
-from hpcapp.pages.page import Section, build_page, make_table, write_page
+from hpcapp.pages.page import build_page, tabulate, write_page
 from hpcapp.pages.scene import MOST_POINTS, Field, Marker, Scene, Tint, fields_of
 from hpcapp.pages.thin import thin_mesh
 from hpcapp.wording import say_count, say_number, say_share
@@ -185,7 +185,7 @@ def build_job_page(shown: Shown, report: Mapping[str, Any], title: str) -> str:
     sections = describe_job(report, [one.text for one in markers])
     if len(shown.mesh.faces) < shown.faces:
         note = {"faces": shown.faces, "shown here": len(shown.mesh.faces)}
-        sections.insert(0, Section("A copy with fewer faces is shown", make_table(note)))
+        sections.insert(0, tabulate("A copy with fewer faces is shown", note))
     return build_page(title, str(report["summary"]), scene, sections)
 
 

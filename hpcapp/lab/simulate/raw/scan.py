@@ -24,7 +24,7 @@ from hpcapp.lab.simulate.raw.parts import OTHER, VEGETATION
 from hpcapp.lab.simulate.raw.scanners import Pulses, Scanner, find_scanner
 from hpcapp.lab.simulate.raw.scenes import SCENES, Scene
 from hpcapp.lab.simulate.rays import cross_rays
-from hpcapp.lab.simulate.settings import check_ranges
+from hpcapp.lab.simulate.settings import MOST_POINTS, check_ranges
 from hpccomponent.cli.option_names import name_option
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
@@ -69,7 +69,7 @@ class RawSettings:
         check_ranges(
             self,
             {
-                "points": (1, np.inf),
+                "points": (1, MOST_POINTS),
                 "flying": (0.0, 0.5),
                 "strays": (0.0, 0.5),
                 "drift": (0.0, np.inf),

@@ -158,7 +158,9 @@ def test_heights_stay_in_their_own_unit(tmp_path: Path) -> None:
 def test_what_is_not_known_of_the_map_is_said(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    for crs, said in ((None, "the input has none"), ("the site's own", "is none by name")):
+    none = ("the site's own", "EPSG:1e9", "EPSG:0", '{"init": 5}', "/etc/passwd", "PROJCS[")
+    for crs, said in ((None, "the input has none"), *((name, "is none by name") for name in none)):
+        caplog.clear()
         write_points(tmp_path / "ground.ply", scan(5_000), crs)
         run(tmp_path / "ground.ply", "-o", tmp_path / "dtm.tif")
         assert said in caplog.text

@@ -90,6 +90,7 @@ def test_too_much_xml(write_xml: WriteXml) -> None:
         ("<r><a></r>", "its XML: mismatched tag"),
         ('<!DOCTYPE r [<!ENTITY a "a">]><r>&a;</r>', "its XML declares a document type"),
         (f"<r>{''.join(f'<a{i}/>' for i in range(1001))}</r>", "more than 1000 elements in r"),
+        (100_000 * "<a>" + 100_000 * "</a>", "its XML is nested more than 64 deep"),
         (f'<r type="Vector">{"<a/>" * 500_000}</r>', "more than 500000 elements"),
         ('<?xml version="1.0" encoding="no"?><r/>', "its XML: unknown encoding"),
     ],

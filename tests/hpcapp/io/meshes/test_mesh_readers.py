@@ -210,9 +210,12 @@ def test_every_form_of_vtk_is_read(tmp_path: Path, form: str, compressed: bool) 
     assert mesh.vertices.tolist() == [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
 
 
-def test_a_vtp_expands_nothing(tmp_path: Path) -> None:
-    bomb = b'<?xml version="1.0"?><!DOCTYPE a [<!ENTITY b "c">]>' + make_vtp("ascii")[21:]
-    (tmp_path / "m.vtp").write_bytes(bomb)
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+@pytest.mark.parametrize("ahead", [0, 1 << 21])
+def test_a_vtp_expands_nothing(tmp_path: Path, encoding: str, ahead: int) -> None:
+    declared = f'<!--{" " * ahead}--><!DOCTYPE a [<!ENTITY b "c">]>'
+    bomb = f'<?xml version="1.0"?>{declared}{make_vtp("ascii")[21:].decode()}'
+    (tmp_path / "m.vtp").write_bytes(bomb.encode(encoding))
     with pytest.raises(InputError, match="document type"):
         read_mesh(tmp_path / "m.vtp")
 
