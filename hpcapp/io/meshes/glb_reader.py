@@ -17,9 +17,11 @@ from hpcapp.geometry.axes import turn_up
 from hpcapp.geometry.axis_names import AXES
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import ByteArray, FloatArray
+from hpcapp.io.batches import find_different
 from hpcapp.io.columns import Numbers
 from hpcapp.io.frame import to_local
 from hpcapp.io.meshes.linear_colours import to_bytes
+from hpcapp.io.meshes.mesh_stream import find_vertices, make_mesh
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 from hpccomponent.foreign_json import decode
@@ -36,7 +38,8 @@ def read_glb(path: Path) -> Mesh:
 
     Nodes are where their matrices put them, but for the turn to y up of `write_glb`; colours are
     kept where all primitives have some, attributes (semantics with an underscore, under the name
-    that `write_glb` gave them) where there is one primitive.
+    that `write_glb` gave them) where there is one primitive. Vertices that a texture has cut apart,
+    to lie in several charts, are one again.
 
     Raises
     ------
@@ -220,9 +223,18 @@ def _read_primitive(
     for name, offset in extras.get("offsets", {}).items():
         attributes[name] = attributes[name].astype(np.float64) + float(offset)
     # A translation alone keeps the local frame, as `write_glb` writes it.
-    if np.array_equal(matrix[:3, :3], np.eye(3)):
-        return Mesh(places, faces, matrix[:3, 3].copy(), None, colours, attributes)
-    return Mesh(places @ matrix[:3, :3].T, faces, matrix[:3, 3].copy(), None, colours, attributes)
+    if not np.array_equal(matrix[:3, :3], np.eye(3)):
+        places = places @ matrix[:3, :3].T
+    mesh = Mesh(places, faces, matrix[:3, 3].copy(), None, colours, attributes)
+    return _join_charts(mesh) if "TEXCOORD_0" in columns else mesh
+
+
+def _join_charts(mesh: Mesh) -> Mesh:
+    """Return a mesh with one vertex at each place, without the faces that have two there."""
+    rows, numbers = find_different(mesh.vertices)
+    faces = numbers[mesh.faces]
+    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+    return make_mesh(find_vertices(mesh).take(rows), faces, mesh.origin)
 
 
 def _join(parts: list[Mesh]) -> Mesh:
