@@ -21,7 +21,8 @@ from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray
 from hpcapp.io import read_mesh
-from hpcapp.simplification.mesh import Target, simplify_mesh
+from hpcapp.simplification.mesh import simplify_mesh
+from hpcapp.simplification.target import Target
 
 COLUMNS = [
     "mesh", "faces", "asked", "left", "manifold", "mean, %", "largest, %", "s",

@@ -213,10 +213,10 @@ class Mesh:
         UsageError
             Neither is given, or one is out of its range.
         """
-        from hpcapp.simplification.mesh import Target, simplify_mesh
+        from hpcapp.simplification.mesh import simplify_mesh
+        from hpcapp.simplification.target import Target
 
         target = Target(faces, tolerance)
-        target.check()
         if not target.is_something:
             raise UsageError("simplify has no target", "give faces or tolerance")
         return wrap_mesh(simplify_mesh(self._plain, target), crs=self._crs, up=self._up)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.geometry.points import PointCloud
+from hpcapp.geometry.points import IntArray, PointCloud
 
 T = TypeVar("T", bound=np.generic)
 
@@ -57,6 +57,19 @@ def join_points(parts: Sequence[PointCloud]) -> PointCloud:
         },
         parts[0].origin,
     )
+
+
+def find_different(values: NDArray[Any]) -> tuple[IntArray, IntArray]:
+    """Return the first row of each value, in their order, and which of these each row has.
+
+    Examples
+    --------
+    >>> [array.tolist() for array in find_different(np.array([7, 3, 7, 5]))]
+    [[0, 1, 3], [0, 1, 0, 2]]
+    """
+    _, first, which = np.unique(values, axis=0, return_index=True, return_inverse=True)
+    rows = np.sort(first)
+    return rows, np.searchsorted(rows, first)[which.reshape(-1)]
 
 
 def join_arrays(arrays: Iterable[NDArray[T] | None]) -> NDArray[T] | None:

@@ -109,8 +109,9 @@ class Output:
         from hpcapp.io.meshes.mesh_stream import as_stream
         from hpcapp.io.output import open_output
         from hpcapp.io.placement import Placement, parse_origin
-        from hpcapp.simplification.mesh import Target, simplify_mesh
+        from hpcapp.simplification.mesh import simplify_mesh
         from hpcapp.simplification.size import fit_mesh, read_size
+        from hpcapp.simplification.target import Target
 
         target = Target(self.faces, self.tolerance)
         target.check()

@@ -13,7 +13,8 @@ from hpcapp.io.crs import Crs
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.placement import Placement
 from hpcapp.io.registry import find_mesh_writer
-from hpcapp.simplification.mesh import Target, simplify_mesh
+from hpcapp.simplification.mesh import simplify_mesh
+from hpcapp.simplification.target import Target
 from hpccomponent.errors import UsageError
 from hpccomponent.files.held_folders import temporary_folder
 from hpccomponent.units import parse_size

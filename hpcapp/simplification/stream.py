@@ -7,18 +7,18 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from dataclasses import replace
 from math import ceil
-from tempfile import TemporaryFile
 
 import numpy as np
 
 from hpcapp.geometry.mesh import Mesh
-from hpcapp.geometry.points import FloatArray, IntArray
-from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
-from hpcapp.simplification.mesh import Target, simplify_faces, simplify_mesh, unite_vertices
+from hpcapp.geometry.points import IntArray
+from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream, make_array
+from hpcapp.simplification.mesh import simplify_mesh
+from hpcapp.simplification.parts import collapse, join_parts
+from hpcapp.simplification.target import Target
 
 RUN_FACES = 1 << 20
 """Faces of a run, which takes some 500 MB."""
@@ -59,38 +59,29 @@ def simplify_stream(mesh: Mesh | MeshStream, target: Target, run_faces: int = RU
         return simplify_mesh(Mesh(vertices, faces, stream.origin), target)
     if target.tolerance is not None:
         target = replace(target, tolerance=target.tolerance / 2)
-    vertices, faces = _simplify_runs(stream, target, goal / stream.face_count, run_faces)
-    return simplify_mesh(Mesh(vertices, faces, stream.origin), target)
+    joined = _simplify_runs(stream, target, goal / stream.face_count, run_faces)
+    return simplify_mesh(joined, target)
 
 
-def _simplify_runs(
-    stream: MeshStream, target: Target, share: float, run_faces: int
-) -> tuple[FloatArray, IntArray]:
+def _simplify_runs(stream: MeshStream, target: Target, share: float, run_faces: int) -> Mesh:
     """Simplify run after run, and join them at the vertices that stayed."""
-    with TemporaryFile() as file:  # the array holds it open
-        os.posix_fallocate(
-            file.fileno(), 0, 24 * max(stream.vertex_count, 1)
-        )  # a full disk says so
-        places = np.memmap(file, np.float64, "r+", shape=(max(stream.vertex_count, 1), 3))
+    places = make_array((stream.vertex_count, 3))
     start = 0
     for block in stream.vertices():
         places[start : start + len(block)] = block.positions
         start += len(block)
-    vertices, faces, names, count = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], [], 0
+    parts: list[Mesh] = []
+    names: list[IntArray] = []
     for run in _cut_runs(stream.faces(), run_faces):
         used, rows = np.unique(run, return_inverse=True)
         run_target = target
         if target.faces is not None:
             run_target = replace(target, faces=max(4, ceil(share * len(run))))
-        moved, corners, kept_names = simplify_faces(
-            np.asarray(places[used]), rows.reshape(-1, 3), run_target, keeps_border=True
-        )
-        vertices.append(moved)
-        faces.append(corners + count)
-        names.append(np.where(kept_names >= 0, used[kept_names], -1))
-        count += len(moved)
-    whole = unite_vertices(np.concatenate(vertices), np.concatenate(faces), np.concatenate(names))
-    return whole[:2]
+        part = Mesh(np.asarray(places[used]), rows.reshape(-1, 3), stream.origin)
+        light, kept = collapse(part, run_target, keeps_border=True)
+        parts.append(light)
+        names.append(np.where(kept >= 0, used[kept], -1))
+    return join_parts(parts, names)[0]
 
 
 def _cut_runs(blocks: Iterator[IntArray], run_faces: int) -> Iterator[IntArray]:

@@ -173,6 +173,7 @@ def bake(
         tangents,
         None if colours is None else colours.reshape(square),
         normals.reshape(square),
+        atlas.sources,
     )
     texel = float(np.sqrt(_measure_area(mesh) / max(filled, 1e-9))) / pixels
     return Baked(replace(as_stream(mesh), texture=texture), atlas.charts, filled, texel)

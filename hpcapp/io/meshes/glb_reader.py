@@ -15,6 +15,7 @@ from hpcapp.geometry.axes import turn_up
 from hpcapp.geometry.axis_names import AXES
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import ByteArray, FloatArray, IntArray
+from hpcapp.io.batches import find_different
 from hpcapp.io.columns import Numbers
 from hpcapp.io.frame import check_coordinates, choose_origin, finite_bounds
 from hpcapp.io.meshes.glb_document import (
@@ -29,6 +30,7 @@ from hpcapp.io.meshes.glb_document import (
     read_extras,
 )
 from hpcapp.io.meshes.linear_colours import to_bytes
+from hpcapp.io.meshes.mesh_stream import find_vertices, make_mesh
 from hpccomponent.dataclass import dataclass
 from hpccomponent.decoding.claims import Claims
 from hpccomponent.errors import InputError
@@ -48,7 +50,8 @@ def read_glb(path: Path) -> Mesh:
 
     Nodes are where their matrices put them, but for the turn to y up of `write_glb`; colours are
     kept where all primitives have some, attributes (semantics with an underscore, under the name
-    that `write_glb` gave them) where there is one primitive.
+    that `write_glb` gave them) where there is one primitive. Vertices that a texture has cut apart,
+    to lie in several charts, are one again.
 
     Raises
     ------
@@ -65,6 +68,8 @@ def read_glb(path: Path) -> Mesh:
                 parts.append(part)
         with np.errstate(invalid="ignore", over="ignore"):  # NaN of any kind
             mesh = parts[0].read(file) if len(parts) == 1 else _join(file, parts)
+        if parts and all("TEXCOORD_0" in part.primitive.attributes for part in parts):
+            mesh = _join_charts(mesh)
         if not len(mesh.faces):
             raise InputError(f"{path}: holds no triangles", "give a mesh")
         return mesh
@@ -309,3 +314,11 @@ def _join(file: _File, parts: list[_Part]) -> Mesh:
     origin = choose_origin(*finite_bounds(vertices))
     vertices -= origin
     return Mesh(vertices, faces, origin, None, colours)
+
+
+def _join_charts(mesh: Mesh) -> Mesh:
+    """Return a mesh with one vertex at each place, without the faces that have two there."""
+    rows, numbers = find_different(mesh.vertices)
+    faces = numbers[mesh.faces]
+    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+    return make_mesh(find_vertices(mesh).take(rows), faces, mesh.origin)

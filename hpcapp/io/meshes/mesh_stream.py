@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import field, replace
+from tempfile import TemporaryFile
+from typing import Any
 
 import numpy as np
+from numpy.typing import DTypeLike, NDArray
 
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
@@ -107,6 +111,15 @@ def make_mesh(vertices: PointCloud, faces: IntArray, origin: FloatArray) -> Mesh
     """Return a mesh of vertices in its local frame, with what they carry."""
     columns = (vertices.normals, vertices.colours, vertices.attributes)
     return Mesh(vertices.positions, faces, origin, *columns)
+
+
+def make_array(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:
+    """Return an array of zeros in a file, for what all vertices of a mesh have."""
+    shape = tuple(max(rows, 1) for rows in shape)
+    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    with TemporaryFile() as file:  # the array holds it open
+        os.posix_fallocate(file.fileno(), 0, size)  # a full disk says so here
+        return np.memmap(file, dtype, "r+", shape=shape)
 
 
 def _blocks(rows: int) -> Iterator[slice]:

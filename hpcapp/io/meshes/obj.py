@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from hpcapp.geometry.mesh import Mesh
-from hpcapp.geometry.points import FloatArray
+from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
+from hpcapp.io.batches import find_different, join_points
 from hpcapp.io.columns import Ragged
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.meshes.mtl import write_material
@@ -76,7 +78,8 @@ def write_obj(path: Path, mesh: Mesh | MeshStream) -> None:
 
     Coordinates are written to the last digit if an origin was subtracted, else to the nine digits
     that tell one ``float`` from another; colours behind them, from 0 to 1. Comments say what
-    coordinates mean. A texture lies in files beside it (see `write_material`).
+    coordinates mean. A texture lies in files beside it (see `write_material`); a vertex that it has
+    in several charts is one, so that a closed mesh is.
     """
     stream = as_stream(mesh)
     formats = [coordinate_format(stream.origin)] * 3
@@ -90,9 +93,10 @@ def write_obj(path: Path, mesh: Mesh | MeshStream) -> None:
         corner = corner.replace("//", "/%d/") if has_normals else "%d/%d"
     face = f"f {corner} {corner} {corner}\n"
     material = [] if texture is None else write_material(path, texture)
+    blocks, joined = _join_charts(stream)
     with replacing(path) as file:
         file.writelines([*comment_lines(stream), *material])
-        for vertices in stream.vertices():
+        for vertices in blocks:
             places = vertices.positions + stream.origin
             if vertices.colours is not None:
                 places = np.hstack([places, vertices.colours / 255.0])
@@ -102,8 +106,17 @@ def write_obj(path: Path, mesh: Mesh | MeshStream) -> None:
         if texture is not None:
             file.writelines(write_rows("vt %.7g %.7g\n", abs(texture.places - (0.0, 1.0))))
         for faces in stream.faces():
-            corners = np.repeat(faces, corner.count("%"), axis=1)
+            columns = [faces if joined is None else joined[faces], faces] * 2
+            corners = np.stack(columns[: corner.count("%")], axis=2).reshape(len(faces), -1)
             file.writelines(write_rows(face, corners + 1))
+
+
+def _join_charts(stream: MeshStream) -> tuple[Iterator[PointCloud], IntArray | None]:
+    """Return the vertices to write, those of all charts once, and which of them each one is."""
+    if stream.texture is None:
+        return stream.vertices(), None
+    rows, numbers = find_different(stream.texture.sources)
+    return iter([join_points(list(stream.vertices())).take(rows)]), numbers
 
 
 def comment_lines(stream: MeshStream) -> list[bytes]:

@@ -11,6 +11,7 @@ from hpcapp.geometry.points import FloatArray
 from hpcapp.io.columns import Ragged
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.meshes.polygons import mesh_of_polygons
+from hpcapp.io.meshes.single_corners import round_corners
 from hpcapp.io.rows import Line, numbered, parse_table
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import InputError
@@ -79,9 +80,9 @@ def write_stl(path: Path, mesh: Mesh | MeshStream) -> None:
     with replacing(path) as file:
         file.write(head.encode("ascii")[:_HEAD_BYTES].ljust(_HEAD_BYTES))
         file.write(stream.face_count.to_bytes(4, "little"))
-        for corners in stream.corners():
+        for corners, rounded in round_corners(path, stream):
             triangles = np.zeros(len(corners), _TRIANGLE)
-            triangles["corners"] = corners + stream.origin
+            triangles["corners"] = rounded
             triangles["normal"] = _unit_normals(corners)
             file.write(triangles.data)
 

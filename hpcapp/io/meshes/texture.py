@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hpcapp.geometry.points import ByteArray, FloatArray
+from hpcapp.geometry.points import ByteArray, FloatArray, IntArray
 from hpccomponent.dataclass import dataclass
 
 
@@ -21,9 +21,12 @@ class Texture:
         sRGB, row by row from the top.
     normals : ndarray of uint8, shape (p, p, 3)
         Of the fine surface, in the frame of tangent, up and normal; -1 to 1 as 0 to 255.
+    sources : ndarray of int64, shape (v,)
+        Which vertex each was before the mesh was cut into charts.
     """
 
     places: FloatArray
     tangents: FloatArray
     colours: ByteArray | None
     normals: ByteArray
+    sources: IntArray

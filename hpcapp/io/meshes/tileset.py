@@ -28,7 +28,8 @@ from hpcapp.io.batches import join_points
 from hpcapp.io.meshes.glb import say_frame, write_glb
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream, find_vertices, make_mesh
 from hpcapp.io.staging import replacing_folder
-from hpcapp.simplification.mesh import Target, simplify_mesh
+from hpcapp.simplification.parts import collapse, join_parts
+from hpcapp.simplification.target import Target
 from hpccomponent.dataclass import dataclass
 
 TILE_FACES = 1 << 16
@@ -49,7 +50,7 @@ def write_tileset(path: Path, mesh: Mesh | MeshStream, tile_faces: int = TILE_FA
     stream = as_stream(mesh)
     whole = _collect(stream)
     with replacing_folder(path) as folder:
-        tile, _ = _write_tile(folder, "0", whole, np.arange(len(whole.faces)), tile_faces)
+        tile, *_ = _write_tile(folder, "0", whole, np.arange(len(whole.faces)), tile_faces)
         root = {**tile.to_json(), "refine": "REPLACE"}
         place = np.eye(4)
         place[:3, :3] = turn_up(stream.up)
@@ -104,27 +105,31 @@ class _Tile:
 
 def _write_tile(
     folder: Path, name: str, whole: Mesh, faces: IntArray, most: int
-) -> tuple[_Tile, Mesh]:
-    """Write a tile and all below it, and return it with its mesh."""
+) -> tuple[_Tile, Mesh, IntArray]:
+    """Write a tile and all below it, and return it with its mesh.
+
+    The vertices of the mesh are named by those of the whole that they still are, or -1.
+    """
     children: list[_Tile] = []
     error = 0.0
     if len(faces) <= most:
-        mesh = _take(whole, faces)
+        mesh, names = _take(whole, faces)
     else:
         halves = []
         for number, part in enumerate(_halve(whole, faces)):
-            child, half = _write_tile(folder, f"{name}{number}", whole, part, most)
+            child, *half = _write_tile(folder, f"{name}{number}", whole, part, most)
             children.append(child)
             halves.append(half)
-        joined = _unite(*halves)
-        mesh = simplify_mesh(joined, Target(faces=most), keeps_border=True)
+        joined, joined_names = join_parts(*zip(*halves, strict=True))
+        mesh, kept = collapse(joined, Target(faces=most), keeps_border=True)
+        names = np.where(kept >= 0, joined_names[kept], -1)
         error = max(child.error for child in children) + _distance(joined, mesh)
     write_glb(folder / f"{name}.glb", replace(mesh, origin=np.zeros(3)))
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     for child in children:  # a box holds the boxes below it
         low = np.minimum(low, child.centre - child.half_sides)
         high = np.maximum(high, child.centre + child.half_sides)
-    return _Tile(name, (low + high) / 2, (high - low) / 2, error, children), mesh
+    return _Tile(name, (low + high) / 2, (high - low) / 2, error, children), mesh, names
 
 
 def _halve(whole: Mesh, faces: IntArray) -> tuple[IntArray, IntArray]:
@@ -136,19 +141,10 @@ def _halve(whole: Mesh, faces: IntArray) -> tuple[IntArray, IntArray]:
     return np.sort(faces[order[:middle]]), np.sort(faces[order[middle:]])
 
 
-def _take(whole: Mesh, faces: IntArray) -> Mesh:
-    """Return some faces as a mesh of their own."""
+def _take(whole: Mesh, faces: IntArray) -> tuple[Mesh, IntArray]:
+    """Return some faces as a mesh of their own, and which vertices of the whole it has."""
     used, rows = np.unique(whole.faces[faces], return_inverse=True)
-    return make_mesh(find_vertices(whole).take(used), rows.reshape(-1, 3), whole.origin)
-
-
-def _unite(first: Mesh, second: Mesh) -> Mesh:
-    """Join two tiles at the places of vertices that both have on their rims."""
-    vertices = join_points([find_vertices(first), find_vertices(second)])
-    _, rows, which = np.unique(vertices.positions, axis=0, return_index=True, return_inverse=True)
-    faces = np.concatenate([first.faces, second.faces + len(first.vertices)])
-    same = rows[which.reshape(-1)]
-    return _take(make_mesh(vertices, same[faces], first.origin), np.arange(len(faces)))
+    return make_mesh(find_vertices(whole).take(used), rows.reshape(-1, 3), whole.origin), used
 
 
 def _distance(fine: Mesh, coarse: Mesh) -> float:

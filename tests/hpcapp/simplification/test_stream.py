@@ -11,8 +11,8 @@ from level_sets import mesh_level_set
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
-from hpcapp.simplification.mesh import Target
 from hpcapp.simplification.stream import simplify_stream
+from hpcapp.simplification.target import Target
 
 
 @pytest.fixture(scope="module")

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from hpcapp.applications.surface.cli.command import reconstruct
+from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import read_mesh, write_points
 from hpccomponent.errors import HpcError, MissingLibraryError, UsageError
@@ -117,6 +118,10 @@ def _blend(picture: NDArray[Any], places: FloatArray) -> FloatArray:
     return total
 
 
+def test_charts_do_not_open_a_closed_mesh(textured: Path) -> None:
+    assert check_mesh(read_mesh(textured)).watertight
+
+
 def errors(found: dict[str, FloatArray]) -> tuple[FloatArray, FloatArray]:
     """Return how wrong colours are, of 255, and normals, in degrees."""
     truth = found["places"] / np.linalg.norm(found["places"], axis=1, keepdims=True)
@@ -178,6 +183,7 @@ def test_an_obj_has_the_same_pictures_beside_it(sphere: Path, tmp_path: Path) ->
     uv = np.array([line.split()[1:] for line in text.splitlines() if line[:3] == "vt "], float)
     corner = next(line for line in text.splitlines() if line[:2] == "f ").split()[1].split("/")
     mesh = read_mesh(output)
+    assert check_mesh(mesh).watertight
     picture = np.asarray(Image.open(tmp_path / "my~20sphere_colours.png"), float)
     place = mesh.vertices[int(corner[0]) - 1]
     seen = _blend(picture, (uv[int(corner[1]) - 1] * (1.0, -1.0) + (0.0, 1.0))[None])

@@ -6,10 +6,8 @@ are and on nothing else, so that tiles and workers give the same bits.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from dataclasses import field, replace
-from tempfile import TemporaryFile
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +16,7 @@ from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.geometry.vertex_normals import add_face_normals, scale_normals
 from hpcapp.io.crs import UNKNOWN, Crs
-from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream, scale_mesh_heights
+from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream, make_array, scale_mesh_heights
 from hpcapp.io.placement import Placement
 from hpccomponent.dataclass import dataclass
 
@@ -155,10 +153,7 @@ NOTHING = Carrying(PointCloud(np.empty((0, 3))))
 
 def _sum_normals(stream: MeshStream) -> FloatArray:
     """Return the sums of the faces' normals at the vertices, shape (3, v), in a file."""
-    shape = (3, max(stream.vertex_count, 1))
-    with TemporaryFile() as file:  # the array holds it open
-        os.posix_fallocate(file.fileno(), 0, 24 * shape[1])  # a full disk says so here
-        sums = np.memmap(file, np.float64, "r+", shape=shape)
+    sums = make_array((3, stream.vertex_count))
     for faces, corners in zip(stream.faces(), stream.corners(), strict=True):
         add_face_normals(sums, faces, corners)
     return sums

@@ -522,8 +522,8 @@ def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:
         from hpcapp.geometry.pieces import PieceChoice
         from hpcapp.io.placement import Placement, parse_origin
         from hpcapp.io.points.inputs import find_paths, gather_points
-        from hpcapp.simplification.mesh import Target
         from hpcapp.simplification.size import read_size
+        from hpcapp.simplification.target import Target
 
         if options["max_memory"] is not None:
             options["max_memory"] = parse_limit(options["max_memory"])

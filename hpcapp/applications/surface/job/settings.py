@@ -15,7 +15,7 @@ from hpcapp.applications.surface.normals.viewpoint import Viewpoint
 from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY
 from hpcapp.geometry.pieces import PieceChoice
 from hpcapp.io.placement import Placement
-from hpcapp.simplification.mesh import Target
+from hpcapp.simplification.target import Target
 from hpcapp.workforce import Workforce
 from hpccomponent.dataclass import dataclass
 from hpccomponent.limits import available_cores

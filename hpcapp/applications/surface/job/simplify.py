@@ -9,8 +9,8 @@ from hpcapp.applications.surface.attributes.carrying import Carrying
 from hpcapp.applications.surface.job.outcome import Outcome, Reconstruction
 from hpcapp.applications.surface.stitching.surface import Surface, simplify_surface
 from hpcapp.progress import StageClock
-from hpcapp.simplification.mesh import Target
 from hpcapp.simplification.size import fit_size, weigh_mesh
+from hpcapp.simplification.target import Target
 from hpccomponent.files.held_folders import temporary_folder
 
 log = logging.getLogger("hpcapp")

@@ -27,7 +27,7 @@ from hpcapp.applications.surface.stitching.assemble import (
 from hpcapp.applications.surface.stitching.plan import StitchingPlan, plan_stitching
 from hpcapp.applications.surface.stitching.shared_ply import write_kept, write_part
 from hpcapp.applications.surface.stitching.tile_ply import write_kept_tile
-from hpcapp.applications.surface.stitching.topology import Topology
+from hpcapp.applications.surface.stitching.topology import Topology, require_closed
 from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
 from hpcapp.applications.surface.tiles.patterns import kept_part
 from hpcapp.geometry.lattice import number_keys
@@ -37,8 +37,8 @@ from hpcapp.io import describe_losses, needs_double, note_place, place_mesh, wri
 from hpcapp.io.crs import Crs
 from hpcapp.io.meshes.mesh_stream import MeshStream
 from hpcapp.io.registry import TILES_SUFFIX
-from hpcapp.simplification.mesh import Target
 from hpcapp.simplification.stream import simplify_stream
+from hpcapp.simplification.target import Target
 from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.dataclass import dataclass
 from hpccomponent.files.held_folders import temporary_folder
@@ -301,9 +301,13 @@ def simplify_surface(surface: Surface, target: Target) -> Surface:
     ------
     UsageError
         See `Target.check`.
+    JobError
+        See `require_closed`.
     """
     with surface.open_stream() as stream:
-        return Surface.of_mesh(simplify_stream(stream, target))
+        light = Surface.of_mesh(simplify_stream(stream, target))
+    require_closed(surface.check, light.check())
+    return light
 
 
 def _left_undone(

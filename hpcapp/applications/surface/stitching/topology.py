@@ -5,6 +5,8 @@ What is counted comes from `kernels.survey_mesh`; here it becomes a judgement.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +16,7 @@ from hpcapp.geometry.lattice import number_keys
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import IntArray
 from hpccomponent.dataclass import dataclass
+from hpccomponent.errors import JobError
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +115,27 @@ def check_mesh(mesh: Mesh) -> Topology:
         used,
         len(faces),
     )
+
+
+def require_closed(before: Callable[[], Topology], after: Topology) -> Topology:
+    """Return what is left of a mesh that was simplified, before anybody writes it.
+
+    Parameters
+    ----------
+    before : callable
+        Judges the mesh before; asked where the one after is not closed, alone.
+
+    Raises
+    ------
+    JobError
+        The mesh was closed and manifold, and is so no more.
+    """
+    if not after.watertight and before().watertight:
+        raise JobError(
+            f"the mesh is watertight, and of {after.faces:,} faces it would not be",
+            "leave it more faces, and report this with the mesh",
+        )
+    return after
 
 
 def signed_volume(mesh: Mesh) -> float:

@@ -5,9 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.stitching.topology import check_mesh, signed_volume
+from hpcapp.applications.surface.stitching.topology import (
+    check_mesh,
+    require_closed,
+    signed_volume,
+)
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import IntArray
+from hpccomponent.errors import JobError
 
 
 def grid_torus(
@@ -136,3 +141,12 @@ def test_the_order_of_faces_and_the_names_of_vertices_do_not_matter() -> None:
     vertices[names] = mesh.vertices
     shuffled = Mesh(vertices, names[mesh.faces][rng.permutation(len(mesh.faces))])
     assert check_mesh(shuffled) == check_mesh(mesh)
+
+
+def test_a_closed_mesh_that_was_opened_does_not_pass() -> None:
+    whole = grid_torus(24, 12)
+    closed, opened = check_mesh(whole), check_mesh(Mesh(whole.vertices, whole.faces[1:]))
+    assert require_closed(lambda: closed, closed) is closed
+    assert require_closed(lambda: opened, opened) is opened
+    with pytest.raises(JobError, match="of 575 faces it would not be; leave it more"):
+        require_closed(lambda: closed, opened)

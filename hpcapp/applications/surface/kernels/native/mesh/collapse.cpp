@@ -322,6 +322,8 @@ class Mesh {
   }
 
   // The link condition: the neighbours that both ends have are those of their common faces alone.
+  // What lies beyond a fixed border may come to have an edge or a face there, too: none is made of
+  // fixed vertices alone.
   bool stays_manifold(int32_t a, int32_t b) {
     int32_t sides = 0, common = 0;
     for (int32_t c = begin(a); c >= 0; c = step(c)) {
@@ -330,9 +332,13 @@ class Mesh {
       ++sides;
     }
     find_ring(a);
-    for (int32_t c = begin(b); c >= 0; c = step(c))
+    for (int32_t c = begin(b); c >= 0; c = step(c)) {
+      const bool stays = head(c) != a && tail(c) != a;
+      if (is_fixed_[a] && stays && is_fixed_[head(c)] && is_fixed_[tail(c)]) return false;
       for (const int32_t w : {head(c), tail(c)})
-        if (mark_[w] == tick_) mark_[w] = 0, ++common;
+        if (mark_[w] == tick_) mark_[w] = -tick_, ++common;
+        else if (mark_[w] != -tick_ && w != a && is_fixed_[a] && is_fixed_[w]) return false;
+    }
     if (common != sides) return false;
     return sides == 2 ? !(is_border_[a] && is_border_[b]) : valence_[a] + valence_[b] > 2;
   }

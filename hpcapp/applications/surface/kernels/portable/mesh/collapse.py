@@ -50,7 +50,8 @@ def collapse_edges(
         borders, that a vertex stands for stays below; infinite to have planes weigh as their faces
         are large, and to have tetrahedra dropped that move less than the rest would.
     keeps_border : bool
-        Whether the vertices of borders stay where they are, and not the shape of the borders alone.
+        Whether the vertices of borders stay where they are, and not the shape of the borders alone,
+        so that parts of a mesh that meet at these are manifold together, too.
 
     Returns
     -------
@@ -386,7 +387,11 @@ class _Mesh:
         self.vertex[3 * f : 3 * f + 3] = [-1, -1, -1]
 
     def _stays_manifold(self, a: int, b: int) -> bool:
-        """Check the link condition: all neighbours in common are those of common faces."""
+        """Check the link condition: all neighbours in common are those of common faces.
+
+        What lies beyond a fixed border may come to have an edge or a face there, too: none is made
+        of fixed vertices alone.
+        """
         apexes = [
             self._tail(c) if self._head(c) == b else self._head(c)
             for c in self.corners[a]
@@ -394,8 +399,14 @@ class _Mesh:
         ]
         if any(self.is_stuck[apex] for apex in apexes):
             return False
-        if len(set(self._ring(a)) & set(self._ring(b))) != len(apexes):
+        around_a, around_b = set(self._ring(a)), set(self._ring(b))
+        if len(around_a & around_b) != len(apexes):
             return False
+        if self.is_fixed[a]:
+            faces = [(self._head(c), self._tail(c)) for c in self.corners[b]]
+            made = [(w,) for w in around_b - around_a] + faces
+            if any(a not in ends and all(self.is_fixed[w] for w in ends) for ends in made):
+                return False
         if len(apexes) == 2:
             return not (self.is_border[a] and self.is_border[b])
         return len(self.corners[a]) + len(self.corners[b]) > 2
