@@ -22,8 +22,8 @@ _MOST_LEVELS = 10_000
 def write_contours(path: Path, grid: HeightGrid, interval: float, crs: Crs | None) -> int:
     """Write the lines of all heights that are multiples of an interval, and return how many.
 
-    Coordinates are those of the map: where EPSG has a code for it, a member ``crs`` says so, as
-    GDAL reads it. They are rounded to a thousandth of a cell.
+    Coordinates are those of the map: a member ``crs`` names it as GDAL reads it, by EPSG's code or
+    as WKT. They are rounded to a thousandth of a cell.
 
     Raises
     ------
@@ -41,9 +41,9 @@ def write_contours(path: Path, grid: HeightGrid, interval: float, crs: Crs | Non
         for height, line in find_lines(grid, interval)
     ]
     collection: dict[str, object] = {"type": "FeatureCollection"}
-    code = None if crs is None else crs.to_epsg()
-    if code is not None:
-        name = f"urn:ogc:def:crs:EPSG::{code}"
+    if crs is not None:
+        code = crs.to_epsg()
+        name = crs.to_wkt() if code is None else f"urn:ogc:def:crs:EPSG::{code}"
         collection["crs"] = {"type": "name", "properties": {"name": name}}
     with replacing(path) as file:
         file.write(json.dumps(collection | {"features": features}).encode())

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import logging
-from math import ceil, floor, log10, sqrt
+from math import ceil, floor, log10
 
 import numpy as np
+from scipy.ndimage import uniform_filter
+from scipy.stats import norm
 
-from hpcapp.applications.compare.volume.epochs import FEW_LAYERS, MOST_CELLS, Epoch
-from hpcapp.applications.compare.volume.errors import LIKELY
-from hpcapp.applications.compare.volume.lattice import PLANES_PER_POINT, Heights, Lattice
+from hpcapp.applications.compare.volume.epochs import FEW_LAYERS, MOST_CELLS, PER_CELL, Epoch
+from hpcapp.applications.compare.volume.errors import CONFIDENCE
+from hpcapp.applications.compare.volume.heights import PLANE, Heights
+from hpcapp.applications.compare.volume.lattice import Lattice
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.points import FloatArray
 from hpcapp.io.crs import Crs
@@ -18,8 +21,14 @@ from hpccomponent.errors import InputError, UsageError
 
 log = logging.getLogger("hpcapp")
 
-_BENT = 0.5 * 3.0**2 / 12.0
-"""Half the variance of places in three cells: what a plane errs by, of a bend."""
+_FEWER = 0.5  # points of a part, by those of a usual cell
+_AROUND = 5  # cells across which relief is told
+_UNSEEN = 0.4
+"""Variance of the relief in a cell by that between a cell and those around
+(`benchmarks/volumes.py`)."""
+_TOLD = 1000  # deviations whose normal distributions are mixed
+_NORMAL = np.abs(norm.ppf(np.arange(0.5, 100.0) / 200.0))
+"""A normal distribution, either way, in hundredths."""
 _ROUND = (1.0, 2.0, 5.0, 10.0)  # times a power of ten: widths that a map has
 
 
@@ -66,7 +75,8 @@ def grid_heights(ground: Epoch, step: float | None) -> HeightGrid:
     """
     origin = ground.surface.origin
     flat = ground.turn("z", origin)
-    width = step or _round_up(flat.choose_step())
+    need = flat.choose_step()
+    width = step or _round_up(need)
     low, high = (corner + origin for corner in bound_points(flat.positions))
     west, south = (width * floor(along / width) for along in low[:2].tolist())
     columns, rows = (
@@ -78,14 +88,21 @@ def grid_heights(ground: Epoch, step: float | None) -> HeightGrid:
             f"{columns:,} by {rows:,} cells {width:.3g} wide are more than {MOST_CELLS:,}",
             f"give a --step of {_round_up(width * (columns * rows / MOST_CELLS) ** 0.5):g} or more",
         )
-    lattice = Lattice((west - origin[0], south - origin[1]), width, (rows, columns))
-    heights = flat.read_heights(lattice)
-    is_known = np.isfinite(heights.values)
+    parts = _split(width, need, MOST_CELLS / (columns * rows))
+    lattice = Lattice(
+        (west - origin[0], south - origin[1]), width / parts, (rows * parts, columns * parts)
+    )
+    heights = flat.read_heights(lattice, need / PER_CELL**0.5)
+    middle = slice(parts // 2, None, parts)
+    values, deviations = (array[middle, middle] for array in _smooth(heights))
+    values = np.where(heights.cover[middle, middle] > 0.5, values, np.nan)
+    is_known = np.isfinite(values)
     if not is_known.any():
         raise InputError(
-            f"{ground.name}: has no height in cells {width:.3g} wide", "give a larger --step"
+            f"{ground.name}: has no height at the middles of cells {width:.3g} wide",
+            f"give another --step: its points are dense enough for {_round_up(need):g}",
         )
-    layered = float(heights.is_layered[is_known].mean())
+    layered = float(heights.is_layered[heights.cover > 0.0].mean())
     if layered > FEW_LAYERS:
         log.warning(
             "heights differ by more than a cell is wide on %.2g %% of the area: crowns and walls "
@@ -94,25 +111,45 @@ def grid_heights(ground: Epoch, step: float | None) -> HeightGrid:
         )
     scale = ground.crs.height_scale
     return HeightGrid(
-        (heights.values[::-1] + origin[2]) / scale, west, south + rows * width, width, ground.crs,
-        _find_uncertainty(heights) / scale,
+        (values[::-1] + origin[2]) / scale, west, south + rows * width, width, ground.crs,
+        _find_uncertainty(deviations[is_known]) / scale,
     )  # fmt: skip
 
 
-def _find_uncertainty(heights: Heights) -> float:
-    """Return what the scatter of points, and bends that a plane takes for none, make of heights."""
-    z = heights.values
-    scatter = float(
-        np.nanmean(
-            np.where(np.isfinite(z), heights.variances + heights.relief / PLANES_PER_POINT, np.nan)
-        )
-    )
-    if scatter == 0.0:
-        return 0.0
-    bends = z[1:-1, 2:] + z[1:-1, :-2] + z[2:, 1:-1] + z[:-2, 1:-1] - 4.0 * z[1:-1, 1:-1]
-    known = _BENT * bends[np.isfinite(bends)]
-    bent = float((known**2).mean()) if len(known) else 0.0
-    return LIKELY * sqrt(scatter + bent)
+def _split(width: float, need: float, most: float) -> int:
+    """Return in how many parts, an odd number, the side of a cell is fitted.
+
+    So that its middle is that of a part, which is no narrower than points suffice for: those of
+    half a usual cell.
+    """
+    parts = 1
+    while width / (parts + 2) >= need * _FEWER**0.5 and (parts + 2) ** 2 <= most:
+        parts += 2
+    return parts
+
+
+def _smooth(heights: Heights) -> tuple[FloatArray, FloatArray]:
+    """Return the heights at the middles of cells, and the standard deviations of their errors.
+
+    What means over cells differ by from means over nine of them is relief or noise: so much of it
+    is kept as there is relief (Wiener's filter).
+    """
+    relief = heights.values - heights.planes
+    has_both = np.isfinite(relief)
+    known = uniform_filter(has_both.astype(np.float64), _AROUND)
+    both = np.maximum(known, 1e-9)
+    told = uniform_filter(np.where(has_both, relief, 0.0) ** 2, _AROUND) / both
+    noise = uniform_filter(np.where(has_both, heights.variances, 0.0), _AROUND) / both
+    bent = np.maximum(told - noise, 0.0)
+    kept = bent / np.maximum(bent + heights.variances, np.finfo(np.float64).tiny)
+    variances = heights.variances * (kept + (1.0 - kept) / PLANE) + _UNSEEN * bent
+    return heights.planes + kept * relief, np.sqrt(variances)
+
+
+def _find_uncertainty(deviations: FloatArray) -> float:
+    """Return within what `CONFIDENCE` of the heights are."""
+    some = deviations[:: -(-len(deviations) // _TOLD)]
+    return float(np.quantile(np.outer(some, _NORMAL), CONFIDENCE))
 
 
 def _round_up(width: float) -> float:

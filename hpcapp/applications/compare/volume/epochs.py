@@ -12,13 +12,9 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from hpcapp.applications.compare.truth import SHAPE, MeshTruth, check_usable
-from hpcapp.applications.compare.volume.lattice import (
-    Heights,
-    Lattice,
-    drop_heights,
-    fit_heights,
-)
-from hpcapp.applications.compare.volume.measure import Change, SolidChange, widen
+from hpcapp.applications.compare.volume.heights import Heights, drop_heights, fit_heights
+from hpcapp.applications.compare.volume.lattice import Lattice
+from hpcapp.applications.compare.volume.measure import Change, SolidChange
 from hpcapp.applications.compare.volume.solids import measure_solids
 from hpcapp.applications.compare.volume.terrain import FEWEST_CELLS, measure_terrain
 from hpcapp.applications.surface.attributes.carrying import SUPPORT
@@ -103,10 +99,10 @@ class Epoch:
             return step
         return min(step, float(np.ptp(places, axis=0).max()) / _ACROSS)
 
-    def read_heights(self, lattice: Lattice) -> Heights:
+    def read_heights(self, lattice: Lattice, spacing: float) -> Heights:
         """Return its heights; guesswork of a mesh, which no point supports, is none."""
         if isinstance(self.surface, PointCloud):
-            return fit_heights(self.surface.positions, lattice)
+            return fit_heights(self.surface.positions, lattice, spacing)
         support = self.surface.attributes.get(SUPPORT)
         if support is None:
             return drop_heights(self.surface, lattice)
@@ -155,7 +151,10 @@ def open_epoch(name: str) -> Epoch:
         origin = mesh.origin * (1.0, 1.0, crs.height_scale)
         return Epoch(name, replace(mesh, vertices=places, origin=origin), crs)
     source = open_points(path)
-    return Epoch(name, take_finite(read_whole(source.isotropic()), name), source.frame)
+    cloud = take_finite(read_whole(source.isotropic()), name)
+    for finding in source.findings.lines():
+        log.warning("%s: %s", name, finding)
+    return Epoch(name, cloud, source.frame)
 
 
 def measure_epochs(
@@ -174,7 +173,7 @@ def measure_epochs(
     step : float, optional
         Width of a cell of terrain; by default as wide as the sparser epoch needs.
     registration : float, optional
-        See `find_errors`.
+        See `find_registration`.
 
     Raises
     ------
@@ -208,23 +207,22 @@ def _measure_heights(
     """Return what changed between two terrains, and the new one as a mesh with its rise."""
     low, high = bound_points(np.concatenate([new.positions, old.positions]))
     least = float(np.sqrt(np.prod((high - low)[:2]) / MOST_CELLS))
-    width = step or max(new.choose_step(), old.choose_step(), least)
+    need = max(new.choose_step(), old.choose_step())
+    width = step or max(need, least)
     if width < least:
         raise UsageError(
             f"cells {width:.3g} wide are more than {MOST_CELLS:,}", f"give {least:.2g} or more"
         )
-    changes = []
-    for one in (2.0 * width, width):
-        lattice = Lattice.over(low[:2], high[:2], one)
-        heights = new.read_heights(lattice), old.read_heights(lattice)
-        common = int(np.count_nonzero(np.isfinite(heights[0].values + heights[1].values)))
-        if common < FEWEST_CELLS * (width / one) ** 2:
-            raise InputError(
-                f"{new.name} and {old.name} have {common} cells in common, {one:.3g} wide",
-                f"give two scans of one place in one frame, or a --cell below {width:.2g}",
-            )
-        changes.append(measure_terrain(*heights, lattice, registration)[0])
-    change = widen(changes[1], changes[0])
+    lattice = Lattice.over(low[:2], high[:2], width)
+    spacing = need / PER_CELL**0.5
+    heights = new.read_heights(lattice, spacing), old.read_heights(lattice, spacing)
+    common = int(np.count_nonzero(np.isfinite(heights[0].values + heights[1].values)))
+    if common < FEWEST_CELLS:
+        raise InputError(
+            f"{new.name} and {old.name} have {common} cells in common, {width:.3g} wide",
+            f"give two scans of one place in one frame, or a --cell below {width:.2g}",
+        )
+    change = measure_terrain(*heights, spacing, lattice, registration)
     if change.layered > FEW_LAYERS * change.common:
         log.warning(
             "heights differ by more than a cell is wide on %.2g %% of the common area: crowns "

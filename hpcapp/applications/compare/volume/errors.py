@@ -1,9 +1,9 @@
-"""What noise and registration do to the difference of two epochs, told by what did not change.
+"""How two epochs lie to each other, told by the ground that did not change.
 
 Where nothing changed, the second epoch is the first one moved by a small shift, and the rest is
-noise. The shift is fitted to the half that agrees best; the noise is what is left there, summed
-over blocks of growing size, so that errors which neighbours share count as such. A rise of
-everything alike cannot be told from a shift: it is uncertainty, and no change.
+noise. Ground that rose everywhere alike cannot be told from a shift: the shift is never taken off,
+it is uncertainty. Of several shifts that a part of the ground agrees upon the least one counts:
+surveys are registered as well as people could.
 """
 
 from __future__ import annotations
@@ -11,8 +11,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import norm
 
-from hpcapp.geometry.lattice import pack_places
-from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
+from hpcapp.geometry.points import BoolArray, FloatArray
 from hpccomponent.dataclass import dataclass
 
 CONFIDENCE = 0.95
@@ -20,163 +19,134 @@ CONFIDENCE = 0.95
 LIKELY = float(norm.isf(0.5 - 0.5 * CONFIDENCE))
 """Standard deviations within which such a share of a normal distribution is."""
 STAYED = 3.0
-"""Standard deviations within which nothing changed: of noise 3 in 1,000 are beyond. With half or
-double of it two volumes of three are wrong (`benchmarks/volumes.py`)."""
+"""Standard deviations within which nothing changed: of noise 3 in 1,000 are beyond."""
 _TO_DEVIATION = 1.0 / float(norm.isf(0.25))  # from the median of absolute errors
 _ROUNDS = 50
 _AXES = 3
-FEWEST_BLOCKS = 30  # whose sums tell a variance to a quarter
+_AGREED = 0.1
+"""Share of the pieces that has to agree upon a shift: of earthworks a tenth stays as it was."""
+_WIDEST = 2.0
+"""Of the noise that ground which agrees has, in what its densest tenth tells: twice as much is
+change, not noise."""
+_TRIED = 50_000  # pieces that tell which shifts there may be
 _ROUNDING = 1e-9  # of the extent of the differences: no noise is less
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Samples:
-    """Differences of two epochs, each of a piece of the surface.
+class Registration:
+    """How the new epoch lies to the old one.
+
+    Parameters
+    ----------
+    shift : ndarray of float64, shape (e,)
+        Of the new epoch, where nothing changed: along x, y and z, then an offset of all of its
+        surface, where that is none of these. Zero where no ground agrees upon one.
+    bias : ndarray of float64, shape (e,)
+        What of it makes volumes uncertain: nothing where the user vouches for the registration.
+    covariance : ndarray of float64, shape (e, e)
+        Of the bias.
+    stayed : ndarray of bool, shape (n,)
+        The pieces that the shift explains.
+    scale : float
+        Standard deviation of those, in units of the deviations that were expected.
+    """
+
+    shift: FloatArray
+    bias: FloatArray
+    covariance: FloatArray
+    stayed: BoolArray
+    scale: float
+
+    def find_bias(self, effects: FloatArray) -> float:
+        """Return what the shift makes of a volume, either way; of its effects, shape (e,)."""
+        return abs(float(effects @ self.bias))
+
+    def find_variance(self, effects: FloatArray) -> float:
+        """Return the variance that a volume has by it."""
+        return float(effects @ self.covariance @ effects)
+
+
+def find_registration(
+    change: FloatArray,
+    effect: FloatArray,
+    deviation: FloatArray,
+    farthest: FloatArray,
+    vouched: float | None,
+) -> Registration:
+    """Find the least shift that explains a part of the differences.
 
     Parameters
     ----------
     change : ndarray of float64, shape (n,)
         How far the new surface is in front of the old one, in length units.
     effect : ndarray of float64, shape (n, e)
-        What a unit of each systematic error adds: of a shift of the new epoch along x, y and z,
-        then of an offset of all of its surface, where that is none of these.
-    places : ndarray of float64, shape (n, 3)
-        In widths of a piece.
-    area : float
-        Of a piece.
-    spread : ndarray of float64, shape (n,)
-        The noise of each, in that of a usual one.
-    relief : ndarray of float64, shape (n,)
-        What relief that was not scanned adds to the variance of a sum of changes, for each.
-    """
-
-    change: FloatArray
-    effect: FloatArray
-    places: FloatArray
-    area: float
-    spread: FloatArray
-    relief: FloatArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Errors:
-    """The errors of differences.
-
-    Parameters
-    ----------
-    shift : ndarray of float64, shape (e,)
-        Of the new epoch against the old one, where nothing changed.
-    bias : ndarray of float64, shape (e,)
-        What of it is in the volumes: nothing where the user vouches for the registration.
-    covariance : ndarray of float64, shape (e, e)
-        Of the bias.
-    noise : float
-        Standard deviation of a usual difference.
-    density : float
-        Variance of the sum of the noise over an area, by that area: length units to the fourth.
-    """
-
-    shift: FloatArray
-    bias: FloatArray
-    covariance: FloatArray
-    noise: float
-    density: float
-
-    def sum_bias(self, samples: Samples, rows: IntArray) -> float:
-        """Return what the bias makes of the volume that some samples have, either way."""
-        return samples.area * float(abs(samples.effect[rows].sum(axis=0) @ self.bias))
-
-    def sum_noise(self, samples: Samples, rows: IntArray) -> float:
-        """Return the rest of the uncertainty of that volume."""
-        owner = np.zeros(len(rows), dtype=np.int64)
-        return LIKELY * float(self.find_deviations(samples, rows, owner, 1)[0])
-
-    def find_deviations(
-        self, samples: Samples, rows: IntArray, owner: IntArray, count: int
-    ) -> FloatArray:
-        """Return the standard deviations of so many volumes, less the bias.
-
-        Parameters
-        ----------
-        rows : ndarray of int64, shape (r,)
-            The samples that make the volumes.
-        owner : ndarray of int64, shape (r,)
-            The volume that each belongs to.
-        """
-        columns = [np.bincount(owner, axis[rows], count) for axis in samples.effect.T]
-        area = samples.area * np.bincount(owner, minlength=count)
-        variance = samples.area**2 * (
-            self._spread(np.stack(columns, axis=1))
-            + np.bincount(owner, samples.relief[rows], count)
-        )
-        deviations: FloatArray = np.sqrt(variance + self.density * area)
-        return deviations
-
-    def detect(self, samples: Samples) -> FloatArray:
-        """Return the smallest change of each sample, less the bias, that is none of the noise.
-
-        So far away that, at that `CONFIDENCE`, none among as many samples is by noise alone.
-        """
-        far = float(norm.isf(0.5 * (1.0 - CONFIDENCE) / len(samples.change)))
-        noise = self.noise * samples.spread
-        limits: FloatArray = far * np.sqrt(self._spread(samples.effect) + noise**2)
-        return limits
-
-    def _spread(self, effect: FloatArray) -> FloatArray:
-        spread: FloatArray = np.einsum("ij,jk,ik->i", effect, self.covariance, effect)
-        return spread
-
-
-def find_errors(samples: Samples, registration: float | None) -> Errors:
-    """Tell the errors of differences by those that are no change.
-
-    Parameters
-    ----------
-    registration : float, optional
+        What a unit of each part of a shift adds.
+    deviation : ndarray of float64, shape (n,)
+        Of the differences, up to a factor.
+    farthest : ndarray of float64, shape (e,)
+        Shifts beyond these are none that differences can tell.
+    vouched : float, optional
         Standard deviation of the shift along each axis, in length units, as control points tell
         it; by default what is measured.
     """
-    shift, stayed = _fit_shift(samples)
-    residual = samples.change - samples.effect @ shift
-    density = _sum_noise(samples, residual, stayed)
-    noise = float(np.sqrt(((residual / samples.spread)[stayed] ** 2).mean()))
-    if registration is not None:
-        known = np.diag(np.where(np.arange(len(shift)) < _AXES, registration**2, 0.0))
-        return Errors(shift, np.zeros(len(shift)), known, noise, density)
-    effect = samples.effect[stayed]
-    # a direction of which the surface tells nothing adds nothing to what it bounds either
-    inverse = np.linalg.pinv(effect.T @ effect, rcond=1e-12, hermitian=True)
-    covariance: FloatArray = inverse.astype(np.float64) * density / samples.area
-    return Errors(shift, shift, covariance, noise, density)
-
-
-def _fit_shift(samples: Samples) -> tuple[FloatArray, BoolArray]:
-    """Return the shift that the best half agrees upon, and which samples it explains."""
-    change, effect = samples.change / samples.spread, samples.effect / samples.spread[:, None]
     least = _ROUNDING * float(np.ptp(change)) + np.finfo(np.float64).tiny
-    shift = np.zeros(effect.shape[1])
-    residual = change - np.median(change)
-    scale = _TO_DEVIATION * float(np.median(np.abs(residual)))
-    stayed = np.abs(residual) <= STAYED * scale + least
+    deviation = np.maximum(deviation, least)
+    z, effects = change / deviation, effect / deviation[:, None]
+    few = slice(None, None, -(-len(z) // _TRIED))
+    starts = [0.0, *np.quantile(change[few], np.arange(0.5 * _AGREED, 1.0, _AGREED)).tolist()]
+    narrow = max(_find_narrowest(change[few]) / float(np.median(deviation)), 1.0)
+    tried = [
+        _fit_shift(z[few], effects[few], start / deviation[few], narrow, farthest)
+        for start in starts
+    ]
+    agreed = [
+        shift
+        for shift, stayed, _ in tried
+        if stayed.mean() >= _AGREED and (np.abs(shift) <= farthest).all()
+    ]
+    shift, stayed, scale = np.zeros(effect.shape[1]), np.zeros(len(z), dtype=bool), 1.0
+    if agreed:
+        least_one = min(agreed, key=lambda one: float(np.median(np.abs(effect[few] @ one))))
+        shift, stayed, scale = _fit_shift(z, effects, effects @ least_one, narrow, farthest)
+    if vouched is not None:
+        known = np.diag(np.where(np.arange(len(shift)) < _AXES, vouched**2, 0.0))
+        return Registration(shift, np.zeros(len(shift)), known, stayed, scale)
+    # a direction of which the surface tells nothing adds nothing to what it bounds either
+    inverse = np.linalg.pinv(effects[stayed].T @ effects[stayed], rcond=1e-12, hermitian=True)
+    covariance: FloatArray = inverse.astype(np.float64) * scale**2
+    return Registration(shift, shift, covariance, stayed, scale)
+
+
+def _find_narrowest(change: FloatArray) -> float:
+    """Return the deviation that the narrowest part of the differences tells."""
+    ordered = np.sort(change)
+    count = max(int(_AGREED * len(ordered)), 1)
+    # of a normal distribution such a part lies within so many deviations of its middle
+    within = float(norm.ppf(0.5 + 0.5 * _AGREED))
+    return 0.5 * float((ordered[count:] - ordered[:-count]).min()) / within
+
+
+def _fit_shift(
+    z: FloatArray, effects: FloatArray, start: FloatArray, scale: float, usual: FloatArray
+) -> tuple[FloatArray, BoolArray, float]:
+    """Return the shift that is fitted to what agrees with it, and what does, from a start on."""
+    shift = np.zeros(effects.shape[1])
+    residual = np.abs(z - start)
+    widest = _WIDEST * scale
+    stayed = residual <= STAYED * scale
     for _ in range(_ROUNDS):
-        shift = np.linalg.lstsq(effect[stayed], change[stayed], rcond=1e-9)[0].astype(np.float64)
-        residual = np.abs(change - effect @ shift)
-        scale = _TO_DEVIATION * float(np.median(residual[stayed]))
-        last, stayed = stayed, residual <= STAYED * scale + least
+        if np.count_nonzero(stayed) <= len(shift):
+            return shift, np.zeros(len(z), dtype=bool), scale
+        # level ground tells nothing of a shift along it: then it is none
+        normal = effects[stayed].T @ effects[stayed] + np.diag((scale / usual) ** 2)
+        shift = np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ (
+            effects[stayed].T @ z[stayed]
+        )
+        residual = np.abs(z - effects @ shift)
+        scale = min(max(_TO_DEVIATION * float(np.median(residual[stayed])), 1.0), widest)
+        last, stayed = stayed, residual <= STAYED * scale
         if np.array_equal(last, stayed):
             break
-    return shift, stayed
-
-
-def _sum_noise(samples: Samples, residual: FloatArray, stayed: BoolArray) -> float:
-    """Return the variance of sums of residuals by area: the largest of all sizes of blocks."""
-    places, residual = samples.places[stayed], residual[stayed]
-    most, width = 0.0, 1.0
-    while True:
-        keys = pack_places(np.floor(places / width).astype(np.int64))
-        _, block = np.unique(keys, return_inverse=True)
-        sums = np.bincount(block, residual)
-        if width > 1.0 and len(sums) < FEWEST_BLOCKS:
-            return most
-        most = max(most, samples.area * float((sums**2).sum()) / len(residual))
-        width *= 2.0
+    # a part of a slope, not a peak, is no ground that agrees
+    is_peak = 2.0 * np.count_nonzero(stayed) > np.count_nonzero(residual <= 3.0 * STAYED * scale)
+    return shift, stayed & is_peak, scale

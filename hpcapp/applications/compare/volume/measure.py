@@ -2,20 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, fields, replace
-from math import hypot
+from dataclasses import asdict, fields
 
-import numpy as np
-
-from hpcapp.applications.compare.volume.changed import find_changed
-from hpcapp.applications.compare.volume.errors import (
-    CONFIDENCE,
-    LIKELY,
-    Errors,
-    Samples,
-    find_errors,
-)
-from hpcapp.geometry.points import FloatArray, IntArray
+from hpcapp.applications.compare.volume.errors import CONFIDENCE
+from hpcapp.geometry.points import FloatArray
 from hpccomponent.dataclass import dataclass
 
 
@@ -28,10 +18,10 @@ class Volume:
     volume : float
         In cubed length units.
     uncertainty : float
-        At the confidence of the `Change`, either way; of nothing, what a single cell would need to
-        be told.
+        At the confidence of the `Change`, either way.
     from_shift : float
-        What of the uncertainty is the shift that was measured where nothing changed.
+        What of the uncertainty is a shift of the new epoch that part of the ground agrees upon. It
+        is in the volume: ground that rose everywhere alike cannot be told from it.
     area : float
         That holds it, in squared length units.
     """
@@ -45,6 +35,12 @@ class Volume:
     def is_significant(self) -> bool:
         """Whether it is more than its uncertainty."""
         return abs(self.volume) > self.uncertainty
+
+    @property
+    def is_shift(self) -> bool:
+        """Whether it stands out of the noise, but may be a shift."""
+        noise = self.uncertainty - self.from_shift
+        return not self.is_significant and abs(self.volume) > noise
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,13 +56,16 @@ class Change:
     layered : float
         Area with several heights over one place, of which the highest or the mean counts.
     shift : tuple of 3 floats
-        Of the new epoch against the old one, where nothing changed, along x, y and z.
+        Of the new epoch against the old one, along x, y and z: the least that part of the ground
+        agrees upon.
+    agreed : float
+        Share of the common cells that it explains; zero where nothing tells a shift.
     registration : float or None
         What the user says of it.
     noise : float
-        Standard deviation of a difference where nothing changed.
+        Standard deviation of the difference of a cell.
     detectable : float
-        The smallest difference that is a change by itself.
+        The smallest difference of three by three cells that is told for a change.
     cell : float
         Width of a cell.
     confidence : float
@@ -81,6 +80,7 @@ class Change:
     only_old: float
     layered: float
     shift: tuple[float, float, float]
+    agreed: float
     registration: float | None
     noise: float
     detectable: float
@@ -119,53 +119,6 @@ class SolidChange:
     noise: float
     detectable: float
     confidence: float = CONFIDENCE
-
-
-def measure_samples(
-    samples: Samples, pairs: IntArray, registration: float | None
-) -> tuple[Errors, IntArray, tuple[Volume, Volume, Volume]]:
-    """Return the errors, the side of each piece that changed, and cut, fill and net volume."""
-    errors = find_errors(samples, registration)
-    side = find_changed(samples, errors, pairs)
-    cut, fill, net = (
-        _sum_volume(samples, errors, rows)
-        for rows in (np.flatnonzero(side < 0), np.flatnonzero(side > 0), np.flatnonzero(side))
-    )
-    return errors, side, (replace(cut, volume=0.0 - cut.volume), fill, net)
-
-
-def _sum_volume(samples: Samples, errors: Errors, rows: IntArray) -> Volume:
-    if not len(rows):  # the smallest that would be told is uncertain
-        return Volume(0.0, samples.area * float(np.median(errors.detect(samples))), 0.0, 0.0)
-    volume = samples.area * float(samples.change[rows].sum())
-    bias = errors.sum_bias(samples, rows)
-    return Volume(
-        volume, bias + errors.sum_noise(samples, rows), bias, samples.area * len(rows)
-    )  # fmt: skip
-
-
-def widen(change: Change, coarse: Change) -> Change:
-    """Return a change whose uncertainties hold what the width of cells makes of it.
-
-    Errors of cells grow with the square of their width: with double the width volumes are three
-    times their error away.
-
-    Parameters
-    ----------
-    coarse : Change
-        Of cells of double the width.
-    """
-
-    def widen_one(fine: Volume, other: Volume) -> Volume:
-        off = LIKELY * (fine.volume - other.volume) / 3.0
-        return replace(fine, uncertainty=hypot(fine.uncertainty, off))
-
-    return replace(
-        change,
-        cut=widen_one(change.cut, coarse.cut),
-        fill=widen_one(change.fill, coarse.fill),
-        net=widen_one(change.net, coarse.net),
-    )
 
 
 def list_volumes(change: Change | SolidChange) -> dict[str, Volume]:

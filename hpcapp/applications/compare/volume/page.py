@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from hpcapp.applications.compare.volume.epochs import Measured
-from hpcapp.applications.compare.volume.measure import Change, SolidChange, list_volumes
+from hpcapp.applications.compare.volume.measure import Change, SolidChange, Volume, list_volumes
 from hpcapp.geometry.points import ByteArray, FloatArray
 from hpcapp.pages.drawing.camera import look_along
 from hpcapp.pages.drawing.caption import Colour, add_caption
@@ -32,9 +32,15 @@ def list_rows(change: Change | SolidChange, unit: str) -> list[tuple[str, str, s
     cubed, squared = _raise_unit(unit)
     return [
         (name, say_number(one.volume, cubed), f"± {say_number(one.uncertainty, cubed)}",
-         say_number(one.area, squared), "" if one.is_significant else "no change is told")
+         say_number(one.area, squared), _judge(one))
         for name, one in list_volumes(change).items()
     ]  # fmt: skip
+
+
+def _judge(volume: Volume) -> str:
+    if volume.is_significant:
+        return ""
+    return "a change or a shift" if volume.is_shift else "no change is told"
 
 
 def list_notes(change: Change | SolidChange, unit: str) -> list[str]:
@@ -49,7 +55,7 @@ def list_notes(change: Change | SolidChange, unit: str) -> list[str]:
         f"{100.0 * change.confidence:.0f} % of such volumes are off by their uncertainty at most"
     )
     where = (
-        f"where nothing changed, NEW is shifted by {moved}{f' {unit}' if unit else ''} (x, y, z) "
+        f"where they agree best, NEW is shifted by {moved}{f' {unit}' if unit else ''} (x, y, z) "
         f"and scatters by {say(change.noise)}"
     )
     if isinstance(change, SolidChange):
@@ -61,9 +67,8 @@ def list_notes(change: Change | SolidChange, unit: str) -> list[str]:
         ]
     return [
         known,
-        f"{where}; from {say(change.detectable)} on a place has changed, and a layer that is "
-        f"thinner is not told, which all over would be "
-        f"{say_number(change.detectable * change.common, _raise_unit(unit)[0])}",
+        f"{where}; from {say(change.detectable)} on three by three cells have changed, and more of "
+        "them from less on: what stays below is in the uncertainties",
         f"both cover {say_number(change.common, squared)} in cells {say(change.cell)} wide; "
         f"nothing is counted on {say_number(change.only_new, squared)} that only NEW covers, and "
         f"on {say_number(change.only_old, squared)} that only OLD covers",
@@ -71,8 +76,14 @@ def list_notes(change: Change | SolidChange, unit: str) -> list[str]:
 
 
 def doubt(change: Change | SolidChange, unit: str) -> str | None:
-    """Say where most of the uncertainty is how the epochs lie to each other."""
-    if 2.0 * change.net.from_shift <= change.net.uncertainty:
+    """Say what a shift of the new epoch would explain, where that is most, or may be."""
+    if isinstance(change, Change) and not change.agreed and change.registration is None:
+        return (
+            "no part of the ground has stayed as it was: nothing tells how well the two are "
+            "registered, and no uncertainty holds it; if that is known, say it by --registration"
+        )
+    most = max(list_volumes(change).values(), key=lambda one: one.from_shift)
+    if 2.0 * most.from_shift <= most.uncertainty:
         return None
     if isinstance(change, SolidChange):
         return (
@@ -81,9 +92,10 @@ def doubt(change: Change | SolidChange, unit: str) -> str | None:
             "by --registration 0"
         )
     moved = " ".join(say_number(along, unit) for along in change.shift)
+    volume = say_number(most.from_shift, _raise_unit(unit)[0])
     return (
-        f"most of the uncertainty is a shift of NEW by {moved}: register the two, or say how well "
-        "they are registered by --registration"
+        f"a shift of NEW by {moved} would explain {volume} of the change: if the two are "
+        "registered better than that, say how well by --registration; if not, register them"
     )
 
 

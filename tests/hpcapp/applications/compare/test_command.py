@@ -199,9 +199,9 @@ def test_a_shift_is_warned_of(
     moved = cloud.positions + np.array([0.0, 0.0, 0.1])
     write_points(tmp_path / "moved.ply", PointCloud(moved, origin=cloud.origin))
     run(*epochs, "--volume")
-    assert "register the two" not in caplog.text
+    assert "register them" not in caplog.text
     run(tmp_path / "moved.ply", epochs[1], "--volume")
-    assert "register the two" in caplog.records.pop().getMessage()
+    assert "a shift of NEW by" in caplog.records.pop().getMessage()
     found = json.loads(
         run(tmp_path / "moved.ply", epochs[1], "--volume", "--registration", "0.01", "--json")
     )

@@ -145,6 +145,22 @@ def test_contours_lie_at_their_heights(survey: Path, tmp_path: Path) -> None:
     assert image.transform[0] in (0.5, 1.0)  # eight points for each of the latter
 
 
+def test_contours_name_what_epsg_has_no_code_for(survey: Path, tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    own = (
+        rasterio.crs.CRS.from_epsg(25832)
+        .to_wkt()
+        .replace('"central_meridian",9', '"central_meridian",9.7')
+    )
+    own = own.split(',AUTHORITY["EPSG","25832"]')[0].replace("ETRS89 / UTM zone 32N", "site") + "]"
+    write_mesh(tmp_path / "ground.ply", lay_mesh())
+    note_origin(tmp_path / "ground.ply", np.zeros(3), Crs(own, "m"), holds_crs=False)
+    lines = tmp_path / "lines.geojson"
+    run(tmp_path / "ground.ply", "-o", tmp_path / "dtm.tif", "--contours", lines, "--interval", "1")
+    name = json.loads(lines.read_text())["crs"]["properties"]["name"]
+    assert rasterio.crs.CRS.from_user_input(name) == read(tmp_path / "dtm.tif")[0].crs
+
+
 def test_heights_stay_in_their_own_unit(tmp_path: Path) -> None:
     cloud = scan(20_000, 0.0)
     feet = PointCloud(cloud.positions / (1.0, 1.0, 0.3048), origin=PLACE / (1.0, 1.0, 0.3048))
@@ -184,8 +200,10 @@ def test_what_cannot_be_written_is_refused_in_one_line(
     with pytest.raises(InputError, match="over one place"):
         run(tmp_path / "one.ply", "-o", dtm)
     write_points(tmp_path / "few.ply", PointCloud(np.eye(3)))
-    with pytest.raises(InputError, match="no height in cells"):
+    with pytest.raises(InputError, match="no height at the middles of cells"):
         run(tmp_path / "few.ply", "-o", dtm)
+    with pytest.raises(InputError, match=r"cells 5e\+03 wide.*dense enough for 1$"):
+        run(survey, "-o", dtm, "--step", "5000")
     assert not dtm.exists()
     monkeypatch.setitem(sys.modules, "rasterio", None)
     with pytest.raises(MissingLibraryError, match="rasterio"):

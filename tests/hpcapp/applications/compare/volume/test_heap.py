@@ -76,7 +76,7 @@ def test_volumes_are_within_what_is_said(noise: float, caplog: pytest.LogCapture
         change = measure(*pair(noise, seed=seed))
         assert is_true(change), (seed, change)
         # of use, too: what is said is no more than a few standard deviations of what is met
-        assert change.net.uncertainty < 0.7 + 12.0 * noise
+        assert change.net.uncertainty < 1.0 + 16.0 * noise
         # a plane takes in one cell around, and rings are a cell wide: the rim is three at most
         rim = np.sqrt(change.fill.area / np.pi) - HEAP_RADIUS
         assert -0.1 * HEAP_RADIUS < rim < 3.0 * change.cell
@@ -94,6 +94,56 @@ def test_densities_may_differ(points: tuple[int, int]) -> None:
         assert change.fill.uncertainty < 0.1 * HEAP
 
 
+def raise_ground(points: FloatArray, share: float, by: float) -> FloatArray:
+    """Return points of which those in the west are higher."""
+    is_raised = points[:, 0] < share * 60.0
+    return points + np.outer(is_raised, [0.0, 0.0, by])
+
+
+def make_plain(count: int, seed: int, noise: float = 0.02, size: float = 60.0) -> FloatArray:
+    rng = np.random.default_rng(seed)
+    return np.column_stack([rng.uniform(0.0, size, (count, 2)), rng.normal(0.0, noise, count)])
+
+
+@pytest.mark.parametrize("count", [700, 4_000, 20_000])
+def test_the_common_area_is_that_of_the_field(count: int) -> None:
+    change = measure(make_plain(count, 0), make_plain(count, 1))
+    spacing = 60.0 / count**0.5
+    assert change.common == pytest.approx(3600.0, abs=0.15 * spacing * 4.0 * 60.0)
+
+
+@pytest.mark.parametrize("share", [0.2, 0.55, 0.75, 1.0])
+@pytest.mark.parametrize("by", [1.0, -1.0, 0.1])
+def test_ground_that_rose_is_told_whole(share: float, by: float) -> None:
+    new, old = raise_ground(make_plain(3_600, 0), share, by), make_plain(3_600, 1)
+    change = measure(new, old)
+    part, other = (change.fill, change.cut) if by > 0.0 else (change.cut, change.fill)
+    assert near(part, share * 3600.0 * abs(by))
+    assert near(other, 0.0)
+    # all of it may be a shift, and that is in what is said; with ground that stayed it is none
+    whole = pytest.approx(3600.0 * abs(by), rel=0.05)
+    assert (part.from_shift == whole) == (share == 1.0)
+    assert part.is_shift == (share == 1.0)
+    assert part.volume == pytest.approx(share * 3600.0 * abs(by), rel=0.05)
+
+
+def test_who_is_sure_of_the_registration_has_ground_that_rose_told() -> None:
+    new, old = raise_ground(make_plain(3_600, 0), 1.0, 1.0), make_plain(3_600, 1)
+    change = measure(new, old, registration=0.01)
+    assert change.fill.is_significant
+    assert near(change.fill, 3600.0)
+
+
+def test_a_heap_is_told_where_points_are_sparse() -> None:
+    fills = []
+    for seed in range(8):
+        new, old = (make_plain(700, 2 * seed + k, noise=0.05) for k in (0, 1))
+        new[:, 2] += 1.5 * np.clip(1.0 - away(new, (25.0, 30.0)) / 8.0, 0.0, None)
+        fills.append(measure(new, old).fill)
+    assert all(fill.is_significant for fill in fills)
+    assert sum(near(fill, np.pi * 8.0**2 * 1.5 / 3.0) for fill in fills) >= 7
+
+
 @pytest.mark.parametrize(
     "shift", [(0.0, 0.0, 0.03), (0.1, -0.05, 0.02), (0.3, 0.3, -0.1), (0.5, 0.0, 0.0)]
 )
@@ -106,7 +156,7 @@ def test_a_shift_of_one_scan_is_found_and_is_uncertain(shift: tuple[float, float
     assert moved.shift == pytest.approx(shift, abs=0.02)
     assert is_true(moved)
     assert moved.net.uncertainty > still.net.uncertainty
-    assert moved.net.from_shift > abs(shift[2]) * 0.8 * moved.net.area
+    assert moved.net.from_shift > abs(shift[2]) * 0.7 * moved.net.area
 
 
 def test_who_vouches_for_the_registration_has_the_shift_counted() -> None:
