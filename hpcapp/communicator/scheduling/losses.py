@@ -105,7 +105,7 @@ class Losses:
 
     def can_ask_another(self, task: Task, worker: Worker, workers: Iterable[Worker]) -> bool:
         """Tell whether another machine can say if it is the task that fails, or this machine."""
-        if task.has_failed:
+        if task.failed_on not in (None, worker.machine):
             return False
         machines = {worker.machine, *task.losses}
         return len(machines) < LOSS_BUDGET and any(

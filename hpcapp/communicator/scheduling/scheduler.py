@@ -9,9 +9,9 @@
 Promises: every submitted task ends exactly once, by a result, an error, or its cancellation; a
 result that comes twice is dropped, and counted where the task was run twice on purpose; a task that
 was lost runs on another machine, as long as there is one, and is given up after too many of them;
-so is everything when no worker is left and none is to be expected. What fails on one machine is
-asked of another one before it is believed. A machine that loses, or fails at, what others can do is
-retired, as long as there are others; a worker that lies is turned away.
+so is everything when no worker is left and none is to be expected. What fails on one machine, once
+or again, is asked of another one before it is believed. A machine that loses, or fails at, what
+others can do is retired, as long as there are others; a worker that lies is turned away.
 """
 
 from __future__ import annotations
@@ -220,6 +220,8 @@ class Scheduler:
                 self.dispatcher.forecast.learn(identity, batch_task, result.seconds, transit_s)
             if task is None:
                 self.counts["dropped" if batch_task is None else "duplicates"] += 1
+            elif batch_task is None and result.failure is not None:
+                self.counts["dropped"] += 1  # it comes twice or late: the task was placed anew
             else:
                 answer = _Answer(task, worker, result, index, partial(digest, index))
                 actions += self._take(answer, liars)
@@ -466,7 +468,7 @@ class Scheduler:
     def _ask_another(self, task: Task, worker: Worker, failure: Failure) -> list[Action]:
         """Hold a failure against the machine, until another one has failed as well."""
         self.counts["doubted"] += 1
-        task.has_failed = True
+        task.failed_on = worker.machine
         task.holders.pop(worker.identity, None)
         self._losses.blame(task, worker, f"{task.name!r} failed there ({failure.problem})")
         if not task.holders:

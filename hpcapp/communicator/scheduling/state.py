@@ -18,12 +18,13 @@ class Task:
 
     `work` is its declared cost, in units of its own, and `can_split` whether it declares how.
     `limit_bytes` is how large its result may be. `losses` counts, by machine, the workers that were
-    lost while it was (or may have been) running, or on which it failed, which one may before it is
-    believed (`has_failed`); a task is claimed once, right before it first leaves. `holders` are the
-    workers that hold it, with the batch: two where it is run again because the first is a
-    straggler; the first answer counts, and then it is done. `answers` are the digests of those
-    that wait for another machine to give the same, by machine (see `verification`); `has_written`
-    tells whether one of these machines has written something that others may read.
+    lost while it was (or may have been) running, or on which it failed; `failed_on` is the machine
+    whose failure is not believed until another one fails too; a task is claimed once, right before
+    it first leaves. `holders` are the workers that hold it, with the batch: two where it is run
+    again because the first is a straggler; the first answer counts, and then it is done. `answers`
+    are the digests of those that wait for another machine to give the same, by machine (see
+    `verification`); `has_written` tells whether one of these machines has written something that
+    others may read.
     """
 
     number: int
@@ -35,7 +36,7 @@ class Task:
     limit_bytes: int = 0
     is_verified: bool = True
     losses: Counter[str] = field(default_factory=Counter)
-    has_failed: bool = False
+    failed_on: str | None = None
     is_claimed: bool = False
     is_done: bool = False
     holders: dict[bytes, int] = field(default_factory=dict)

@@ -136,7 +136,7 @@ class Verification:
         """
         is_first = not task.answers
         # Whoever failed at it is none of the others, and has an opinion.
-        machines = len(others) + is_first + task.has_failed
+        machines = len(others) + is_first + (task.failed_on is not None)
         self.machines = max(self.machines, machines)
         if is_first and not (task.is_verified and self._is_drawn(machines)):
             self.answers[frozenset({machine})] += 1

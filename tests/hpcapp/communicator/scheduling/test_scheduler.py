@@ -95,6 +95,37 @@ def test_what_fails_on_one_machine_alone_is_no_failure(scheduler: Scheduler) -> 
     assert scheduler.counts["doubted"] == 1
 
 
+@pytest.mark.parametrize("is_lost", [False, True])
+def test_a_failure_that_comes_twice_or_late_is_not_believed(
+    scheduler: Scheduler, is_lost: bool
+) -> None:
+    scheduler.register(b"a", introduce("a"))
+    (first,) = submit(scheduler, 1)
+    second = first
+    if is_lost:  # its old batch is still at work when it comes again and is given the task anew
+        scheduler.disconnected([b"a"], "it has been silent")
+        _, second = scheduler.register(b"a", introduce("a"))
+    scheduler.register(b"b", introduce("b"))
+    actions = fail(scheduler, first) + fail(scheduler, second)
+    assert delivered(actions) == []
+    (again,) = actions
+    assert assigned([again]) == [(b"b", (0,))]
+    assert delivered(fail(scheduler, first) + finish(scheduler, again)) == [True]
+    assert (scheduler.counts["doubted"], scheduler.counts["dropped"]) == (1, 2)
+
+
+def test_no_machine_confirms_its_own_failure(scheduler: Scheduler) -> None:
+    for name in (b"a", b"b"):
+        scheduler.register(name, introduce(name.decode()))
+    (first,) = submit(scheduler, 1)
+    fail(scheduler, first)
+    (second,) = scheduler.goodbye(b"b", "it was told to")
+    scheduler.register(b"c", introduce("c"))
+    (third,) = fail(scheduler, second)
+    assert assigned([second, third]) == [(b"a", (0,)), (b"c", (0,))]
+    assert delivered(fail(scheduler, third)) == [False]
+
+
 def test_what_two_machines_fail_at_is_a_failure_and_held_against_neither(
     scheduler: Scheduler,
 ) -> None:

@@ -84,7 +84,7 @@ def test_what_two_liars_agreed_on_is_distrusted_once_both_are_found() -> None:
 
 
 def test_who_fails_alone_is_one_of_the_three_that_decide() -> None:
-    verification, task = Verification(1.0), Task(1, "t", 1, has_failed=True)
+    verification, task = Verification(1.0), Task(1, "t", 1, failed_on="c")
     assert judge(verification, task, "a", b"x", "ab") == (Verdict.ASK_ANOTHER, [])
     assert judge(verification, task, "b", b"y", "ab") == (Verdict.UNDECIDED, [])
 
