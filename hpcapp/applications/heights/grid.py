@@ -22,6 +22,7 @@ from hpccomponent.errors import InputError, UsageError
 log = logging.getLogger("hpcapp")
 
 _FEWER = 0.5  # points of a part, by those of a usual cell
+_MOST_PARTS = 63  # along a cell
 _AROUND = 5  # cells across which relief is told
 _UNSEEN = 0.4
 """Variance of the relief in a cell by that between a cell and those around
@@ -123,6 +124,7 @@ def _split(width: float, need: float, most: float) -> int:
     half a usual cell.
     """
     parts = 1
+    most = min(most, _MOST_PARTS**2)
     while width / (parts + 2) >= need * _FEWER**0.5 and (parts + 2) ** 2 <= most:
         parts += 2
     return parts

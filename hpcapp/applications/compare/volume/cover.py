@@ -16,8 +16,9 @@ in 3 of a million places, and of the fields that people scan none is thinner."""
 _BORDER = 0.75
 """Spacings between the outermost points, where gaps are closed, and the border of what was scanned:
 0.70 to 0.85 of points at random, jittered and in rows (`benchmarks/volumes.py`)."""
-_AROUND = 5  # cells across which a density is told
-_MOST = 4_000_000  # squares of a raster at once
+_AROUND = 10.0  # spacings across which a density is told
+_FINEST = 64.0  # squares of a raster along a cell
+_AT_ONCE = 4_000_000  # of which distances are told at once
 
 
 def cover_cells(points: FloatArray, spacing: float, lattice: Lattice) -> FloatArray:
@@ -29,18 +30,19 @@ def cover_cells(points: FloatArray, spacing: float, lattice: Lattice) -> FloatAr
     spacing : float
         Where they are sparse.
     """
-    fine = max(round(2.0 * lattice.step / spacing), 1)
-    reach = _REACH * spacing * fine / lattice.step
-    halo = ceil(2.0 * reach / fine) + _AROUND // 2 + 1  # cells
+    fine = round(min(max(2.0 * lattice.step / spacing, 1.0), _FINEST))
+    square = lattice.step / fine
+    reach, around = _REACH * spacing / square, max(ceil(_AROUND * spacing / square), 1)
+    halo = ceil((2.0 * reach + around) / fine)  # cells
     rows, columns = lattice.shape
-    high = max(_MOST // (fine**2 * (columns + 2 * halo)), 4 * halo)
+    high = max(_AT_ONCE // (fine**2 * (columns + 2 * halo)), 4 * halo)
     shares = np.zeros(lattice.shape)
     counts = _rasterize(points, lattice, fine, halo)
     inner = slice(fine * halo, -fine * halo)
     for first in range(0, rows, high):
         last = min(first + high, rows)
         band = counts[fine * first : fine * (last + 2 * halo)]
-        cover = _close(band, reach, _AROUND * fine)[inner, inner]
+        cover = _close(band, reach, around)[inner, inner]
         shares[first:last] = cover.reshape(last - first, fine, columns, fine).mean(axis=(1, 3))
     return shares
 

@@ -37,6 +37,12 @@ of it widens an uncertainty, and makes none wrong (`benchmarks/volumes.py`)."""
 _SPARSE = 0.9  # share of the points that are denser
 _NEAREST = 16  # points that tell a density
 _TOLD = 200_000  # points whose density is told
+_BORDER = 0.1
+"""Spacings within which the border of points is known: two deviations of its place
+(`benchmarks/volumes.py`)."""
+_MESH_BORDER = 0.5
+"""Spacings of vertices, of a mesh: they are half of those of its points, and it ends up to .3 of
+those beyond them."""
 _ACROSS = 500  # cells along the longer side of meshes, at least
 MOST_CELLS = 4_000_000
 """Of one lattice: points take 400 bytes of memory for each."""
@@ -82,6 +88,21 @@ class Epoch:
     def choose_step(self) -> float:
         """Return the width of cells that its points or faces are dense enough for.
 
+        Errors are those of `find_spacing`.
+        """
+        step = float(PER_CELL**0.5) * self.find_spacing()
+        if isinstance(self.surface, PointCloud):
+            return step
+        return min(step, float(np.ptp(self.positions[:, :2], axis=0).max()) / _ACROSS)
+
+    def find_border(self) -> float:
+        """Return within what its border is known: a mesh ends about where its points do."""
+        share = _BORDER if isinstance(self.surface, PointCloud) else _MESH_BORDER
+        return share * self.find_spacing()
+
+    def find_spacing(self) -> float:
+        """Return the spacing of its points or vertices, seen from above, where they are sparse.
+
         Raises
         ------
         InputError
@@ -94,10 +115,7 @@ class Epoch:
             raise InputError(f"{self.name}: all of it is over one place", "give one with an extent")
         nearest = min(_NEAREST, len(told) - 1)
         radius = float(np.quantile(KDTree(told).query(told, k=nearest + 1)[0][:, -1], _SPARSE))
-        step = radius * float(np.sqrt(np.pi * PER_CELL / (nearest * every)))
-        if isinstance(self.surface, PointCloud):
-            return step
-        return min(step, float(np.ptp(places, axis=0).max()) / _ACROSS)
+        return radius * float(np.sqrt(np.pi / (nearest * every)))
 
     def read_heights(self, lattice: Lattice, spacing: float) -> Heights:
         """Return its heights; guesswork of a mesh, which no point supports, is none."""
@@ -214,7 +232,7 @@ def _measure_heights(
             f"cells {width:.3g} wide are more than {MOST_CELLS:,}", f"give {least:.2g} or more"
         )
     lattice = Lattice.over(low[:2], high[:2], width)
-    spacing = need / PER_CELL**0.5
+    spacing, border = need / float(PER_CELL**0.5), max(new.find_border(), old.find_border())
     heights = new.read_heights(lattice, spacing), old.read_heights(lattice, spacing)
     common = int(np.count_nonzero(np.isfinite(heights[0].values + heights[1].values)))
     if common < FEWEST_CELLS:
@@ -222,7 +240,7 @@ def _measure_heights(
             f"{new.name} and {old.name} have {common} cells in common, {width:.3g} wide",
             f"give two scans of one place in one frame, or a --cell below {width:.2g}",
         )
-    change = measure_terrain(*heights, spacing, lattice, registration)
+    change = measure_terrain(*heights, border, lattice, registration)
     if change.layered > FEW_LAYERS * change.common:
         log.warning(
             "heights differ by more than a cell is wide on %.2g %% of the common area: crowns "

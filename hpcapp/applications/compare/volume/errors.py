@@ -94,7 +94,7 @@ def find_registration(
     z, effects = change / deviation, effect / deviation[:, None]
     few = slice(None, None, -(-len(z) // _TRIED))
     starts = [0.0, *np.quantile(change[few], np.arange(0.5 * _AGREED, 1.0, _AGREED)).tolist()]
-    narrow = max(_find_narrowest(change[few]) / float(np.median(deviation)), 1.0)
+    narrow = max(find_narrowest(change[few]) / float(np.median(deviation)), 1.0)
     tried = [
         _fit_shift(z[few], effects[few], start / deviation[few], narrow, farthest)
         for start in starts
@@ -117,8 +117,8 @@ def find_registration(
     return Registration(shift, shift, covariance, stayed, scale)
 
 
-def _find_narrowest(change: FloatArray) -> float:
-    """Return the deviation that the narrowest part of the differences tells."""
+def find_narrowest(change: FloatArray) -> float:
+    """Return the standard deviation that the narrowest tenth of some differences tells."""
     ordered = np.sort(change)
     count = max(int(_AGREED * len(ordered)), 1)
     # of a normal distribution such a part lies within so many deviations of its middle
@@ -127,7 +127,7 @@ def _find_narrowest(change: FloatArray) -> float:
 
 
 def _fit_shift(
-    z: FloatArray, effects: FloatArray, start: FloatArray, scale: float, usual: FloatArray
+    z: FloatArray, effects: FloatArray, start: FloatArray, scale: float, farthest: FloatArray
 ) -> tuple[FloatArray, BoolArray, float]:
     """Return the shift that is fitted to what agrees with it, and what does, from a start on."""
     shift = np.zeros(effects.shape[1])
@@ -137,8 +137,8 @@ def _fit_shift(
     for _ in range(_ROUNDS):
         if np.count_nonzero(stayed) <= len(shift):
             return shift, np.zeros(len(z), dtype=bool), scale
-        # level ground tells nothing of a shift along it: then it is none
-        normal = effects[stayed].T @ effects[stayed] + np.diag((scale / usual) ** 2)
+        # level ground tells nothing of a shift along it: then that is none
+        normal = effects[stayed].T @ effects[stayed] + np.diag((STAYED * scale / farthest) ** 2)
         shift = np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ (
             effects[stayed].T @ z[stayed]
         )
@@ -147,6 +147,6 @@ def _fit_shift(
         last, stayed = stayed, residual <= STAYED * scale
         if np.array_equal(last, stayed):
             break
-    # a part of a slope, not a peak, is no ground that agrees
-    is_peak = 2.0 * np.count_nonzero(stayed) > np.count_nonzero(residual <= 3.0 * STAYED * scale)
+    # a part of a slope, not a peak, is no ground that agrees: of a slope half are within half
+    is_peak = 1.5 * np.count_nonzero(stayed) > np.count_nonzero(residual <= 2.0 * STAYED * scale)
     return shift, stayed & is_peak, scale

@@ -212,6 +212,15 @@ def test_meshes_and_points_may_be_mixed() -> None:
     assert is_true(measure(new, pair(seed=1)[1]))
 
 
+def test_meshes_of_scans_tell_noise_by_what_agrees() -> None:
+    old, same, new = (hpcapp.reconstruct(make_plain(3_600, k)) for k in (0, 1, 2))
+    raised = raise_ground(new.vertices, 0.5, 0.5)
+    change = measure(hpcapp.Mesh(raised, new.faces), old)
+    assert near(change.fill, 900.0)
+    assert change.fill.uncertainty < 90.0
+    assert near(measure(same, old).net, 0.0)
+
+
 def test_guesswork_of_a_mesh_is_left_out() -> None:
     new, old = truth("heap"), truth("yard")
     support = np.where(away(new.vertices, HEAP_AT) < 7.0, 9.0, 1.0)
