@@ -114,7 +114,7 @@ def say_small(areas: FloatArray, is_small: BoolArray) -> str:
     '1 of 3 pieces is small, 0.1 % of the area: pieces=2 drops it'
     """
     count = int(is_small.sum())
-    share = say_share(float(areas[is_small].sum() / areas.sum()))
+    share = _say_part(areas, is_small)
     option = name_option("pieces", len(areas) - count)
     words = ("is small", "it") if count == 1 else ("are small", "them")
     return (
@@ -130,7 +130,15 @@ def say_dropped(areas: FloatArray, stays: BoolArray) -> str:
     --------
     >>> say_dropped(np.array([0.1, 100.0, 5.0]), np.array([False, True, False]))
     'dropped 2 of 3 pieces, 4.9 % of the area'
+    >>> say_dropped(np.zeros(3), np.array([False, True, False]))
+    'dropped 2 of 3 pieces, 0 % of the area'
     """
-    share = say_share(float(areas[~stays].sum() / areas.sum()))
+    share = _say_part(areas, ~stays)
     dropped = int((~stays).sum())
     return f"dropped {dropped:,} of {say_count(len(areas), 'piece')}, {share} of the area"
+
+
+def _say_part(areas: FloatArray, chosen: BoolArray) -> str:
+    """Say which part of the area some pieces have; they may all be without any."""
+    whole = float(areas.sum())
+    return say_share(float(areas[chosen].sum()) / whole if whole else 0.0)

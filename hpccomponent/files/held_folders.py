@@ -208,6 +208,26 @@ def remove_abandoned(parent: Path, prefix: str) -> list[Owner]:
 
 
 @contextmanager
+def temporary_room() -> Iterator[Path]:
+    """Yield the system's folder for temporary files, while something is written there.
+
+    Raises
+    ------
+    OutputError
+        There is none, or no room in it; the system's own error names no file.
+    """
+    problem = "no temporary folder can be had"
+    try:
+        parent = Path(tempfile.gettempdir())
+        problem = f"{parent}: a temporary file cannot be written"
+        yield parent
+    except OSError as error:
+        raise OutputError(
+            f"{problem}: {error.strerror or error}", "set TMPDIR to a folder with room"
+        ) from error
+
+
+@contextmanager
 def temporary_folder() -> Iterator[Path]:
     """Yield a folder of the system's for temporary files; it is removed when the block ends.
 
@@ -218,14 +238,9 @@ def temporary_folder() -> Iterator[Path]:
     OutputError
         None can be made.
     """
-    try:
-        parent = Path(tempfile.gettempdir())
-    except OSError as error:
-        raise OutputError(
-            f"no temporary folder can be had: {error.strerror}", "set TMPDIR to one with room"
-        ) from error
-    remove_abandoned(parent, _PREFIX)
-    folder = create_held(parent / f"{_PREFIX}{os.urandom(6).hex()}")
+    with temporary_room() as parent:
+        remove_abandoned(parent, _PREFIX)
+        folder = create_held(parent / f"{_PREFIX}{os.urandom(6).hex()}")
     try:
         yield folder.path
     finally:

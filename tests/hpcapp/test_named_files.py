@@ -154,6 +154,7 @@ def test_what_lies_beside_an_output_or_an_input_counts(
         ("reconstruct in.ply -o a.ply --temp-dir a.ply", "are one file"),
         ("reconstruct in.ply -o a.obj --trace A.OBJ", "are one file"),
         ("simulate --scene yard -o a.xyz -n 99", "beside -o, a_truth.ply: is not a file"),
+        ("convert in.ply -o a.ply --rejected b.foo", "b.foo: suffix '.foo'; a point cloud is"),
         ("convert in.ply -o a.ply --rejected folder.ply", "folder.ply: is not a file"),
         ("reconstruct in.ply -o b.ply", "beside -o, b.ply.origin.json: is not a file"),
         ("reconstruct in.ply -o - --size 0", "no mesh fits"),

@@ -89,10 +89,10 @@ def heights(
             grid = grid_heights(ground, step)
         with clock.stage("write"):
             crs = read_crs(grid.crs.text, output)
-            if contours is not None and interval is not None:
-                count = write_contours(contours, grid, interval, crs)
-                log.info("%s: %d contours", contours, count)
-            write_geotiff(output, grid, crs)
+            with write_geotiff(output, grid, crs):
+                if contours is not None and interval is not None:
+                    count = write_contours(contours, grid, interval, crs)
+                    log.info("%s: %d contours", contours, count)
     known = grid.values[np.isfinite(grid.values)]
     rows, columns = grid.values.shape
     unit = grid.crs.height_unit or grid.crs.unit or ""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -59,8 +61,11 @@ def read_crs(text: str | None, path: Path) -> Crs | None:
         return None
 
 
-def write_geotiff(path: Path, grid: HeightGrid, crs: Crs | None) -> None:
+@contextmanager
+def write_geotiff(path: Path, grid: HeightGrid, crs: Crs | None) -> Iterator[None]:
     """Write heights as one band in single precision; NaN is where there are none.
+
+    The file takes its place when the block ends well: what else is written belongs into it.
 
     Raises
     ------
@@ -84,6 +89,8 @@ def write_geotiff(path: Path, grid: HeightGrid, crs: Crs | None) -> None:
                 image.units = (grid.crs.height_unit or grid.crs.unit or "",)
             with replacing(path) as file:
                 file.write(memory.getbuffer())
+                file.flush()  # a full disk says so here
+                yield
     except rasterio.errors.RasterioError as error:
         why = str(error).partition("\n")[0]
         raise OutputError(f"{path}: cannot be written: {why}", "check for room") from error

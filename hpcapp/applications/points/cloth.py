@@ -23,7 +23,7 @@ from hpcapp.extras import how_to_install
 from hpcapp.geometry.points import FloatArray
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError, MissingLibraryError
-from hpccomponent.files.held_folders import temporary_folder
+from hpccomponent.files.held_folders import temporary_folder, temporary_room
 
 STEP = 0.5
 """Metres between the threads of the cloth: the authors' for all of their fifteen scans."""
@@ -94,7 +94,8 @@ def drape(points: FloatArray, name: str) -> Cloth:
         )
     low = points.min(axis=0)
     with temporary_folder() as folder:
-        np.save(folder / _POINTS, points - low)
+        with temporary_room():
+            np.save(folder / _POINTS, points - low)
         command = [sys.executable, "-P", "-c", f"from {__name__} import main; main()"]
         paths = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
         process = subprocess.Popen(  # noqa: S603 - our own interpreter and module

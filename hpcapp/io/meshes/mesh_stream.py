@@ -17,6 +17,7 @@ from hpcapp.io.crs import UNKNOWN, Crs
 from hpcapp.io.frame import finite_bounds, scale_heights
 from hpcapp.io.meshes.texture import Texture
 from hpccomponent.dataclass import dataclass
+from hpccomponent.files.held_folders import temporary_room
 
 _ROWS_AT_ONCE = 1 << 16
 
@@ -117,7 +118,7 @@ def make_array(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray
     """Return an array of zeros in a file, for what all vertices of a mesh have."""
     shape = tuple(max(rows, 1) for rows in shape)
     size = int(np.prod(shape)) * np.dtype(dtype).itemsize
-    with TemporaryFile() as file:  # the array holds it open
+    with temporary_room() as room, TemporaryFile(dir=room) as file:  # the array holds it open
         os.posix_fallocate(file.fileno(), 0, size)  # a full disk says so here
         return np.memmap(file, dtype, "r+", shape=shape)
 

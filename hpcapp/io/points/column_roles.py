@@ -36,7 +36,7 @@ _SPELLINGS = {
     **dict.fromkeys(("z", "pz", "pointz", "coordz", "zcoordinate", "points2"), "z"),
     **dict.fromkeys(("easting", "east", "lon", "long", "longitude"), "x"),
     **dict.fromkeys(("northing", "north", "lat", "latitude"), "y"),
-    **dict.fromkeys(("elevation", "height"), "z"),
+    **dict.fromkeys(("elevation", "elev", "height"), "z"),
     **{f"cartesian{axis}": axis for axis in "xyz"},
     **{
         f"{stem}{axis}": f"n{axis}"
@@ -54,6 +54,8 @@ _SPELLINGS = {
     "columnindex": "column",
     **dict.fromkeys(("class", "classification", "scalarclassification"), "classification"),
 }
+_LETTERS = {"n": "northing", "e": "easting", "h": "height", "el": "elevation"}
+_LETTERS_IN_ONE = re.compile(r"p?(ne|en)[zh]d?")  # PNEZD, as surveyors say what a list holds
 _BRACKET = re.compile(r"[\[(]")
 _NAMED = 5  # columns in a message
 _UNIT = 0.05  # how far from 1 the length of a unit vector may be: two decimals of each component
@@ -75,11 +77,37 @@ def find_role(name: str) -> str:
     >>> [find_role(name) for name in ("//X", '"Normal_Y"', "diffuse_red", "Z [m]", "OffsetTime")]
     ['x', 'ny', 'red', 'z', 'OffsetTime']
     """
-    stripped = name.strip().strip("\"'").strip()
-    bare = stripped.lower()
-    if bare.endswith(("]", ")")):  # a unit
+    return _SPELLINGS.get(_strip(name), name.strip().strip("\"'").strip())
+
+
+def spell_letters(names: Sequence[str]) -> tuple[str, ...]:
+    """Return names of columns, N, E, H and EL in full where N and E stand together without X and Y.
+
+    Examples
+    --------
+    >>> spell_letters(["P", "N (ft)", "E", "Z", "D"]), spell_letters(["X", "Y", "Z", "N"])
+    (('P', 'northing (ft)', 'easting', 'Z', 'D'), ('X', 'Y', 'Z', 'N'))
+    """
+    letters = [_strip(name) for name in names]
+    if len(names) == 1 and _LETTERS_IN_ONE.fullmatch(letters[0]):
+        return spell_letters([*letters[0].upper()])
+    if not {"n", "e"} <= set(letters) or {"x", "y"} & set(letters):
+        return tuple(names)
+    pairs = zip(names, letters, strict=True)
+    return tuple(
+        re.sub(letter, _LETTERS[letter], name, count=1, flags=re.IGNORECASE)
+        if letter in _LETTERS
+        else name
+        for name, letter in pairs
+    )
+
+
+def _strip(name: str) -> str:
+    """Return the letters and digits of a name, in lower case, without a unit in brackets."""
+    bare = name.strip().strip("\"'").strip().lower()
+    if bare.endswith(("]", ")")):
         bare = bare[:1] + _BRACKET.split(bare[1:], 1)[0]
-    return _SPELLINGS.get(re.sub(r"[^a-z0-9]", "", bare), stripped)
+    return re.sub(r"[^a-z0-9]", "", bare)
 
 
 def name_columns(cloud: PointCloud) -> tuple[str, ...]:

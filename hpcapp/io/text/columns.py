@@ -27,7 +27,7 @@ from hpcapp.io.points.column_roles import (
     name_some,
 )
 from hpcapp.io.points.point_source import Findings
-from hpcapp.io.text.leading import find_named_order, find_order, is_time
+from hpcapp.io.text.leading import are_on_map, find_named_order, find_order, is_time
 from hpcapp.io.text.tables import RowNotes
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
@@ -204,7 +204,8 @@ def _find_first(
         findings.warn(f"column {numbers[0] + 1} only grows, as the time does, and is taken for it")
         return (_TIME, *AXES)
     is_numbered = numbers[0] > 0
-    is_list = is_numbered and len(numbers) == 3 and numbers[-1] + 1 < width  # with a code
+    has_code = len(numbers) == 3 and numbers[-1] + 1 < width
+    is_list = is_numbered and (has_code or are_on_map(sample))
     named, told = find_named_order(path), find_order(sample) if is_numbered else ()
     order = named or told or AXES
     if named or order != AXES or (is_list and not told):

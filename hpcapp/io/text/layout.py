@@ -22,6 +22,7 @@ from hpcapp.io.points.column_roles import (
     NORMALS,
     find_role,
     name_some,
+    spell_letters,
 )
 from hpcapp.io.points.point_source import Findings
 from hpcapp.io.rows import Line, is_count, line_error, numbered
@@ -166,7 +167,7 @@ def _split_names(text: str) -> tuple[str, ...]:
     names = [name.strip().strip("\"'").strip() for name in names]
     while names and not names[-1]:
         names.pop()  # a separator at the end
-    return tuple(names)
+    return spell_letters(names)
 
 
 def _find_mark(text: str, marks: str) -> str:

@@ -28,6 +28,9 @@ _LATEST = 1e8  # no coordinate on earth, in metres or feet; seconds since 1970 o
 
 _IN_NAME = re.compile(r"(?<![a-z])p(ne|en)zd?(?![a-z])")
 _NORTH, _EAST = (1e6, 1e7), (1e5, 9e5)  # of UTM, in metres; near the equator nothing can tell
+_FARTHEST_EAST = 4e6
+"""US feet: where northings are below 9e5, the eastings of State Plane zones end at 3.4e6 (Maine and
+Indiana, 900 km at their middle), or begin at 1.2e7 (Michigan); a northing of UTM is as likely."""
 
 
 def are_point_numbers(sample: FloatArray) -> bool:
@@ -43,7 +46,7 @@ def are_point_numbers(sample: FloatArray) -> bool:
         return False
     if sample[:, 0].max() > _LATEST:
         return False
-    if any(_is_map(sample[:, columns]) for columns in ([1, 2, 3], [2, 1, 3])):
+    if are_on_map(sample[:, 1:4]):
         return True
     if sample[0, 0] in (0, 1):  # it may begin anew with each scan
         sample = sample[:_FEWEST_ROWS]
@@ -71,19 +74,25 @@ def is_time(sample: FloatArray) -> bool:
 
 
 def find_order(sample: FloatArray) -> tuple[str, ...]:
-    """Return the axes that map coordinates behind the number of a point are, or none: by UTM."""
+    """Return the axes that map coordinates behind the number of a point are, or none: by UTM.
+
+    What may as well be a northing and an easting in feet is not told.
+    """
     first, second = sample[:, 0], sample[:, 1]
     if _lies_in(first, _NORTH) and _lies_in(second, _EAST):
         return NORTHING_FIRST
-    return AXES if _lies_in(first, _EAST) and _lies_in(second, _NORTH) else ()
+    far_north = (_FARTHEST_EAST, _NORTH[1])
+    return AXES if _lies_in(first, _EAST) and _lies_in(second, far_north) else ()
+
+
+def are_on_map(sample: FloatArray) -> bool:
+    """Tell whether three columns are coordinates of a map, whichever of two comes first."""
+    finite = sample[are_finite(sample[:, :3])]
+    return any(is_projected(PointCloud(finite[:, order])) for order in ([0, 1, 2], [1, 0, 2]))
 
 
 def _lies_in(values: FloatArray, limits: tuple[float, float]) -> bool:
     return bool(len(values) and values.min() >= limits[0] and values.max() <= limits[1])
-
-
-def _is_map(positions: FloatArray) -> bool:
-    return is_projected(PointCloud(positions))
 
 
 def _has_fractions(values: FloatArray) -> bool:

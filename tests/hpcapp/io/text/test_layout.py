@@ -3,9 +3,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from hpcapp.io.points.column_roles import AXES
 from hpcapp.io.points.point_source import Findings
+from hpcapp.io.text.columns import assign_by_name
 from hpcapp.io.text.layout import Layout, find_layout
 from hpccomponent.errors import InputError
 
@@ -39,6 +42,26 @@ def test_lines_of_names(make_file: Make, head: str) -> None:
     assert layout.names is not None
     assert [name.lower() for name in layout.names] == ["x", "y", "z", "a"]
     assert layout.first_row == head.count("\n") + 1
+    assert warnings == []
+
+
+@pytest.mark.parametrize(
+    ("head", "axes"),
+    [
+        ("P,N,E,Z", "yxz"),
+        ("# p, e, n, z", "xyz"),
+        ("Point,Northing,Easting,Elevation", "yxz"),
+        ("PNEZ", "yxz"),
+        ("Pt;N [m];E [m];Elev", "yxz"),
+        ("N\tE\tH\tD", "yxz"),
+        ("E N Z Lat", "xyz"),
+        ("X,Y,Z,N", "xyz"),
+    ],
+)
+def test_letters_of_surveyors_name_columns(make_file: Make, head: str, axes: str) -> None:
+    layout, warnings = _find(make_file("a.csv", f"{head}\n{ROWS}"))
+    columns = assign_by_name(list(layout.names or ()), np.zeros((1, 4)))
+    assert "".join(role for role in columns.roles if role in AXES) == axes
     assert warnings == []
 
 

@@ -130,6 +130,25 @@ def test_a_list_that_nothing_tells_of_is_doubted_and_names_help(
     assert not named.findings.warnings
 
 
+STATE_PLANE = {  # northing, easting in US feet
+    "Idaho": (820_000, 2_700_000),
+    "Indiana": (850_000, 3_200_000),
+    "Michigan": (450_000, 13_300_000),
+    "Montana": (450_000, 1_500_000),
+}
+
+
+@pytest.mark.parametrize("zone", STATE_PLANE)
+@pytest.mark.parametrize("more", [(), (CODES,), (SHINE,)])
+def test_a_list_in_feet_is_doubted(
+    tmp_path: Path, zone: str, more: tuple[NDArray[Any], ...]
+) -> None:
+    places = np.round(80 * BALL + (*STATE_PLANE[zone], 400.0), 3)
+    source = open_rows(tmp_path / "a.csv", 1 + COUNT, *places.T, *more)
+    np.testing.assert_allclose(read(source), places)
+    assert any("number,y,x,z,code" in line for line in source.findings.warnings)
+
+
 @pytest.mark.parametrize("file", ["a.csv", "nez.csv", "pnezdx.csv"])
 def test_x_y_z_alone_stay_as_they_are(tmp_path: Path, file: str) -> None:
     """As of American grids, whose eastings are larger than their northings."""
