@@ -40,8 +40,8 @@ _TOLD = 200_000  # points whose density is told
 _BORDER = 0.1
 """Spacings within which the border of points is known: two deviations of its place
 (`benchmarks/volumes.py`)."""
-_MESH_BORDER = 0.5
-"""Spacings of vertices, of a mesh: they are half of those of its points, and it ends up to .3 of
+_MESH_BORDER = 1.2
+"""Spacings of vertices, of a mesh: they are half of those of its points, and it ends up to .6 of
 those beyond them."""
 _ACROSS = 500  # cells along the longer side of meshes, at least
 MOST_CELLS = 4_000_000
