@@ -99,11 +99,7 @@ def find_registration(
         _fit_shift(z[few], effects[few], start / deviation[few], narrow, farthest)
         for start in starts
     ]
-    agreed = [
-        shift
-        for shift, stayed, _ in tried
-        if stayed.mean() >= _AGREED and (np.abs(shift) <= farthest).all()
-    ]
+    agreed = [shift for shift, stayed, _ in tried if stayed.mean() >= _AGREED]
     shift, stayed, scale = np.zeros(effect.shape[1]), np.zeros(len(z), dtype=bool), 1.0
     if agreed:
         least_one = min(agreed, key=lambda one: float(np.median(np.abs(effect[few] @ one))))
@@ -112,7 +108,8 @@ def find_registration(
         known = np.diag(np.where(np.arange(len(shift)) < _AXES, vouched**2, 0.0))
         return Registration(shift, np.zeros(len(shift)), known, stayed, scale)
     # a direction of which the surface tells nothing adds nothing to what it bounds either
-    inverse = np.linalg.pinv(effects[stayed].T @ effects[stayed], rcond=1e-12, hermitian=True)
+    told = effects[stayed] * (shift != 0.0)
+    inverse = np.linalg.pinv(told.T @ told, rcond=1e-12, hermitian=True)
     covariance: FloatArray = inverse.astype(np.float64) * scale**2
     return Registration(shift, shift, covariance, stayed, scale)
 
@@ -130,18 +127,19 @@ def _fit_shift(
     z: FloatArray, effects: FloatArray, start: FloatArray, scale: float, farthest: FloatArray
 ) -> tuple[FloatArray, BoolArray, float]:
     """Return the shift that is fitted to what agrees with it, and what does, from a start on."""
-    shift = np.zeros(effects.shape[1])
+    shift, is_told = np.zeros(effects.shape[1]), np.ones(effects.shape[1], dtype=bool)
     residual = np.abs(z - start)
     widest = _WIDEST * scale
     stayed = residual <= STAYED * scale
     for _ in range(_ROUNDS):
         if np.count_nonzero(stayed) <= len(shift):
             return shift, np.zeros(len(z), dtype=bool), scale
-        # level ground tells nothing of a shift along it: then that is none
-        normal = effects[stayed].T @ effects[stayed] + np.diag((STAYED * scale / farthest) ** 2)
-        shift = np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ (
-            effects[stayed].T @ z[stayed]
-        )
+        told = effects[stayed] * is_told
+        normal = np.linalg.pinv(told.T @ told, rcond=1e-12, hermitian=True)
+        shift = normal.astype(np.float64) @ (told.T @ z[stayed])
+        # level ground tells nothing of a shift along it, and noise would have it anywhere
+        is_told &= np.abs(shift) <= farthest
+        shift = shift * is_told
         residual = np.abs(z - effects @ shift)
         scale = min(max(_TO_DEVIATION * float(np.median(residual[stayed])), 1.0), widest)
         last, stayed = stayed, residual <= STAYED * scale

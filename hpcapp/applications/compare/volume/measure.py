@@ -63,7 +63,7 @@ class Change:
     registration : float or None
         What the user says of it.
     noise : float
-        Standard deviation of the difference of a cell.
+        Standard deviation of the difference of a cell where they agree.
     detectable : float
         The smallest difference of three by three cells that is told for a change.
     cell : float

@@ -71,8 +71,9 @@ def measure_terrain(
         _sum_volume(rise, areas, effects, lie, unsure, is_in)
         for is_in in (side < 0, side > 0, side != 0)
     )
-    noise = float(np.sqrt(wider * np.median(variances[is_common])))
-    least = find_least(noise, int(is_common.sum()))
+    usual = float(np.sqrt(np.median(variances[is_common])))
+    least = find_least(float(np.sqrt(wider)) * usual, int(is_common.sum()))
+    noise = float((rises - effects @ lie.shift)[stayed].std()) if stayed.any() else usual
     return Change(
         replace(cut, volume=abs(cut.volume)), fill, net, float(areas.sum()),
         area * float(np.maximum(new.cover - cover, 0.0).sum()),
