@@ -24,7 +24,7 @@ _TO_DEVIATION = 1.0 / float(norm.isf(0.25))  # from the median of absolute error
 _ROUNDS = 50
 _AXES = 3
 _AGREED = 0.1
-"""Share of the pieces that has to agree upon a shift: of earthworks a tenth stays as it was."""
+"""Share of the pieces that has to agree upon a shift: so much stays as it was, it is supposed."""
 _WIDEST = 2.0
 """Of the noise that ground which agrees has, in what its densest tenth tells: twice as much is
 change, not noise."""
@@ -47,15 +47,12 @@ class Registration:
         Of the bias.
     stayed : ndarray of bool, shape (n,)
         The pieces that the shift explains.
-    scale : float
-        Standard deviation of those, in units of the deviations that were expected.
     """
 
     shift: FloatArray
     bias: FloatArray
     covariance: FloatArray
     stayed: BoolArray
-    scale: float
 
     def find_bias(self, effects: FloatArray) -> float:
         """Return what the shift makes of a volume, either way; of its effects, shape (e,)."""
@@ -106,12 +103,12 @@ def find_registration(
         shift, stayed, scale = _fit_shift(z, effects, effects @ least_one, narrow, farthest)
     if vouched is not None:
         known = np.diag(np.where(np.arange(len(shift)) < _AXES, vouched**2, 0.0))
-        return Registration(shift, np.zeros(len(shift)), known, stayed, scale)
+        return Registration(shift, np.zeros(len(shift)), known, stayed)
     # a direction of which the surface tells nothing adds nothing to what it bounds either
     told = effects[stayed] * (shift != 0.0)
     inverse = np.linalg.pinv(told.T @ told, rcond=1e-12, hermitian=True)
     covariance: FloatArray = inverse.astype(np.float64) * scale**2
-    return Registration(shift, shift, covariance, stayed, scale)
+    return Registration(shift, shift, covariance, stayed)
 
 
 def find_narrowest(change: FloatArray) -> float:
