@@ -95,7 +95,7 @@ def spell_letters(names: Sequence[str]) -> tuple[str, ...]:
         return tuple(names)
     pairs = zip(names, letters, strict=True)
     return tuple(
-        re.sub(letter, _LETTERS[letter], name, count=1, flags=re.IGNORECASE)
+        re.sub(re.escape(letter), _LETTERS[letter], name, count=1, flags=re.IGNORECASE)
         if letter in _LETTERS
         else name
         for name, letter in pairs
