@@ -100,9 +100,9 @@ def _tell_doubt(doubt: Doubt, origin: FloatArray) -> Unsure:
     if doubt.rival is None:
         return Unsure(place)
     readings = doubt.reading, doubt.rival
-    words = [reading.word or reading.kind for reading in readings]
+    words = [reading.word or reading.name for reading in readings]
     if words[0] == words[1]:  # both look from above, but from other sides
-        words = [reading.kind for reading in readings]
+        words = [reading.name for reading in readings]
     options = [
         word
         if reading.place is None or word == reading.word
@@ -115,6 +115,6 @@ def _tell_doubt(doubt: Doubt, origin: FloatArray) -> Unsure:
 
 def _type_place(place: FloatArray, origin: FloatArray) -> str:
     """Return a place far from the middle of a cloud for the option that says it."""
-    # Four digits of the largest coordinate: so far away, more do not matter.
+    # Four digits of the largest coordinate of the cloud's frame: more do not matter.
     digits = 3 - int(np.floor(np.log10(max(float(np.abs(place).max()), 1e-300))))
-    return ",".join(f"{round(value, digits):.15g}" for value in (place + origin).tolist())
+    return ",".join(f"{round(value, digits) + 0.0:.15g}" for value in (place + origin).tolist())

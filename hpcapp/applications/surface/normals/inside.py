@@ -1,4 +1,4 @@
-"""Places inside of what surrounds them: where somebody could stand who sees walls on most sides.
+"""Places among what surrounds them: where somebody could stand who sees walls on many sides.
 
 ::
 
@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -21,15 +22,25 @@ AMPLE, TIGHT = 6.0, 4.0
 and where somebody has. No sensor comes as close to a wall as a few times what lies between two of
 its rays; a cloud that was thinned out may look so."""
 
+INSIDE = 0.8
+"""Share of the directions that are blocked inside of a room, a tunnel or a cave."""
+AMID = 0.6, 0.4
+"""And amid a street, a yard, a front: the sky is open, and what lies behind a scanner."""
+
 _MOST = 32  # places
 _EDGE = 0.5  # of the cells, in those of patches
-_CELLS = 96  # along the longest side at most
-_BLOCKED = 0.8  # share of the directions
+_CELLS = 2**20, 32  # at most, or so many for each patch: the box of a bent tunnel is mostly empty
 _ROOMY = 0.35  # of the emptiest place's distance: nearer ones are no places to stand
 _DIRECTIONS = [step for step in itertools.product((-1, 0, 1), repeat=3) if any(step)]
 
 
-def find_inside(patches: Patches, spacing: float, least: float, threads: int = 1) -> FloatArray:
+def find_inside(
+    patches: Patches,
+    spacing: float,
+    least: float,
+    threads: int = 1,
+    shares: Sequence[float] = (INSIDE,),
+) -> list[FloatArray]:
     """Find places that are inside of what surrounds them, all along it.
 
     Parameters
@@ -40,15 +51,19 @@ def find_inside(patches: Patches, spacing: float, least: float, threads: int = 1
         Of the cloud, in length units of the input.
     least : float
         Spacings between a place and the nearest patch.
+    shares : sequence of float
+        Of the directions, that are blocked there.
 
     Returns
     -------
-    ndarray of float64, shape (s, 3)
-        At most 32; none where nothing surrounds anything.
+    list of ndarray of float64, shape (s, 3)
+        For each share at most 32; none where nothing surrounds anything.
     """
     parts = quarter_patches(patches, 0.25 * CELL * spacing)
     low, high = parts.min(axis=0), parts.max(axis=0)
-    edge = max(_EDGE * CELL * spacing, float((high - low).max()) / _CELLS)
+    edge = _EDGE * CELL * spacing
+    cells = float(np.maximum((high - low) / edge, 1.0).prod())
+    edge *= max(1.0, cells / max(_CELLS[0], _CELLS[1] * len(patches))) ** (1.0 / 3.0)
     # (4 p, 3): the cell of each quarter, with an empty one before the first and after the last.
     rows = np.floor((parts - low) / edge).astype(np.int64) + 1
     occupied = np.zeros(rows.max(axis=0) + 2, np.bool_)
@@ -59,12 +74,14 @@ def find_inside(patches: Patches, spacing: float, least: float, threads: int = 1
         blocked += _find_blocked(occupied, step)
     # (x, y, z): in cells, to the nearest one that is occupied.
     far = kernels.measure_distances(occupied, threads)
-    is_inside = blocked >= _BLOCKED * len(_DIRECTIONS)
-    roomy = max(least * spacing / edge, _ROOMY * float(far[is_inside].max(initial=0.0)))
-    cells = np.argwhere(is_inside & (far >= roomy))
-    # The middles of the cells; the first of them lies before `low`.
-    places: FloatArray = low + (_pick_emptiest(cells, far[tuple(cells.T)]) - 0.5) * edge
-    return places
+    found = []
+    for share in shares:
+        is_inside = blocked >= share * len(_DIRECTIONS)
+        roomy = max(least * spacing / edge, _ROOMY * float(far[is_inside].max(initial=0.0)))
+        chosen = np.argwhere(is_inside & (far >= roomy))
+        # The middles of the cells; the first of them lies before `low`.
+        found.append(low + (_pick_emptiest(chosen, far[tuple(chosen.T)]) - 0.5) * edge)
+    return found
 
 
 def _find_blocked(occupied: BoolArray, step: tuple[int, ...]) -> BoolArray:

@@ -12,13 +12,12 @@ from __future__ import annotations
 import numpy as np
 
 from hpcapp.applications.surface.kernels import integrate_normals, sample_grid
-from hpcapp.applications.surface.normals.evidence import Evidence, areas_of, hear_sensor
+from hpcapp.applications.surface.normals.evidence import Evidence, areas_of, hear_user
 from hpcapp.applications.surface.normals.linked import LinkedPatches
 from hpcapp.applications.surface.normals.patches import CELL, Links, Patches, Sides
 from hpcapp.applications.surface.normals.readings import (
-    CERTAIN,
     Followed,
-    Reading,
+    Hypothesis,
     follow,
     weigh_readings,
 )
@@ -27,14 +26,12 @@ from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 from hpccomponent.dataclass import dataclass
 
 SURE = 0.3
-"""From this confidence on the side of a patch counts as sure."""
+"""Confidence of a side that is right 85 times of a hundred, from which on it counts as sure; it
+grows with the logarithm of the odds."""
+_ODDS = float(np.log(0.85 / 0.15)) / SURE
 
 _LEAN = 0.3  # how strongly all that is known of a patch counts beside its links
-_TANGLED = 0.07  # links that a flat sheet may break
-_FLAT = 0.6  # height of what may be a forest, in longest sides
-_MOST = 0.15  # cost of a reading that explains what there is
-_LEAST = 0.01  # certainty of a side that two readings explain alike
-_GUESSED = 0.25  # certainty of a side that no reading explains
+_LEAST = 0.01  # confidence of a side that two readings explain alike
 _NODES = 128
 _PADDING = 1.3
 _ROUNDS = 12
@@ -49,15 +46,15 @@ class Doubt:
     ----------
     middle : ndarray of float64, shape (3,)
         Of the largest piece whose side is unsure, in the frame of the patches.
-    reading : Reading
+    reading : Hypothesis
         What was believed.
-    rival : Reading or None
-        What would turn that piece round; None where no reading explains it.
+    rival : Hypothesis or None
+        What would most probably turn that piece round; None where nothing that was weighed would.
     """
 
     middle: FloatArray
-    reading: Reading
-    rival: Reading | None
+    reading: Hypothesis
+    rival: Hypothesis | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,12 +67,21 @@ class Orientation:
     how : str
         Where the evidence comes from, for people.
     doubt : Doubt or None
-        Where a sensor has told, nothing more can be told.
+        Where a user has told, nothing more can be told.
+    kind : str
+        Of the hypothesis that was believed; ``told`` where a user has told.
+    certainty : float
+        Probability of the sides, 0 to 1: the mean over the area.
+    rivals : tuple
+        The other readings that were weighed: their names, and how probable each is.
     """
 
     sides: Sides
     how: str
     doubt: Doubt | None
+    kind: str = "told"
+    certainty: float = 1.0
+    rivals: tuple[tuple[str, float], ...] = ()
 
 
 def orient_patches(
@@ -108,8 +114,8 @@ def orient_patches(
     Notes
     -----
     A ray went to every point. Where it came from is evidence, and links and the far field fill in.
-    Where nobody knows, the reading that costs least is taken (see `readings`), and a patch is as
-    sure as the best reading that would turn it round costs more.
+    Where no user tells, the reading is taken whose sides are most probable (see `readings`), and a
+    patch is as sure as the readings that agree on its side are probable.
 
     Views show the inside of an object, too, where a part of it was not scanned. So the evidence
     is spread over links first, in which it counts next to nothing, and what contradicts the
@@ -118,44 +124,41 @@ def orient_patches(
     now, on its right-hand side.
     """
     linked = LinkedPatches(patches, links)
-    evidence = hear_sensor(patches, linked.components(), spacing, zero, sensor, threads)
-    if evidence is not None:
+    if sensor.is_told and sensor.kind != "unknown":
+        evidence = hear_user(patches, linked.components(), spacing, zero, sensor, threads)
         followed = None if evidence.is_sensed else follow(linked, evidence)
         sides = _settle(patches, linked, spacing, evidence, followed, threads)
         values = np.clip(sides, -1.0, 1.0).astype(np.float32)
         return Orientation(Sides(patches.keys, patches.ranks, values), evidence.how, None)
-    best, *others = weigh_readings(patches, linked, spacing, zero, threads)
-    sides = _settle(patches, linked, spacing, best.reading.evidence, best.sides, threads)
-    # (r, p): how much more a reading costs that turns the patch round; the first row is the best
-    # reading's own, which turns none.
-    margins = np.full((1 + len(others), len(patches)), CERTAIN)
-    for margin, other in zip(margins[1:], others, strict=True):
-        margin[other.sides * sides < 0.0] = max(other.cost - best.cost, 0.0)
-    # (p,): the cheapest reading that contradicts decides. Above 0, or the sides would be lost.
-    certainty = np.maximum(margins.min(axis=0) / CERTAIN, _LEAST)
-    if _is_tangled(patches, linked, best):
-        certainty = np.minimum(certainty, _GUESSED)
+    weighed = weigh_readings(patches, linked, spacing, zero, sensor, threads)
+    best, evidence = weighed[0], weighed[0].hypothesis.evidence
+    followed = None if evidence.is_sensed else best.sides
+    sides = _settle(patches, linked, spacing, evidence, followed, threads)
+    # (r, p): whether a reading turns a patch round; the first one is what it was settled from.
+    turns = np.array([one.sides * sides < 0.0 for one in weighed])
+    turns[0] = False
+    # (p,): the probability that a side is right.
+    right = np.array([one.share for one in weighed]) @ ~turns
+    odds = np.log(right / np.maximum(1.0 - right, 1e-9))
+    certainty = np.clip(odds / _ODDS, _LEAST, 1.0)  # above 0, or the sides would be lost
     values = np.clip(sides, -certainty, certainty).astype(np.float32)
-    doubt = _find_doubt(patches, linked, np.abs(values) < SURE, best, others, margins)
-    oriented = Sides(patches.keys, patches.ranks, values)
-    return Orientation(oriented, best.reading.evidence.how, doubt)
-
-
-def _is_tangled(patches: Patches, linked: LinkedPatches, best: Followed) -> bool:
-    """Tell whether not even the best reading explains what there is."""
-    # A flat tangle may be a forest, which hides its ground from wherever nobody was.
-    size = np.ptp(patches.centres, axis=0)
-    is_flat = bool(size[2] < _FLAT * size.max())
-    return best.cost > _MOST or (is_flat and linked.share_broken(best.sides) > _TANGLED)
+    doubt = _find_doubt(patches, linked, np.abs(values) < SURE, weighed, turns)
+    return Orientation(
+        Sides(patches.keys, patches.ranks, values),
+        evidence.how,
+        doubt,
+        best.hypothesis.kind,
+        float(np.average(right, weights=areas_of(patches))),
+        tuple((one.hypothesis.name, one.share) for one in weighed[1:]),
+    )
 
 
 def _find_doubt(
     patches: Patches,
     linked: LinkedPatches,
     is_unsure: BoolArray,
-    best: Followed,
-    others: list[Followed],
-    margins: FloatArray,
+    weighed: list[Followed],
+    turns: BoolArray,
 ) -> Doubt | None:
     """Return what is unsure of some patches; None where there are none."""
     if not is_unsure.any():
@@ -165,10 +168,11 @@ def _find_doubt(
     numbers = linked.components(is_unsure)
     largest = is_unsure & (numbers == np.argmax(np.bincount(numbers, counts)))
     middle: FloatArray = np.average(patches.centres[largest], axis=0, weights=counts[largest])
-    # (r - 1,): by points, and by how little more each reading costs that turns them round.
-    rivals = (patches.counts * largest * (CERTAIN - margins[1:])).sum(axis=1)
-    rival = others[int(np.argmax(rivals))].reading if rivals.any() else None
-    return Doubt(middle, best.reading, rival)
+    # (r,): by points that are turned round, and by how probable the reading is.
+    shares = np.array([one.share for one in weighed])
+    rivals = shares * (turns @ (patches.counts * largest))
+    rival = weighed[int(np.argmax(rivals))].hypothesis if rivals.any() else None
+    return Doubt(middle, weighed[0].hypothesis, rival)
 
 
 def _settle(

@@ -2,19 +2,20 @@
 
 ::
 
-    all around, inside, 26 sides, zero ── look ──> what each sees ── sides follow over links ──┐
-        cost = seen from behind + seen by none + how rare  <───────────────────────────────────┘
-        the least is believed, as far as it costs less than the others
+    all around, inside, amid, 26 sides, (0, 0, 0), the file's sensor
+        ── look ──> what each sees ── sides follow over links ──> cost, evidence
+        odds ── shares of all of them ──> how sure each side is
 
 Nobody measured a surface from behind, nor one that he did not see. So of each reading two shares
 of the area are added up: of what its viewers see, what they see from behind, and what none of them
-sees.
+sees. The odds of a reading fall with a power of that cost; how common such scans are, which way
+what lies level faces, and how evenly the points lie as seen from a place change them. All numbers
+of that are one fit to scans whose truth is known (`likelihood`).
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -23,69 +24,54 @@ from hpcapp.applications.surface.normals.evidence import (
     Outside,
     Views,
     areas_of,
+    face_along,
     look_outside,
     share_of,
 )
-from hpcapp.applications.surface.normals.inside import AMPLE, find_inside
+from hpcapp.applications.surface.normals.inside import AMID, AMPLE, INSIDE, find_inside
+from hpcapp.applications.surface.normals.likelihood import (
+    FITTED,
+    Features,
+    Likelihood,
+)
 from hpcapp.applications.surface.normals.linked import LinkedPatches
 from hpcapp.applications.surface.normals.patches import Patches
-from hpcapp.applications.surface.normals.stand import has_stand
+from hpcapp.applications.surface.normals.sensor import Sensor
+from hpcapp.applications.surface.normals.stand import Density, has_stand
 from hpcapp.geometry.points import BoolArray, FloatArray
 from hpccomponent.dataclass import dataclass
 
-CERTAIN = 0.047
-"""Cost from one reading to the next from which on the first one is certain, and from .3 of it on
-sure: right ones have .018 and more but two (a terrain that a camera at zero would see as well, a
-falcon on a table: .011), a wrong one, of a desk before a depth camera, .010."""
-
-RARE = 0.026
-"""What it costs that few scans are taken from inside. Without it objects (boxes, one on a table)
-cost up to .015 less from inside than from outside, rooms .037 less and more."""
-STAND = 0.1
-"""What all other readings cost where a tripod stood inside."""
-HABIT = 0.06
-"""What a view from below costs more than one from above: z is up, most often."""
-GROUND = 0.12
-"""And what it costs more where the thing lies level, wide in x and y and thin in z: few look at the
-ground from below. A yard or a street that somebody stood in is a bowl, which is seen from below
-without a fault, and from above with .01 to .04 more."""
-
-_THIN = 0.6  # thickness of what lies level by its width: streets .51, objects and rooms all
-# Half width of an image by its distance: of Kinect .54, of Azure Kinect 1.73. Farther aside a level
-# sheet is not seen, so that a larger one decides nothing.
-_SIGHT = 1.8
 _SWAY = 0.05 * np.array(list(itertools.product((1, -1), (1, -1), (0,))))
-"""Places of a camera at zero, by its distance. Of a sheet it sees 93 % and more from one, as pixels
-happen to fall, and all from these."""
-_LEVEL = 0.72  # cosine of its thin axis to z: a hillside of 35 degrees .82, a corner .63
+"""Places of a sensor at zero, by its median distance. Of a sheet it sees 93 % and more from one, as
+pixels happen to fall, and all from these."""
+_FARTHEST = 3.0  # diagonals of the box that a sensor at zero may be outside of it
 _AROUND = 0.2  # cosine of the angle around a direction that a view from one side comes from
-_ALONE = 0.5  # and of that within which one of two such views is enough
 _STEEP = 0.7  # cosine to z of a side that the words above and below stand for
-_TRIED = 6  # readings that are followed: in a tangle, many promise much
+_LEVEL = 0.9  # cosine to an axis of what lies level, were that up
+_FOLLOWED = 4.0  # logarithm of the odds, by which others than these may be better than they look
 _HINT = 0.003  # how strongly views count beside links that all agree
 _SIDES = [np.array(step) / np.linalg.norm(step) for step in itertools.product((1, 0, -1), repeat=3)
           if any(step)]  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reading:
+class Hypothesis:
     """Where a scan may have been taken from.
 
     Parameters
     ----------
     kind : str
-        ``outside``, ``inside``, ``above``, ``below``, the axes of a side, ``+y-z``, or ``camera``:
-        at (0, 0, 0), along z.
+        ``outside``, ``inside``, ``amid``, ``side``, ``zero``: a sensor at (0, 0, 0), or what the
+        file tells: ``flown``, ``places``.
+    name : str
+        The kind, or the axes of a side: ``above``, ``below``, ``+y-z``.
     views : Views
         What is seen from there.
     evidence : Evidence
     unseen : float
-        Share of the area that is seen from none of its viewpoints.
-    rare : float
-        What it costs that few scans are taken so.
-    habit : float or None
-        Of a view from one side, or a camera, what it costs that axes are seldom laid so: it
-        decides between sides where nothing else does, and makes nothing certain.
+        Share of the area that is seen from none of its viewpoints, and should be.
+    known : Features
+        What counts for it whichever the sides are.
     place : ndarray of float64, shape (3,), or None
         A place on the side that it is seen from, in the frame of the patches.
     word : str
@@ -93,40 +79,45 @@ class Reading:
     """
 
     kind: str
+    name: str
     views: Views
     evidence: Evidence
     unseen: float
-    rare: float
-    habit: float | None = None
+    known: Features
     place: FloatArray | None = None
     word: str = ""
 
-    def cost(self, patches: Patches, is_turned: BoolArray) -> float:
-        """Return the share of what is seen that is seen from behind, and all else it costs."""
-        views = self.views
-        areas = areas_of(patches)
+    def measure(self, patches: Patches, is_turned: BoolArray) -> Features:
+        """Return what counts for it with some sides."""
+        areas, views = areas_of(patches), self.views
         # The area that shows its inner side, were the reading true, by how much of it is seen.
         behind = (areas * np.where(is_turned, views.front, views.back)).sum()
         seen = (areas * (views.front + views.back)).sum()
-        return float(behind / max(seen, 1e-300)) + self.unseen + self.rare
+        # (3,): of what lies level along each axis, how much more faces it than faces away.
+        level = np.trunc(patches.normals / _LEVEL) * np.where(is_turned, -1.0, 1.0)[:, None]
+        facing = areas @ np.sign(level) / areas.sum()
+        cost = float(behind / max(seen, 1e-300)) + self.unseen
+        return self.known.with_sides(cost, facing)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Followed:
-    """A reading, and what follows of it.
+    """A hypothesis, and what follows of it.
 
     Parameters
     ----------
-    reading : Reading
+    hypothesis : Hypothesis
     sides : ndarray of float64, shape (p,)
         Over the links.
-    cost : float
-        Shares of the area, and how rare it is.
+    features : Features
+    share : float
+        Its probability, 0 to 1; of all that were weighed.
     """
 
-    reading: Reading
+    hypothesis: Hypothesis
     sides: FloatArray
-    cost: float
+    features: Features
+    share: float = 0.0
 
 
 def follow(linked: LinkedPatches, evidence: Evidence) -> FloatArray:
@@ -135,10 +126,22 @@ def follow(linked: LinkedPatches, evidence: Evidence) -> FloatArray:
     return linked.spread(weights, evidence.leanings, np.zeros(len(weights)))
 
 
+def follow_reading(patches: Patches, linked: LinkedPatches, hypothesis: Hypothesis) -> Followed:
+    """Return what follows of a hypothesis over the links."""
+    sides = follow(linked, hypothesis.evidence)
+    return Followed(hypothesis, sides, hypothesis.measure(patches, sides < 0.0))
+
+
 def weigh_readings(
-    patches: Patches, linked: LinkedPatches, spacing: float, zero: FloatArray, threads: int = 1
+    patches: Patches,
+    linked: LinkedPatches,
+    spacing: float,
+    zero: FloatArray,
+    sensor: Sensor,
+    threads: int = 1,
+    likelihood: Likelihood = FITTED,
 ) -> list[Followed]:
-    """Find the readings that are not refuted, the best one first.
+    """Weigh what a cloud may be; the reading whose sides are most probable comes first.
 
     Parameters
     ----------
@@ -149,116 +152,142 @@ def weigh_readings(
         Of the cloud, in length units of the input.
     zero : ndarray of float64, shape (3,)
         Where the input has (0, 0, 0), in the frame of the patches.
+    sensor : Sensor
+        What the file tells.
 
     Returns
     -------
     list of Followed
-        Of the others, those that cost `CERTAIN` more may be missing.
+        What their shares lack to 1 is that none is true; some of next to no share may be missing.
     """
-    readings = find_readings(patches, linked, spacing, zero, threads)
-    # What is left if every patch could take the side of its own that is seen more.
+    hypotheses = find_readings(patches, linked, spacing, zero, sensor, threads)
+    # What they come to if every patch could take the side of its own that is seen more.
     bounds = [
-        reading.cost(patches, reading.views.front < reading.views.back) for reading in readings
+        likelihood.odds(one.measure(patches, one.views.front < one.views.back))
+        for one in hypotheses
     ]
     found: list[Followed] = []
-    for row in np.argsort(bounds, kind="stable"):
-        # The bounds rise: once one exceeds the least cost by so much, what follows can neither be
-        # the best reading nor cast doubt on it.
-        least = min((other.cost + (other.reading.habit or 0.0) for other in found), default=np.inf)
-        if bounds[row] > least + CERTAIN or len(found) == _TRIED:
+    best = -np.inf
+    for row in np.argsort(bounds, kind="stable")[::-1]:
+        if bounds[row] < best - _FOLLOWED:
             break
-        found.append(follow_reading(patches, linked, readings[row]))
-    costs = [followed.cost for followed in found]
-    best = found[choose(costs, [followed.reading.habit for followed in found])]
-    return [best, *(other for other in found if other is not best)]
-
-
-def choose(costs: Sequence[float], habits: Sequence[float | None]) -> int:
-    """Return which of some readings is believed.
-
-    Parameters
-    ----------
-    costs : sequence of float
-    habits : sequence of float or None
-        See `Reading`.
-    """
-    aside = [row for row, habit in enumerate(habits) if habit is not None]
-    # Habit tells which side is the best one; that competes with the rest by its cost alone.
-    aside.sort(key=lambda row: costs[row] + (habits[row] or 0.0))
-    others = [row for row, habit in enumerate(habits) if habit is None]
-    return min(aside[:1] + others, key=lambda row: costs[row])
-
-
-def follow_reading(patches: Patches, linked: LinkedPatches, reading: Reading) -> Followed:
-    """Return what follows of a reading over the links."""
-    sides = follow(linked, reading.evidence)
-    return Followed(reading, sides, reading.cost(patches, sides < 0.0))
+        found.append(follow_reading(patches, linked, hypotheses[row]))
+        best = max(best, likelihood.odds(found[-1].features))
+    shares = likelihood.find_shares(
+        [one.features for one in found], linked.share_broken(found[0].sides)
+    )
+    weighed = [
+        Followed(one.hypothesis, one.sides, one.features, share)
+        for one, share in zip(found, shares.tolist(), strict=True)
+    ]
+    # (r, p): readings that agree on a side speak for it together.
+    turned = np.array([one.sides < 0.0 for one in weighed])
+    areas = areas_of(patches)
+    agreed = [float(areas @ (shares @ (turned == mine))) for mine in turned]
+    first = weighed[int(np.argmax(agreed))]
+    return [first, *(one for one in weighed if one is not first)]
 
 
 def find_readings(
-    patches: Patches, linked: LinkedPatches, spacing: float, zero: FloatArray, threads: int = 1
-) -> list[Reading]:
+    patches: Patches,
+    linked: LinkedPatches,
+    spacing: float,
+    zero: FloatArray,
+    sensor: Sensor,
+    threads: int = 1,
+) -> list[Hypothesis]:
     """Return all readings of a cloud; as for `weigh_readings`."""
     outside = look_outside(patches, linked.components(), spacing, threads)
-    places = find_inside(patches, spacing, AMPLE, threads)
-    # Whoever stood inside has scanned neither from outside nor from one side.
-    aside = STAND if len(places) and has_stand(patches, spacing) else 0.0
     toggled = outside.toggled.evidence("from outside")
+    content = share_of(patches, outside.is_content)
     found = [
-        Reading("outside", outside.views, toggled, share_of(patches, outside.is_content), aside)
+        Hypothesis("outside", "outside", outside.views, toggled, content, Features("outside")),
+        *_look_from_sides(patches, outside),
     ]
-    if len(places):
-        views = Views.inside(patches, places, spacing, threads)
-        unseen = share_of(patches, views.is_hidden)
-        found.append(Reading("inside", views, views.evidence("from inside"), unseen, RARE))
-    # (p, 3): a camera at zero looks along z, and sees what is not too far aside.
-    away = np.abs(patches.centres - zero)
-    if (away[:, :2].max(axis=1) < _SIGHT * away[:, 2]).all():
-        places = zero + np.median(away[:, 2]) * _SWAY
-        views = Views.of(patches, places, len(places), spacing, threads)
-        seen = views.evidence("from a camera at (0, 0, 0)")
-        unseen = share_of(patches, views.is_hidden)
-        found.append(Reading("camera", views, seen, unseen, aside, HABIT, zero))
-    return found + _look_from_sides(patches, outside, aside)
+    density = Density.of(patches, spacing)
+    shares = (INSIDE, *AMID)
+    among = find_inside(patches, spacing, AMPLE, threads, shares)
+    # Whoever stood among things has scanned neither from outside nor from one side.
+    stand = float(any(map(len, among)) and has_stand(patches, spacing, density))
+    for kind, places in zip(("inside", "amid", "amid"), among, strict=True):
+        if len(places):
+            how = "from inside" if kind == "inside" else "from amid the points"
+            views = Views.inside(patches, places, spacing, threads)
+            known = Features(kind, stand=stand)
+            unseen = share_of(patches, views.is_hidden)
+            seen = views.evidence(how)
+            # Inside is a word of its own.
+            place = None if kind == "inside" else places[0]
+            found.append(Hypothesis(kind, kind, views, seen, unseen, known, place))
+    return found + _ask_sensor(patches, outside, spacing, zero, sensor, density, threads)
 
 
-def _look_from_sides(patches: Patches, outside: Outside, rare: float) -> list[Reading]:
-    """Return what is seen from one side, for the sides that explain more than those beside them."""
+def _ask_sensor(
+    patches: Patches,
+    outside: Outside,
+    spacing: float,
+    zero: FloatArray,
+    sensor: Sensor,
+    density: Density,
+    threads: int,
+) -> list[Hypothesis]:
+    """Return what a sensor at (0, 0, 0) saw, and the one that the file tells of.
+
+    Rays that ended at a point have passed what is in front of it, however thick that looks at a
+    grazing angle: what such a sensor does not see costs nothing.
+    """
     found = []
-    ground = GROUND * lies_level(patches)
-    middle = 0.5 * (patches.centres.min(axis=0) + patches.centres.max(axis=0))
+    low, high = patches.centres.min(axis=0), patches.centres.max(axis=0)
+    beyond = np.maximum(np.maximum(low - zero, zero - high), 0.0)
+    if np.linalg.norm(beyond) < _FARTHEST * np.linalg.norm(high - low):
+        reach = float(np.median(np.linalg.norm(patches.centres - zero, axis=1)))
+        places = zero + reach * _SWAY
+        views = Views.of(patches, places, len(places), spacing, threads)
+        seen = views.evidence("from a sensor at (0, 0, 0)")
+        known = Features("zero", evenness=density.favour(patches, zero))
+        found.append(Hypothesis("zero", "zero", views, seen, 0.0, known, zero))
+    if sensor.kind in ("above", "below"):
+        sign = 1.0 if sensor.kind == "above" else -1.0
+        views, side = _see_from(outside, sign * np.array([0.0, 0.0, 1.0]))
+        how = f"from {sensor.kind}"
+        seen = face_along(patches, 2, sign, how, is_sensed=True)
+        unseen, known = share_of(patches, views.is_hidden), Features("flown")
+        place = _lie_beside(patches, outside, side)
+        found.append(
+            Hypothesis("flown", sensor.kind, views, seen, unseen, known, place, sensor.kind)
+        )
+    if sensor.places is not None:
+        views = Views.of(patches, sensor.places + zero, len(sensor.places), spacing, threads)
+        seen = views.evidence(f"from where the {sensor.noun}", is_sensed=True)
+        place = sensor.places[0] + zero
+        found.append(Hypothesis("places", "places", views, seen, 0.0, Features("places"), place))
+    return found
+
+
+def _look_from_sides(patches: Patches, outside: Outside) -> list[Hypothesis]:
+    """Return what is seen from each of 26 sides."""
+    found = []
     for side in _SIDES:
-        # Such viewpoints of those all around as lie about on this side.
-        rows = np.flatnonzero(outside.directions @ side > _AROUND)
-        views = Views.sum(outside.cosines[rows], outside.is_seen[rows], len(rows))
+        views, _ = _see_from(outside, side)
         name = _name_side(side)
-        # 0 from above, 1 from below.
-        downwards = 0.5 * (1.0 - float(side[2]))
-        habit, cost = HABIT * downwards, rare + ground * downwards
-        unseen = share_of(patches, views.is_hidden)
-        seen, place = views.evidence(f"from {name}"), middle + outside.radius * side
+        seen, place = views.evidence(f"from {name}"), _lie_beside(patches, outside, side)
         word = "" if abs(side[2]) < _STEEP else "above" if side[2] > 0.0 else "below"
-        found.append(Reading(name, views, seen, unseen, cost, habit, place, word))
-    bounds = [
-        reading.cost(patches, reading.views.front < reading.views.back) + (reading.habit or 0.0)
-        for reading in found
-    ]
-    # The best sides first; one that is near a better one is no reading of its own.
-    kept: list[int] = []
-    for row in np.argsort(bounds, kind="stable"):
-        if all(_SIDES[row] @ _SIDES[other] < _ALONE for other in kept):
-            kept.append(int(row))
-    return [found[row] for row in kept]
+        unseen, known = share_of(patches, views.is_hidden), Features("side")
+        found.append(Hypothesis("side", name, views, seen, unseen, known, place, word))
+    return found
 
 
-def lies_level(patches: Patches) -> bool:
-    """Tell whether a cloud is wide in x and y, and thin in z."""
-    areas = areas_of(patches)
-    arms = patches.centres - np.average(patches.centres, axis=0, weights=areas)
-    # (3,), (3, 3): squared spreads along the principal axes, and these; the thinnest one first.
-    spreads, axes = np.linalg.eigh(np.einsum("n,ni,nj->ij", areas, arms, arms))
-    is_thin = spreads[0] < _THIN**2 * spreads[1]
-    return bool(is_thin and abs(axes[2, 0]) > _LEVEL)
+def _see_from(outside: Outside, side: FloatArray) -> tuple[Views, FloatArray]:
+    """Return what those of the viewpoints all around see that lie about on a side."""
+    rows = np.flatnonzero(outside.directions @ side > _AROUND)
+    return Views.sum(outside.cosines[rows], outside.is_seen[rows], len(rows)), side
+
+
+def _lie_beside(patches: Patches, outside: Outside, side: FloatArray) -> FloatArray:
+    """Return a place on a side of a cloud."""
+    middle = 0.5 * (patches.centres.min(axis=0) + patches.centres.max(axis=0))
+    place: FloatArray = middle + outside.radius * side
+    return place
 
 
 def _name_side(side: FloatArray) -> str:

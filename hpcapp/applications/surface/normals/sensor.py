@@ -45,6 +45,12 @@ class Sensor:
     axes: FloatArray | None = None
     is_told: bool = False
 
+    @property
+    def noun(self) -> str:
+        """What was in its places, for people."""
+        is_camera = self.axes is not None and bool(self.axes.any())
+        return "cameras were" if is_camera else "scanner stood"
+
     def scale_heights(self, factor: float) -> Sensor:
         """Return the same where heights are multiplied by a factor."""
         scales = np.array([1.0, 1.0, factor])

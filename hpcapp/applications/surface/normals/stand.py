@@ -10,10 +10,12 @@ from __future__ import annotations
 import numpy as np
 
 from hpcapp.applications.surface import kernels
+from hpcapp.applications.surface.normals.evidence import areas_of
 from hpcapp.applications.surface.normals.patches import CELL, Patches, quarter_patches
 from hpcapp.cancellation import check_cancelled
 from hpcapp.geometry.lattice import lay_lattice
 from hpcapp.geometry.points import FloatArray, IntArray
+from hpccomponent.dataclass import dataclass
 
 _SAMPLE = 3000  # patches, about
 _PLACES = 7  # along each side of the box
@@ -34,10 +36,61 @@ _IN_SPACE = 0.9
 """By it, that of such columns in space: of a depth image where most is one wall .78, of rasters of
 heights 1 to 3.3."""
 _WIDEST = 4.0  # width of an image by its distance
+_GRAZING = 0.1  # cosine: flatter slopes are known too roughly
+_LEAST_SPREAD = 0.05  # of densities that were counted
 _UNEVEN = 1.3  # spread on the surface, as logarithm, from which on this tells
 
 
-def has_stand(patches: Patches, spacing: float) -> bool:
+@dataclass(frozen=True, slots=True, eq=False)
+class Density:
+    """How densely points lie around some patches.
+
+    Parameters
+    ----------
+    rows : ndarray of int64, shape (s,)
+        These patches, of all.
+    logs : ndarray of float64, shape (s,)
+        Logarithms of the points per area, up to a constant.
+    """
+
+    rows: IntArray
+    logs: FloatArray
+
+    @classmethod
+    def of(cls, patches: Patches, spacing: float) -> Density:
+        """Measure it; `spacing` is that of the cloud, in length units of the input."""
+        counts = patches.counts.astype(np.float64)
+        rows, edge = np.arange(0, len(patches), -(-len(patches) // _SAMPLE)), CELL * spacing
+        corner = lay_lattice(patches.centres.min(axis=0), edge)
+        boxes = kernels.sort_points(patches.centres, corner, edge)
+        # (s, 8): of each of them the nearest ones, and the squares of their distances.
+        nearest = min(_NEAREST, len(patches) - 1)
+        squares, near = kernels.find_nearest(
+            patches.centres, *boxes, edge, rows, nearest, _FARTHEST * edge
+        )
+        # (s,): what lies within a distance by the square of that.
+        held = counts[rows] + np.append(counts, 0.0)[near].sum(axis=1)
+        squares = np.clip(squares[:, -1], 1e-300, (_FARTHEST * edge) ** 2)
+        return cls(rows, np.log(held / squares))
+
+    def favour(self, patches: Patches, place: FloatArray) -> float:
+        """Return how much more evenly points lie as a sensor in a place shows them: -1 to 1.
+
+        Its rays are even in direction, so that as many fall on an area as its distance and its
+        slope tell.
+        """
+        arms = patches.centres[self.rows] - place
+        squares = np.maximum(np.einsum("ij,ij->i", arms, arms), 1e-300)
+        slopes = np.abs(np.einsum("ij,ij->i", arms, patches.normals[self.rows])) / np.sqrt(squares)
+        expected = np.log(np.maximum(slopes, _GRAZING) / squares)
+        areas = areas_of(patches)[self.rows]
+        before, after = (
+            max(_spread(logs, areas), _LEAST_SPREAD) for logs in (self.logs, self.logs - expected)
+        )
+        return float(np.clip(np.log(before / after), -1.0, 1.0))
+
+
+def has_stand(patches: Patches, spacing: float, density: Density) -> bool:
     """Tell whether a scanner stood in some place inside the box of a cloud, and saw all around.
 
     Parameters
@@ -46,6 +99,8 @@ def has_stand(patches: Patches, spacing: float) -> bool:
         Of a whole cloud.
     spacing : float
         Of the cloud, in length units of the input.
+    density : Density
+        Of the patches.
 
     Notes
     -----
@@ -54,23 +109,9 @@ def has_stand(patches: Patches, spacing: float) -> bool:
     """
     if len(patches) <= _NEAREST:  # which are in too few directions from anywhere
         return False
-    counts = patches.counts.astype(np.float64)
-    every = np.arange(0, len(patches), -(-len(patches) // _SAMPLE))
-    sampled, edge = counts[every], CELL * spacing
-    corner = lay_lattice(patches.centres.min(axis=0), edge)
-    boxes = kernels.sort_points(patches.centres, corner, edge)
-    # (s, 8): of each patch of the sample the nearest ones, and the squares of their distances.
-    squares, near = kernels.find_nearest(
-        patches.centres, *boxes, edge, every, _NEAREST, _FARTHEST * edge
-    )
-    # (s,): points per area, up to a factor: what lies within a distance by the square of that.
-    held = sampled + np.append(counts, 0.0)[near].sum(axis=1)
-    density = held / np.clip(squares[:, -1], 1e-300, (_FARTHEST * edge) ** 2)
+    every, sampled = density.rows, patches.counts[density.rows].astype(np.float64)
     # Quantiles over the points, of which some patches have many more than others.
-    order = np.argsort(density)
-    below = np.cumsum(sampled[order]) / sampled.sum()
-    low, high = (density[order[np.searchsorted(below, share)]] for share in (_LOW, _HIGH))
-    uneven = float(np.log(high / low))
+    uneven = _spread(density.logs, sampled)
     if uneven < _UNEVEN:
         return False
     # (4 s, 3): quarters of the patches, as a near patch spans several directions.
@@ -88,6 +129,14 @@ def has_stand(patches: Patches, spacing: float) -> bool:
         if np.log(most / fewest) < _EVEN * uneven:
             return True
     return False
+
+
+def _spread(values: FloatArray, weights: FloatArray) -> float:
+    """Return what lies between two quantiles of values."""
+    order = np.argsort(values)
+    below = np.cumsum(weights[order]) / weights.sum()
+    low, high = (values[order[np.searchsorted(below, share)]] for share in (_LOW, _HIGH))
+    return float(high - low)
 
 
 def has_pixels(positions: FloatArray) -> bool:
