@@ -135,12 +135,22 @@ def share_of(patches: Patches, chosen: BoolArray) -> float:
     return float(areas[chosen].sum() / areas.sum())
 
 
-def face_along(patches: Patches, axis: int, sign: float, how: str, *, is_sensed: bool) -> Evidence:
-    """Return the evidence that all was seen from far away along an axis."""
-    along = sign * patches.normals[:, axis]
+def face_along(patches: Patches, rays: FloatArray, how: str) -> Evidence:
+    """Return the evidence that all was seen along some rays, which lead back to the sensor.
+
+    Parameters
+    ----------
+    patches : Patches
+    rays : ndarray of float64, shape (3,) or (p, 3)
+        In any length.
+    how : str
+        Where they come from, for people.
+    """
+    lengths = np.maximum(np.linalg.norm(rays, axis=-1), 1e-300)
+    along = (patches.normals * rays).sum(axis=1) / lengths
     shown = np.maximum(along, 0.0), np.maximum(-along, 0.0)
     views = Views(*shown, _CLEAR, np.zeros(len(patches), np.bool_))
-    return views.evidence(how, is_sensed=is_sensed)
+    return views.evidence(how, is_sensed=True)
 
 
 def hear_user(
@@ -183,7 +193,7 @@ def hear_user(
         return Views.inside(patches, places, spacing, threads).evidence("from inside")
     if sensor.kind in ("above", "below"):
         sign = 1.0 if sensor.kind == "above" else -1.0
-        return face_along(patches, 2, sign, f"from {sensor.kind}", is_sensed=True)
+        return face_along(patches, np.array([0.0, 0.0, sign]), f"from {sensor.kind}")
     if sensor.places is None:
         outside = look_outside(patches, components, spacing, threads)
         return outside.toggled.evidence("from outside")

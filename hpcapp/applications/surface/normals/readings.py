@@ -243,14 +243,14 @@ def _ask_sensor(
         reach = float(np.median(np.linalg.norm(patches.centres - zero, axis=1)))
         places = zero + reach * _SWAY
         views = Views.of(patches, places, len(places), spacing, threads)
-        seen = views.evidence("from a sensor at (0, 0, 0)")
+        seen = face_along(patches, zero - patches.centres, "from a sensor at (0, 0, 0)")
         known = Features("zero", evenness=density.favour(patches, zero))
         found.append(Hypothesis("zero", "zero", views, seen, 0.0, known, zero))
     if sensor.kind in ("above", "below"):
         sign = 1.0 if sensor.kind == "above" else -1.0
-        views, side = _see_from(outside, sign * np.array([0.0, 0.0, 1.0]))
-        how = f"from {sensor.kind}"
-        seen = face_along(patches, 2, sign, how, is_sensed=True)
+        side = np.array([0.0, 0.0, sign])
+        views = _see_from(outside, side)
+        seen = face_along(patches, side, f"from {sensor.kind}")
         unseen, known = share_of(patches, views.is_hidden), Features("flown")
         place = _lie_beside(patches, outside, side)
         found.append(
@@ -268,7 +268,7 @@ def _look_from_sides(patches: Patches, outside: Outside) -> list[Hypothesis]:
     """Return what is seen from each of 26 sides."""
     found = []
     for side in _SIDES:
-        views, _ = _see_from(outside, side)
+        views = _see_from(outside, side)
         name = _name_side(side)
         seen, place = views.evidence(f"from {name}"), _lie_beside(patches, outside, side)
         word = "" if abs(side[2]) < _STEEP else "above" if side[2] > 0.0 else "below"
@@ -277,10 +277,10 @@ def _look_from_sides(patches: Patches, outside: Outside) -> list[Hypothesis]:
     return found
 
 
-def _see_from(outside: Outside, side: FloatArray) -> tuple[Views, FloatArray]:
+def _see_from(outside: Outside, side: FloatArray) -> Views:
     """Return what those of the viewpoints all around see that lie about on a side."""
     rows = np.flatnonzero(outside.directions @ side > _AROUND)
-    return Views.sum(outside.cosines[rows], outside.is_seen[rows], len(rows)), side
+    return Views.sum(outside.cosines[rows], outside.is_seen[rows], len(rows))
 
 
 def _lie_beside(patches: Patches, outside: Outside, side: FloatArray) -> FloatArray:
