@@ -30,6 +30,7 @@ AMID = 0.6, 0.4
 _MOST = 32  # places
 _EDGE = 0.5  # of the cells, in those of patches
 _CELLS = 2**20, 32  # at most, or so many for each patch: the box of a bent tunnel is mostly empty
+_GROWN = 1.1  # balls, from one try to the next
 _ROOMY = 0.35  # of the emptiest place's distance: nearer ones are no places to stand
 _DIRECTIONS = [step for step in itertools.product((-1, 0, 1), repeat=3) if any(step)]
 
@@ -103,13 +104,21 @@ def _find_blocked(occupied: BoolArray, step: tuple[int, ...]) -> BoolArray:
 
 
 def _pick_emptiest(cells: IntArray, far: FloatArray) -> IntArray:
-    """Return the emptiest cell, the emptiest one outside its ball, and so on."""
+    """Return the emptiest cell, the emptiest one outside its ball, and so on.
+
+    The balls are as large as leave no more than there may be: along all of a long tunnel.
+    """
     order = np.argsort(-far, kind="stable")
     cells, far = cells[order], far[order]
-    picked: list[IntArray] = []
-    while len(cells) and len(picked) < _MOST:
-        picked.append(cells[0])
-        # The ball around it is empty: places in it see about the same.
-        is_left = ((cells - cells[0]) ** 2).sum(axis=1) >= far[0] ** 2
-        cells, far = cells[is_left], far[is_left]
-    return np.array(picked, np.int64).reshape(-1, 3)
+    factor = 1.0
+    while True:
+        picked: list[IntArray] = []
+        left, radii = cells, factor * far
+        while len(left) and len(picked) < _MOST:
+            picked.append(left[0])
+            # The ball around it is empty: places in it see about the same.
+            is_left = ((left - left[0]) ** 2).sum(axis=1) >= radii[0] ** 2
+            left, radii = left[is_left], radii[is_left]
+        if not len(left):
+            return np.array(picked, np.int64).reshape(-1, 3)
+        factor *= _GROWN

@@ -32,8 +32,6 @@ class Features:
         See `Hypothesis`.
     cost : float
         Share of the area that was seen from behind, or not at all.
-    stand : float
-        1 where a scanner turned among things, and the reading says so.
     evenness : float
         How much more evenly points lie as seen from the sensor than on the surface: a logarithm.
     facing : ndarray of float64, shape (3,)
@@ -43,7 +41,6 @@ class Features:
 
     kind: str
     cost: float = 0.0
-    stand: float = 0.0
     evenness: float = 0.0
     facing: FloatArray | None = None
 
@@ -63,10 +60,9 @@ class Likelihood:
     inside, amid, side, zero, flown, places : float
         How much more common such scans are than those from all around; of what the file tells,
         how far it is believed.
-    stand : float
-        What a turning scanner among things speaks for a place inside.
-    evenness : float
-        What points that lie evenly as seen from a sensor speak for it.
+    among, evenness : float
+        What points that lie evenly as seen from places among them, or from a sensor whose place is
+        given, speak for these.
     facing : float
         What all that lies level says when it faces up.
     z_up, y_up, y_down : float
@@ -83,7 +79,7 @@ class Likelihood:
     flown: float
     places: float
     side: float
-    stand: float
+    among: float
     evenness: float
     facing: float
     z_up: float
@@ -95,7 +91,8 @@ class Likelihood:
     def odds(self, features: Features) -> float:
         """Return the logarithm of the odds of a reading, up to what all have in common."""
         common = 0.0 if features.kind == "outside" else getattr(self, features.kind)
-        told = self.stand * features.stand + self.evenness * features.evenness
+        weight = self.among if features.kind in ("inside", "amid") else self.evenness
+        told = weight * features.evenness
         level = float(np.logaddexp.reduce([0.0, *self.ups(features)]))
         return float(common + told + level - self.power * np.log(FLOOR + features.cost))
 
@@ -126,6 +123,6 @@ class Likelihood:
 
 FITTED = Likelihood(
     power=2.64, inside=-4.05, amid=-3.82, zero=-5.82, flown=5.72, places=4.33, side=-4.21,
-    stand=5.5, evenness=9.05, facing=3.16, z_up=2.77, y_up=-1.14, y_down=1.34, held=4.35,
+    among=5.0, evenness=9.05, facing=3.16, z_up=2.77, y_up=-1.14, y_down=1.34, held=4.35,
     tangle=43.6,
 )  # fmt: skip

@@ -37,7 +37,7 @@ from hpcapp.applications.surface.normals.likelihood import (
 from hpcapp.applications.surface.normals.linked import LinkedPatches
 from hpcapp.applications.surface.normals.patches import Patches
 from hpcapp.applications.surface.normals.sensor import Sensor
-from hpcapp.applications.surface.normals.stand import Density, has_stand
+from hpcapp.applications.surface.normals.stand import Density
 from hpcapp.geometry.points import BoolArray, FloatArray
 from hpccomponent.dataclass import dataclass
 
@@ -207,13 +207,11 @@ def find_readings(
     density = Density.of(patches, spacing)
     shares = (INSIDE, *AMID)
     among = find_inside(patches, spacing, AMPLE, threads, shares)
-    # Whoever stood among things has scanned neither from outside nor from one side.
-    stand = float(any(map(len, among)) and has_stand(patches, spacing, density))
     for kind, places in zip(("inside", "amid", "amid"), among, strict=True):
         if len(places):
             how = "from inside" if kind == "inside" else "from amid the points"
             views = Views.inside(patches, places, spacing, threads)
-            known = Features(kind, stand=stand)
+            known = Features(kind, evenness=density.favour(patches, places))
             unseen = share_of(patches, views.is_hidden)
             seen = views.evidence(how)
             # Inside is a word of its own.
@@ -244,7 +242,7 @@ def _ask_sensor(
         places = zero + reach * _SWAY
         views = Views.of(patches, places, len(places), spacing, threads)
         seen = face_along(patches, zero - patches.centres, "from a sensor at (0, 0, 0)")
-        known = Features("zero", evenness=density.favour(patches, zero))
+        known = Features("zero", evenness=density.favour(patches, zero[None]))
         found.append(Hypothesis("zero", "zero", views, seen, 0.0, known, zero))
     if sensor.kind in ("above", "below"):
         sign = 1.0 if sensor.kind == "above" else -1.0
