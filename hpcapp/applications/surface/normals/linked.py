@@ -95,7 +95,7 @@ def _rate_links(patches: Patches, links: Links) -> FloatArray:
     """Return how strongly two patches are linked: below 0 where their normals disagree."""
     first, second = links.first, links.second
     one, other = patches.normals[first], patches.normals[second]
-    # (l, 3): centres may lie far beside each other, on both sides of a plate; what touches does not.
+    # (l, 3): not from centre to centre, which may lie beside each other on both sides of a plate.
     arms = links.arms.astype(np.float64)
     arms /= np.maximum(np.sqrt(_dot(arms, arms)), 1e-300)[:, None]
     cosines = _dot(one, other)

@@ -31,8 +31,8 @@ _PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 _SHEET_COUNT = 3  # whose points may lie on two sheets
 _THICK = 0.3  # spacings: the residual from which on that is asked
 _APART = 0.25
-"""Residual around two planes, by that around one. Of points within 3 spacings of an edge of 15 to 45
-degrees, or on a wall of .9 to 2, half have .04 to .11, with noise of .1 spacings .16 to .27. Of
+"""Residual around two planes, by that around one. Within 3 spacings of an edge of 15 to 45 degrees,
+and on a wall of .9 to 2, half the points have .04 to .11, with noise of .1 spacings .16 to .27. Of
 single noisy sheets half have .55, and one in a thousand has .3; of balls of 4 spacings .25."""
 _SHEET_LEAST, _SHEET_ROUNDS = 4, 3
 
@@ -72,10 +72,10 @@ def fit_planes(
     first part is what noise does, the second what curvature, edges and other sheets do that a
     larger neighbourhood takes in. The plane with the least e is taken.
 
-    Where the 24 nearest leave more than .3 spacings, they may lie on both sides of a thin wall or of
-    an acute edge: two planes are fitted, to the halves that differ most in height, and twice more to
-    the points that each is nearer to. Where these leave .25 of what one plane leaves, or less, the
-    residual is theirs, and the normal that of the plane the point is nearer to.
+    Where the 24 nearest leave more than .3 spacings, they may lie on both sides of a thin wall or
+    of an acute edge: two planes are fitted, to the halves that differ most in height, and twice
+    more to the points that each is nearer to. Where these leave .25 of what one plane leaves, or
+    less, the residual is theirs, and the normal that of the plane the point is nearer to.
 
     The k nearest are those nearer than the first that is left out, by more than rounding, so that
     nothing depends on the order of points equally far away. Distances and sums are those of rounded
