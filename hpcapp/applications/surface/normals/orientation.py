@@ -124,7 +124,9 @@ def orient_patches(
         sides = _settle(patches, linked, spacing, evidence, followed, threads)
         values = np.clip(sides, -1.0, 1.0).astype(np.float32)
         return Orientation(Sides(patches.keys, patches.ranks, values), evidence.how, None)
-    best, *others = weigh_readings(patches, linked, spacing, zero, threads)
+    # Nobody measures from the centre of the earth.
+    eye = zero if sensor.upright is None else None
+    best, *others = weigh_readings(patches, linked, spacing, eye, threads)
     sides = _settle(patches, linked, spacing, best.reading.evidence, best.sides, threads)
     # (r, p): how much more a reading costs that turns the patch round; the first row is the best
     # reading's own, which turns none.

@@ -136,7 +136,11 @@ def follow(linked: LinkedPatches, evidence: Evidence) -> FloatArray:
 
 
 def weigh_readings(
-    patches: Patches, linked: LinkedPatches, spacing: float, zero: FloatArray, threads: int = 1
+    patches: Patches,
+    linked: LinkedPatches,
+    spacing: float,
+    zero: FloatArray | None,
+    threads: int = 1,
 ) -> list[Followed]:
     """Find the readings that are not refuted, the best one first.
 
@@ -147,8 +151,8 @@ def weigh_readings(
     linked : LinkedPatches
     spacing : float
         Of the cloud, in length units of the input.
-    zero : ndarray of float64, shape (3,)
-        Where the input has (0, 0, 0), in the frame of the patches.
+    zero : ndarray of float64, shape (3,), or None
+        Where the input has (0, 0, 0), in the frame of the patches, if somebody may be there.
 
     Returns
     -------
@@ -196,7 +200,11 @@ def follow_reading(patches: Patches, linked: LinkedPatches, reading: Reading) ->
 
 
 def find_readings(
-    patches: Patches, linked: LinkedPatches, spacing: float, zero: FloatArray, threads: int = 1
+    patches: Patches,
+    linked: LinkedPatches,
+    spacing: float,
+    zero: FloatArray | None,
+    threads: int = 1,
 ) -> list[Reading]:
     """Return all readings of a cloud; as for `weigh_readings`."""
     outside = look_outside(patches, linked.components(), spacing, threads)
@@ -211,15 +219,18 @@ def find_readings(
         views = Views.inside(patches, places, spacing, threads)
         unseen = share_of(patches, views.is_hidden)
         found.append(Reading("inside", views, views.evidence("from inside"), unseen, RARE))
-    # (p, 3): a camera at zero looks along z, and sees what is not too far aside.
-    away = np.abs(patches.centres - zero)
-    if (away[:, :2].max(axis=1) < _SIGHT * away[:, 2]).all():
+    if zero is not None and _may_see(away := np.abs(patches.centres - zero)):
         places = zero + np.median(away[:, 2]) * _SWAY
         views = Views.of(patches, places, len(places), spacing, threads)
         seen = views.evidence("from a camera at (0, 0, 0)")
         unseen = share_of(patches, views.is_hidden)
         found.append(Reading("camera", views, seen, unseen, aside, HABIT, zero))
     return found + _look_from_sides(patches, outside, aside)
+
+
+def _may_see(away: FloatArray) -> bool:
+    """Tell whether a camera that looks along z sees all that is so far from it: none is aside."""
+    return bool((away[:, :2].max(axis=1) < _SIGHT * away[:, 2]).all())
 
 
 def _look_from_sides(patches: Patches, outside: Outside, rare: float) -> list[Reading]:
