@@ -20,6 +20,7 @@ from hpcapp.applications.surface.normals.patterns import CONFIDENCE_BINS
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.normals.stand import has_pixels
 from hpcapp.applications.surface.normals.tasks import estimate_region, group_region, turn_region
+from hpcapp.geometry.axes import rotate
 from hpcapp.geometry.lattice import lay_lattice
 from hpcapp.geometry.points import FloatArray
 
@@ -69,14 +70,17 @@ def orient_normals(
     grouped = cloud_pass.each(group_region, *given, margin=margin)
     found = patches.merge_patches(grouped)
     sensor.check_sight(found[0].centres, -cloud.origin)
-    if sensor.kind == "unknown":
+    if sensor.kind == "unknown" and sensor.upright is None:
         # Where the file tells nothing, its points may: if they lie like pixels, seen from zero.
         sample = draw_places(cloud_pass, patches.CELL * spacing, len(cloud) // _SAMPLE + 1)
         if has_pixels(sample + cloud.origin):
             sensor = Sensor("places", np.zeros((1, 3)))
-    oriented = orient_patches(*found, spacing, -cloud.origin, sensor, cloud_pass.threads)
+    # Sides are told in a frame whose z is up.
+    upright, zero = sensor.upright, rotate(-cloud.origin, sensor.upright)
+    turned = found[0].rotate(upright), found[1]
+    oriented = orient_patches(*turned, spacing, zero, sensor.rotate(), cloud_pass.threads)
     # They take much memory, and the points are read again below.
-    del found
+    del found, turned
     del grouped
     cloud_pass, results = cloud_pass.rewrite(
         turn_region,
@@ -90,13 +94,14 @@ def orient_normals(
     # (100,): points of all regions by the bin of their confidence.
     confidences = np.sum([binned for _, binned, *_ in results], axis=0)
     sure = float(confidences[round(SURE * CONFIDENCE_BINS) :].sum()) / len(cloud)
-    doubt = None if oriented.doubt is None else _tell_doubt(oriented.doubt, cloud.origin)
+    doubt = None if oriented.doubt is None else _tell_doubt(oriented.doubt, cloud.origin, upright)
     return cloud_pass, Oriented("estimated", sure, flipped, how=oriented.how, doubt=doubt)
 
 
-def _tell_doubt(doubt: Doubt, origin: FloatArray) -> Unsure:
+def _tell_doubt(doubt: Doubt, origin: FloatArray, upright: FloatArray | None) -> Unsure:
     """Return a doubt in the file's coordinates."""
-    place = tuple((doubt.middle + origin).tolist())
+    back = None if upright is None else upright.T
+    place = tuple((rotate(doubt.middle, back) + origin).tolist())
     if doubt.rival is None:
         return Unsure(place)
     readings = doubt.reading, doubt.rival
@@ -106,7 +111,7 @@ def _tell_doubt(doubt: Doubt, origin: FloatArray) -> Unsure:
     options = [
         word
         if reading.place is None or word == reading.word
-        else _type_place(reading.place, origin)
+        else _type_place(rotate(reading.place, back), origin)
         for word, reading in zip(words, readings, strict=True)
     ]
     seen = tuple(reading.evidence.how for reading in readings)

@@ -13,7 +13,7 @@ points.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Annotated
 
 import numpy as np
@@ -21,6 +21,7 @@ import numpy as np
 from hpcapp.applications.surface.kernels import SHEETS, group_sheets, link_groups
 from hpcapp.applications.surface.normals.estimation import refuse_wide
 from hpcapp.applications.surface.types.result_patterns import LENGTH, UNIT
+from hpcapp.geometry.axes import rotate
 from hpcapp.geometry.lattice import (
     find_first,
     find_keys,
@@ -75,6 +76,11 @@ class Patches:
         rows : ndarray of int64, shape (q,)
         """
         return Patches(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+    def rotate(self, axes: FloatArray | None) -> Patches:
+        """Return the same along other axes; see `axes.rotate`."""
+        centres, normals = rotate(self.centres, axes), rotate(self.normals, axes)
+        return replace(self, centres=centres, normals=normals)
 
 
 @record("surface.patch_links")
