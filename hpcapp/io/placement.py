@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 import numpy as np
 from msgspec import Meta
 
-from hpcapp.geometry.axes import find_up
+from hpcapp.geometry.axes import find_up, measure_faces
 from hpcapp.geometry.axis_names import AXES
 from hpcapp.geometry.points import FloatArray
 from hpcapp.io.crs import UNKNOWN, Crs
@@ -98,7 +98,7 @@ def choose_up(mesh: Mesh | MeshStream, asked: str | None = None) -> str:
     if asked is not None:
         return asked
     stream = as_stream(mesh)
-    return "z" if stream.crs.text else find_up(stream.corners(), stream.box)
+    return "z" if stream.crs.text else find_up(map(measure_faces, stream.corners()), stream.box)
 
 
 def parse_origin(text: str) -> Origin:

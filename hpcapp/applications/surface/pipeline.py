@@ -83,7 +83,7 @@ def prepare(settings: Settings, scan: Scan, clock: StageClock) -> Loaded:
             in_cells=not method.needs_whole_cloud,
             has_normals=has_normals,
         )
-    cloud_pass, oriented = orient_cloud(
+    cloud_pass, oriented, reading = orient_cloud(
         cloud_pass, scale.spacing, settings.normals, scan.sensor, clock,
         has_normals=has_normals, is_oriented=scan.is_oriented,
         attribute=settings.attributes.name_confidence(scan.columns.layout),
@@ -92,7 +92,7 @@ def prepare(settings: Settings, scan: Scan, clock: StageClock) -> Loaded:
         with clock.stage("mend normals"):
             cloud_pass, flipped = mend_normals(cloud_pass, scale.spacing)
         cleaned = replace(cleaned, flipped=flipped)
-    cloud = measure_cloud(cloud_pass, scale).cloud
+    cloud = measure_cloud(cloud_pass, scale, reading).cloud
     return scan.loaded(cloud, cleaned, oriented)
 
 

@@ -116,16 +116,17 @@ class Closure:
     crumbs: int = 0
     is_room: bool = False
     support: Support | None = None
+    share: float | None = None
 
     def facts(self) -> dict[str, Any]:
         """Return it for the report: JSON values."""
         if not self.is_open:
             support = {} if self.support is None else {"support": asdict(self.support)}
-            return {"open": False, "closure": self.reason, **support}
+            return {"open": False, "closure": self.reason, "unsupported": self.share, **support}
         return {
             "open": True,
             "room": self.is_room,
-            "closure": self.reason,
+            "closure": self.reason, "unsupported": self.share,
             "trim": self.trim,
             "fill_holes": self.fill_holes,
             "holes_filled": self.holes,
@@ -290,14 +291,14 @@ def _decide(parts: _Parts, rule: SupportRule, advance: Advance) -> Closure:
     is_room = is_telling and not is_one_way and faces_inwards(measured.sample)
     if share <= (TELLING_SHARE if is_one_way or is_room else BARE_SHARE):
         reason = f"closed: points support {_percent(1.0 - share)} of it"
-        return Closure(False, reason, support=support())
+        return Closure(False, reason, support=support(), share=share)
     if not (is_one_way or is_room) and _stood_on_table(measured):
         reason = f"closed: of something that stood on a side nobody saw, {_percent(share)} of it"
-        return Closure(False, reason, support=support())
+        return Closure(False, reason, support=support(), share=share)
     seen = "from inside, as a room" if is_room else "in part"
     seen = "from one side, as a view or a terrain" if is_one_way else seen
     reason = f"open: seen {seen}; no point supports {_percent(share)} of the closed surface"
-    return Closure(True, reason, is_room=is_room)
+    return Closure(True, reason, is_room=is_room, share=share)
 
 
 def _judge_support(

@@ -14,6 +14,7 @@ from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.job.columns import Columns
 from hpcapp.applications.surface.normals.oriented import Oriented
 from hpcapp.applications.surface.normals.sensor import Sensor
+from hpcapp.applications.surface.types.reading import Reading
 from hpcapp.geometry.validity import Dropped
 from hpcapp.io.crs import UNKNOWN, Crs
 from hpcapp.io.points.point_source import Findings
@@ -114,6 +115,11 @@ class Loaded:
     findings: Findings
     crs: Crs
     described: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def reading(self) -> Reading:
+        """What the scan is of."""
+        return self.cloud.measured.reading
 
     def report(self, shown: str) -> None:
         """Log what was left out of the input.

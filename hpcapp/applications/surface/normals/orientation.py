@@ -19,10 +19,12 @@ from hpcapp.applications.surface.normals.readings import (
     CERTAIN,
     Followed,
     Reading,
+    find_readings,
     follow,
     weigh_readings,
 )
 from hpcapp.applications.surface.normals.sensor import Sensor
+from hpcapp.applications.surface.types.reading import Measurement
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 from hpccomponent.dataclass import dataclass
 
@@ -39,6 +41,40 @@ _NODES = 128
 _PADDING = 1.3
 _ROUNDS = 12
 _SETTLED = 1e-3  # share of patches that still change sides
+_SOFT = CERTAIN / 3.0  # cost by which a reading is e times as likely as another one
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """How a scan was seen.
+
+    Parameters
+    ----------
+    kind : str
+        See `types.reading.Reading`.
+    certainty : float
+        Its probability, 0 to 1.
+    rivals : tuple of (str, float)
+        Other kinds, and the probability of each; the likeliest first.
+    because : tuple of Measurement
+    """
+
+    kind: str
+    certainty: float = 1.0
+    rivals: tuple[tuple[str, float], ...] = ()
+    because: tuple[Measurement, ...] = ()
+
+    @classmethod
+    def of(cls, kinds: list[str], costs: list[float], best: int) -> Verdict:
+        """Return it by what each kind costs, and which of them is believed."""
+        likely = np.exp((min(costs) - np.array(costs)) / _SOFT)
+        likely /= likely.sum()
+        rivals = sorted(
+            ((kinds[row], float(likely[row])) for row in range(len(kinds)) if row != best),
+            key=lambda rival: -rival[1],
+        )
+        because = (Measurement("cost of the reading", costs[best], "of the area"),)
+        return cls(kinds[best], float(likely[best]), tuple(rivals[:3]), because)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,11 +107,14 @@ class Orientation:
         Where the evidence comes from, for people.
     doubt : Doubt or None
         Where a sensor has told, nothing more can be told.
+    verdict : Verdict or None
+        None where places have told, among the points or around them.
     """
 
     sides: Sides
     how: str
     doubt: Doubt | None
+    verdict: Verdict | None
 
 
 def orient_patches(
@@ -123,7 +162,8 @@ def orient_patches(
         followed = None if evidence.is_sensed else follow(linked, evidence)
         sides = _settle(patches, linked, spacing, evidence, followed, threads)
         values = np.clip(sides, -1.0, 1.0).astype(np.float32)
-        return Orientation(Sides(patches.keys, patches.ranks, values), evidence.how, None)
+        told = None if sensor.kind == "places" else Verdict(sensor.kind)
+        return Orientation(Sides(patches.keys, patches.ranks, values), evidence.how, None, told)
     best, *others = weigh_readings(patches, linked, spacing, zero, threads)
     sides = _settle(patches, linked, spacing, best.reading.evidence, best.sides, threads)
     # (r, p): how much more a reading costs that turns the patch round; the first row is the best
@@ -138,7 +178,24 @@ def orient_patches(
     values = np.clip(sides, -certainty, certainty).astype(np.float32)
     doubt = _find_doubt(patches, linked, np.abs(values) < SURE, best, others, margins)
     oriented = Sides(patches.keys, patches.ranks, values)
-    return Orientation(oriented, best.reading.evidence.how, doubt)
+    weighed = [best, *others]
+    costs = [one.cost + (one.reading.habit or 0.0) for one in weighed]
+    verdict = Verdict.of([one.reading.kind for one in weighed], costs, 0)
+    return Orientation(oriented, best.reading.evidence.how, doubt, verdict)
+
+
+def read_given(
+    patches: Patches, spacing: float, zero: FloatArray, sensor: Sensor, threads: int = 1
+) -> Verdict:
+    """Tell how a scan was seen whose patches have their sides; as for `orient_patches`."""
+    if sensor.kind not in ("unknown", "places"):
+        return Verdict(sensor.kind)
+    none = np.empty(0, np.int64)
+    linked = LinkedPatches(patches, Links(none, none, none))
+    readings = find_readings(patches, linked, spacing, zero, threads)
+    is_turned = np.zeros(len(patches), np.bool_)
+    costs = [one.cost(patches, is_turned) + (one.habit or 0.0) for one in readings]
+    return Verdict.of([one.kind for one in readings], costs, int(np.argmin(costs)))
 
 
 def _is_tangled(patches: Patches, linked: LinkedPatches, best: Followed) -> bool:
