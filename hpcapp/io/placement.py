@@ -66,6 +66,10 @@ class Placement:
         """Whether a place is asked for that the format alone would not give."""
         return not isinstance(self.origin, str)
 
+    def with_up(self, axis: str) -> Placement:
+        """Return the same with an axis that points up where none is asked for."""
+        return replace(self, up=self.up or axis)
+
     def place(self, stream: MeshStream, is_near: bool, turns: bool) -> MeshStream:
         """Return a mesh where it is written.
 
@@ -87,7 +91,7 @@ class Placement:
 
 
 def choose_up(mesh: Mesh | MeshStream, asked: str | None = None) -> str:
-    """Return the axis of a mesh that points up: as asked for, z of a map, else what is found.
+    """Return the axis of a mesh without a job that points up: as asked, z of a map, else as found.
 
     Parameters
     ----------

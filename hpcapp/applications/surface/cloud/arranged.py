@@ -22,7 +22,7 @@ from hpcapp.applications.surface.cloud.arrangement import (
     snap_points,
 )
 from hpcapp.applications.surface.scale.local_scale import LocalScale
-from hpcapp.applications.surface.types.reading import Reading
+from hpcapp.applications.surface.types.reading import UNREAD, Reading
 from hpcapp.cancellation import check_cancelled
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.lattice import find_keys
@@ -52,7 +52,7 @@ class Measured:
 
     scale: LocalScale
     sample: PointCloud
-    reading: Reading = Reading()
+    reading: Reading = UNREAD
 
     @property
     def spacing(self) -> float:

@@ -27,7 +27,7 @@ from hpcapp.applications.surface.scale.local_scale import (
     make_scale,
 )
 from hpcapp.applications.surface.scale.scan_lines import GapBoxes, find_gaps
-from hpcapp.applications.surface.types.reading import Reading
+from hpcapp.applications.surface.types.reading import UNREAD, Reading
 from hpcapp.geometry.lattice import lay_lattice, unique_keys
 from hpcapp.geometry.points import FloatArray, PointCloud
 
@@ -100,7 +100,7 @@ def find_scale(positions: FloatArray) -> LocalScale:
     return measure_scale(MemoryPass(arrange_cloud(PointCloud(positions))))
 
 
-def measure_cloud(cloud_pass: PassT, scale: LocalScale, reading: Reading) -> PassT:
+def measure_cloud(cloud_pass: PassT, scale: LocalScale, reading: Reading = UNREAD) -> PassT:
     """Keep with a cloud what methods ask of it: its scale and reading, and a sample.
 
     The sample has about 15,000 points; of a cloud in few boxes more, and all of a small one.
@@ -113,7 +113,7 @@ def measure_cloud(cloud_pass: PassT, scale: LocalScale, reading: Reading) -> Pas
         one_in = max(one_in // 8, 1)
 
 
-def measure_points(points: PointCloud, reading: Reading) -> MemoryCloud:
+def measure_points(points: PointCloud, reading: Reading = UNREAD) -> MemoryCloud:
     """Arrange points with normals in memory, and measure them; their reading is given.
 
     Raises

@@ -56,6 +56,8 @@ class Scan:
         Whether the points have normals, and whether the input says that these have a side.
     sensor : Sensor
         Where they were measured from.
+    is_upright : bool
+        Whether z is known to point up, as on a map.
     crs : Crs
         What the file's coordinates mean; heights are in the unit of x and y here.
     findings : Findings
@@ -69,6 +71,7 @@ class Scan:
     has_normals: bool
     is_oriented: bool = True
     sensor: Sensor = field(default_factory=Sensor)
+    is_upright: bool = False
     crs: Crs = UNKNOWN
     findings: Findings = field(default_factory=Findings)
 

@@ -35,7 +35,11 @@ _AWAY = 4.0  # half diagonals of the box from its middle: a place that sees one 
 
 
 def read_scan(
-    cloud_pass: CloudPass, spacing: float, sensor: Sensor, verdict: Verdict | None = None
+    cloud_pass: CloudPass,
+    spacing: float,
+    sensor: Sensor,
+    is_upright: bool,
+    verdict: Verdict | None = None,
 ) -> Reading:
     """Judge what a scan is of, and how it was seen.
 
@@ -47,6 +51,8 @@ def read_scan(
         Of its points, in length units of the input.
     sensor : Sensor
         Where they were measured from.
+    is_upright : bool
+        Whether z is known to point up.
     verdict : Verdict, optional
         How it was seen, where that has given the normals their side.
     """
@@ -67,7 +73,7 @@ def read_scan(
     return Reading(
         kind=verdict.kind,
         certainty=verdict.certainty,
-        up=_find_up(shape, box, edge, is_standing=drawn > STANDING),
+        up="z" if is_upright else _find_up(shape, box, edge, is_standing=drawn > STANDING),
         missing=tuple(shape.missing.tolist()),
         drawn=drawn,
         rivals=rivals,

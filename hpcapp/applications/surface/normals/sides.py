@@ -33,6 +33,7 @@ def orient_cloud(
     *,
     has_normals: bool,
     is_oriented: bool = True,
+    is_upright: bool = False,
     attribute: str | None = None,
 ) -> tuple[PassT, Oriented, Reading]:
     """Give points normals where they have none, or such that contradict each other, and read them.
@@ -49,6 +50,8 @@ def orient_cloud(
     clock : StageClock
     has_normals, is_oriented : bool
         Whether the points have normals, and whether the file says that these have a side.
+    is_upright : bool
+        Whether z is known to point up.
     attribute : str, optional
         By which name the points keep how sure their side is, 0 to 1.
 
@@ -66,14 +69,14 @@ def orient_cloud(
         judgement = judge_normals(cloud_pass, spacing)
         if wanted == "file" or (is_oriented and judgement == "agree"):
             oriented = Oriented("file", 1.0, judgement=judgement)
-            return cloud_pass, oriented, read_scan(cloud_pass, spacing, sensor)
+            return cloud_pass, oriented, read_scan(cloud_pass, spacing, sensor, is_upright)
     from hpcapp.applications.surface.normals.drive import orient_normals  # takes its time
 
     with clock.stage("normals"):
         cloud_pass, found, verdict = orient_normals(
             cloud_pass, spacing, sensor, keeps=has_normals, attribute=attribute
         )
-        reading = read_scan(cloud_pass, spacing, sensor, verdict)
+        reading = read_scan(cloud_pass, spacing, sensor, is_upright, verdict)
     if has_normals:
         return cloud_pass, replace(found, source="file", judgement=judgement), reading
     return cloud_pass, replace(found, flipped=0), reading

@@ -108,3 +108,7 @@ class Reading:
         because = tuple(Measurement(**one) for one in told["because"])
         missing = tuple(told["missing"])
         return cls(**{**told, "missing": missing, "rivals": rivals, "because": because})
+
+
+UNREAD = Reading()
+"""Of points that nobody has read: nothing is known to be missing."""
