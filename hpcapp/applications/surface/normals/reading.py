@@ -25,11 +25,11 @@ from hpcapp.geometry.points import BoolArray, FloatArray
 STANDING = 0.4
 """How far what stood on something draws together at its border, at least."""
 
-_NEIGHBOURS = 8  # facets around one
+_NEIGHBOURS = 12  # facets around one
 _ONE_SIDED = 0.33  # of the distance of the last of them: their mean, at a border
 _FEWEST = 40  # facets that tell
 _FARTHEST = 64.0  # cells: facets beyond are no neighbours
-_SMOOTH = 0.5  # least cosine of the normals of neighbours
+_OPPOSED = -0.3  # cosine of normals: what faces the other way is the other side of a plate
 _PER_FACE = 1.5  # cells by the area of a surface in faces of a cell
 _AWAY = 4.0  # half diagonals of the box from its middle: a place that sees one side
 
@@ -119,9 +119,9 @@ def _find_border(patches: Patches, edge: float) -> tuple[BoolArray, FloatArray]:
     )
     found = near < len(patches)
     near = np.where(found, near, every[:, None])
-    # (p, 8, 3): to the neighbours; what faces another way is the other side of a plate.
+    # (p, 12, 3): to the neighbours, as far as they are of the same side of a plate.
     arms = centres[near] - centres[:, None]
-    is_same = found & (np.einsum("pki,pi->pk", normals[near], normals) > _SMOOTH)
+    is_same = found & (np.einsum("pki,pi->pk", normals[near], normals) > _OPPOSED)
     count = np.maximum(is_same.sum(axis=1), 1)
     mean = (arms * is_same[:, :, None]).sum(axis=1) / count[:, None]
     # (p, 3): along the surface: inwards at a border, else about 0.

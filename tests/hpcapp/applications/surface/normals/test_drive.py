@@ -41,7 +41,7 @@ def orient(
 ) -> tuple[PointCloud, Oriented]:
     """Orient points in memory, as if their normals had no side where there are some."""
     clock, cloud_pass = StageClock(Progress()), in_memory(points)
-    turned, oriented = orient_cloud(
+    turned, oriented, _ = orient_cloud(
         cloud_pass,
         measure_spacing(cloud_pass),
         "auto",
@@ -147,9 +147,9 @@ def test_regions_give_the_normals_of_the_whole(
     memory = MemoryPass(arrange_cloud(points))
     spacing = measure_spacing(memory)
     keeps = what == "given"
-    whole, wanted = orient_normals(memory, spacing, UNKNOWN, keeps=keeps, attribute="sure")
+    whole, wanted, _ = orient_normals(memory, spacing, UNKNOWN, keeps=keeps, attribute="sure")
     there = in_folder(points, tmp_path, alone(1_500, sees=workers_see))
-    found, same = orient_normals(there, spacing, UNKNOWN, keeps=keeps, attribute="sure")
+    found, same, _ = orient_normals(there, spacing, UNKNOWN, keeps=keeps, attribute="sure")
     assert len(found.cloud.parts) > 3
     found, _ = mend_normals(found, spacing)  # which leaves them beside other points
     whole, _ = mend_normals(whole, spacing)
@@ -184,7 +184,7 @@ def test_normals_depend_on_no_number_of_threads() -> None:
     spacing = measure_spacing(MemoryPass(cloud))
     found = []
     for threads in (1, 3):
-        cloud_pass, oriented = orient_normals(
+        cloud_pass, oriented, _ = orient_normals(
             MemoryPass(cloud, threads), spacing, UNKNOWN, keeps=False
         )
         cloud_pass, flipped = mend_normals(cloud_pass, spacing)
@@ -203,7 +203,7 @@ def test_normals_of_a_file_are_warned_of_where_they_are_taken_as_they_are() -> N
     clock = StageClock(Progress())
     for given, is_wrong in ((in_memory(scan), False), (mixed, True)):
         spacing = measure_spacing(given)
-        same, oriented = orient_cloud(given, spacing, "file", UNKNOWN, clock, has_normals=True)
+        same, oriented, _ = orient_cloud(given, spacing, "file", UNKNOWN, clock, has_normals=True)
         assert same is given
         assert ["contradict" in warning for warning in oriented.warnings] == [True] * is_wrong
 
