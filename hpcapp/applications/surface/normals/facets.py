@@ -68,8 +68,8 @@ def _gather(
     places = cells_of(positions, low, edge)
     within = np.rint((places - np.floor(places)) * _STEPS)
     count = len(keys) * _FACINGS
-    sums = [np.bincount(names, minlength=count).astype(np.float64)]
-    sums += [np.bincount(names, column, count) for column in (*within.T, *columns)]
+    ones = np.ones(len(names))
+    sums = [np.bincount(names, column, count) for column in (ones, *within.T, *columns)]
     return Facets(keys, np.stack(sums, axis=1).reshape(-1, _FACINGS, 7))
 
 
