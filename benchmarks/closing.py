@@ -39,8 +39,7 @@ def collect(rows: Path, folders: list[Path]) -> list[dict[str, Any]]:
             scan = str(folder / name)
             if scan in done:
                 continue
-            command = ["hpcapp", "reconstruct", scan, "-o", str(rows.with_suffix(".ply")), "--json"]
-            told = subprocess.run(command, capture_output=True, text=True, check=False)
+            told = command("hpcapp", "reconstruct", scan, "-o", f"{rows}.ply", "--json")
             row: dict[str, Any] = {"scan": scan, "group": entry["group"], "closed": entry["closed"]}
             if told.returncode == 0:
                 report = json.loads(told.stdout)
@@ -49,6 +48,11 @@ def collect(rows: Path, folders: list[Path]) -> list[dict[str, Any]]:
             with rows.open("a") as file:
                 file.write(json.dumps(row) + "\n")
     return known
+
+
+def command(*words: str) -> subprocess.CompletedProcess[str]:
+    """Run a command, and keep what it says."""
+    return subprocess.run(words, capture_output=True, text=True, check=False)
 
 
 def fit(features: FloatArray, is_open: BoolArray) -> FloatArray:
@@ -60,7 +64,9 @@ def fit(features: FloatArray, is_open: BoolArray) -> FloatArray:
     for _ in range(_ROUNDS):
         likely = tell(scaled, coefficients)
         slope = scaled.T @ (is_open - likely) - damping @ coefficients
-        curve = (scaled.T * (likely * (1.0 - likely))) @ scaled + damping + 1e-9 * np.eye(len(slope))
+        curve = (
+            (scaled.T * (likely * (1.0 - likely))) @ scaled + damping + 1e-9 * np.eye(len(slope))
+        )
         coefficients = coefficients + np.linalg.solve(curve, slope)
     found: FloatArray = coefficients / scale
     return found
@@ -97,12 +103,16 @@ def main() -> None:
         reliability.append([low, high, int(rows_in.sum()), int(is_right[rows_in].sum())])
     report = {
         "title": "Open or closed: said how surely, right how often, on scans that were left out",
-        "command": "benchmarks/closing.py ROWS worlds (seed 59001) raw tuning",
-        "coefficients": dict(zip(_NAMES, np.round(coefficients, 3).tolist(), strict=True)),
+        "machine": "any: it does not matter",
+        "commit": command("git", "rev-parse", "--short", "HEAD").stdout.strip(),
+        "command": "benchmarks/closing.py ROWS DIR...",
         "columns": ["from", "to", "scans", "right"],
         "rows": reliability,
-        "wrong": [row["scan"].split("/")[-1] for row, one in zip(used, is_right, strict=True) if not one],
-    }  # fmt: skip
+        "notes": [
+            *(f"{name}: {value:.3g}" for name, value in zip(_NAMES, coefficients, strict=True)),
+            *(f"wrong: {Path(used[row]['scan']).name}" for row in np.flatnonzero(~is_right)),
+        ],
+    }
     Path(__file__).with_name("results").joinpath("closing.json").write_text(
         json.dumps(report, indent=1) + "\n"
     )

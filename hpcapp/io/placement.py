@@ -66,8 +66,8 @@ class Placement:
         """Whether a place is asked for that the format alone would not give."""
         return not isinstance(self.origin, str)
 
-    def with_up(self, axis: str) -> Placement:
-        """Return the same with an axis that points up where none is asked for."""
+    def with_up(self, axis: str | None) -> Placement:
+        """Return the same with the axis that is known to point up where none is asked for."""
         return replace(self, up=self.up or axis)
 
     def place(self, stream: MeshStream, is_near: bool, turns: bool) -> MeshStream:

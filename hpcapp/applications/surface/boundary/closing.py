@@ -11,7 +11,7 @@ import numpy as np
 
 from hpcapp.applications.surface.types.reading import Reading
 
-COEFFICIENTS = (0.0, 1.0, 0.0, 0.0, 0.0)
+COEFFICIENTS = (-4.94, -0.05, 11.0, -2.48, 6.11)
 """Of 1, the log odds of the unsupported share, the length of what is missing, how far the border
 draws together, and 1 where places among the points saw it; see ``benchmarks/closing.py``."""
 

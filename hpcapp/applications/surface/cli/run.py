@@ -221,6 +221,7 @@ def _show(
 ) -> None:
     """Write the job's page and picture."""
     from hpcapp.applications.surface.job.report_page import (
+        find_up,
         show_job,
         write_job_page,
     )
@@ -228,7 +229,7 @@ def _show(
 
     shown = show_job(loaded, outcome, carrying)
     if settings.png is not None:
-        unit, up = report["input"]["unit"], report["up"]
+        unit, up = report["input"]["unit"], find_up(report, shown.mesh)
         write_picture(settings.png, shown.mesh, up=up, unit=unit)
     if settings.report is not None:
         whole = {**report, "stages": clock.seconds, "timeline": clock.timeline.to_json()}

@@ -21,6 +21,7 @@ from hpcapp.io import open_points, read_mesh, read_whole, take_finite
 from hpcapp.io.crs import UNKNOWN
 from hpcapp.io.frame import scale_heights
 from hpcapp.io.meshes.mesh_stream import MeshStream, find_vertices, make_mesh
+from hpcapp.io.placement import choose_up
 from hpcapp.pages.job import describe_job, find_unit
 from hpcapp.pages.owners import TILE, Owners, mark_tiles, take_labels
 from hpcapp.pages.page import build_page, tabulate, write_page
@@ -179,7 +180,7 @@ def build_job_page(shown: Shown, report: Mapping[str, Any], title: str) -> str:
     own = [one for one in fields_of(shown.mesh) if one.label != SUPPORT]
     scene = Scene(
         shown.mesh, [*fields, *shown.labels, *own], shown.points, markers,
-        up=find_up(report), unit=unit, tint=tint,
+        up=find_up(report, shown.mesh), unit=unit, tint=tint,
     )  # fmt: skip
     sections = describe_job(report, [one.text for one in markers])
     if len(shown.mesh.faces) < shown.faces:
@@ -197,10 +198,10 @@ def _find_reach(report: Mapping[str, Any], spacing: float) -> float:
     return GUESSED * spacing
 
 
-def find_up(report: Mapping[str, Any]) -> str:
-    """Return the axis that points up; z where a report that was made elsewhere tells none."""
-    up = report.get("up")
-    return up if up in AXES else "z"
+def find_up(report: Mapping[str, Any], mesh: Mesh) -> str:
+    """Return the axis that points up: as the report tells, else as the mesh stands."""
+    known = report.get("up")
+    return choose_up(mesh, known if known in AXES else None)
 
 
 def find_guesses(

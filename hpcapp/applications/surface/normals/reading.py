@@ -3,7 +3,7 @@
 ::
 
     facets ── who can have seen them so ──> kind, certainty, rivals
-         └─── what is missing, how the border goes on, what it stands on ──> missing, drawn, up
+         └─── what is missing, and how the border goes on ──> missing, drawn
 """
 
 from __future__ import annotations
@@ -14,23 +14,18 @@ from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.cloud.cloud_pass import CloudPass
 from hpcapp.applications.surface.normals.facets import Shape, choose_edge, merge_facets
 from hpcapp.applications.surface.normals.orientation import Verdict, read_given
-from hpcapp.applications.surface.normals.patches import CELL, Patches
+from hpcapp.applications.surface.normals.patches import Patches
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.normals.tasks import sum_region
 from hpcapp.applications.surface.types.reading import Measurement, Reading, Rival
-from hpcapp.geometry.axes import find_up
 from hpcapp.geometry.lattice import lay_lattice
 from hpcapp.geometry.points import BoolArray, FloatArray
-
-STANDING = 0.4
-"""How far what stood on something draws together at its border, at least."""
 
 _NEIGHBOURS = 12  # facets around one
 _ONE_SIDED = 0.33  # of the distance of the last of them: their mean, at a border
 _FEWEST = 40  # facets that tell
 _FARTHEST = 64.0  # cells: facets beyond are no neighbours
 _OPPOSED = -0.3  # cosine of normals: what faces the other way is the other side of a plate
-_PER_FACE = 1.5  # cells by the area of a surface in faces of a cell
 _AWAY = 4.0  # half diagonals of the box from its middle: a place that sees one side
 
 
@@ -73,7 +68,7 @@ def read_scan(
     return Reading(
         kind=verdict.kind,
         certainty=verdict.certainty,
-        up="z" if is_upright else _find_up(shape, box, edge, is_standing=drawn > STANDING),
+        up="z" if is_upright else None,
         missing=tuple(shape.missing.tolist()),
         drawn=drawn,
         rivals=rivals,
@@ -131,19 +126,6 @@ def _find_border(patches: Patches, edge: float) -> tuple[BoolArray, FloatArray]:
     is_border = (lengths > _ONE_SIDED * far) & (lengths > 0.0)
     onwards: FloatArray = -mean[is_border] / lengths[is_border, None]
     return is_border, onwards
-
-
-def _find_up(shape: Shape, box: FloatArray, edge: float, *, is_standing: bool) -> str:
-    """Return the axis that points up, by what a scan stands on: also where nobody saw that."""
-    patches = shape.patches
-    areas = patches.counts * (edge**2 / (_PER_FACE * CELL**2))
-    pieces = [(patches.centres, areas[:, None] * patches.normals)]
-    if is_standing:
-        # The side that is missing closes it, where its box ends.
-        vector = -pieces[0][1].sum(axis=0)
-        way = vector / max(float(np.abs(vector).max()), 1e-300)
-        pieces.append((0.5 * (box.sum(axis=0) + (box[1] - box[0]) * way)[None], vector[None]))
-    return find_up(iter(pieces), box)
 
 
 def _name_option(kind: str, box: FloatArray) -> str:

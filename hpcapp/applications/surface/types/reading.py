@@ -62,8 +62,9 @@ class Reading:
         ``above``, ``below``, a side (``+y-z``), ``camera`` or ``sensor`` (at zero), ``places``.
     certainty : float
         Probability of the kind, 0 to 1; 0 where nobody has looked.
-    up : str
-        The axis of the input that points up, of `axis_names.AXES`.
+    up : str or None
+        The axis of the input that is known to point up, of `axis_names.AXES`; None where only the
+        mesh can tell, by what it stands on.
     missing : tuple of float
         Minus the mean normal by area: its direction is the side that was not seen, its length
         tells how much of it, 0 to 1.
@@ -76,7 +77,7 @@ class Reading:
 
     kind: str = "outside"
     certainty: float = 0.0
-    up: str = "z"
+    up: str | None = None
     missing: tuple[float, float, float] = (0.0, 0.0, 0.0)
     drawn: float = 0.0
     rivals: tuple[Rival, ...] = ()
