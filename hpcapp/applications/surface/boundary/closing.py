@@ -11,9 +11,9 @@ import numpy as np
 
 from hpcapp.applications.surface.types.reading import Reading
 
-COEFFICIENTS = (-4.94, -0.05, 11.0, -2.48, 6.11)
-"""Of 1, the log odds of the unsupported share, the length of what is missing, how far the border
-draws together, and 1 where places among the points saw it; see ``benchmarks/closing.py``."""
+COEFFICIENTS = (-1.22, 1.52, 5.1, -5.78, 11.5)
+"""Of 1, the log odds of the unsupported share, the length of what is missing, that times how far
+the border draws together, and 1 where places among the points saw it: ``benchmarks/closing.py``."""
 
 SURE = 0.9
 """Probability of being open or closed, below which somebody should look."""
@@ -38,7 +38,8 @@ def measure_opening(reading: Reading, unsupported: float) -> tuple[float, ...]:
     """Return what `COEFFICIENTS` are of."""
     share = min(max(unsupported, _LEAST), 1.0 - _LEAST)
     odds = float(np.log(share / (1.0 - share)))
-    return 1.0, odds, reading.share_missing, reading.drawn, float(reading.faces_places)
+    missing = reading.share_missing
+    return 1.0, odds, missing, missing * reading.drawn, float(reading.faces_places)
 
 
 def say_closing(reading: Reading, unsupported: float, *, is_open: bool) -> str:
