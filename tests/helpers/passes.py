@@ -28,7 +28,7 @@ def measure_read(points: PointCloud) -> MemoryCloud:
     """Arrange points with normals in memory, measure and read them."""
     cloud_pass = MemoryPass(arrange_cloud(points))
     scale = measure_scale(cloud_pass)
-    reading = read_scan(cloud_pass, scale.spacing, Sensor(), is_upright=False)
+    reading = read_scan(cloud_pass, scale, Sensor(), is_upright=False)
     return measure_cloud(cloud_pass, scale, reading).cloud
 
 

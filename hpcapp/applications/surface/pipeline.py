@@ -84,7 +84,7 @@ def prepare(settings: Settings, scan: Scan, clock: StageClock) -> Loaded:
             has_normals=has_normals,
         )
     cloud_pass, oriented, reading = orient_cloud(
-        cloud_pass, scale.spacing, settings.normals, scan.sensor, clock,
+        cloud_pass, scale, settings.normals, scan.sensor, clock,
         has_normals=has_normals, is_oriented=scan.is_oriented, is_upright=scan.is_upright,
         attribute=settings.attributes.name_confidence(scan.columns.layout),
     )  # fmt: skip

@@ -13,6 +13,7 @@ import numpy as np
 
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.normals.patches import CELL, Patches
+from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.applications.surface.types.result_patterns import CellKeys
 from hpcapp.geometry.lattice import cells_of, number_keys, unpack_keys
 from hpcapp.geometry.points import Float32Array, FloatArray, IntArray
@@ -68,9 +69,11 @@ def _gather(
     places = cells_of(positions, low, edge)
     within = np.rint((places - np.floor(places)) * _STEPS)
     count = len(keys) * _FACINGS
-    ones = np.ones(len(names))
-    sums = [np.bincount(names, column, count) for column in (ones, *within.T, *columns)]
-    return Facets(keys, np.stack(sums, axis=1).reshape(-1, _FACINGS, 7))
+    sums = [
+        np.bincount(names, column, count) for column in (np.ones(len(names)), *within.T, *columns)
+    ]
+    stacked: FloatArray = np.stack(sums, axis=1).astype(np.float64)
+    return Facets(keys, stacked.reshape(-1, _FACINGS, 7))
 
 
 def merge_facets(found: Sequence[Facets]) -> Facets:
@@ -90,11 +93,11 @@ class Shape:
     Parameters
     ----------
     patches : Patches
-        Facets, as many points in each as its share of a full cell is of `CELL` squared.
+        Facets; `CELL` squared points are the area of a face of a cell.
     spacing : float
         `CELL` of which are the edge of a cell, in length units of the input.
     missing : ndarray of float64, shape (3,)
-        Minus the mean of the normals of its cells.
+        Minus the mean normal by area.
     """
 
     patches: Patches
@@ -102,23 +105,18 @@ class Shape:
     missing: FloatArray
 
     @classmethod
-    def of(cls, facets: Facets, low: FloatArray, edge: float) -> Shape:
+    def of(cls, facets: Facets, low: FloatArray, edge: float, scale: LocalScale) -> Shape:
         """Describe the facets of a whole cloud, of cells from `low`."""
-        counts = facets.sums[:, :, 0]
-        shares = counts / counts.sum(axis=1, keepdims=True)
-        cells, facings = np.nonzero(counts)
-        sums, numbers = facets.sums[cells, facings], counts[cells, facings][:, None]
-        centres = low + edge * (unpack_keys(facets.keys[cells]) + sums[:, 1:4] / numbers / _STEPS)
-        means = sums[:, 4:] / numbers / _STEPS
-        weights = shares[cells, facings]
-        units = means / np.maximum(_length(means), 1e-300)[:, None]
-        full = np.maximum(np.rint(CELL**2 * weights), 1.0).astype(np.int64)
+        cells, facings = np.nonzero(facets.sums[:, :, 0])
+        sums = facets.sums[cells, facings]
+        counts, means = sums[:, 0], sums[:, 1:] / sums[:, :1] / _STEPS
         keys: IntArray = facets.keys[cells]
+        centres = low + edge * (unpack_keys(keys) + means[:, :3])
+        # (f,): each point stands for the square of the spacing around it.
+        areas = counts * scale.at(centres) ** 2
+        lengths = np.sqrt(np.einsum("ij,ij->i", means[:, 3:], means[:, 3:]))
+        units = means[:, 3:] / np.maximum(lengths, 1e-300)[:, None]
+        full = np.maximum(np.rint(areas * (CELL / edge) ** 2), 1.0).astype(np.int64)
         patches = Patches(keys, facings, full, centres, units, np.zeros(len(keys)))
-        missing: FloatArray = -(weights[:, None] * means).sum(axis=0) / len(counts)
+        missing: FloatArray = -(areas[:, None] * means[:, 3:]).sum(axis=0) / areas.sum()
         return cls(patches, edge / CELL, missing)
-
-
-def _length(vectors: FloatArray) -> FloatArray:
-    lengths: FloatArray = np.sqrt(np.einsum("ij,ij->i", vectors, vectors))
-    return lengths

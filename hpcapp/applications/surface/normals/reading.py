@@ -17,6 +17,7 @@ from hpcapp.applications.surface.normals.orientation import Verdict, read_given
 from hpcapp.applications.surface.normals.patches import Patches
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.normals.tasks import sum_region
+from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.applications.surface.types.reading import Measurement, Reading, Rival
 from hpcapp.geometry.lattice import lay_lattice
 from hpcapp.geometry.points import BoolArray, FloatArray
@@ -31,7 +32,7 @@ _AWAY = 4.0  # half diagonals of the box from its middle: a place that sees one 
 
 def read_scan(
     cloud_pass: CloudPass,
-    spacing: float,
+    scale: LocalScale,
     sensor: Sensor,
     is_upright: bool,
     verdict: Verdict | None = None,
@@ -42,8 +43,8 @@ def read_scan(
     ----------
     cloud_pass : CloudPass
         Through points whose normals have their side.
-    spacing : float
-        Of its points, in length units of the input.
+    scale : LocalScale
+        Of its points.
     sensor : Sensor
         Where they were measured from.
     is_upright : bool
@@ -52,9 +53,10 @@ def read_scan(
         How it was seen, where that has given the normals their side.
     """
     cloud = cloud_pass.cloud
-    edge = choose_edge(len(cloud), spacing)
+    edge = choose_edge(len(cloud), scale.spacing)
     corner = lay_lattice(cloud.low, edge)
-    shape = Shape.of(merge_facets(cloud_pass.each(sum_region, corner, edge)), corner, edge)
+    facets = merge_facets(cloud_pass.each(sum_region, corner, edge))
+    shape = Shape.of(facets, corner, edge, scale)
     if verdict is None:
         given = shape.patches, shape.spacing, -cloud.origin, sensor, cloud_pass.threads
         verdict = read_given(*given)

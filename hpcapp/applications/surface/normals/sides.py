@@ -13,6 +13,7 @@ from hpcapp.applications.surface.normals import patches
 from hpcapp.applications.surface.normals.consistency import share_opposed, weigh_torn
 from hpcapp.applications.surface.normals.oriented import Judgement, Oriented
 from hpcapp.applications.surface.normals.sensor import Sensor
+from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.applications.surface.types.reading import Reading
 from hpcapp.geometry.lattice import lay_lattice
 from hpcapp.geometry.points import FloatArray
@@ -26,7 +27,7 @@ normals have one have .096 or less (leaves of a plant), others .176 and more; si
 
 def orient_cloud(
     cloud_pass: PassT,
-    spacing: float,
+    scale: LocalScale,
     wanted: str,
     sensor: Sensor,
     clock: StageClock,
@@ -41,8 +42,8 @@ def orient_cloud(
     Parameters
     ----------
     cloud_pass : CloudPass
-    spacing : float
-        Of its points, in length units of the input.
+    scale : LocalScale
+        Of its points.
     wanted : str
         ``file``: they are taken as they are, where there are some.
     sensor : Sensor
@@ -66,17 +67,17 @@ def orient_cloud(
     from hpcapp.applications.surface.normals.reading import read_scan
 
     if has_normals:
-        judgement = judge_normals(cloud_pass, spacing)
+        judgement = judge_normals(cloud_pass, scale.spacing)
         if wanted == "file" or (is_oriented and judgement == "agree"):
             oriented = Oriented("file", 1.0, judgement=judgement)
-            return cloud_pass, oriented, read_scan(cloud_pass, spacing, sensor, is_upright)
+            return cloud_pass, oriented, read_scan(cloud_pass, scale, sensor, is_upright)
     from hpcapp.applications.surface.normals.drive import orient_normals  # takes its time
 
     with clock.stage("normals"):
         cloud_pass, found, verdict = orient_normals(
-            cloud_pass, spacing, sensor, keeps=has_normals, attribute=attribute
+            cloud_pass, scale.spacing, sensor, keeps=has_normals, attribute=attribute
         )
-        reading = read_scan(cloud_pass, spacing, sensor, is_upright, verdict)
+        reading = read_scan(cloud_pass, scale, sensor, is_upright, verdict)
     if has_normals:
         return cloud_pass, replace(found, source="file", judgement=judgement), reading
     return cloud_pass, replace(found, flipped=0), reading

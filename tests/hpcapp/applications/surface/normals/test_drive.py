@@ -18,6 +18,7 @@ from hpcapp.applications.surface.normals.orientation import SURE
 from hpcapp.applications.surface.normals.oriented import Oriented
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.normals.sides import judge_normals, orient_cloud
+from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.lab.simulate.scanner import simulate_scan
 from hpcapp.lab.simulate.settings import ScanSettings
@@ -43,7 +44,7 @@ def orient(
     clock, cloud_pass = StageClock(Progress()), in_memory(points)
     turned, oriented, _ = orient_cloud(
         cloud_pass,
-        measure_spacing(cloud_pass),
+        LocalScale.uniform(measure_spacing(cloud_pass)),
         "auto",
         sensor,
         clock,
@@ -202,8 +203,8 @@ def test_normals_of_a_file_are_warned_of_where_they_are_taken_as_they_are() -> N
     mixed = in_memory(PointCloud(scan.positions, scan.normals * signs[:, None]))
     clock = StageClock(Progress())
     for given, is_wrong in ((in_memory(scan), False), (mixed, True)):
-        spacing = measure_spacing(given)
-        same, oriented, _ = orient_cloud(given, spacing, "file", UNKNOWN, clock, has_normals=True)
+        scale = LocalScale.uniform(measure_spacing(given))
+        same, oriented, _ = orient_cloud(given, scale, "file", UNKNOWN, clock, has_normals=True)
         assert same is given
         assert ["contradict" in warning for warning in oriented.warnings] == [True] * is_wrong
 

@@ -12,6 +12,7 @@ from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
 from hpcapp.applications.surface.normals.reading import read_scan
 from hpcapp.applications.surface.normals.sensor import Sensor
+from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.applications.surface.types.reading import Reading
 from hpcapp.geometry.points import FloatArray, PointCloud
 
@@ -79,7 +80,8 @@ def test_a_folder_gives_the_reading_of_memory(tmp_path: Path) -> None:
     dome = ball(20_000)
     dome = dome[dome[:, 2] > -0.3]
     points = PointCloud(dome, dome)
-    whole = read_scan(MemoryPass(arrange_cloud(points)), 0.02, Sensor(), is_upright=False)
+    given = LocalScale.uniform(0.02), Sensor(), False
+    whole = read_scan(MemoryPass(arrange_cloud(points)), *given)
     there = in_folder(points, tmp_path, alone(1_500))
     assert len(there.cloud.parts) > 3
-    assert read_scan(there, 0.02, Sensor(), is_upright=False) == whole
+    assert read_scan(there, *given) == whole
