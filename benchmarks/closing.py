@@ -25,16 +25,9 @@ from hpcapp.applications.surface.types.reading import Reading
 from hpcapp.geometry.points import BoolArray, FloatArray
 
 _DAMPING = 0.1  # of the coefficients, each divided by the spread of what it is of
-_ROUNDS = 50
 _FOLDS = 10  # each of them is judged by what the others fit
 _BINS = (0.5, 0.7, 0.9, 0.97, 0.99, 1.0)
-_NAMES = (
-    "1",
-    "log odds of the unsupported share",
-    "missing",
-    "missing, drawn",
-    "from among the points",
-)
+_NAMES = ("1", "log odds of the unsupported share", "missing", "missing and drawn", "amid")
 
 
 def collect(rows: Path, folders: list[Path]) -> list[dict[str, Any]]:
@@ -47,13 +40,11 @@ def collect(rows: Path, folders: list[Path]) -> list[dict[str, Any]]:
             if scan in done:
                 continue
             told = command("hpcapp", "reconstruct", scan, "-o", f"{rows}.ply", "--json")
-            row: dict[str, Any] = {"scan": scan, "group": entry["group"], "closed": entry["closed"]}
-            if told.returncode == 0:
-                report = json.loads(told.stdout)
-                row |= {key: report.get(key) for key in ("reading", "unsupported", "open")}
-            known.append(row)
+            report = json.loads(told.stdout) if told.returncode == 0 else {}
+            row = {key: entry[key] for key in ("group", "closed")} | {"scan": scan}
+            known.append(row | {key: report.get(key) for key in ("reading", "unsupported")})
             with rows.open("a") as file:
-                file.write(json.dumps(row) + "\n")
+                file.write(json.dumps(known[-1]) + "\n")
     return known
 
 
@@ -67,7 +58,7 @@ def fit(features: FloatArray, is_open: BoolArray) -> FloatArray:
     scale = np.array([1.0, *features[:, 1:].std(axis=0)])
     scaled, coefficients = features / scale, np.zeros(len(scale))
     damping = _DAMPING * np.diag([1e-6, *np.ones(len(scale) - 1)])
-    for _ in range(_ROUNDS):
+    for _ in range(50):
         likely = tell(scaled, coefficients)
         slope = scaled.T @ (is_open - likely) - damping @ coefficients
         curve = (scaled.T * (likely * (1.0 - likely))) @ scaled + damping
@@ -92,11 +83,11 @@ def is_told(row: dict[str, Any]) -> bool:
 def main() -> None:
     """Collect, fit, judge, and write what came of it."""
     rows = collect(Path(sys.argv[1]), [Path(folder) for folder in sys.argv[2:]])
-    rows = [row for row in rows if "reading" in row and is_told(row)]
-    measured = [
-        measure_opening(Reading.of_json(row["reading"]), row["unsupported"]) for row in rows
-    ]
-    features, truth = np.array(measured), np.array([not row["closed"] for row in rows])
+    rows = [row for row in rows if row["reading"] and is_told(row)]
+    readings = [Reading.of_json(row["reading"]) for row in rows]
+    shares = [row["unsupported"] for row in rows]
+    features = np.array([*map(measure_opening, readings, shares)])
+    truth = np.array([not row["closed"] for row in rows])
     folds = np.arange(len(truth)) % _FOLDS
     coefficients, left_out = fit(features, truth), np.zeros(len(truth))
     for fold in range(_FOLDS):
@@ -107,7 +98,7 @@ def main() -> None:
     counts = [np.bincount(bins[kept], minlength=len(_BINS) - 1) for kept in (bins >= 0, is_right)]
     report = {
         "title": "Open or closed: said how surely, right how often, on scans that were left out",
-        "machine": "any: it does not matter",
+        "machine": "any",
         "commit": command("git", "rev-parse", "--short", "HEAD").stdout.strip(),
         "command": "benchmarks/closing.py ROWS DIR...",
         "columns": ["from", "to", "scans", "right"],

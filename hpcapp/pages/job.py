@@ -119,7 +119,7 @@ def _describe_reading(reading: Mapping[str, object]) -> dict[str, object]:
         or "none"
         for name in ("rivals", "because")
     }
-    rows = {say_name(name): _readable(v, name) for name, v in (reading | told).items()}
+    rows = {say_name(name): _readable(v, name) for name, v in {**reading, **told}.items()}
     return {f"reading: {name}": value for name, value in rows.items()}
 
 

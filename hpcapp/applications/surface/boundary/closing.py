@@ -11,7 +11,7 @@ import numpy as np
 
 from hpcapp.applications.surface.types.reading import Reading
 
-COEFFICIENTS = (-1.22, 1.52, 5.1, -5.78, 11.5)
+COEFFICIENTS = (-1.28, 1.58, 4.83, -5.42, 11.7)
 """Of 1, the log odds of the unsupported share, the length of what is missing, that times how far
 the border draws together, and 1 where places among the points saw it: ``benchmarks/closing.py``."""
 
