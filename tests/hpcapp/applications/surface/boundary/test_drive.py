@@ -100,7 +100,7 @@ def test_an_object_stays_closed_to_the_last_byte() -> None:
 
 
 def test_a_view_is_open_with_one_clean_boundary() -> None:
-    mesh, found = open_mesh(cap(), OpeningSettings("auto"))
+    mesh, found = open_mesh(cap(), OpeningSettings("no"))
     assert (found.boundaries, found.components) == (1, 1)
     spacing = np.sqrt(4.0 * np.pi / 12_000)
     assert np.abs(np.linalg.norm(mesh.vertices, axis=1) - 1.0).max() < spacing
