@@ -395,7 +395,7 @@ def _wrap(
     report = describe_outcome(settings, loaded, outcome, topology, carrying) | facts
     report["stages"] = dict(clock.seconds)
     kept = loaded.cloud if loaded.cloud.is_here else None  # a folder of points goes with the job
-    return wrap_mesh(mesh, JobRecord(source, kept, report), topology, carrying.crs)
+    return wrap_mesh(mesh, JobRecord(source, kept, report), topology, carrying.crs, report["up"])
 
 
 def _choose_verification(given: object, verify: float | None) -> Verification:

@@ -193,6 +193,11 @@ class PointSource:
         return Crs(self.crs, self.unit, self.height_unit)
 
     @property
+    def is_upright(self) -> bool:
+        """Whether z is known to point up."""
+        return self.is_flown or self.is_projected or bool(self.frame.text)
+
+    @property
     def up(self) -> str:
         """Which way is up, and why: ``z (flown)``, ``unknown``."""
         if self.upright is not None:

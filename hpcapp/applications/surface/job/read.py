@@ -70,6 +70,7 @@ def _read_into_memory(settings: JobSettings, source: PointSource, clock: StageCl
         dropped=dropped,
         is_oriented=source.oriented,
         sensor=_find_sensor(settings, source),
+        is_upright=source.is_upright,
         crs=source.frame,
         findings=source.findings,
     )
@@ -123,6 +124,7 @@ def _read_into_folder(
         source.has_normals,
         source.oriented,
         _find_sensor(settings, source),
+        source.is_upright,
         source.frame,
         source.findings,
     )

@@ -14,7 +14,7 @@ import numpy as np
 from hpcapp.applications.surface.cloud.cloud_pass import PassT
 from hpcapp.applications.surface.cloud.measure import draw_places
 from hpcapp.applications.surface.normals import estimation, patches
-from hpcapp.applications.surface.normals.orientation import SURE, Doubt, orient_patches
+from hpcapp.applications.surface.normals.orientation import SURE, Doubt, Verdict, orient_patches
 from hpcapp.applications.surface.normals.oriented import Oriented, Unsure
 from hpcapp.applications.surface.normals.patterns import CONFIDENCE_BINS
 from hpcapp.applications.surface.normals.sensor import Sensor
@@ -34,7 +34,7 @@ def orient_normals(
     *,
     keeps: bool,
     attribute: str | None = None,
-) -> tuple[PassT, Oriented]:
+) -> tuple[PassT, Oriented, Verdict | None]:
     """Give points normals that are on one side.
 
     Parameters
@@ -55,6 +55,8 @@ def orient_normals(
         Through points with unit normals.
     oriented : Oriented
         As of estimated ones; `flipped` are those that are the opposites of what they were.
+    verdict : Verdict or None
+        How the scan was seen, where that has told the sides.
 
     Raises
     ------
@@ -95,7 +97,8 @@ def orient_normals(
     confidences = np.sum([binned for _, binned, *_ in results], axis=0)
     sure = float(confidences[round(SURE * CONFIDENCE_BINS) :].sum()) / len(cloud)
     doubt = None if oriented.doubt is None else _tell_doubt(oriented.doubt, cloud.origin, upright)
-    return cloud_pass, Oriented("estimated", sure, flipped, how=oriented.how, doubt=doubt)
+    found_sides = Oriented("estimated", sure, flipped, how=oriented.how, doubt=doubt)
+    return cloud_pass, found_sides, oriented.verdict
 
 
 def _tell_doubt(doubt: Doubt, origin: FloatArray, upright: FloatArray | None) -> Unsure:

@@ -57,7 +57,7 @@ class Likelihood:
     ----------
     power : float
         Of the cost.
-    inside, amid, side, zero, flown, places : float
+    inside, amid, side, sensor, flown, places : float
         How much more common such scans are than those from all around; of what the file tells,
         how far it is believed.
     among, evenness : float
@@ -75,7 +75,7 @@ class Likelihood:
     power: float
     inside: float
     amid: float
-    zero: float
+    sensor: float
     flown: float
     places: float
     side: float
@@ -122,7 +122,7 @@ class Likelihood:
 
 
 FITTED = Likelihood(
-    power=2.64, inside=-4.05, amid=-3.82, zero=-5.82, flown=5.72, places=4.33, side=-4.21,
+    power=2.64, inside=-4.05, amid=-3.82, sensor=-5.82, flown=5.72, places=4.33, side=-4.21,
     among=5.0, evenness=9.05, facing=3.16, z_up=2.77, y_up=-1.14, y_down=1.34, held=4.35,
     tangle=43.6,
 )  # fmt: skip

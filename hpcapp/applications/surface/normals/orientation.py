@@ -9,6 +9,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from hpcapp.applications.surface.kernels import integrate_normals, sample_grid
@@ -19,9 +21,11 @@ from hpcapp.applications.surface.normals.readings import (
     Followed,
     Hypothesis,
     follow,
+    weigh_given,
     weigh_readings,
 )
 from hpcapp.applications.surface.normals.sensor import Sensor
+from hpcapp.applications.surface.types.reading import Measurement
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 from hpccomponent.dataclass import dataclass
 
@@ -36,6 +40,35 @@ _NODES = 128
 _PADDING = 1.3
 _ROUNDS = 12
 _SETTLED = 1e-3  # share of patches that still change sides
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """How a scan was seen.
+
+    Parameters
+    ----------
+    kind : str
+        See `types.reading.Reading`.
+    certainty : float
+        Its probability, 0 to 1, with all readings that give the same sides.
+    rivals : tuple of (str, float)
+        Other readings, and the probability of each; the likeliest first.
+    because : tuple of Measurement
+    """
+
+    kind: str
+    certainty: float = 1.0
+    rivals: tuple[tuple[str, float], ...] = ()
+    because: tuple[Measurement, ...] = ()
+
+    @classmethod
+    def of(cls, weighed: Sequence[Followed], certainty: float) -> Verdict:
+        """Return it by what was weighed, of which the first is believed."""
+        best, *others = weighed
+        rivals = sorted(((one.hypothesis.name, one.share) for one in others), key=_second)
+        because = Measurement("cost of the reading", best.features.cost, "of the area")
+        return cls(best.hypothesis.name, certainty, tuple(rivals[-3:][::-1]), (because,))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,20 +101,14 @@ class Orientation:
         Where the evidence comes from, for people.
     doubt : Doubt or None
         Where a user has told, nothing more can be told.
-    kind : str
-        Of the hypothesis that was believed; ``told`` where a user has told.
-    certainty : float
-        Probability of the sides, 0 to 1: the mean over the area.
-    rivals : tuple
-        The other readings that were weighed: their names, and how probable each is.
+    verdict : Verdict or None
+        None where a user has told places, among the points or around them.
     """
 
     sides: Sides
     how: str
     doubt: Doubt | None
-    kind: str = "told"
-    certainty: float = 1.0
-    rivals: tuple[tuple[str, float], ...] = ()
+    verdict: Verdict | None
 
 
 def orient_patches(
@@ -129,7 +156,8 @@ def orient_patches(
         followed = None if evidence.is_sensed else follow(linked, evidence)
         sides = _settle(patches, linked, spacing, evidence, followed, threads)
         values = np.clip(sides, -1.0, 1.0).astype(np.float32)
-        return Orientation(Sides(patches.keys, patches.ranks, values), evidence.how, None)
+        told = None if sensor.kind == "places" else Verdict(sensor.kind)
+        return Orientation(Sides(patches.keys, patches.ranks, values), evidence.how, None, told)
     weighed = weigh_readings(patches, linked, spacing, zero, sensor, threads)
     best, evidence = weighed[0], weighed[0].hypothesis.evidence
     followed = None if evidence.is_sensed else best.sides
@@ -143,14 +171,22 @@ def orient_patches(
     certainty = np.clip(odds / _ODDS, _LEAST, 1.0)  # above 0, or the sides would be lost
     values = np.clip(sides, -certainty, certainty).astype(np.float32)
     doubt = _find_doubt(patches, linked, np.abs(values) < SURE, weighed, turns)
-    return Orientation(
-        Sides(patches.keys, patches.ranks, values),
-        evidence.how,
-        doubt,
-        best.hypothesis.kind,
-        float(np.average(right, weights=areas_of(patches))),
-        tuple((one.hypothesis.name, one.share) for one in weighed[1:]),
-    )
+    verdict = Verdict.of(weighed, float(np.average(right, weights=areas_of(patches))))
+    return Orientation(Sides(patches.keys, patches.ranks, values), evidence.how, doubt, verdict)
+
+
+def read_given(
+    patches: Patches, spacing: float, zero: FloatArray, sensor: Sensor, threads: int = 1
+) -> Verdict:
+    """Tell how a scan was seen whose patches have their sides; as for `orient_patches`."""
+    if sensor.is_told and sensor.kind not in ("unknown", "places"):
+        return Verdict(sensor.kind)
+    weighed = weigh_given(patches, spacing, zero, sensor, threads)
+    return Verdict.of(weighed, weighed[0].share)
+
+
+def _second(pair: tuple[str, float]) -> float:
+    return pair[1]
 
 
 def _find_doubt(

@@ -16,6 +16,7 @@ of that are one fit to scans whose truth is known (`likelihood`).
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 
@@ -35,7 +36,7 @@ from hpcapp.applications.surface.normals.likelihood import (
     Likelihood,
 )
 from hpcapp.applications.surface.normals.linked import LinkedPatches
-from hpcapp.applications.surface.normals.patches import Patches
+from hpcapp.applications.surface.normals.patches import Links, Patches
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.normals.stand import Density
 from hpcapp.geometry.points import BoolArray, FloatArray
@@ -61,7 +62,7 @@ class Hypothesis:
     Parameters
     ----------
     kind : str
-        ``outside``, ``inside``, ``amid``, ``side``, ``zero``: a sensor at (0, 0, 0), or what the
+        ``outside``, ``inside``, ``amid``, ``side``, ``sensor``: a sensor at (0, 0, 0), or what the
         file tells: ``flown``, ``places``.
     name : str
         The kind, or the axes of a side: ``above``, ``below``, ``+y-z``.
@@ -173,19 +174,38 @@ def weigh_readings(
             break
         found.append(follow_reading(patches, linked, hypotheses[row]))
         best = max(best, likelihood.odds(found[-1].features))
-    shares = likelihood.find_shares(
-        [one.features for one in found], linked.share_broken(found[0].sides)
-    )
-    weighed = [
-        Followed(one.hypothesis, one.sides, one.features, share)
-        for one, share in zip(found, shares.tolist(), strict=True)
-    ]
+    weighed = _share(found, linked.share_broken(found[0].sides), likelihood)
     # (r, p): readings that agree on a side speak for it together.
     turned = np.array([one.sides < 0.0 for one in weighed])
     areas = areas_of(patches)
+    shares = np.array([one.share for one in weighed])
     agreed = [float(areas @ (shares @ (turned == mine))) for mine in turned]
     first = weighed[int(np.argmax(agreed))]
     return [first, *(one for one in weighed if one is not first)]
+
+
+def weigh_given(
+    patches: Patches,
+    spacing: float,
+    zero: FloatArray,
+    sensor: Sensor,
+    threads: int = 1,
+    likelihood: Likelihood = FITTED,
+) -> list[Followed]:
+    """Weigh what a cloud may be whose patches have their sides; as for `weigh_readings`."""
+    none, sides = np.empty(0, np.int64), np.ones(len(patches))
+    linked = LinkedPatches(patches, Links(none, none, none, np.empty((0, 3), np.int64)))
+    found = [
+        Followed(one, sides, one.measure(patches, sides < 0.0))
+        for one in find_readings(patches, linked, spacing, zero, sensor, threads)
+    ]
+    return sorted(_share(found, 0.0, likelihood), key=lambda one: -one.share)
+
+
+def _share(found: list[Followed], broken: float, likelihood: Likelihood) -> list[Followed]:
+    """Return the same with the probability of each, where sides break a share of the links."""
+    shares = likelihood.find_shares([one.features for one in found], broken)
+    return [replace(one, share=share) for one, share in zip(found, shares.tolist(), strict=True)]
 
 
 def find_readings(
@@ -242,8 +262,8 @@ def _ask_sensor(
         places = zero + reach * _SWAY
         views = Views.of(patches, places, len(places), spacing, threads)
         seen = face_along(patches, zero - patches.centres, "from a sensor at (0, 0, 0)")
-        known = Features("zero", evenness=density.favour(patches, zero[None]))
-        found.append(Hypothesis("zero", "zero", views, seen, 0.0, known, zero))
+        known = Features("sensor", evenness=density.favour(patches, zero[None]))
+        found.append(Hypothesis("sensor", "sensor", views, seen, 0.0, known, zero))
     if sensor.kind in ("above", "below"):
         sign = 1.0 if sensor.kind == "above" else -1.0
         side = np.array([0.0, 0.0, sign])
