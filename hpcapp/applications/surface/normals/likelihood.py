@@ -57,7 +57,7 @@ class Likelihood:
     ----------
     power : float
         Of the cost.
-    inside, amid, side, sensor, flown, places : float
+    around, inside, amid, side, sensor, flown, places : float
         How much more common such scans are than those from all around; of what the file tells,
         how far it is believed.
     among, evenness : float
@@ -73,6 +73,7 @@ class Likelihood:
     """
 
     power: float
+    around: float
     inside: float
     amid: float
     sensor: float
@@ -122,7 +123,7 @@ class Likelihood:
 
 
 FITTED = Likelihood(
-    power=2.35, inside=-3.89, amid=-5.73, sensor=-5.64, flown=4.56, places=4.01, side=-3.98,
+    power=2.35, around=-4.0, inside=-3.89, amid=-5.73, sensor=-5.64, flown=4.56, places=4.01, side=-3.98,
     among=6.86, evenness=12.2, facing=3.23, z_up=2.29, y_up=-1.03, y_down=1.04, held=5.48,
     tangle=138.0,
 )  # fmt: skip
