@@ -26,6 +26,7 @@ from hpcapp.applications.surface.normals.evidence import (
     Views,
     areas_of,
     face_along,
+    look_from,
     look_outside,
     share_of,
 )
@@ -275,8 +276,7 @@ def _ask_sensor(
             Hypothesis("flown", sensor.kind, views, seen, unseen, known, place, sensor.kind)
         )
     if sensor.places is not None:
-        views = Views.of(patches, sensor.places + zero, len(sensor.places), spacing, threads)
-        seen = views.evidence(f"from where the {sensor.noun}", is_sensed=True)
+        views, seen = look_from(patches, sensor, spacing, zero, threads)
         place = sensor.places[0] + zero
         found.append(Hypothesis("places", "places", views, seen, 0.0, Features("places"), place))
     return found
