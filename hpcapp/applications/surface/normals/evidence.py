@@ -12,7 +12,7 @@ import numpy as np
 
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.kernels import WHOLE
-from hpcapp.applications.surface.normals.inside import AMID, INSIDE, TIGHT, find_inside
+from hpcapp.applications.surface.normals.inside import AMID, INSIDE, TIGHT, Places, find_inside
 from hpcapp.applications.surface.normals.patches import CELL, Patches
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.normals.visibility import look, surround
@@ -102,11 +102,22 @@ class Views:
         return cls(front / WHOLE, back / WHOLE, _CLEAR * viewpoints, is_hidden)
 
     @classmethod
-    def inside(
-        cls, patches: Patches, places: FloatArray, spacing: float, threads: int = 1
-    ) -> Views:
-        """Look from places inside, of which a patch is seen from a few."""
-        return cls.of(patches, places, min(len(places), _FEW), spacing, threads)
+    def inside(cls, patches: Patches, places: Places, spacing: float, threads: int = 1) -> Views:
+        """Look from places inside, of which a patch is seen from a few: from each as far as it
+        reaches.
+        """
+        front, back = np.zeros((2, len(patches)))
+        is_hidden = np.ones(len(patches), np.bool_)
+        viewpoints = min(len(places), _FEW)
+        for start in range(0, len(places), _AT_ONCE):
+            some = places.every[start : start + _AT_ONCE]
+            low, high = some.min(axis=0) - places.reach, some.max(axis=0) + places.reach
+            rows = np.flatnonzero(((patches.centres > low) & (patches.centres < high)).all(axis=1))
+            near = cls.of(patches.take(rows), some, viewpoints, spacing, threads)
+            front[rows] += near.front
+            back[rows] += near.back
+            is_hidden[rows] &= near.is_hidden
+        return cls(front, back, _CLEAR * viewpoints, is_hidden)
 
     @property
     def is_alike(self) -> BoolArray:

@@ -231,11 +231,11 @@ def find_readings(
         if len(places):
             how = "from inside" if kind == "inside" else "from amid the points"
             views = Views.inside(patches, places, spacing, threads)
-            known = Features(kind, evenness=density.favour(patches, places))
+            known = Features(kind, evenness=density.favour(patches, places.every))
             unseen = share_of(patches, views.is_hidden)
             seen = views.evidence(how)
             # Inside is a word of its own.
-            place = None if kind == "inside" else places[0]
+            place = None if kind == "inside" else places.emptiest[0]
             found.append(Hypothesis(kind, kind, views, seen, unseen, known, place))
     return found + _ask_sensor(patches, outside, spacing, zero, sensor, density, threads)
 
