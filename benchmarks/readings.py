@@ -22,7 +22,7 @@ import re
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import astuple, dataclass, fields
+from dataclasses import asdict, astuple, dataclass, fields
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -242,15 +242,16 @@ def main() -> None:
     numbers = np.array(astuple(FITTED)) if asked.judge else table.fit()
     sure, is_right = table.decide(numbers)[:2] if asked.judge else cross_validate(table)
     reliability = tabulate(sure, is_right)
-    notes = [f"{name}: {value:.3g}" for name, value in zip(_NAMES, numbers, strict=True)]
-    told = zip(rows, sure, is_right, strict=True)
-    wrong = [f"wrong: {row[0]}, {share:.2f}" for row, share, right in told if not right]
-    print(*notes, *wrong, *reliability, f"{is_right.sum()} of {len(rows)} right", sep="\n")
+    fitted = Likelihood(*(float(f"{number:.3g}") for number in numbers))
+    wrong = [f"wrong: {rows[row][0]}, {sure[row]:.2f}" for row in np.flatnonzero(~is_right)]
+    counts = " | ".join(f"{right} of {worlds}" for _, _, worlds, right in reliability)
+    print(*wrong, fitted, f"| {counts} |", f"{is_right.sum()} of {len(rows)} right", sep="\n")
     if asked.output is None or asked.judge:
         return
     script = f"benchmarks/readings.py --seeds {asked.seeds} --count {asked.count} -o FOLDER"
     title = "Sides of random worlds: said how surely, right how often, on those left out of the fit"
     columns = ["from", "to", "worlds", "right"]
+    notes = [f"{name}: {number}" for name, number in asdict(fitted).items()]
     write(asked.output, "readings", title, columns, reliability, script, notes)
     likely = [drop_unlikely(*one) for one in zip(rows, table.odds(numbers), strict=True)]
     lines = [json.dumps(row, separators=(",", ":")) + "\n" for row in likely]

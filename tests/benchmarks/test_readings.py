@@ -46,13 +46,13 @@ def test_the_fit_weighs_readings_as_a_job_does() -> None:
 
 
 def test_what_is_said_is_right_as_often_as_it_says() -> None:
-    """Of worlds that had no say in the fit, where sides are nine times of ten right or more."""
+    """Of worlds that had no say in the fit, where it says nine times of ten or more."""
     for low, _, worlds, right in RECORD["rows"]:
         assert low < 0.9 or right >= (low - 0.02) * worlds - 1.0
 
 
 def test_the_page_tells_how_often_it_is_right() -> None:
-    told = " | ".join(f"{right} of {worlds}" for _, _, worlds, right in RECORD["rows"] if worlds)
+    told = " | ".join(f"{right} of {worlds}" for _, _, worlds, right in RECORD["rows"])
     assert f"| {told} |" in PAGE.read_text(encoding="utf-8")
 
 
