@@ -103,9 +103,7 @@ class Views:
 
     @classmethod
     def inside(cls, patches: Patches, places: Places, spacing: float, threads: int = 1) -> Views:
-        """Look from places inside, of which a patch is seen from a few: from each as far as it
-        reaches.
-        """
+        """Look from places inside, as far as they reach; a patch is seen from a few of them."""
         front, back = np.zeros((2, len(patches)))
         is_hidden = np.ones(len(patches), np.bool_)
         viewpoints = min(len(places), _FEW)

@@ -122,7 +122,7 @@ class Likelihood:
 
 
 FITTED = Likelihood(
-    power=2.64, inside=-4.05, amid=-3.82, sensor=-5.82, flown=5.72, places=4.33, side=-4.21,
-    among=5.0, evenness=9.05, facing=3.16, z_up=2.77, y_up=-1.14, y_down=1.34, held=4.35,
-    tangle=43.6,
+    power=2.35, inside=-3.89, amid=-5.73, sensor=-5.64, flown=4.56, places=4.01, side=-3.98,
+    among=6.86, evenness=12.2, facing=3.23, z_up=2.29, y_up=-1.03, y_down=1.04, held=5.48,
+    tangle=138.0,
 )  # fmt: skip

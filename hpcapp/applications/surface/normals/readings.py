@@ -227,16 +227,19 @@ def find_readings(
     density = Density.of(patches, spacing)
     shares = (INSIDE, *AMID)
     among = find_inside(patches, spacing, AMPLE, threads, shares)
+    seen_from = np.empty((0, 3))
     for kind, places in zip(("inside", "amid", "amid"), among, strict=True):
-        if len(places):
-            how = "from inside" if kind == "inside" else "from amid the points"
-            views = Views.inside(patches, places, spacing, threads)
-            known = Features(kind, evenness=density.favour(patches, places.every))
-            unseen = share_of(patches, views.is_hidden)
-            seen = views.evidence(how)
-            # Inside is a word of its own.
-            place = None if kind == "inside" else places.emptiest[0]
-            found.append(Hypothesis(kind, kind, views, seen, unseen, known, place))
+        # Where fewer blocked directions add no place, that is no other reading.
+        if not len(places) or np.array_equal(places.every, seen_from):
+            continue
+        seen_from = places.every
+        how = "from inside" if kind == "inside" else "from amid the points"
+        views = Views.inside(patches, places, spacing, threads)
+        known = Features(kind, evenness=density.favour(patches, places.every))
+        unseen = share_of(patches, views.is_hidden)
+        # Inside is a word of its own.
+        place = None if kind == "inside" else places.emptiest[0]
+        found.append(Hypothesis(kind, kind, views, views.evidence(how), unseen, known, place))
     return found + _ask_sensor(patches, outside, spacing, zero, sensor, density, threads)
 
 
