@@ -9,8 +9,8 @@ sides. The fit is the maximum of the likelihood that a right one is true, or non
 right, with a little damping; five times without a fifth of the worlds, on which it then shows how
 often is right what is said (`readings.json`). ``--judge`` shows that of `FITTED` on other seeds.
 `tests/benchmarks/test_readings.py` decides the worlds of the fit again, of which
-`readings-worlds.jsonl` has the readings that may be true. A world in the file of ``--rows`` is not
-made again.
+`readings-worlds.jsonl` has the readings that may be true. Worlds in the file of ``--rows`` are not
+measured again: it is of one state of the code.
 """
 
 from __future__ import annotations
