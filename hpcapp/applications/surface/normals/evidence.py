@@ -144,8 +144,8 @@ def share_of(patches: Patches, chosen: BoolArray) -> float:
     return float(areas[chosen].sum() / areas.sum())
 
 
-def face_along(patches: Patches, rays: FloatArray, how: str) -> Evidence:
-    """Return the evidence that all was seen along some rays, which lead back to the sensor.
+def face_along(patches: Patches, rays: FloatArray, how: str) -> tuple[Views, Evidence]:
+    """Return what is seen along some rays, which lead back to the sensor, and that as evidence.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def face_along(patches: Patches, rays: FloatArray, how: str) -> Evidence:
     along = (patches.normals * rays).sum(axis=1) / lengths
     shown = np.maximum(along, 0.0), np.maximum(-along, 0.0)
     views = Views(*shown, _CLEAR, np.zeros(len(patches), np.bool_))
-    return views.evidence(how, is_sensed=True)
+    return views, views.evidence(how, is_sensed=True)
 
 
 def hear_user(
@@ -202,7 +202,7 @@ def hear_user(
         return Views.inside(patches, places, spacing, threads).evidence("from inside")
     if sensor.kind in ("above", "below"):
         sign = 1.0 if sensor.kind == "above" else -1.0
-        return face_along(patches, np.array([0.0, 0.0, sign]), f"from {sensor.kind}")
+        return face_along(patches, np.array([0.0, 0.0, sign]), f"from {sensor.kind}")[1]
     if sensor.places is None:
         outside = look_outside(patches, components, spacing, threads)
         return outside.toggled.evidence("from outside")

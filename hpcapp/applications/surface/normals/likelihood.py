@@ -57,7 +57,7 @@ class Likelihood:
     ----------
     power : float
         Of the cost.
-    inside, amid, side, sensor, flown, places : float
+    around, inside, amid, side, sensor, flown, places : float
         How much more common such scans are than those from all around; of what the file tells,
         how far it is believed.
     among, evenness : float
@@ -73,6 +73,7 @@ class Likelihood:
     """
 
     power: float
+    around: float
     inside: float
     amid: float
     sensor: float
@@ -122,7 +123,7 @@ class Likelihood:
 
 
 FITTED = Likelihood(
-    power=2.35, inside=-3.89, amid=-5.73, sensor=-5.64, flown=4.56, places=4.01, side=-3.98,
-    among=6.86, evenness=12.2, facing=3.23, z_up=2.29, y_up=-1.03, y_down=1.04, held=5.48,
-    tangle=138.0,
+    power=2.4, around=-3.43, inside=-5.52, amid=-2.38, sensor=-2.71, flown=6.66, places=4.66,
+    side=-1.92, among=5.3, evenness=7.95, facing=2.51, z_up=1.31, y_up=-1.42, y_down=1.38,
+    held=4.8, tangle=73.3,
 )  # fmt: skip
