@@ -110,7 +110,7 @@ def follow_world(data: Path, folder: Path, name: str, entry: dict[str, Any]) -> 
 class Table:
     """Worlds (w) and the readings (r) of each, as many as that with the most has."""
 
-    linear: FloatArray  # (w, r, 9): what the first numbers of the fit are multiplied with
+    linear: FloatArray  # (w, r, n): what the first n numbers of the fit are multiplied with
     facing: FloatArray  # (w, r, 3): along each of `UPS`
     broken: FloatArray  # (w,)
     right: FloatArray  # (w, r): share of the area
