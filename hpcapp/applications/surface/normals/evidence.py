@@ -212,16 +212,11 @@ def hear_user(
 def look_from(
     patches: Patches, sensor: Sensor, spacing: float, zero: FloatArray, threads: int = 1
 ) -> tuple[Views, Evidence]:
-    """Return what a sensor sees whose places are known, and that as evidence.
-
-    From a single place, all was seen along a ray from there: nothing can hide it.
-    """
+    """Return what a sensor sees whose places are known, and that as evidence."""
     assert sensor.places is not None  # noqa: S101 - it is of that kind
-    places, how = sensor.places + zero, f"from where the {sensor.noun}"
-    if len(places) == 1:
-        return face_along(patches, places - patches.centres, how)
+    places = sensor.places + zero
     views = Views.of(patches, places, len(places), spacing, threads)
-    return views, views.evidence(how, is_sensed=True)
+    return views, views.evidence(f"from where the {sensor.noun}", is_sensed=True)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -302,8 +302,10 @@ def _look_around(patches: Patches, outside: Outside) -> list[Hypothesis]:
         rows = np.flatnonzero(np.abs(outside.directions[:, axis]) < _BELT)
         views = Views.sum(outside.cosines[rows], outside.is_seen[rows], len(rows))
         seen, unseen = views.evidence(f"from all around {name}"), share_of(patches, views.is_hidden)
-        name = f"around {name}"
-        found.append(Hypothesis("around", name, views, seen, unseen, Features("around")))
+        known = Features("around")
+        # As from outside, most of the viewpoints see what these see.
+        given = views, seen, unseen, known, None, "outside"
+        found.append(Hypothesis("around", f"around {name}", *given))
     return found
 
 
