@@ -100,7 +100,9 @@ class Links:
 
     def rotate(self, axes: FloatArray | None) -> Links:
         """Return the same along other axes; see `axes.rotate`."""
-        return replace(self, arms=np.rint(rotate(self.arms, axes)).astype(np.int64))
+        return replace(
+            self, arms=np.rint(rotate(self.arms.astype(np.float64), axes)).astype(np.int64)
+        )
 
 
 @record("surface.patch_sides")
