@@ -34,6 +34,7 @@ heights 1 to 3.3."""
 _WIDEST = 4.0  # width of an image by its distance
 _GRAZING = 0.1  # cosine: flatter slopes are known too roughly
 _EVEN = 0.5  # spread of the density of objects that were scanned from all around: .35 to .6
+_ASIDE, _LEAST_SURFACE = 3.0 * np.pi / 8.0, 0.25  # 0.25: in a corner of a sheet
 _LEAST_SPREAD = 0.05  # of densities that were counted
 
 
@@ -67,7 +68,14 @@ class Density:
         # (s,): what lies within a distance by the square of that.
         held = counts[rows] + np.append(counts, 0.0)[near].sum(axis=1)
         squares = np.clip(squares[:, -1], 1e-300, (_FARTHEST * edge) ** 2)
-        return cls(rows, np.log(held / squares))
+        # (s,): how much of each disc has surface: at a straight border, half of it, and the mean
+        # of that lies 4 / (3 pi) of the radius aside.
+        found = np.minimum(near, len(patches) - 1)
+        arms = patches.centres[found] - patches.centres[rows, None]
+        mean = np.einsum("sk,ski->si", np.append(counts, 0.0)[near], arms) / held[:, None]
+        aside = np.sqrt(np.einsum("si,si->s", mean, mean) / squares)
+        surface = np.maximum(1.0 - _ASIDE * aside, _LEAST_SURFACE)
+        return cls(rows, np.log(held / (surface * squares)))
 
     def favour(self, patches: Patches, places: FloatArray) -> float:
         """Return how much more evenly points lie as sensors in some places show them: -1 to 1.
