@@ -206,8 +206,17 @@ def hear_user(
     if sensor.places is None:
         outside = look_outside(patches, components, spacing, threads)
         return outside.toggled.evidence("from outside")
-    views = Views.of(patches, sensor.places + zero, len(sensor.places), spacing, threads)
-    return views.evidence(f"from where the {sensor.noun}", is_sensed=True)
+    return look_from(patches, sensor, spacing, zero, threads)[1]
+
+
+def look_from(
+    patches: Patches, sensor: Sensor, spacing: float, zero: FloatArray, threads: int = 1
+) -> tuple[Views, Evidence]:
+    """Return what a sensor sees whose places are known, and that as evidence."""
+    assert sensor.places is not None  # noqa: S101 - it is of that kind
+    places = sensor.places + zero
+    views = Views.of(patches, places, len(places), spacing, threads)
+    return views, views.evidence(f"from where the {sensor.noun}", is_sensed=True)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -123,7 +123,7 @@ class Likelihood:
 
 
 FITTED = Likelihood(
-    power=2.4, around=-3.43, inside=-5.52, amid=-2.38, sensor=-2.71, flown=6.66, places=4.66,
-    side=-1.92, among=5.3, evenness=7.95, facing=2.51, z_up=1.31, y_up=-1.42, y_down=1.38,
-    held=4.8, tangle=73.3,
+    power=2.39, around=-1.36, inside=-5.23, amid=-2.68, sensor=-3.05, flown=4.9, places=4.46,
+    side=-2.23, among=5.45, evenness=8.28, facing=2.57, z_up=1.19, y_up=-1.6, y_down=1.2,
+    held=4.63, tangle=44.6,
 )  # fmt: skip

@@ -26,6 +26,7 @@ from hpcapp.applications.surface.normals.evidence import (
     Views,
     areas_of,
     face_along,
+    look_from,
     look_outside,
     share_of,
 )
@@ -275,8 +276,7 @@ def _ask_sensor(
             Hypothesis("flown", sensor.kind, views, seen, unseen, known, place, sensor.kind)
         )
     if sensor.places is not None:
-        views = Views.of(patches, sensor.places + zero, len(sensor.places), spacing, threads)
-        seen = views.evidence(f"from where the {sensor.noun}", is_sensed=True)
+        views, seen = look_from(patches, sensor, spacing, zero, threads)
         place = sensor.places[0] + zero
         found.append(Hypothesis("places", "places", views, seen, 0.0, Features("places"), place))
     return found
@@ -302,8 +302,10 @@ def _look_around(patches: Patches, outside: Outside) -> list[Hypothesis]:
         rows = np.flatnonzero(np.abs(outside.directions[:, axis]) < _BELT)
         views = Views.sum(outside.cosines[rows], outside.is_seen[rows], len(rows))
         seen, unseen = views.evidence(f"from all around {name}"), share_of(patches, views.is_hidden)
-        name = f"around {name}"
-        found.append(Hypothesis("around", name, views, seen, unseen, Features("around")))
+        known = Features("around")
+        # As from outside, most of the viewpoints see what these see.
+        given = views, seen, unseen, known, None, "outside"
+        found.append(Hypothesis("around", f"around {name}", *given))
     return found
 
 
