@@ -87,18 +87,14 @@ class Hypothesis:
     place: FloatArray | None = None
     word: str = ""
 
-    def measure(self, patches: Patches, is_turned: BoolArray) -> Features:
-        """Return what counts for it with some sides."""
-        areas, views = areas_of(patches), self.views
+    def measure(self, areas: FloatArray, level: FloatArray, is_turned: BoolArray) -> Features:
+        """Return what counts for it with some sides; see `measure_level`."""
+        views = self.views
         # The area that shows its inner side, were the reading true, by how much of it is seen.
-        behind = (areas * np.where(is_turned, views.front, views.back)).sum()
-        seen = (areas * (views.front + views.back)).sum()
-        # (3,): of what lies level along each axis, how much more faces it than faces away.
-        level = np.clip((np.abs(patches.normals) - _STANDS) / (_LEVEL - _STANDS), 0.0, 1.0)
-        level *= np.sign(patches.normals) * np.where(is_turned, -1.0, 1.0)[:, None]
-        facing = areas @ level / areas.sum()
-        cost = float(behind / max(seen, 1e-300)) + self.unseen
-        return self.known.with_sides(cost, facing)
+        behind = float((areas * np.where(is_turned, views.front, views.back)).sum())
+        seen = float((areas * (views.front + views.back)).sum())
+        facing: FloatArray = np.einsum("p,pi->i", np.where(is_turned, -1.0, 1.0), level)
+        return self.known.with_sides(behind / max(seen, 1e-300) + self.unseen, facing)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,10 +123,24 @@ def follow(linked: LinkedPatches, evidence: Evidence) -> FloatArray:
     return linked.spread(weights, evidence.leanings, np.zeros(len(weights)))
 
 
+def measure_level(patches: Patches) -> FloatArray:
+    """Return how much of the area lies level along each axis, by patch; below 0 if facing down.
+
+    Returns
+    -------
+    ndarray of float64, shape (p, 3)
+    """
+    level = np.clip((np.abs(patches.normals) - _STANDS) / (_LEVEL - _STANDS), 0.0, 1.0)
+    areas = areas_of(patches)
+    found: FloatArray = level * np.sign(patches.normals) * (areas / areas.sum())[:, None]
+    return found
+
+
 def follow_reading(patches: Patches, linked: LinkedPatches, hypothesis: Hypothesis) -> Followed:
     """Return what follows of a hypothesis over the links."""
     sides = follow(linked, hypothesis.evidence)
-    return Followed(hypothesis, sides, hypothesis.measure(patches, sides < 0.0))
+    given = areas_of(patches), measure_level(patches)
+    return Followed(hypothesis, sides, hypothesis.measure(*given, sides < 0.0))
 
 
 def weigh_readings(
@@ -163,9 +173,9 @@ def weigh_readings(
     """
     hypotheses = find_readings(patches, linked, spacing, zero, sensor, threads)
     # What they come to if every patch could take the side of its own that is seen more.
+    given = areas_of(patches), measure_level(patches)
     bounds = [
-        likelihood.odds(one.measure(patches, one.views.front < one.views.back))
-        for one in hypotheses
+        likelihood.odds(one.measure(*given, one.views.front < one.views.back)) for one in hypotheses
     ]
     found: list[Followed] = []
     best = -np.inf
@@ -179,7 +189,7 @@ def weigh_readings(
     turned = np.array([one.sides < 0.0 for one in weighed])
     areas = areas_of(patches)
     shares = np.array([one.share for one in weighed])
-    agreed = [float(areas @ (shares @ (turned == mine))) for mine in turned]
+    agreed = [float((shares * ((turned == mine) * areas).sum(axis=1)).sum()) for mine in turned]
     first = weighed[int(np.argmax(agreed))]
     return [first, *(one for one in weighed if one is not first)]
 
@@ -195,8 +205,9 @@ def weigh_given(
     """Weigh what a cloud may be whose patches have their sides; as for `weigh_readings`."""
     none, sides = np.empty(0, np.int64), np.ones(len(patches))
     linked = LinkedPatches(patches, Links(none, none, none, np.empty((0, 3), np.int64)))
+    given = areas_of(patches), measure_level(patches)
     found = [
-        Followed(one, sides, one.measure(patches, sides < 0.0))
+        Followed(one, sides, one.measure(*given, sides < 0.0))
         for one in find_readings(patches, linked, spacing, zero, sensor, threads)
     ]
     return sorted(_share(found, 0.0, likelihood), key=lambda one: -one.share)

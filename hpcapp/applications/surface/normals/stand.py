@@ -88,12 +88,14 @@ class Density:
         rays = np.maximum(np.abs(slopes), _GRAZING) / squares
         rays /= rays.mean()
         areas, density = areas_of(patches)[self.rows], np.exp(self.logs - self.logs.mean())
-        counts, whole = np.full(len(places), 1.0 / len(places)), areas @ rays
+        counts, whole = np.full(len(places), 1.0 / len(places)), np.einsum("p,ps->s", areas, rays)
         for _ in range(_ROUNDS):
-            counts *= ((areas * density / (rays @ counts)) @ rays) / whole
+            expected = np.einsum("ps,s->p", rays, counts)
+            counts *= np.einsum("p,ps->s", areas * density / expected, rays) / whole
+        expected = np.einsum("ps,s->p", rays, counts)
         before, after = (
             max(_spread(logs, areas), _LEAST_SPREAD)
-            for logs in (self.logs, self.logs - np.log(rays @ counts))
+            for logs in (self.logs, self.logs - np.log(expected))
         )
         gain = float(np.clip(np.log(before / after), -1.0, 1.0))
         # Points that were thinned evenly tell nothing against several sensors; of one there is
