@@ -1,13 +1,15 @@
 #!/usr/bin/env python3
-"""Fit how probable a reading is, to random worlds whose truth is known: `likelihood.FITTED`.
+"""Fit how probable a reading is, to scans whose truth is known: `likelihood.FITTED`.
 
-    HPCAPP_DATA=DIR benchmarks/readings.py --seeds 59001,59002 --count 6 [-o FOLDER]
+    HPCAPP_DATA=DIR benchmarks/readings.py --seeds 59001,59002 --count 6 [--folders raw lines]
+        [--rows FILE] [-o FOLDER]
     HPCAPP_DATA=DIR benchmarks/readings.py --judge 59005 --count 6
 
-Of each world (see `worlds.py`), its readings are followed as a job does, and compared with the true
-sides. The fit is the maximum of the likelihood that a right one is true, or none where none is
-right, with a little damping; five times without a fifth of the worlds, on which it then shows how
-often is right what is said (`readings.json`). ``--judge`` shows that of `FITTED` on other seeds.
+Of each random world (see `worlds.py`) and scan of the folders, the readings are followed as a job
+does, and compared with the true sides. The fit is the maximum of the likelihood that a right one is
+true, or none where none is right, with a little damping; five times without a fifth of them, on
+which it then shows how often is right what is said (`readings.json`). ``--judge`` shows that of
+`FITTED` on other seeds.
 `tests/benchmarks/test_readings.py` decides the worlds of the fit again, of which
 `readings-worlds.jsonl` has the readings that may be true. Worlds in the file of ``--rows`` are not
 measured again: it is of one state of the code.
@@ -209,22 +211,28 @@ def drop_unlikely(row: Sequence[Any], odds: FloatArray) -> Row:
 
 
 def measure_worlds(data: Path, asked: argparse.Namespace) -> Iterator[Row]:
-    """Yield the rows of the worlds of some seeds, and keep them."""
+    """Yield the rows of the worlds of some seeds and of some folders, and keep them."""
     known: dict[str, list[Row | None]] = {}
     if asked.rows is not None and asked.rows.exists():
         known = dict(map(json.loads, asked.rows.read_text(encoding="utf-8").splitlines()))
-    for seed in map(int, (asked.judge or asked.seeds).split(",")):
-        for family in filter(re.compile(asked.only).search, FAMILIES):
-            key = f"{family} {seed} {asked.count}"
-            if key not in known:
-                print(key, flush=True)
-                with tempfile.TemporaryDirectory() as scratch:
-                    made = make_worlds(data, Path(scratch), family, seed, asked.count)
-                    known[key] = [follow_world(data, Path(scratch), *one) for one in made.items()]
-                if asked.rows is not None:
-                    with asked.rows.open("a", encoding="utf-8") as file:
-                        file.write(json.dumps([key, known[key]]) + "\n")
-            yield from filter(None, known[key])
+    seeds = (asked.judge or asked.seeds).split(",")
+    families = list(filter(re.compile(asked.only).search, FAMILIES))
+    drawn = [f"{family} {seed} {asked.count}" for seed in seeds for family in families]
+    for key in [*drawn, *asked.folders]:
+        if key not in known:
+            print(key, flush=True)
+            with tempfile.TemporaryDirectory() as scratch:
+                if key in drawn:
+                    folder, (family, seed, count) = Path(scratch), key.split()
+                    made = make_worlds(data, folder, family, int(seed), int(count))
+                else:
+                    folder = data / key
+                    made = json.loads((folder / "expected.json").read_text(encoding="utf-8"))
+                known[key] = [follow_world(data, folder, *one) for one in made.items()]
+            if asked.rows is not None:
+                with asked.rows.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps([key, known[key]]) + "\n")
+        yield from filter(None, known[key])
 
 
 def main() -> None:
@@ -234,6 +242,7 @@ def main() -> None:
     parser.add_argument("--judge", help="seeds on which the numbers as they stand are judged")
     parser.add_argument("--count", type=int, default=6, help="worlds of each family and seed")
     parser.add_argument("--only", default=".", help="of the families, a regular expression")
+    parser.add_argument("--folders", nargs="*", default=[], help="of more scans, as raw and lines")
     parser.add_argument("--rows", type=Path, help="file of what was measured")
     parser.add_argument("-o", "--output", type=Path, help="folder of the tables")
     asked = parser.parse_args()
@@ -248,8 +257,9 @@ def main() -> None:
     print(*wrong, fitted, f"| {counts} |", f"{is_right.sum()} of {len(rows)} right", sep="\n")
     if asked.output is None or asked.judge:
         return
-    script = f"benchmarks/readings.py --seeds {asked.seeds} --count {asked.count} -o FOLDER"
-    title = "Sides of random worlds: said how surely, right how often, on those left out of the fit"
+    words = f"--seeds {asked.seeds} --count {asked.count} --folders {' '.join(asked.folders)}"
+    script = f"benchmarks/readings.py {words} -o FOLDER"
+    title = "Sides of scans: said how surely, right how often, on those left out of the fit"
     columns = ["from", "to", "worlds", "right"]
     notes = [f"{name}: {number}" for name, number in asdict(fitted).items()]
     write(asked.output, "readings", title, columns, reliability, script, notes)

@@ -74,7 +74,7 @@ def test_a_tenth_of_a_number_changes_few_decisions(name: str) -> None:
     assert change(scale(name, 0.0))[1] > max(changed, also)
 
 
-@pytest.mark.parametrize("name", ["power", "inside", "amid", "sensor", "side", "among", "facing"])
+@pytest.mark.parametrize("name", ["power", "amid", "side", "facing"])
 def test_sides_hang_on_the_numbers(name: str) -> None:
     assert change(scale(name, 0.0))[0] > 0.01
 
