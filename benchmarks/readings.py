@@ -37,7 +37,7 @@ from worlds import FAMILIES, load_tool, make_worlds
 import hpcapp
 from hpcapp.applications.surface.normals import drive
 from hpcapp.applications.surface.normals.evidence import areas_of
-from hpcapp.applications.surface.normals.likelihood import FITTED, FLOOR, UPS, Likelihood
+from hpcapp.applications.surface.normals.likelihood import FITTED, FLOOR, SENSED, UPS, Likelihood
 from hpcapp.applications.surface.normals.linked import LinkedPatches
 from hpcapp.applications.surface.normals.readings import find_readings, follow_reading
 from hpcapp.geometry.axes import rotate
@@ -51,7 +51,7 @@ _DAMPING = 0.01  # of the squares of the numbers
 _LOOSE = {"power": 0.0, "held": 0.001, "tangle": 0.001}  # of that, for those that are large
 _LIKELY = 5.0  # logarithm of the odds: readings that fall behind the best by more are left out
 _NAMES = [field.name for field in fields(Likelihood)]
-_START = {"power": 2.0, "facing": 3.0, "held": 3.0, "tangle": 20.0}
+_START = {"around": FITTED.around, "power": 2.0, "facing": 3.0, "held": 3.0, "tangle": 20.0}
 _LINEAR = _NAMES.index("facing")
 
 
@@ -118,6 +118,7 @@ class Table:
     right: FloatArray  # (w, r): share of the area
     agree: FloatArray  # (w, r, r): share of the area
     exists: BoolArray  # (w, r)
+    sensed: BoolArray  # (w, r): whether its kind is of `SENSED`
 
     @classmethod
     def of(cls, rows: Sequence[Sequence[Any]]) -> Table:
@@ -125,21 +126,23 @@ class Table:
         shape = len(rows), max(len(row[2]) for row in rows)
         linear, facing = np.zeros((*shape, _LINEAR)), np.zeros((*shape, len(UPS)))
         right, agree = np.zeros(shape), np.zeros((*shape, shape[1]))
-        exists = np.zeros(shape, np.bool_)
+        exists, sensed = np.zeros((2, *shape), np.bool_)
         for world, (_, _, readings, shares) in enumerate(rows):
             count = len(readings)
             agree[world, :count, :count] = np.array(shares) / 100.0
             exists[world, :count] = True
             for place, (kind, cost, evenness, *along, share) in enumerate(readings):
+                sensed[world, place] = kind in SENSED
                 row = linear[world, place]
                 row[0] = -np.log(FLOOR + cost)
                 if kind != "outside":
                     row[_NAMES.index(kind)] = 1.0
-                among = "among" if kind in ("inside", "amid") else "evenness"
+                among = "among" if kind == "amid" else "evenness"
                 row[_NAMES.index(among)] = evenness
                 facing[world, place] = [sign * along[axis] for axis, sign in UPS]
                 right[world, place] = share
-        return cls(linear, facing, np.array([row[1] for row in rows]), right, agree, exists)
+        broken = np.array([row[1] for row in rows])
+        return cls(linear, facing, broken, right, agree, exists, sensed)
 
     def take(self, rows: Any) -> Table:
         """Return some of the worlds."""
@@ -147,8 +150,8 @@ class Table:
 
     def odds(self, numbers: FloatArray) -> FloatArray:
         """Return the logarithms of the odds of all readings."""
-        facing, z_up, y_up, y_down, _, _ = numbers[_LINEAR:]
-        ups = np.exp(np.array([z_up, y_up, y_down]) + facing * self.facing)
+        facing, z_up, y_up, _, _ = numbers[_LINEAR:]
+        ups = np.exp(np.array([z_up, y_up, y_up]) + facing * self.facing)
         odds = self.linear @ numbers[:_LINEAR] + np.log1p(ups.sum(axis=-1))
         return np.where(self.exists, odds, -np.inf)
 
@@ -157,7 +160,8 @@ class Table:
         odds = self.odds(numbers)
         shares = np.exp(odds - odds.max(axis=1, keepdims=True))
         held = 1.0 / (1.0 + np.exp(numbers[-1] * self.broken - numbers[-2]))
-        found: FloatArray = held[:, None] * shares / shares.sum(axis=1, keepdims=True)
+        held = np.where(self.sensed, 1.0, held[:, None])
+        found: FloatArray = held * shares / shares.sum(axis=1, keepdims=True)
         return found
 
     def decide(self, numbers: FloatArray) -> tuple[FloatArray, BoolArray, IntArray]:
@@ -181,7 +185,9 @@ class Table:
             return float(damping @ numbers**2 - np.log(np.maximum(true, 1e-9)).sum())
 
         start = np.array([_START.get(name, 0.0) for name in _NAMES])
-        found: FloatArray = minimize(lose, start, method="L-BFGS-B").x
+        free = dict.fromkeys(_NAMES, (None, None)) | {"around": (FITTED.around,) * 2}
+        bounds = list(free.values())
+        found: FloatArray = minimize(lose, start, method="L-BFGS-B", bounds=bounds).x
         return found
 
 

@@ -18,6 +18,8 @@ from hpccomponent.dataclass import dataclass
 
 FLOOR = 0.005
 """Least cost: the share of the area that edges and noise show from behind where all is right."""
+SENSED = "sensor", "flown", "places"
+"""Kinds whose sensor is known, so that its rays are."""
 UPS = (2, 1.0), (1, 1.0), (1, -1.0)
 """Axes that may point up, and their signs: z of maps, y of many programs, -y of cameras."""
 
@@ -57,16 +59,17 @@ class Likelihood:
     ----------
     power : float
         Of the cost.
-    around, inside, amid, side, sensor, flown, places : float
+    around, amid, side, sensor, flown, places : float
         How much more common such scans are than those from all around; of what the file tells,
-        how far it is believed.
+        how far it is believed. No random scan is from around one axis: such scans of open tubes,
+        skirts and bare walls are as likely as those from among them.
     among, evenness : float
         What points that lie evenly as seen from places among them, or from a sensor whose place is
         given, speak for these.
     facing : float
         What all that lies level says when it faces up.
-    z_up, y_up, y_down : float
-        How common it is that an axis points up, beside none of them.
+    z_up, y_up : float
+        How common it is that z points up, or y does, or down, beside none of them.
     held, tangle : float
         How seldom links are wrong, as no reading can tell, and by how much more often where the
         sides of one break all the links.
@@ -74,7 +77,6 @@ class Likelihood:
 
     power: float
     around: float
-    inside: float
     amid: float
     sensor: float
     flown: float
@@ -85,14 +87,13 @@ class Likelihood:
     facing: float
     z_up: float
     y_up: float
-    y_down: float
     held: float
     tangle: float
 
     def odds(self, features: Features) -> float:
         """Return the logarithm of the odds of a reading, up to what all have in common."""
         common = 0.0 if features.kind == "outside" else getattr(self, features.kind)
-        weight = self.among if features.kind in ("inside", "amid") else self.evenness
+        weight = self.among if features.kind == "amid" else self.evenness
         told = weight * features.evenness
         level = float(np.logaddexp.reduce([0.0, *self.ups(features)]))
         return float(common + told + level - self.power * np.log(FLOOR + features.cost))
@@ -100,7 +101,7 @@ class Likelihood:
     def ups(self, features: Features) -> list[float]:
         """Return the logarithms of the odds that each of `UPS` points up, beside none of them."""
         facing = np.zeros(3) if features.facing is None else features.facing
-        commons = self.z_up, self.y_up, self.y_down
+        commons = self.z_up, self.y_up, self.y_up
         return [
             common + self.facing * sign * float(facing[axis])
             for common, (axis, sign) in zip(commons, UPS, strict=True)
@@ -118,12 +119,13 @@ class Likelihood:
         odds = np.array([self.odds(one) for one in features])
         shares = np.exp(odds - odds.max())
         held = 1.0 / (1.0 + np.exp(self.tangle * broken - self.held))
-        found: FloatArray = held * shares / shares.sum()
+        # The rays of a sensor tell every side without a link.
+        is_sensed = np.array([one.kind in SENSED for one in features])
+        found: FloatArray = np.where(is_sensed, 1.0, held) * shares / shares.sum()
         return found
 
 
 FITTED = Likelihood(
-    power=2.39, around=-1.36, inside=-5.23, amid=-2.68, sensor=-3.05, flown=4.9, places=4.46,
-    side=-2.23, among=5.45, evenness=8.28, facing=2.57, z_up=1.19, y_up=-1.6, y_down=1.2,
-    held=4.63, tangle=44.6,
+    power=2.18, around=-1.36, amid=-2.9, sensor=-3.2, flown=3.87, places=4.0, side=-2.7, among=5.86,
+    evenness=8.82, facing=3.12, z_up=1.03, y_up=0.937, held=4.45, tangle=32.3,
 )  # fmt: skip

@@ -61,10 +61,10 @@ class Hypothesis:
     Parameters
     ----------
     kind : str
-        ``outside``, ``around`` an axis, ``inside``, ``amid``, ``side``, ``sensor`` (at zero), or
+        ``outside``, ``around`` an axis, ``amid``, ``side``, ``sensor`` (at zero), or
         what the file tells: ``flown``, ``places``.
     name : str
-        The kind, or the axes of a side: ``above``, ``below``, ``+y-z``.
+        The kind; ``inside``; or the axes of a side: ``above``, ``below``, ``+y-z``.
     views : Views
         What is seen from there.
     evidence : Evidence
@@ -240,18 +240,18 @@ def find_readings(
     shares = (INSIDE, *AMID)
     among = find_inside(patches, spacing, AMPLE, threads, shares)
     seen_from = np.empty((0, 3))
-    for kind, places in zip(("inside", "amid", "amid"), among, strict=True):
+    for name, places in zip(("inside", "amid", "amid"), among, strict=True):
         # Where fewer blocked directions add no place, that is no other reading.
         if not len(places) or np.array_equal(places.every, seen_from):
             continue
         seen_from = places.every
-        how = "from inside" if kind == "inside" else "from amid the points"
+        how = "from inside" if name == "inside" else "from amid the points"
         views = Views.inside(patches, places, spacing, threads)
-        known = Features(kind, evenness=density.favour(patches, places.every))
+        known = Features("amid", evenness=density.favour(patches, places.every))
         unseen = share_of(patches, views.is_hidden)
         # Inside is a word of its own.
-        place = None if kind == "inside" else places.emptiest[0]
-        found.append(Hypothesis(kind, kind, views, views.evidence(how), unseen, known, place))
+        place = None if name == "inside" else places.emptiest[0]
+        found.append(Hypothesis("amid", name, views, views.evidence(how), unseen, known, place))
     return found + _ask_sensor(patches, outside, spacing, zero, sensor, density, threads)
 
 
