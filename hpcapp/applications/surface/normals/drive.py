@@ -79,7 +79,7 @@ def orient_normals(
             sensor = Sensor("places", np.zeros((1, 3)))
     # Sides are told in a frame whose z is up.
     upright, zero = sensor.upright, rotate(-cloud.origin, sensor.upright)
-    turned = found[0].rotate(upright), found[1]
+    turned = found[0].rotate(upright), found[1].rotate(upright)
     oriented = orient_patches(*turned, spacing, zero, sensor.rotate(), cloud_pass.threads)
     # They take much memory, and the points are read again below.
     del found, turned

@@ -12,7 +12,7 @@ import numpy as np
 
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.kernels import WHOLE
-from hpcapp.applications.surface.normals.inside import AMID, INSIDE, TIGHT, find_inside
+from hpcapp.applications.surface.normals.inside import AMID, INSIDE, TIGHT, Places, find_inside
 from hpcapp.applications.surface.normals.patches import CELL, Patches
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.normals.visibility import look, surround
@@ -102,11 +102,20 @@ class Views:
         return cls(front / WHOLE, back / WHOLE, _CLEAR * viewpoints, is_hidden)
 
     @classmethod
-    def inside(
-        cls, patches: Patches, places: FloatArray, spacing: float, threads: int = 1
-    ) -> Views:
-        """Look from places inside, of which a patch is seen from a few."""
-        return cls.of(patches, places, min(len(places), _FEW), spacing, threads)
+    def inside(cls, patches: Patches, places: Places, spacing: float, threads: int = 1) -> Views:
+        """Look from places inside, as far as they reach; a patch is seen from a few of them."""
+        front, back = np.zeros((2, len(patches)))
+        is_hidden = np.ones(len(patches), np.bool_)
+        viewpoints = min(len(places), _FEW)
+        for start in range(0, len(places), _AT_ONCE):
+            some = places.every[start : start + _AT_ONCE]
+            low, high = some.min(axis=0) - places.reach, some.max(axis=0) + places.reach
+            rows = np.flatnonzero(((patches.centres > low) & (patches.centres < high)).all(axis=1))
+            near = cls.of(patches.take(rows), some, viewpoints, spacing, threads)
+            front[rows] += near.front
+            back[rows] += near.back
+            is_hidden[rows] &= near.is_hidden
+        return cls(front, back, _CLEAR * viewpoints, is_hidden)
 
     @property
     def is_alike(self) -> BoolArray:
@@ -135,8 +144,8 @@ def share_of(patches: Patches, chosen: BoolArray) -> float:
     return float(areas[chosen].sum() / areas.sum())
 
 
-def face_along(patches: Patches, rays: FloatArray, how: str) -> Evidence:
-    """Return the evidence that all was seen along some rays, which lead back to the sensor.
+def face_along(patches: Patches, rays: FloatArray, how: str) -> tuple[Views, Evidence]:
+    """Return what is seen along some rays, which lead back to the sensor, and that as evidence.
 
     Parameters
     ----------
@@ -150,7 +159,7 @@ def face_along(patches: Patches, rays: FloatArray, how: str) -> Evidence:
     along = (patches.normals * rays).sum(axis=1) / lengths
     shown = np.maximum(along, 0.0), np.maximum(-along, 0.0)
     views = Views(*shown, _CLEAR, np.zeros(len(patches), np.bool_))
-    return views.evidence(how, is_sensed=True)
+    return views, views.evidence(how, is_sensed=True)
 
 
 def hear_user(
@@ -193,12 +202,21 @@ def hear_user(
         return Views.inside(patches, places, spacing, threads).evidence("from inside")
     if sensor.kind in ("above", "below"):
         sign = 1.0 if sensor.kind == "above" else -1.0
-        return face_along(patches, np.array([0.0, 0.0, sign]), f"from {sensor.kind}")
+        return face_along(patches, np.array([0.0, 0.0, sign]), f"from {sensor.kind}")[1]
     if sensor.places is None:
         outside = look_outside(patches, components, spacing, threads)
         return outside.toggled.evidence("from outside")
-    views = Views.of(patches, sensor.places + zero, len(sensor.places), spacing, threads)
-    return views.evidence(f"from where the {sensor.noun}", is_sensed=True)
+    return look_from(patches, sensor, spacing, zero, threads)[1]
+
+
+def look_from(
+    patches: Patches, sensor: Sensor, spacing: float, zero: FloatArray, threads: int = 1
+) -> tuple[Views, Evidence]:
+    """Return what a sensor sees whose places are known, and that as evidence."""
+    assert sensor.places is not None  # noqa: S101 - it is of that kind
+    places = sensor.places + zero
+    views = Views.of(patches, places, len(places), spacing, threads)
+    return views, views.evidence(f"from where the {sensor.noun}", is_sensed=True)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

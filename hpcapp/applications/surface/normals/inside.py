@@ -16,6 +16,7 @@ import numpy as np
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.normals.patches import CELL, Patches, quarter_patches
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
+from hpccomponent.dataclass import dataclass
 
 AMPLE, TIGHT = 6.0, 4.0
 """Spacings between a place and the nearest patch: where nobody has said that somebody was inside,
@@ -27,12 +28,34 @@ INSIDE = 0.8
 AMID = 0.6, 0.4
 """And amid a street, a yard, a front: the sky is open, and what lies behind a scanner."""
 
-_MOST = 32  # places
+_MOST = 512  # places: so many rooms, or some hundred metres of a tunnel
+_TRIED = 20_000  # cells that they are picked of
+_REACH = 16.0  # times as far as it is empty around most places: what lies farther is not looked at
 _EDGE = 0.5  # of the cells, in those of patches
 _CELLS = 2**20, 32  # at most, or so many for each patch: the box of a bent tunnel is mostly empty
-_GROWN = 1.1  # balls, from one try to the next
 _ROOMY = 0.35  # of the emptiest place's distance: nearer ones are no places to stand
 _DIRECTIONS = [step for step in itertools.product((-1, 0, 1), repeat=3) if any(step)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Places:
+    """Where somebody could stand among what was scanned.
+
+    Parameters
+    ----------
+    every : ndarray of float64, shape (s, 3)
+        Along the longest side of the box; 512 at most.
+    emptiest : ndarray of float64, shape (1, 3) or (0, 3)
+    reach : float
+        How far each is worth looking from, in length units of the input.
+    """
+
+    every: FloatArray
+    emptiest: FloatArray
+    reach: float
+
+    def __len__(self) -> int:
+        return len(self.every)
 
 
 def find_inside(
@@ -41,7 +64,7 @@ def find_inside(
     least: float,
     threads: int = 1,
     shares: Sequence[float] = (INSIDE,),
-) -> list[FloatArray]:
+) -> list[Places]:
     """Find places that are inside of what surrounds them, all along it.
 
     Parameters
@@ -57,8 +80,8 @@ def find_inside(
 
     Returns
     -------
-    list of ndarray of float64, shape (s, 3)
-        For each share at most 32; none where nothing surrounds anything.
+    list of Places
+        For each share; none where nothing surrounds anything.
     """
     parts = quarter_patches(patches, 0.25 * CELL * spacing)
     low, high = parts.min(axis=0), parts.max(axis=0)
@@ -80,8 +103,12 @@ def find_inside(
         is_inside = blocked >= share * len(_DIRECTIONS)
         roomy = max(least * spacing / edge, _ROOMY * float(far[is_inside].max(initial=0.0)))
         chosen = np.argwhere(is_inside & (far >= roomy))
+        picked, empty = _pick_emptiest(chosen, far[tuple(chosen.T)])
         # The middles of the cells; the first of them lies before `low`.
-        found.append(low + (_pick_emptiest(chosen, far[tuple(chosen.T)]) - 0.5) * edge)
+        middles = low + (picked - 0.5) * edge
+        along = np.argsort(middles[:, int(np.argmax(high - low))], kind="stable")
+        reach = _REACH * edge * float(np.median(empty)) if len(empty) else 0.0
+        found.append(Places(middles[along], middles[:1], reach))
     return found
 
 
@@ -103,22 +130,16 @@ def _find_blocked(occupied: BoolArray, step: tuple[int, ...]) -> BoolArray:
     return np.moveaxis(blocked[:: step[axis]], 0, axis)
 
 
-def _pick_emptiest(cells: IntArray, far: FloatArray) -> IntArray:
-    """Return the emptiest cell, the emptiest one outside its ball, and so on.
-
-    The balls are as large as leave no more than there may be: along all of a long tunnel.
-    """
-    order = np.argsort(-far, kind="stable")
+def _pick_emptiest(cells: IntArray, far: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return the emptiest cell, the emptiest one outside its ball, and so on; and how empty."""
+    order = np.argsort(-far, kind="stable")[:: -(-len(cells) // _TRIED) or 1]
     cells, far = cells[order], far[order]
-    factor = 1.0
-    while True:
-        picked: list[IntArray] = []
-        left, radii = cells, factor * far
-        while len(left) and len(picked) < _MOST:
-            picked.append(left[0])
-            # The ball around it is empty: places in it see about the same.
-            is_left = ((left - left[0]) ** 2).sum(axis=1) >= radii[0] ** 2
-            left, radii = left[is_left], radii[is_left]
-        if not len(left):
-            return np.array(picked, np.int64).reshape(-1, 3)
-        factor *= _GROWN
+    picked: list[IntArray] = []
+    empty: list[float] = []
+    while len(cells) and len(picked) < _MOST:
+        picked.append(cells[0])
+        empty.append(float(far[0]))
+        # The ball around it is empty: places in it see about the same.
+        is_left = ((cells - cells[0]) ** 2).sum(axis=1) >= far[0] ** 2
+        cells, far = cells[is_left], far[is_left]
+    return np.array(picked, np.int64).reshape(-1, 3), np.array(empty)

@@ -57,7 +57,7 @@ class Likelihood:
     ----------
     power : float
         Of the cost.
-    inside, amid, side, sensor, flown, places : float
+    around, inside, amid, side, sensor, flown, places : float
         How much more common such scans are than those from all around; of what the file tells,
         how far it is believed.
     among, evenness : float
@@ -73,6 +73,7 @@ class Likelihood:
     """
 
     power: float
+    around: float
     inside: float
     amid: float
     sensor: float
@@ -122,7 +123,7 @@ class Likelihood:
 
 
 FITTED = Likelihood(
-    power=2.64, inside=-4.05, amid=-3.82, sensor=-5.82, flown=5.72, places=4.33, side=-4.21,
-    among=5.0, evenness=9.05, facing=3.16, z_up=2.77, y_up=-1.14, y_down=1.34, held=4.35,
-    tangle=43.6,
+    power=2.39, around=-1.36, inside=-5.23, amid=-2.68, sensor=-3.05, flown=4.9, places=4.46,
+    side=-2.23, among=5.45, evenness=8.28, facing=2.57, z_up=1.19, y_up=-1.6, y_down=1.2,
+    held=4.63, tangle=44.6,
 )  # fmt: skip

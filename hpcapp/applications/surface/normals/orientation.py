@@ -182,7 +182,8 @@ def read_given(
     if sensor.is_told and sensor.kind not in ("unknown", "places"):
         return Verdict(sensor.kind)
     weighed = weigh_given(patches, spacing, zero, sensor, threads)
-    return Verdict.of(weighed, weighed[0].share)
+    name = weighed[0].hypothesis.name
+    return Verdict.of(weighed, sum(one.share for one in weighed if one.hypothesis.name == name))
 
 
 def _second(pair: tuple[str, float]) -> float:

@@ -98,6 +98,10 @@ class Links:
     """From the first's points to these neighbours in the second, summed; in units of 2^-19
     spacings, so that the sums of regions are exact."""
 
+    def rotate(self, axes: FloatArray | None) -> Links:
+        """Return the same along other axes; see `axes.rotate`."""
+        return replace(self, arms=np.rint(rotate(self.arms, axes)).astype(np.int64))
+
 
 @record("surface.patch_sides")
 @dataclass(frozen=True, slots=True, eq=False)

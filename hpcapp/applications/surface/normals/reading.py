@@ -51,14 +51,15 @@ def read_scan(
     is_upright : bool
         Whether z is known to point up.
     verdict : Verdict, optional
-        How it was seen, where that has given the normals their side.
+        How it was seen, where that has given the normals their side; of known places, whether
+        they are among the points is asked here.
     """
     cloud = cloud_pass.cloud
     edge = choose_edge(len(cloud), scale.spacing)
     corner = lay_lattice(cloud.low, edge)
     facets = merge_facets(cloud_pass.each(sum_region, corner, edge))
     shape = Shape.of(facets, corner, edge, scale)
-    if verdict is None:
+    if verdict is None or verdict.kind == "places":
         upright = sensor.upright
         given = shape.patches.rotate(upright), shape.spacing, rotate(-cloud.origin, upright)
         verdict = read_given(*given, sensor.rotate(), cloud_pass.threads)
@@ -138,6 +139,8 @@ def _name_option(kind: str, box: FloatArray) -> str:
         return kind
     if kind == "sensor":
         return "0,0,0"
+    if kind.startswith("around"):
+        return "outside"
     signs = {"+": 1.0, "-": -1.0}
     side = np.zeros(3)
     for sign, axis in zip(kind[::2], kind[1::2], strict=False):

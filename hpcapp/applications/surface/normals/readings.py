@@ -26,6 +26,7 @@ from hpcapp.applications.surface.normals.evidence import (
     Views,
     areas_of,
     face_along,
+    look_from,
     look_outside,
     share_of,
 )
@@ -42,13 +43,11 @@ from hpcapp.applications.surface.normals.stand import Density
 from hpcapp.geometry.points import BoolArray, FloatArray
 from hpccomponent.dataclass import dataclass
 
-_SWAY = 0.05 * np.array(list(itertools.product((1, -1), (1, -1), (0,))))
-"""Places of a sensor at zero, by its median distance. Of a sheet it sees 93 % and more from one, as
-pixels happen to fall, and all from these."""
 _FARTHEST = 3.0  # diagonals of the box that a sensor at zero may be outside of it
 _AROUND = 0.2  # cosine of the angle around a direction that a view from one side comes from
+_BELT = 0.25  # sine of the angle from the plane across an axis, that a view around this comes from
 _STEEP = 0.7  # cosine to z of a side that the words above and below stand for
-_LEVEL = 0.9  # cosine to an axis of what lies level, were that up
+_STANDS, _LEVEL = 0.6, 0.9  # cosines to an axis of what stands and what lies level, were that up
 _FOLLOWED = 4.0  # logarithm of the odds, by which others than these may be better than they look
 _HINT = 0.003  # how strongly views count beside links that all agree
 _SIDES = [np.array(step) / np.linalg.norm(step) for step in itertools.product((1, 0, -1), repeat=3)
@@ -62,8 +61,8 @@ class Hypothesis:
     Parameters
     ----------
     kind : str
-        ``outside``, ``inside``, ``amid``, ``side``, ``sensor``: a sensor at (0, 0, 0), or what the
-        file tells: ``flown``, ``places``.
+        ``outside``, ``around`` an axis, ``inside``, ``amid``, ``side``, ``sensor`` (at zero), or
+        what the file tells: ``flown``, ``places``.
     name : str
         The kind, or the axes of a side: ``above``, ``below``, ``+y-z``.
     views : Views
@@ -95,8 +94,9 @@ class Hypothesis:
         behind = (areas * np.where(is_turned, views.front, views.back)).sum()
         seen = (areas * (views.front + views.back)).sum()
         # (3,): of what lies level along each axis, how much more faces it than faces away.
-        level = np.trunc(patches.normals / _LEVEL) * np.where(is_turned, -1.0, 1.0)[:, None]
-        facing = areas @ np.sign(level) / areas.sum()
+        level = np.clip((np.abs(patches.normals) - _STANDS) / (_LEVEL - _STANDS), 0.0, 1.0)
+        level *= np.sign(patches.normals) * np.where(is_turned, -1.0, 1.0)[:, None]
+        facing = areas @ level / areas.sum()
         cost = float(behind / max(seen, 1e-300)) + self.unseen
         return self.known.with_sides(cost, facing)
 
@@ -223,20 +223,24 @@ def find_readings(
     found = [
         Hypothesis("outside", "outside", outside.views, toggled, content, Features("outside")),
         *_look_from_sides(patches, outside),
+        *_look_around(patches, outside),
     ]
     density = Density.of(patches, spacing)
     shares = (INSIDE, *AMID)
     among = find_inside(patches, spacing, AMPLE, threads, shares)
+    seen_from = np.empty((0, 3))
     for kind, places in zip(("inside", "amid", "amid"), among, strict=True):
-        if len(places):
-            how = "from inside" if kind == "inside" else "from amid the points"
-            views = Views.inside(patches, places, spacing, threads)
-            known = Features(kind, evenness=density.favour(patches, places))
-            unseen = share_of(patches, views.is_hidden)
-            seen = views.evidence(how)
-            # Inside is a word of its own.
-            place = None if kind == "inside" else places[0]
-            found.append(Hypothesis(kind, kind, views, seen, unseen, known, place))
+        # Where fewer blocked directions add no place, that is no other reading.
+        if not len(places) or np.array_equal(places.every, seen_from):
+            continue
+        seen_from = places.every
+        how = "from inside" if kind == "inside" else "from amid the points"
+        views = Views.inside(patches, places, spacing, threads)
+        known = Features(kind, evenness=density.favour(patches, places.every))
+        unseen = share_of(patches, views.is_hidden)
+        # Inside is a word of its own.
+        place = None if kind == "inside" else places.emptiest[0]
+        found.append(Hypothesis(kind, kind, views, views.evidence(how), unseen, known, place))
     return found + _ask_sensor(patches, outside, spacing, zero, sensor, density, threads)
 
 
@@ -258,25 +262,21 @@ def _ask_sensor(
     low, high = patches.centres.min(axis=0), patches.centres.max(axis=0)
     beyond = np.maximum(np.maximum(low - zero, zero - high), 0.0)
     if np.linalg.norm(beyond) < _FARTHEST * np.linalg.norm(high - low):
-        reach = float(np.median(np.linalg.norm(patches.centres - zero, axis=1)))
-        places = zero + reach * _SWAY
-        views = Views.of(patches, places, len(places), spacing, threads)
-        seen = face_along(patches, zero - patches.centres, "from a sensor at (0, 0, 0)")
+        views, seen = face_along(patches, zero - patches.centres, "from a sensor at (0, 0, 0)")
         known = Features("sensor", evenness=density.favour(patches, zero[None]))
         found.append(Hypothesis("sensor", "sensor", views, seen, 0.0, known, zero))
     if sensor.kind in ("above", "below"):
         sign = 1.0 if sensor.kind == "above" else -1.0
         side = np.array([0.0, 0.0, sign])
         views = _see_from(outside, side)
-        seen = face_along(patches, side, f"from {sensor.kind}")
+        _, seen = face_along(patches, side, f"from {sensor.kind}")
         unseen, known = share_of(patches, views.is_hidden), Features("flown")
         place = _lie_beside(patches, outside, side)
         found.append(
             Hypothesis("flown", sensor.kind, views, seen, unseen, known, place, sensor.kind)
         )
     if sensor.places is not None:
-        views = Views.of(patches, sensor.places + zero, len(sensor.places), spacing, threads)
-        seen = views.evidence(f"from where the {sensor.noun}", is_sensed=True)
+        views, seen = look_from(patches, sensor, spacing, zero, threads)
         place = sensor.places[0] + zero
         found.append(Hypothesis("places", "places", views, seen, 0.0, Features("places"), place))
     return found
@@ -292,6 +292,20 @@ def _look_from_sides(patches: Patches, outside: Outside) -> list[Hypothesis]:
         word = "" if abs(side[2]) < _STEEP else "above" if side[2] > 0.0 else "below"
         unseen, known = share_of(patches, views.is_hidden), Features("side")
         found.append(Hypothesis("side", name, views, seen, unseen, known, place, word))
+    return found
+
+
+def _look_around(patches: Patches, outside: Outside) -> list[Hypothesis]:
+    """Return what is seen by who goes round along one of the axes, and not over the ends."""
+    found = []
+    for axis, name in enumerate("xyz"):
+        rows = np.flatnonzero(np.abs(outside.directions[:, axis]) < _BELT)
+        views = Views.sum(outside.cosines[rows], outside.is_seen[rows], len(rows))
+        seen, unseen = views.evidence(f"from all around {name}"), share_of(patches, views.is_hidden)
+        known = Features("around")
+        # As from outside, most of the viewpoints see what these see.
+        given = views, seen, unseen, known, None, "outside"
+        found.append(Hypothesis("around", f"around {name}", *given))
     return found
 
 

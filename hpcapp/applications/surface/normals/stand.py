@@ -60,7 +60,7 @@ class Density:
         corner = lay_lattice(patches.centres.min(axis=0), edge)
         boxes = kernels.sort_points(patches.centres, corner, edge)
         # (s, 8): of each of them the nearest ones, and the squares of their distances.
-        nearest = min(_NEAREST, len(patches) - 1)
+        nearest = max(min(_NEAREST, len(patches) - 1), 1)
         squares, near = kernels.find_nearest(
             patches.centres, *boxes, edge, rows, nearest, _FARTHEST * edge
         )
@@ -96,8 +96,10 @@ class Density:
             for logs in (self.logs, self.logs - np.log(rays @ counts))
         )
         gain = float(np.clip(np.log(before / after), -1.0, 1.0))
-        # What lies evenly on the surface tells nothing against any place.
-        return gain * (1.0 if gain > 0.0 else float(np.clip(before / _EVEN - 1.0, 0.0, 1.0)))
+        # Points that were thinned evenly tell nothing against several sensors; of one there is
+        # nothing to be thinned.
+        is_told = gain > 0.0 or len(places) == 1
+        return gain * (1.0 if is_told else float(np.clip(before / _EVEN - 1.0, 0.0, 1.0)))
 
 
 def _spread(values: FloatArray, weights: FloatArray) -> float:

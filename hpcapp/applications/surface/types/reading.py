@@ -14,6 +14,7 @@ import numpy as np
 
 from hpccomponent.dataclass import dataclass
 
+_AMONG = "inside", "amid", "sensor"
 _SEEN = {
     "inside": "from inside",
     "amid": "from amid the points",
@@ -57,8 +58,9 @@ class Reading:
     Parameters
     ----------
     kind : str
-        Where it was seen from: ``outside`` (all around), ``inside``, ``amid`` (among the points),
-        ``above``, ``below``, a side (``+y-z``), ``sensor`` (at zero), ``places``.
+        Where it was seen from: ``outside`` (all around), ``around z`` (and not over the ends),
+        ``inside``, ``amid`` (among the points), ``above``, ``below``, a side (``+y-z``),
+        ``sensor`` (at zero), ``places``.
     certainty : float
         Probability of the kind, 0 to 1; 0 where nobody has looked.
     up : str or None
@@ -85,7 +87,9 @@ class Reading:
     @property
     def faces_places(self) -> bool:
         """Whether it was seen from among its points, as a room is."""
-        return self.kind in ("inside", "amid", "sensor")
+        # Known places lie among the points or around them, as the likeliest of the others says.
+        kinds = self.kind, *(rival.kind for rival in self.rivals)
+        return next((kind for kind in kinds if kind != "places"), "") in _AMONG
 
     @property
     def share_missing(self) -> float:

