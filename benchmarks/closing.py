@@ -31,7 +31,7 @@ from hpcapp.geometry.points import BoolArray, FloatArray
 _DAMPING = 0.1  # of the coefficients, each divided by the spread of what it is of
 _FOLDS = 10  # each of them is judged by what the others fit
 _BINS = (0.5, 0.7, 0.9, 0.97, 0.99, 1.0)
-_NAMES = ("1", "unsupported share", "missing and drawn", "amid")
+_NAMES = ("1", "unsupported share", "missing", "missing and drawn", "amid")
 _INVENTED = {"plants": (0.05, 0.1), "works": (0.025, 0.05)}  # below: closed; above: open
 
 

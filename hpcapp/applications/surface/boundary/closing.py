@@ -1,8 +1,8 @@
 """Whether what was scanned is closed: one probability, of the reading and what no point supports.
 
 A surface that is closed all around has points everywhere. What was seen from one side has none on
-half of it. What stood on something lacks that side, too, but its border goes on towards it. A room
-that is looked at from inside has no far side to be missing.
+half of it, and its normals face one way. What stood on something lacks that side, too, but its
+border goes on towards it. A room that is looked at from inside has no far side to be missing.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ import numpy as np
 
 from hpcapp.applications.surface.types.reading import Reading
 
-COEFFICIENTS = (-4.13, 14.9, -9.46, 7.18)
-"""Of 1, the unsupported share, the length of what is missing times how far the border draws
+COEFFICIENTS = (-4.23, 13.0, 2.69, -10.7, 7.37)
+"""Of 1, the unsupported share, the length of what is missing, that times how far the border draws
 together, and 1 where places among the points saw it: ``benchmarks/closing.py``."""
 
 SURE = 0.9
@@ -34,7 +34,8 @@ def weigh_open(reading: Reading, unsupported: float) -> float:
 
 def measure_opening(reading: Reading, unsupported: float) -> tuple[float, ...]:
     """Return what `COEFFICIENTS` are of."""
-    return 1.0, unsupported, reading.share_missing * reading.drawn, float(reading.faces_places)
+    missing = reading.share_missing
+    return 1.0, unsupported, missing, missing * reading.drawn, float(reading.faces_places)
 
 
 def say_closing(reading: Reading, unsupported: float, *, is_open: bool) -> str:

@@ -15,6 +15,7 @@ SCANS = {
     "object, patchy": (0.07, Reading("outside", missing=(0.1, 0.0, 0.0)), False),
     "on a table": (0.17, Reading("+y", missing=(0.0, -0.32, 0.0), drawn=0.59), False),
     "terrain": (0.66, Reading("above", missing=(0.0, 0.0, -0.9)), True),
+    "terrain, low": (0.35, Reading("above", missing=(0.0, 0.0, -0.95)), True),
     "facade": (0.79, Reading("-y+z", missing=(0.0, 0.6, -0.3), drawn=-0.3), True),
     "room": (0.13, Reading("inside", missing=(0.0, 0.0, 0.05)), True),
     "tunnel": (0.3, Reading("amid", missing=(0.0, 0.0, 0.15), drawn=-0.5), True),
@@ -44,12 +45,12 @@ def test_what_is_seen_in_part_is_unsure(share: float, reading: Reading) -> None:
     assert 1.0 - SURE < weigh_open(reading, share) < SURE
 
 
-def test_what_nothing_supports_opens_and_drawing_together_closes() -> None:
-    bare = [weigh_open(Reading(missing=(0.0, 0.0, 0.5)), share) for share in (0.0, 0.3, 0.6)]
+def test_more_that_is_missing_opens_and_drawing_together_closes() -> None:
+    missing = [weigh_open(Reading(missing=(0.0, 0.0, one)), 0.3) for one in (0.0, 0.3, 0.6)]
     drawn = [
         weigh_open(Reading(missing=(0.0, 0.0, 0.5), drawn=one), 0.3) for one in (0.0, 0.5, 1.0)
     ]
-    assert bare == sorted(bare)
+    assert missing == sorted(missing)
     assert drawn == sorted(drawn, reverse=True)
 
 
