@@ -50,6 +50,9 @@ _PARTS = 5  # each of them is judged by what the others fit
 _DAMPING = 0.01  # of the squares of the numbers
 _LOOSE = {"power": 0.0, "held": 0.001, "tangle": 0.001}  # of that, for those that are large
 _LIKELY = 5.0  # logarithm of the odds: readings that fall behind the best by more are left out
+_RARER = {"amid": -0.6, "sensor": -0.6}
+"""Logarithm of how much rarer such scans are among those that people bring than among random ones,
+of which half are from among things."""
 _NAMES = [field.name for field in fields(Likelihood)]
 _START = {"around": FITTED.around, "power": 2.0, "facing": 3.0, "held": 3.0, "tangle": 20.0}
 _LINEAR = _NAMES.index("facing")
@@ -188,6 +191,7 @@ class Table:
         free = dict.fromkeys(_NAMES, (None, None)) | {"around": (FITTED.around,) * 2}
         bounds = list(free.values())
         found: FloatArray = minimize(lose, start, method="L-BFGS-B", bounds=bounds).x
+        found += np.array([_RARER.get(name, 0.0) for name in _NAMES])
         return found
 
 

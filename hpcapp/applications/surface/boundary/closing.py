@@ -11,14 +11,12 @@ import numpy as np
 
 from hpcapp.applications.surface.types.reading import Reading
 
-COEFFICIENTS = (-1.28, 1.58, 4.83, -5.42, 11.7)
-"""Of 1, the log odds of the unsupported share, the length of what is missing, that times how far
-the border draws together, and 1 where places among the points saw it: ``benchmarks/closing.py``."""
+COEFFICIENTS = (-4.23, 13.0, 2.69, -10.7, 7.37)
+"""Of 1, the unsupported share, the length of what is missing, that times how far the border draws
+together, and 1 where places among the points saw it: ``benchmarks/closing.py``."""
 
 SURE = 0.9
 """Probability of being open or closed, below which somebody should look."""
-
-_LEAST = 0.003  # share that is told from none
 
 
 def weigh_open(reading: Reading, unsupported: float) -> float:
@@ -36,10 +34,8 @@ def weigh_open(reading: Reading, unsupported: float) -> float:
 
 def measure_opening(reading: Reading, unsupported: float) -> tuple[float, ...]:
     """Return what `COEFFICIENTS` are of."""
-    share = min(max(unsupported, _LEAST), 1.0 - _LEAST)
-    odds = float(np.log(share / (1.0 - share)))
     missing = reading.share_missing
-    return 1.0, odds, missing, missing * reading.drawn, float(reading.faces_places)
+    return 1.0, unsupported, missing, missing * reading.drawn, float(reading.faces_places)
 
 
 def say_closing(reading: Reading, unsupported: float, *, is_open: bool) -> str:

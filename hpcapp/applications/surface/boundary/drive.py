@@ -52,7 +52,7 @@ from hpccomponent.errors import InputError
 log = logging.getLogger("hpcapp")
 
 _SPACINGS, _NOISES, _STEPS = 3.0, 4.0, 1.5  # of the trim distance that is chosen
-_FILL = 4.0  # times the trim distance: loops that are filled
+_FILL = 4.0  # times the trim distance: patches that fill holes
 _CRUMB = 3.0  # times the trim distance: pieces smaller than a square of this are dropped
 _JUDGED_BRICKS = 20_000  # about: of larger surfaces a sample
 _FACES = 2.0  # of a piece as large as the side of a cell
