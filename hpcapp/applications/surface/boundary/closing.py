@@ -28,14 +28,18 @@ def weigh_open(reading: Reading, unsupported: float) -> float:
     unsupported : float
         Share of the closed surface that no point supports, 0 to 1.
     """
-    logit = float(np.dot(COEFFICIENTS, measure_opening(reading, unsupported)))
-    return float(1.0 / (1.0 + np.exp(-logit)))
+    share = reading.share_among
+    outside, among = (
+        1.0 / (1.0 + np.exp(-np.dot(COEFFICIENTS, measure_opening(reading, unsupported, is_among))))
+        for is_among in (0.0, 1.0)
+    )
+    return float((1.0 - share) * outside + share * among)
 
 
-def measure_opening(reading: Reading, unsupported: float) -> tuple[float, ...]:
+def measure_opening(reading: Reading, unsupported: float, is_among: float) -> tuple[float, ...]:
     """Return what `COEFFICIENTS` are of."""
     missing = reading.share_missing
-    return 1.0, unsupported, missing, missing * reading.drawn, float(reading.faces_places)
+    return 1.0, unsupported, missing, missing * reading.drawn, is_among
 
 
 def say_closing(reading: Reading, unsupported: float, *, is_open: bool) -> str:

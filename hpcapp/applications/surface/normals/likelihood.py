@@ -126,6 +126,6 @@ class Likelihood:
 
 
 FITTED = Likelihood(
-    power=2.18, around=-1.36, amid=-2.9, sensor=-3.2, flown=3.87, places=4.0, side=-2.7, among=5.86,
+    power=2.18, around=-1.36, amid=-3.5, sensor=-3.8, flown=3.87, places=4.0, side=-2.7, among=5.86,
     evenness=8.82, facing=3.12, z_up=1.03, y_up=0.937, held=4.45, tangle=32.3,
 )  # fmt: skip

