@@ -170,8 +170,8 @@ def orient_patches(
     odds = np.log(right / np.maximum(1.0 - right, 1e-9))
     certainty = np.clip(odds / _ODDS, _LEAST, 1.0)  # above 0, or the sides would be lost
     # Rays tell a side whatever its neighbours say of it.
-    told = np.copysign(certainty, sides) if evidence.is_sensed else sides
-    values = np.clip(told, -certainty, certainty).astype(np.float32)
+    leant: FloatArray = np.copysign(certainty, sides) if evidence.is_sensed else sides
+    values = np.clip(leant, -certainty, certainty).astype(np.float32)
     doubt = _find_doubt(patches, linked, np.abs(values) < SURE, weighed, turns)
     verdict = Verdict.of(weighed, float(np.average(right, weights=areas_of(patches))))
     return Orientation(Sides(patches.keys, patches.ranks, values), evidence.how, doubt, verdict)
