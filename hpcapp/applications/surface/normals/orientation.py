@@ -25,14 +25,14 @@ from hpcapp.applications.surface.normals.readings import (
     weigh_readings,
 )
 from hpcapp.applications.surface.normals.sensor import Sensor
+from hpcapp.applications.surface.types import reading
 from hpcapp.applications.surface.types.reading import Measurement
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 from hpccomponent.dataclass import dataclass
 
 SURE = 0.3
-"""Confidence of a side that is right 85 times of a hundred, from which on it counts as sure; it
-grows with the logarithm of the odds."""
-_ODDS = float(np.log(0.85 / 0.15)) / SURE
+"""Confidence of a side of the probability `reading.SURE`; it grows with the logarithm of odds."""
+_ODDS = float(np.log(reading.SURE / (1.0 - reading.SURE))) / SURE
 
 _LEAN = 0.3  # how strongly all that is known of a patch counts beside its links
 _LEAST = 0.01  # confidence of a side that two readings explain alike

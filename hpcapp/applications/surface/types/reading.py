@@ -23,6 +23,10 @@ _SEEN = {
 }
 
 
+SURE = 0.85
+"""Probability from which on a side, or a reading, is believed without a word."""
+
+
 @dataclass(frozen=True, slots=True)
 class Rival:
     """What a scan may be instead.
@@ -98,7 +102,8 @@ class Reading:
             max((share for kind, share in weighed if (kind in _AMONG) == is_among), default=0.0)
             for is_among in (True, False)
         )
-        return among / (among + others) if among else 0.0
+        share = among / (among + others) if among else 0.0
+        return share if 1.0 - SURE < share < SURE else round(share)
 
     @property
     def share_missing(self) -> float:
