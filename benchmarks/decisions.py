@@ -1,15 +1,13 @@
 #!/usr/bin/env python3
-"""Show what decides over sides and warnings: the distributions that each number parts.
+"""Show what decides over normals and warnings: the distributions that each number parts.
 
     HPCAPP_DATA=DIR benchmarks/decisions.py [--only REGEX] [-o FOLDER]
 
-Of each scan of the folders `tuning`, `raw`, `lines` and `cases`, what its readings cost but for how
-rare they are, as `readings` weighs them (`decisions-sides.json`). Of each scan with right normals,
-what `follows_place` sees of these, and of the same normals turned to +z, to a camera, and to a
-place inside (`decisions-normals.json`). Of each closed mesh of `tuning` and `lines`, made without
-normals, its handles, those of the truth, and the small ones that `handles` finds in boxes of half,
-once and twice the edge (`decisions-handles.json`). `tests/benchmarks/test_decisions.py` holds the
-margins.
+Of each scan with right normals, what `follows_place` sees of these, and of the same normals turned
+to +z, to a camera, and to a place inside (`decisions-normals.json`). Of each closed mesh of
+`tuning` and `lines`, made without normals, its handles, those of the truth, and the small ones that
+`handles` finds in boxes of half, once and twice the edge (`decisions-handles.json`).
+`tests/benchmarks/test_decisions.py` holds the margins; what decides over readings is `readings.py`.
 """
 
 from __future__ import annotations
@@ -19,123 +17,28 @@ import json
 import os
 import re
 import subprocess
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 import hpcapp
-from hpcapp.applications.surface.cleaning.drive import drop_strays, thin_lines
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
 from hpcapp.applications.surface.cloud.measure import draw_boxes, measure_spacing
 from hpcapp.applications.surface.normals.consistency import weigh_torn
-from hpcapp.applications.surface.normals.estimation import estimate_normals
-from hpcapp.applications.surface.normals.evidence import areas_of
-from hpcapp.applications.surface.normals.linked import LinkedPatches
-from hpcapp.applications.surface.normals.patches import CELL, Links, Patches, find_patches
-from hpcapp.applications.surface.normals.readings import (
-    HABIT,
-    Followed,
-    choose,
-    find_readings,
-    follow_reading,
-    lies_level,
-)
-from hpcapp.applications.surface.reading.reach import drop_far
+from hpcapp.applications.surface.normals.patches import CELL
 from hpcapp.applications.surface.stitching.handles import BOX, find_small_handles
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.geometry.lattice import lay_lattice
 from hpcapp.geometry.mesh import Mesh
-from hpcapp.geometry.points import FloatArray, PointCloud
-from hpcapp.io import drop_unusable, open_points, read_whole
+from hpcapp.geometry.points import PointCloud
+from hpcapp.io import open_points, read_whole
 from hpcapp.io.meshes.mesh_stream import as_stream
 
-# A scan is of the first group that names it.
-GROUPS = {
-    "on a table": ("tuning/scans/*one_side.ply", "raw/objects/*table.ply", "raw/objects/motor.ply"),
-    "room, tunnel": (
-        "tuning/scans/room*.ply",
-        "raw/rooms/f[lu]*.ply",
-        "raw/rooms/[kn]*.ply",
-        "cases/room*.xyz",
-        "cases/tunnel*.xyz",
-    ),
-    "street, yard": ("lines/lines/s*.ply", "lines/lines/yard*.ply"),
-    "whole": ("tuning/scans/*.ply", "raw/objects/*.ply"),
-    "view, terrain": (
-        "raw/airborne/[cht]*",
-        "raw/airborne/flat*",
-        "raw/airborne/powerline*",
-        "raw/rooms/*.ply",
-        "cases/s[lt]*.xyz",
-        "cases/terrain_z_up.xyz",
-        "cases/odm*",
-    ),
-}
 Row = list[str | float]
-KINDS = ("outside", "inside", "camera")  # all other readings are sides
-SAME = 0.8  # share of the area on which two readings agree that say the same
-SIDES = ["scan", "group", "outside", "inside", "stand", "name of the side", "side", "habit",
-         "level", "turned", "camera", "right"]  # fmt: skip
 NORMALS = ["scan", "signed", "following", "pairs", "torn"]
 HANDLES = ["scan", "genus", "true genus", "in half", "in one", "in two"]
-
-
-def group_points(path: Path) -> tuple[Patches, Links, float, FloatArray]:
-    """Return the patches of a scan, their links, its spacing, and where it has (0, 0, 0)."""
-    points, _ = drop_unusable(read_whole(open_points(path)), path.name)
-    bare = PointCloud(points.positions, origin=points.origin)
-    cloud_pass = MemoryPass(arrange_cloud(drop_far(bare)))
-    cloud_pass, _, scale = thin_lines(cloud_pass)
-    cloud_pass, _, scale = drop_strays(cloud_pass, scale)
-    positions, low = cloud_pass.cloud.points.positions, cloud_pass.cloud.low
-    every, spacing = np.ones(len(positions), np.bool_), scale.spacing
-    corner = lay_lattice(low, spacing)
-    vectors = estimate_normals(positions, every, corner, spacing)
-    patches, links = find_patches(positions, vectors, every, corner, spacing)
-    return patches, links, spacing, -cloud_pass.cloud.origin
-
-
-def find_sides(path: Path, group: str) -> Row:
-    """Return a row of what the readings of a scan cost."""
-    patches, links, spacing, zero = group_points(path)
-    linked = LinkedPatches(patches, links)
-    readings = find_readings(patches, linked, spacing, zero)
-    found = [follow_reading(patches, linked, some) for some in readings]
-    habits = [followed.reading.habit for followed in found]
-    believed = found[choose([followed.cost for followed in found], habits)]
-    named = {one.reading.kind: one for one in found if one.reading.kind in KINDS}
-    sides = sorted(
-        (one for one in found if one.reading.kind not in KINDS),
-        key=lambda followed: followed.cost + (followed.reading.habit or 0.0),
-    )
-    named["side"] = sides[0]
-    turned = [other for other in sides if agree(patches, other, sides[0]) < 1.0 - SAME]
-    if turned:
-        named["turned"] = turned[0]
-    right = [name for name, one in named.items() if agree(patches, one, believed) > SAME]
-    stand = named["outside"].reading.rare
-    costs = {name: round(one.cost - one.reading.rare, 4) for name, one in named.items()}
-    return [
-        path.stem,
-        group,
-        costs["outside"],
-        costs.get("inside", ""),
-        stand,
-        sides[0].reading.kind,
-        costs["side"],
-        round((sides[0].reading.habit or 0.0) / HABIT, 3),
-        float(lies_level(patches)),
-        costs.get("turned", ""),
-        costs.get("camera", ""),
-        " ".join(right),
-    ]
-
-
-def agree(patches: Patches, one: Followed, other: Followed) -> float:
-    """Return the share of the area on which two readings agree."""
-    areas = areas_of(patches)
-    return float(areas[one.sides * other.sides > 0.0].sum() / areas.sum())
 
 
 def find_torn(path: Path) -> list[Row]:
@@ -200,6 +103,7 @@ def write(
     columns: list[str],
     rows: list[Row],
     script: str = "benchmarks/decisions.py",
+    notes: Sequence[str] = (),
 ) -> None:
     """Write a table."""
     commit = subprocess.run(
@@ -212,39 +116,28 @@ def write(
         "command": f"HPCAPP_DATA=DIR {script}",
         "columns": columns,
         "rows": rows,
-        "notes": [],
+        "notes": list(notes),
     }
     (folder / f"{name}.json").write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
 
 
 def main() -> None:
-    """Measure all scans, and write three tables."""
+    """Measure all scans, and write two tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", default=".")
     parser.add_argument("-o", "--output", type=Path, default=Path("benchmarks/results"))
     asked = parser.parse_args()
     data = Path(os.environ["HPCAPP_DATA"])
-    groups: dict[Path, str] = {}
-    for group, patterns in GROUPS.items():
-        for pattern in patterns:
-            for path in sorted(data.glob(pattern)):
-                groups.setdefault(path, group)
-    sides, normals = [], []
-    for path, group in groups.items():
-        if re.search(asked.only, path.stem):
-            sides.append(find_sides(path, group))
-            print(sides[-1], flush=True)
+    normals: list[Row] = []
     for path in sorted(data.glob("tuning/scans/*.ply")):
         if re.search(asked.only, path.stem):
             normals += find_torn(path)
             print(normals[-4:], flush=True)
-    handles = []
+    handles: list[Row] = []
     for path, genus in find_genera(data).items():
         if re.search(asked.only, path.stem):
             handles += find_handles(path, genus)
             print(handles[-1:], flush=True)
-    title = "What readings cost: shares of the area seen from behind, and by none"
-    write(asked.output, "decisions-sides", title, SIDES, sides)
     title = "Normals that follow a place: share that does, and opposite pairs across the sight"
     write(asked.output, "decisions-normals", title, NORMALS, normals)
     title = "Handles of closed meshes: all, those of the truth, and the small ones that are found"

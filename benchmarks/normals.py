@@ -45,7 +45,7 @@ def measure(path: Path, with_peer: bool) -> list[str | int | float]:
     start = time.process_time()
     bare = MemoryPass(replace(arranged, points=PointCloud(scan.positions, origin=scan.origin)))
     given = measure_spacing(bare), Sensor()
-    oriented, side = orient_normals(bare, *given, keeps=False, attribute="confidence")
+    oriented, side, _ = orient_normals(bare, *given, keeps=False, attribute="confidence")
     spent = time.process_time() - start
     found = oriented.cloud.points
     assert found.normals is not None

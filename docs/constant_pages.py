@@ -48,7 +48,7 @@ CONSTANTS = (
     ("handles", "stitching.handles:BOX", "sides of faces, into which a small one fits"),
     ("open", "boundary.drive:_FILL", "trim distances: holes that are filled"),
     ("open", "boundary.drive:_CRUMB", "likewise: pieces that are dropped"),
-    ("open", "boundary.drive:_ONE_WAY", "length of the mean normal of a view"),
+    ("open", "boundary.closing:SURE", "probability from which nothing is said"),
 )
 """Stage, place in the code, and meaning of each constant that the page names."""
 

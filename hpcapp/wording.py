@@ -13,6 +13,7 @@ _NAMES = {
     "bytes_received": "bytes received",
     "cell_size": "cells of the points, edge",
     "closure": "why open or closed",
+    "closure_certainty": "how sure that is",
     "coarsest_step": "largest cell, edge",
     "component_genus": "handles of each piece",
     "components": "pieces",
@@ -39,6 +40,7 @@ _NAMES = {
     "trim": "cut off beyond",
     "turned": "turned around",
     "turned_normals": "inconsistent normals flipped",
+    "unsupported": "supported by no point, were it closed",
     "vertex_manifold": "manifold at vertices",
 }
 """What people call otherwise than a report does."""

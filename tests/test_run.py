@@ -16,6 +16,7 @@ CLONE = Path(__file__).parents[1]
 FOLDERS = (
     "deploy", "tests/deploy", "tests/machines", "tests/cloud", "tests/e2e", "tests/systemd",
     "tests/testbed", "tests/hpcloader", "tests/hpcapp/backends", "tests/hpcapp/communicator",
+    "tests/benchmarks/test_worlds.py",
 )  # fmt: skip
 PARTS = {"clouds": "tests/deploy", "waiting": "tests/e2e", "others": "tests/docs"}
 TESTS = """

@@ -52,6 +52,9 @@ from hpcapp.communicator.scheduling.verification import Verification, attempt, r
 from hpcapp.geometry.points import PointCloud
 from hpcapp.geometry.validity import Dropped
 from hpcapp.io import read_whole
+from hpcapp.io.crs import UNKNOWN
+from hpcapp.io.frame import finite_bounds
+from hpcapp.io.geocentric import find_upright
 from hpcapp.io.points.inputs import find_paths, gather_points
 from hpcapp.io.points.mesh_points import slice_cloud
 from hpcapp.io.points.survey import is_flown_over
@@ -392,7 +395,7 @@ def _wrap(
     report = describe_outcome(settings, loaded, outcome, topology, carrying) | facts
     report["stages"] = dict(clock.seconds)
     kept = loaded.cloud if loaded.cloud.is_here else None  # a folder of points goes with the job
-    return wrap_mesh(mesh, JobRecord(source, kept, report), topology, carrying.crs)
+    return wrap_mesh(mesh, JobRecord(source, kept, report), topology, carrying.crs, report["up"])
 
 
 def _choose_verification(given: object, verify: float | None) -> Verification:
@@ -483,9 +486,11 @@ def _choose_viewpoint(viewpoints: str | ArrayLike | None) -> Viewpoint:
 
 def _find_sensor(settings: Settings, points: PointCloud) -> Sensor:
     """Return where the points were measured from: as the user says, else as they look."""
+    low, high = finite_bounds(points.positions)
+    upright = find_upright(low + points.origin, high + points.origin, UNKNOWN)
     if settings.viewpoint or not is_flown_over(points):
-        return sensor_of(settings.viewpoint)
-    return Sensor("above")
+        return sensor_of(settings.viewpoint, upright)
+    return Sensor("above", upright=upright)
 
 
 def _check_settings(settings: Settings) -> None:

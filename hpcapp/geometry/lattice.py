@@ -211,9 +211,9 @@ def find_layers(keys: IntArray, first: int, last: int) -> slice:
 
 
 def merge_counts(keys: IntArray, counts: IntArray) -> tuple[IntArray, IntArray]:
-    """Return the different keys, sorted, and the sum of each one's counts."""
+    """Return the different keys, sorted, and the sum of each one's counts, or rows of these."""
     order, ordered, begins = _order(keys)
-    sums = np.add.reduceat(counts[order], np.flatnonzero(begins), dtype=np.int64)
+    sums = np.add.reduceat(counts[order], np.flatnonzero(begins), axis=0, dtype=np.int64)
     return ordered[begins], sums
 
 

@@ -87,6 +87,27 @@ UNIT_CODES = {"m": 9001, "ft": 9002, "US ft": 9003, "km": 9036, "mm": 1025, "cm"
 """Codes of EPSG for units of length."""
 _UNITS_BY_CODE = {code: unit for unit, code in UNIT_CODES.items()}
 _ASCII = 34737
+# Systems with x, y and z from the centre of the earth: all of that type in EPSG 12.029.
+_FROM_CENTRE = frozenset((
+    3822, 3887, 4000, 4039, 4073, 4079, 4328, 4330, 4331, 4332, 4333, 4334, 4335, 4336, 4337, 4338,
+    4340, 4342, 4344, 4346, 4348, 4350, 4352, 4354, 4356, 4358, 4360, 4362, 4364, 4366, 4368, 4370,
+    4372, 4374, 4376, 4378, 4380, 4382, 4384, 4385, 4387, 4389, 4465, 4468, 4473, 4479, 4481, 4556,
+    4882, 4884, 4886, 4888, 4890, 4892, 4894, 4896, 4897, 4899, 4906, 4908, 4910, 4911, 4912, 4913,
+    4914, 4915, 4916, 4917, 4918, 4919, 4920, 4922, 4924, 4926, 4928, 4930, 4932, 4934, 4936, 4938,
+    4940, 4942, 4944, 4946, 4948, 4950, 4952, 4954, 4956, 4958, 4960, 4962, 4964, 4966, 4968, 4970,
+    4972, 4974, 4976, 4978, 4980, 4982, 4984, 4986, 4988, 4990, 4992, 4994, 4996, 4998, 5011, 5244,
+    5250, 5262, 5322, 5332, 5341, 5352, 5358, 5363, 5368, 5369, 5379, 5391, 5487, 5544, 5558, 5591,
+    5828, 5884, 6133, 6309, 6317, 6320, 6323, 6363, 6666, 6704, 6781, 6934, 6978, 6981, 6985, 6988,
+    7071, 7134, 7137, 7371, 7656, 7658, 7660, 7662, 7664, 7677, 7679, 7681, 7684, 7789, 7796, 7815,
+    7842, 7879, 7884, 7914, 7916, 7918, 7920, 7922, 7924, 7926, 7928, 7930, 8084, 8227, 8230, 8233,
+    8238, 8242, 8247, 8250, 8253, 8397, 8401, 8425, 8429, 8541, 8543, 8683, 8697, 8816, 8898, 8905,
+    8915, 8917, 8919, 8921, 8923, 8925, 8927, 8929, 8931, 8933, 8935, 8937, 8939, 8941, 8943, 8945,
+    8947, 9001, 9004, 9007, 9010, 9015, 9070, 9073, 9138, 9146, 9151, 9182, 9266, 9292, 9307, 9331,
+    9378, 9468, 9545, 9694, 9700, 9753, 9775, 9780, 9892, 9988, 10176, 10282, 10297, 10303, 10308,
+    10326, 10412, 10473, 10569, 10604, 10634, 10637, 10669, 10688, 10723, 10734, 10737, 10760,
+    10779, 10783, 10789, 10798, 10805, 10829, 10873, 10890, 10908, 10939, 10950, 10954, 10957,
+    10966, 11041, 20039, 20044,
+))  # fmt: skip
 _STATED = range(1, 32767)  # codes: 0 is undefined, 32767 defined by other keys
 
 
@@ -126,8 +147,9 @@ def parse_geokeys(directory: bytes, texts: bytes) -> Crs | None:
     A projected system that gives a code alone, of UTM on the usual datums, has metres.
     """
     keys, name = _read_keys(directory, texts)
-    is_geographic = keys.get(_MODEL) == 2
-    code = keys.get(_GEOGRAPHIC_CODE if is_geographic else _PROJECTED_CODE, 0)
+    is_geographic, is_centred = keys.get(_MODEL) == 2, keys.get(_MODEL) == 3
+    code = keys.get(_GEOGRAPHIC_CODE if is_geographic or is_centred else _PROJECTED_CODE, 0)
+    code = 0 if is_centred and code not in _FROM_CENTRE else code  # it may be that of the datum
     unit = "degree" if is_geographic else _find_key_length(keys)
     height_unit = _UNITS_BY_CODE.get(keys.get(_VERTICAL_LENGTH, 0))
     text = f"EPSG:{code}" if code in _STATED else name or None
@@ -165,6 +187,21 @@ def parse_epsg(text: str) -> int | None:
     """
     match = re.fullmatch(r"EPSG:(\d{1,5})", text.strip(), re.IGNORECASE)
     return int(match[1]) if match and int(match[1]) in _STATED else None
+
+
+def is_geocentric(text: str | None) -> bool:
+    """Tell whether a system is said to have x, y and z from the centre of the earth.
+
+    Examples
+    --------
+    >>> is_geocentric("EPSG:4978"), is_geocentric('GEOCCS["WGS 84"]'), is_geocentric("EPSG:4979")
+    (True, True, False)
+    """
+    if text is None or parse_epsg(text) is not None:
+        return text is not None and parse_epsg(text) in _FROM_CENTRE
+    system = _find_first(_parse_tree(text), (*_PROJECTED, *_GEOCENTRIC, *_GEOGRAPHIC))
+    is_named = system is not None and system.keyword in _GEOCENTRIC
+    return is_named and parse_wkt(text).unit != "degree"  # GEODCRS may have angles
 
 
 def _is_utm(code: int) -> bool:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 import numpy as np
 from msgspec import Meta
 
-from hpcapp.geometry.axes import find_up
+from hpcapp.geometry.axes import find_up, measure_faces
 from hpcapp.geometry.axis_names import AXES
 from hpcapp.geometry.points import FloatArray
 from hpcapp.io.crs import UNKNOWN, Crs
@@ -66,6 +66,10 @@ class Placement:
         """Whether a place is asked for that the format alone would not give."""
         return not isinstance(self.origin, str)
 
+    def with_up(self, axis: str | None) -> Placement:
+        """Return the same with the axis that is known to point up where none is asked for."""
+        return replace(self, up=self.up or axis)
+
     def place(self, stream: MeshStream, is_near: bool, turns: bool) -> MeshStream:
         """Return a mesh where it is written.
 
@@ -87,7 +91,7 @@ class Placement:
 
 
 def choose_up(mesh: Mesh | MeshStream, asked: str | None = None) -> str:
-    """Return the axis of a mesh that points up: as asked for, z of a map, else what is found.
+    """Return the axis of a mesh without a job that points up: as asked, z of a map, else as found.
 
     Parameters
     ----------
@@ -98,7 +102,7 @@ def choose_up(mesh: Mesh | MeshStream, asked: str | None = None) -> str:
     if asked is not None:
         return asked
     stream = as_stream(mesh)
-    return "z" if stream.crs.text else find_up(stream.corners(), stream.box)
+    return "z" if stream.crs.text else find_up(map(measure_faces, stream.corners()), stream.box)
 
 
 def parse_origin(text: str) -> Origin:

@@ -14,14 +14,14 @@ from hpccomponent.foreign_json import convert
 
 _LENGTHS = {"cell_size", "coarsest_step", "farthest", "fill_holes", "noise", "reach", "spacing",
             "spacing_range", "step", "trim"}  # fmt: skip
-_SHARES = {"share", "sure"}
+_SHARES = {"certainty", "closure_certainty", "probability", "share", "sure", "unsupported"}
 _MESH = ("vertices", "faces", "watertight", "edge_manifold", "vertex_manifold", "components",
          "genus", "attributes")  # fmt: skip
 _SUPPORT = ("share", "farthest")
 _WORK = ("backend", "workers", "policy", "kernels")
-_ELSEWHERE = (*_MESH, *_WORK, "summary", "support", "input", "normals", "dropped", "warnings",
-              "stages", "timeline", "owners", "choice", "bytes_sent", "bytes_received", "command",
-              "cost", "losses", "verification")  # fmt: skip
+_ELSEWHERE = (*_MESH, *_WORK, "summary", "support", "input", "normals", "reading", "dropped",
+              "warnings", "stages", "timeline", "owners", "choice", "bytes_sent", "bytes_received",
+              "command", "cost", "losses", "verification")  # fmt: skip
 _FAILED = ("lost", "failed", "refused", "repeated")
 
 
@@ -102,9 +102,25 @@ def _decisions(report: Mapping[str, object]) -> dict[str, object]:
     rows = _pick(report, (name for name in report if name not in _ELSEWHERE))
     if isinstance(normals := report.get("normals"), Mapping):
         rows |= {f"normals: {say_name(name)}": _readable(v, name) for name, v in normals.items()}
+    if isinstance(reading := report.get("reading"), Mapping):
+        rows |= _describe_reading(reading)
     if isinstance(dropped := report.get("dropped"), Mapping):
         rows |= {f"dropped: {say_name(name)}": _readable(v) for name, v in dropped.items()}
     return rows
+
+
+def _describe_reading(reading: Mapping[str, object]) -> dict[str, object]:
+    """Return what the scan is of, and what else it may be, and why."""
+    told = {
+        name: "; ".join(
+            ", ".join(say_value(_readable(v, k)) for k, v in one.items() if v != "")
+            for one in convert(reading.get(name) or [], list[dict[str, object]])
+        )
+        or "none"
+        for name in ("rivals", "because")
+    }
+    rows = {say_name(name): _readable(v, name) for name, v in {**reading, **told}.items()}
+    return {f"reading: {name}": value for name, value in rows.items()}
 
 
 def _describe_input(report: Mapping[str, object]) -> list[Section]:

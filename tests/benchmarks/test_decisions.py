@@ -1,4 +1,4 @@
-"""The numbers that decide over sides and warnings lie between what they part, with a margin.
+"""The numbers that decide over normals and warnings lie between what they part, with a margin.
 
 On what `benchmarks/decisions.py` has measured: moved by a tenth, they decide the same; halved or
 doubled, something else.
@@ -13,13 +13,9 @@ from typing import Any
 import pytest
 
 from hpcapp.applications.surface.normals.consistency import TORN, Torn
-from hpcapp.applications.surface.normals.orientation import SURE
-from hpcapp.applications.surface.normals.readings import CERTAIN, GROUND, HABIT, RARE, choose
 from hpcapp.geometry.pieces import SMALL
 
 RESULTS = Path(__file__).parents[2] / "benchmarks" / "results"
-GROUNDS = "street, yard", "view, terrain"
-READINGS = ("outside", "inside", "side", "turned", "camera")
 
 
 def _read(name: str) -> list[dict[str, Any]]:
@@ -27,66 +23,8 @@ def _read(name: str) -> list[dict[str, Any]]:
     return [dict(zip(table["columns"], row, strict=True)) for row in table["rows"]]
 
 
-SIDES, NORMALS = _read("decisions-sides"), _read("decisions-normals")
-HANDLES, PIECES = _read("decisions-handles"), _read("decisions-pieces")
-
-
-def _weigh(
-    scan: dict[str, Any], rare: float, habit: float, ground: float = GROUND
-) -> tuple[bool, float]:
-    """Return whether a scan is read rightly, and by which margin over what turns it round."""
-    names = [name for name in READINGS if scan[name] != ""]
-    costs = [scan[name] + (rare if name == "inside" else scan["stand"]) for name in names]
-    downwards = {"side": scan["habit"], "turned": 1.0 - scan["habit"]}
-    habits = {**downwards, "camera": 1.0}
-    costs = [
-        cost + ground * scan["level"] * downwards.get(name, 0.0)
-        for name, cost in zip(names, costs, strict=True)
-    ]
-    best = choose(costs, [habit * habits[name] if name in habits else None for name in names])
-    right = scan["right"].split()
-    rivals = [cost for name, cost in zip(names, costs, strict=True) if name not in right]
-    return names[best] in right, min(rivals, default=1.0) - costs[best]
-
-
-def _misread(rare: float = RARE, habit: float = HABIT, ground: float = GROUND) -> int:
-    return sum(not _weigh(scan, rare, habit, ground)[0] for scan in SIDES)
-
-
-def test_a_scan_from_inside_is_as_rare_as_parts_objects_and_rooms() -> None:
-    assert _misread() == 0
-    assert _misread(rare=0.9 * RARE) == _misread(rare=1.1 * RARE) == 0
-    assert _misread(rare=2.0 * RARE) > 0  # half of it: see `test_readings`
-
-
-def test_rare_has_room_on_both_sides() -> None:
-    assert _misread(rare=0.7 * RARE) == _misread(rare=1.3 * RARE) == 0
-    assert _misread(rare=0.5 * RARE) > 0
-
-
-def test_few_look_at_the_ground_from_below() -> None:
-    """A yard and a street, of which the sky saw nothing, look as well from below."""
-    for factor in (0.9, 1.0, 1.1, 2.0):
-        assert _misread(habit=factor * HABIT) == _misread(ground=factor * GROUND) == 0
-    assert _misread(habit=0.25 * HABIT, ground=0.25 * GROUND) > 0
-    level = [scan for scan in SIDES if scan["level"] and scan["group"] in GROUNDS]
-    lying = {scan["scan"] for scan in level if scan["camera"] == ""}
-    assert len(lying) > 20
-    assert lying <= _sure(1.0, 0.9 * GROUND)
-    assert lying <= _sure(1.0)
-    assert not lying <= _sure(1.0, 0.5 * GROUND)
-
-
-def _sure(factor: float, ground: float = GROUND) -> set[str]:
-    least = factor * SURE * CERTAIN
-    return {scan["scan"] for scan in SIDES if _weigh(scan, RARE, HABIT, ground)[1] >= least}
-
-
-def test_sure_is_what_all_rivals_leave_by_far() -> None:
-    assert _sure(0.9) == _sure(1.0) == _sure(1.1)
-    assert _sure(1.0) > _sure(1.5)
-    sure = [scan for scan in SIDES if scan["scan"] in _sure(1.0)]
-    assert len(sure) > 0.8 * len(SIDES)
+NORMALS, HANDLES = _read("decisions-normals"), _read("decisions-handles")
+PIECES = _read("decisions-pieces")
 
 
 @pytest.mark.parametrize("signed", ["to +z", "to a camera", "to the middle"])

@@ -10,7 +10,10 @@ from disk_clouds import DiskCloudWriter
 from hpcapp.applications.surface.cloud.arranged import MemoryCloud, arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
 from hpcapp.applications.surface.cloud.folder_pass import FolderPass, make_cloud_folder
+from hpcapp.applications.surface.cloud.measure import measure_cloud, measure_scale
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
+from hpcapp.applications.surface.normals.reading import read_scan
+from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.backends.serial import SerialExecutor
 from hpcapp.geometry.points import PointCloud
 from hpcapp.workforce import Workforce
@@ -19,6 +22,14 @@ from hpcapp.workforce import Workforce
 def in_memory(points: PointCloud) -> MemoryPass:
     """Return the pass through points as they are."""
     return MemoryPass(MemoryCloud.as_they_are(points))
+
+
+def measure_read(points: PointCloud) -> MemoryCloud:
+    """Arrange points with normals in memory, measure and read them."""
+    cloud_pass = MemoryPass(arrange_cloud(points))
+    scale = measure_scale(cloud_pass)
+    reading = read_scan(cloud_pass, scale, Sensor(), is_upright=False)
+    return measure_cloud(cloud_pass, scale, reading).cloud
 
 
 def alone(points: int, *, sees: bool = True) -> PointWorkers:

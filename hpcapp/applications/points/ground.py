@@ -15,6 +15,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from hpcapp.applications.points.cloth import STEP, Cloth, drape
+from hpcapp.geometry.axes import rotate
 from hpcapp.geometry.points import BoolArray, FloatArray, PointCloud
 from hpcapp.io.batches import batch_points
 from hpcapp.io.crs import METRES
@@ -46,12 +47,12 @@ class _Ground:
     ----------
     cloth : Cloth or None
         None where classes tell it.
-    scales : ndarray of float64, shape (3,)
-        What makes coordinates metres.
+    axes : ndarray of float64, shape (3, 3)
+        Rows that make coordinates metres to the east, to the north and up.
     """
 
     cloth: Cloth | None
-    scales: FloatArray
+    axes: FloatArray
 
     @property
     def way(self) -> str:
@@ -64,7 +65,7 @@ class _Ground:
             by_class: BoolArray = np.equal(part.attributes[CLASSES], GROUND)
             return by_class
         is_ground: BoolArray = np.isfinite(part.positions.sum(axis=1))
-        places = part.positions[is_ground] * self.scales
+        places = rotate(part.positions[is_ground], self.axes)
         heights = self.cloth.evaluate(places[:, :2])
         is_ground[is_ground] = np.abs(places[:, 2] - heights) <= _HIGHEST
         return is_ground
@@ -133,21 +134,22 @@ def _choose(source: PointSource, known: list[_Ground], rows: int) -> Iterator[Po
 def _survey(source: PointSource, rows: int) -> _Ground:
     """Find out whether classes tell the ground; if they do not, drape a cloth."""
     metres = METRES.get(source.unit or "m", 1.0)
-    scales = metres * np.array([1.0, 1.0, source.frame.height_scale])
+    scales = np.diag([metres, metres, metres * source.frame.height_scale])
+    axes = scales if source.upright is None else metres * source.upright
     lowest = np.empty((0, 3))
     for part in source.scan(rows):
         classes = part.attributes.get(CLASSES)
         if classes is not None and (classes == GROUND).any():
-            return _Ground(None, scales)
-        lowest = _find_lowest(np.concatenate([lowest, part.positions * scales]))
+            return _Ground(None, axes)
+        finite = part.positions[np.isfinite(part.positions).all(axis=1)]
+        lowest = _find_lowest(np.concatenate([lowest, rotate(finite, axes)]))
     if not len(lowest):
         raise InputError(f"{source.path}: no ground in it: no points", "check the file")
-    return _Ground(drape(_drop_lone(lowest), str(source.path)), scales)
+    return _Ground(drape(_drop_lone(lowest), str(source.path)), axes)
 
 
 def _find_lowest(points: FloatArray) -> FloatArray:
-    """Return the lowest of each square of the cloth, of points of shape (n, 3)."""
-    points = points[np.isfinite(points).all(axis=1)]
+    """Return the lowest of each square of the cloth, of finite points of shape (n, 3)."""
     x, y = np.floor(points[:, :2] / STEP).astype(np.int64).T
     order = np.lexsort((points[:, 2], y, x))
     x, y = x[order], y[order]

@@ -83,16 +83,16 @@ def prepare(settings: Settings, scan: Scan, clock: StageClock) -> Loaded:
             in_cells=not method.needs_whole_cloud,
             has_normals=has_normals,
         )
-    cloud_pass, oriented = orient_cloud(
-        cloud_pass, scale.spacing, settings.normals, scan.sensor, clock,
-        has_normals=has_normals, is_oriented=scan.is_oriented,
+    cloud_pass, oriented, reading = orient_cloud(
+        cloud_pass, scale, settings.normals, scan.sensor, clock,
+        has_normals=has_normals, is_oriented=scan.is_oriented, is_upright=scan.is_upright,
         attribute=settings.attributes.name_confidence(scan.columns.layout),
     )  # fmt: skip
     if method.cleans:
         with clock.stage("mend normals"):
             cloud_pass, flipped = mend_normals(cloud_pass, scale.spacing)
         cleaned = replace(cleaned, flipped=flipped)
-    cloud = measure_cloud(cloud_pass, scale).cloud
+    cloud = measure_cloud(cloud_pass, scale, reading).cloud
     return scan.loaded(cloud, cleaned, oriented)
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hpcapp.extras import how_to_install
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io.columns import Numbers
-from hpcapp.io.crs import UNIT_CODES, Crs, parse_epsg
+from hpcapp.io.crs import UNIT_CODES, Crs, is_geocentric, parse_epsg
 from hpcapp.io.frame import finite_bounds
 from hpcapp.io.las.layout import DEGREES_A_STEP
 from hpcapp.io.points.usable import drop_non_finite
@@ -236,17 +236,20 @@ def _add_crs(laspy: _Foreign, header: _Foreign, crs: Crs, path: Path) -> None:
 def _encode_keys(crs: Crs) -> bytes:
     """Return GeoTIFF keys for the code of a coordinate reference system and for its units."""
     code, unit = parse_epsg(crs.text) if crs.text else None, crs.unit
-    is_geographic = code is not None and 4000 <= code < 5000  # set aside for them by EPSG
+    is_centred = is_geocentric(crs.text)
+    is_geographic = code is not None and 4000 <= code < 5000 and not is_centred  # by EPSG
     keys = {}
     if code is not None:
-        keys[2048 if is_geographic else 3072] = code
-    if unit in UNIT_CODES and not is_geographic:
+        keys[2048 if is_geographic or is_centred else 3072] = code
+    if unit in UNIT_CODES and is_centred:
+        keys[2052] = UNIT_CODES[unit]
+    elif unit in UNIT_CODES and not is_geographic:
         keys.setdefault(3072, _USER_DEFINED)
         keys[3076] = UNIT_CODES[unit]
     if crs.height_unit in UNIT_CODES:
         keys[4099] = UNIT_CODES[crs.height_unit]
     if not keys:
         return b""
-    keys = {1024: 2 if is_geographic else 1, **keys}
+    keys = {1024: 3 if is_centred else 2 if is_geographic else 1, **keys}
     entries = [number for key, value in keys.items() for number in (key, 0, 1, value)]
     return struct.pack(f"<{4 + len(entries)}H", 1, 1, 0, len(keys), *entries)

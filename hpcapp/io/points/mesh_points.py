@@ -18,6 +18,9 @@ from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.geometry.vertex_normals import add_face_normals, scale_normals
 from hpcapp.io.batches import cut_points
 from hpcapp.io.columns import Numbers
+from hpcapp.io.crs import UNKNOWN
+from hpcapp.io.frame import finite_bounds
+from hpcapp.io.geocentric import find_upright
 from hpcapp.io.meshes.obj import read_obj
 from hpcapp.io.meshes.off import read_off
 from hpcapp.io.meshes.stl import read_stl
@@ -106,4 +109,5 @@ def slice_cloud(
     return PointSource(
         path, len(cloud), True, cloud.normals is not None, partial(cut_points, cloud), format=name,
         columns=name_columns(cloud), findings=findings or Findings(),
+        upright=find_upright(*finite_bounds(cloud.positions), UNKNOWN),
     )  # fmt: skip

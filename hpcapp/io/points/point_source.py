@@ -155,6 +155,8 @@ class PointSource:
         Whether what the file holds tells that the points were measured from above.
     is_projected : bool
         Whether x and y are coordinates of a map.
+    upright : ndarray of float64, shape (3, 3), or None
+        Rows to the east, to the north and up, where coordinates are from the centre of the earth.
     height_unit : str or None
         Of z, where it is stated of that alone.
     octree : Octree or None
@@ -180,6 +182,7 @@ class PointSource:
     oriented: bool = True
     is_flown: bool = False
     is_projected: bool = False
+    upright: FloatArray | None = None
     height_unit: str | None = None
     octree: Octree | None = None
     region: Region | None = None
@@ -190,8 +193,16 @@ class PointSource:
         return Crs(self.crs, self.unit, self.height_unit)
 
     @property
+    def is_upright(self) -> bool:
+        """Whether z is known to point up."""
+        return self.is_flown or self.is_projected or bool(self.frame.text)
+
+    @property
     def up(self) -> str:
-        """Which way is up, and why: ``z (flown)``, ``z (projected coordinates)``, ``unknown``."""
+        """Which way is up, and why: ``z (flown)``, ``unknown``."""
+        if self.upright is not None:
+            how = "flown, geocentric" if self.is_flown else "geocentric"
+            return f"away from the centre of the earth ({how} coordinates)"
         if self.is_flown:
             return "z (flown)"
         return "z (projected coordinates)" if self.is_projected else "unknown"

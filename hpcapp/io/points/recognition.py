@@ -41,6 +41,9 @@ from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.geometry.validity import are_finite
 from hpcapp.io.batches import join_points
 from hpcapp.io.columns import Numbers
+from hpcapp.io.crs import Crs
+from hpcapp.io.frame import finite_bounds
+from hpcapp.io.geocentric import find_upright
 from hpcapp.io.points.column_roles import ColourScale, judge_colours, judge_normals
 from hpcapp.io.points.no_data import (
     find_at,
@@ -177,6 +180,7 @@ def recognise(source: PointSource) -> PointSource:
         unit=unit,
         is_flown=is_flown_over(usable, unit, source.crs),
         is_projected=is_projected(usable, unit, source.crs),
+        upright=find_upright(*finite_bounds(usable.positions), Crs(source.crs, unit)),
     )
 
 

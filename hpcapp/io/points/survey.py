@@ -3,16 +3,18 @@
 A file never says so. What it has tells: later returns of a pulse, angles that go from side to
 side, a class of ground, or coordinates of a map. Scanners on tripods write some of that, too; but
 what was flown over is covered evenly as seen on a map, and nothing else is: walls stand on lines of
-it, and around a tripod points get ever denser.
+it, and around a tripod points get ever denser. From the centre of the earth, too, a place is told.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from hpcapp.geometry.axes import rotate
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.points import FloatArray, PointCloud
-from hpcapp.io.crs import METRES
+from hpcapp.io.crs import METRES, Crs
+from hpcapp.io.geocentric import find_upright
 
 EVIDENCE = ("return_number", "scan_angle", "classification")
 """Attributes that tell."""
@@ -45,10 +47,12 @@ def is_flown_over(points: PointCloud, unit: str | None = None, crs: str | None =
     low, high = bound_points(points.positions)
     if max(*-low, *high) > _FARTHEST:
         return False
-    wide, size = _WIDE / METRES.get(unit or "m", 1.0), high - low
+    upright = find_upright(low + points.origin, high + points.origin, Crs(crs, unit))
+    positions = rotate(points.positions, upright)
+    wide, size = _WIDE / METRES.get(unit or "m", 1.0), np.ptp(positions, axis=0)
     is_wide = bool(min(size[:2]) > wide and size[2] < max(size))
-    may_be = _has_evidence(points) or (is_wide and is_projected(points, unit, crs))
-    return may_be and _is_even(points.positions)
+    is_placed = upright is not None or is_projected(points, unit, crs)
+    return (_has_evidence(points) or (is_wide and is_placed)) and _is_even(positions)
 
 
 def is_projected(points: PointCloud, unit: str | None = None, crs: str | None = None) -> bool:

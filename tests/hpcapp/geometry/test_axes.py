@@ -9,7 +9,7 @@ import pytest
 from shared_data import shared
 
 from hpcapp.geometry import axes
-from hpcapp.geometry.axes import find_up, turn_up
+from hpcapp.geometry.axes import find_up, measure_faces, turn_up
 from hpcapp.geometry.axis_names import AXES
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.io import read_mesh
@@ -25,7 +25,7 @@ SCENES = ("chair_in_a_corner", "cliff", "facade", "room_without_ceiling", "town_
 
 def _find(mesh: Mesh) -> str:
     stream = as_stream(mesh)
-    return find_up(stream.corners(), stream.box)
+    return find_up(map(measure_faces, stream.corners()), stream.box)
 
 
 @pytest.fixture(scope="module")

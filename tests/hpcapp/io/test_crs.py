@@ -6,7 +6,7 @@ import struct
 
 import pytest
 
-from hpcapp.io.crs import Crs, parse_epsg, parse_geokeys, parse_wkt
+from hpcapp.io.crs import Crs, is_geocentric, parse_epsg, parse_geokeys, parse_wkt
 
 GEOGRAPHIC = 'GEOGCS["NAD83",DATUM["D",SPHEROID["S",6378137,298.25]],UNIT["degree",0.0174532925]]'
 UTM_2 = """PROJCRS["WGS 84 / UTM zone 23S",
@@ -103,6 +103,7 @@ def test_deeply_nested_wkt_is_read() -> None:
         ([(1024, 0, 1, 1), (3072, 0, 1, 32632)], Crs("EPSG:32632", "m")),
         ([(1024, 0, 1, 2), (2048, 0, 1, 4326), (2054, 0, 1, 9102)], Crs("EPSG:4326", "degree")),
         ([(1024, 0, 1, 3), (2048, 0, 1, 4326)], Crs(None, "m")),  # earth-centred
+        ([(1024, 0, 1, 3), (2048, 0, 1, 4978)], Crs("EPSG:4978", "m")),
         # The code of the system in the place of the unit: the unit stands elsewhere.
         ([(1024, 0, 1, 1), (3076, 0, 1, 32632), (2052, 0, 1, 9001)], Crs(None, "m")),
         ([(1024, 0, 1, 1), (1026, 34737, 5, 1), (3072, 0, 1, 32767)], Crs("Site", None)),
@@ -111,6 +112,26 @@ def test_deeply_nested_wkt_is_read() -> None:
 )
 def test_geotiff_keys(entries: list[tuple[int, int, int, int]], crs: Crs | None) -> None:
     assert parse_geokeys(make_keys(*entries), b"|Site|") == crs
+
+
+@pytest.mark.parametrize(
+    ("text", "is_said"),
+    [
+        ("EPSG:4978", True),
+        ("EPSG:7789", True),
+        ("EPSG:4979", False),
+        ("EPSG:32632", False),
+        ('GEOCCS["WGS 84",UNIT["metre",1]]', True),
+        ('GEODCRS["ITRF",CS[Cartesian,3],AXIS["x",geocentricX],LENGTHUNIT["metre",1]]', True),
+        ('GEODCRS["a",CS[ellipsoidal,3],AXIS["b",north,ANGLEUNIT["degree",0.017]]]', False),
+        (UTM_2.format(name="metre", factor=1), False),
+        (GEOGRAPHIC, False),
+        ("a name", False),
+        (None, False),
+    ],
+)
+def test_what_is_from_the_centre_of_the_earth(text: str | None, is_said: bool) -> None:
+    assert is_geocentric(text) == is_said
 
 
 @pytest.mark.parametrize("size", range(12))

@@ -125,3 +125,15 @@ def test_settings_have_readable_names_and_lengths_their_unit() -> None:
 def test_times_are_at_round_numbers() -> None:
     drawn = drawing([TaskSpan("t", "w-1", 0.0, 4.7)])
     assert [f">{tick} s<" in drawn for tick in (0, 2, 4, 4.7)] == [True, True, True, False]
+
+
+def test_what_a_scan_was_read_as_is_said_with_its_rivals_and_reasons() -> None:
+    reading = {
+        "kind": "above",
+        "certainty": 0.75,
+        "rivals": [{"kind": "below", "probability": 0.25, "option": "below"}],
+        "because": [{"name": "cost", "value": 0.5, "unit": "of the area"}],
+    }
+    decided = bodies({"reading": reading})["Decided"]
+    for said in ("above", "75.0 %", "below, 25.0 %, below", "cost, 0.500, of the area"):
+        assert said in decided

@@ -25,6 +25,7 @@ from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray, PointCloud
 from hpcapp.io import find_mesh_crs, holds_faces, open_points, read_mesh, read_whole, take_finite
 from hpcapp.io.crs import UNKNOWN, Crs
+from hpcapp.io.geocentric import refuse_geocentric
 from hpcapp.pages.thin import thin_mesh
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError, UsageError
@@ -77,7 +78,15 @@ class Epoch:
         return self.surface.vertices[np.unique(self.surface.faces)]
 
     def turn(self, up: str, origin: FloatArray) -> Epoch:
-        """Return the epoch in a frame with this origin, with z up."""
+        """Return the epoch in a frame with this origin, with z up.
+
+        Raises
+        ------
+        InputError
+            Its coordinates are from the centre of the earth: see `refuse_geocentric`.
+        """
+        low, high = (corner + self.surface.origin for corner in bound_points(self.positions))
+        refuse_geocentric(self.name, low, high, self.crs)
         turned = np.roll(self.surface.origin - origin, _find_turn(up))
         if isinstance(self.surface, PointCloud):
             places = np.roll(self.surface.positions, _find_turn(up), axis=1) + turned

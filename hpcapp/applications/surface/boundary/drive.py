@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 
 from hpcapp.applications.surface.boundary.clearance import SupportRule
+from hpcapp.applications.surface.boundary.closing import say_closing, weigh_open
 from hpcapp.applications.surface.boundary.lengths import Length
 from hpcapp.applications.surface.boundary.opening import OpeningSeams, OpeningSurvey
-from hpcapp.applications.surface.boundary.rim_shape import draws_together
 from hpcapp.applications.surface.boundary.seams import MatchedSeams, match_seams, place_foreign
 from hpcapp.applications.surface.boundary.support import Support, measure_support
 from hpcapp.applications.surface.boundary.tasks import (
@@ -30,12 +30,11 @@ from hpcapp.applications.surface.boundary.tasks import (
     open_part,
     survey_support,
 )
-from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, Measured
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.extraction.summary import PartSummary
 from hpcapp.applications.surface.extraction.taken_bricks import TakenBricks
 from hpcapp.applications.surface.methods.method import Advance
-from hpcapp.applications.surface.normals.consistency import faces_inwards
 from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.applications.surface.stitching.surface import Surface
 from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
@@ -52,20 +51,12 @@ from hpccomponent.errors import InputError
 
 log = logging.getLogger("hpcapp")
 
-BARE_SHARE, TELLING_SHARE = 0.2, 0.05
-"""A closed surface of which no point supports more than this share is left open; the second one
-where the normals face one way, or inwards, as those of no object do. Objects scanned from all sides
-have less than a tenth, views, terrains and rooms most often more than a third. An object that
-stood on a table has as much, too, but its normals do not face one way, and at its border it draws
-together (`rim_shape`)."""
-
 _SPACINGS, _NOISES, _STEPS = 3.0, 4.0, 1.5  # of the trim distance that is chosen
-_FILL = 4.0  # times the trim distance: loops that are filled
+_FILL = 4.0  # times the trim distance: patches that fill holes
 _CRUMB = 3.0  # times the trim distance: pieces smaller than a square of this are dropped
 _JUDGED_BRICKS = 20_000  # about: of larger surfaces a sample
 _FACES = 2.0  # of a piece as large as the side of a cell
 _STEPS_OF_PART = 3  # it is judged, surveyed and cut, or less
-_ONE_WAY = 0.5  # length of the mean normal of what is seen from one side; a half sphere's
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,8 +93,10 @@ class Closure:
         In length units of the input; 0 where nothing was cut.
     holes, crumbs : int
         Holes that were filled, and pieces that were dropped.
-    is_room : bool
-        Whether it was taken for a room, by its normals.
+    certainty : float
+        Probability that it is as it was decided, 0 to 1; 1 where somebody has asked for it.
+    unsupported : float or None
+        Share of the closed surface that no point supports; None where nobody has looked.
     support : Support or None
         Of a closed surface; None where nobody has looked.
     """
@@ -114,18 +107,21 @@ class Closure:
     fill_holes: float = 0.0
     holes: int = 0
     crumbs: int = 0
-    is_room: bool = False
+    certainty: float = 1.0
+    unsupported: float | None = None
     support: Support | None = None
 
     def facts(self) -> dict[str, Any]:
         """Return it for the report: JSON values."""
-        if not self.is_open:
-            support = {} if self.support is None else {"support": asdict(self.support)}
-            return {"open": False, "closure": self.reason, **support}
-        return {
-            "open": True,
-            "room": self.is_room,
+        decided = {
+            "open": self.is_open,
             "closure": self.reason,
+            "closure_certainty": self.certainty,
+            "unsupported": self.unsupported,
+        }
+        if not self.is_open:
+            return decided | ({} if self.support is None else {"support": asdict(self.support)})
+        return decided | {
             "trim": self.trim,
             "fill_holes": self.fill_holes,
             "holes_filled": self.holes,
@@ -281,23 +277,17 @@ def close_surface(
 
 
 def _decide(parts: _Parts, rule: SupportRule, advance: Advance) -> Closure:
-    """Tell whether a surface stays closed, by its share without points and by what was scanned."""
-    measured = parts.cloud.measured
+    """Tell whether a surface stays closed, by its share without points and by the reading."""
+    reading = parts.cloud.measured.reading
     share, support = _judge_support(parts, rule, advance)
-    # Of a surface that is whole, nobody asks what the normals tell.
-    is_telling = share > TELLING_SHARE
-    is_one_way = is_telling and _faces_one_way(measured)
-    is_room = is_telling and not is_one_way and faces_inwards(measured.sample)
-    if share <= (TELLING_SHARE if is_one_way or is_room else BARE_SHARE):
-        reason = f"closed: points support {_percent(1.0 - share)} of it"
-        return Closure(False, reason, support=support())
-    if not (is_one_way or is_room) and _stood_on_table(measured):
-        reason = f"closed: of something that stood on a side nobody saw, {_percent(share)} of it"
-        return Closure(False, reason, support=support())
-    seen = "from inside, as a room" if is_room else "in part"
-    seen = "from one side, as a view or a terrain" if is_one_way else seen
-    reason = f"open: seen {seen}; no point supports {_percent(share)} of the closed surface"
-    return Closure(True, reason, is_room=is_room)
+    probability = weigh_open(reading, share)
+    is_open = probability > 0.5
+    reason = say_closing(reading, share, is_open=is_open)
+    certainty = max(probability, 1.0 - probability)
+    return Closure(
+        is_open, reason, certainty=certainty, unsupported=share,
+        support=None if is_open else support(),
+    )  # fmt: skip
 
 
 def _judge_support(
@@ -396,25 +386,3 @@ def _support_by(length: Length, scale: LocalScale) -> SupportRule:
 def _multiply(rule: SupportRule, factor: float) -> SupportRule:
     """Return a rule with larger radii."""
     return SupportRule(factor * rule.least, factor * rule.spacings, rule.scale)
-
-
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.0f} %"
-
-
-def _stood_on_table(measured: Measured) -> bool:
-    """Tell whether a cloud is of an object that draws together at its border."""
-    sample = measured.sample
-    assert sample.normals is not None  # noqa: S101 - they were measured
-    # (n,): each point stands for the square of the spacing around it.
-    areas = measured.scale.at(sample.positions) ** 2
-    return draws_together(sample.positions, sample.normals.astype(np.float64), areas)
-
-
-def _faces_one_way(measured: Measured) -> bool:
-    """Tell whether the normals of a cloud face one way, each counted by the area around it."""
-    sample = measured.sample
-    assert sample.normals is not None  # noqa: S101 - they were measured
-    areas = measured.scale.at(sample.positions) ** 2
-    mean = (areas[:, None] * sample.normals).sum(axis=0) / areas.sum()
-    return float(np.sqrt((mean * mean).sum())) >= _ONE_WAY

@@ -61,8 +61,10 @@ class OpeningSeams:
     """Likewise, of the vertices in `PartSummary.rim`."""
     rim_numbers: Annotated[Int32Array, Column("r", low=-1)]
     """Their numbers in their bricks of the open mesh; -1 in bricks that another part gives."""
-    loops: ComponentBoxes
-    """Of the vertices along the line, patch by patch."""
+    extents: ComponentBoxes
+    """Of the bare vertices, patch by patch."""
+    is_bounded: Annotated[BoolArray, Column("c")]
+    """Whether the line where support ends runs along each patch."""
     edges: Annotated[IntArray, Column("m", 6, low=0)]
     """Cut edges with one face in the part: brick and number of both ends in the closed mesh, the
     brick of the face, and the number there of the cut."""
@@ -178,7 +180,8 @@ def survey_opening(
     labels, patches = _label_bare(tails[within], heads[within], bare)
     across = np.flatnonzero(bare[tails] != bare[heads])  # sides that the line crosses
     tails, heads = tails[across], heads[across]
-    loops = _bound_loops(np.concatenate([part.vertices, places]), labels, patches, tails, heads)
+    is_bounded = np.zeros(patches, np.bool_)
+    is_bounded[np.maximum(labels[tails], labels[heads])] = True
     # (s,): the brick of the face that each of these is a side of.
     brick_of = np.repeat(np.arange(len(part.bricks)), part.face_counts)[across // 3]
     cuts, is_lone = _find_cuts(_rank_nodes(part, tails, heads), brick_of, tails, heads)
@@ -190,7 +193,8 @@ def survey_opening(
         labels[own:],
         np.where(rim < 0, -1, np.append(labels[:own], -1)[rim]).astype(np.int32),
         np.where(rim < 0, -1, np.append(numbers.vertices, -1)[rim]).astype(np.int32),
-        loops,
+        _bound_patches(np.concatenate([part.vertices, places]), labels, patches),
+        is_bounded,
         _name_edges(part, cuts[is_lone], numbers.cuts[is_lone]),
     )
     return survey, seams
@@ -297,17 +301,15 @@ def _label_bare(tails: IntArray, heads: IntArray, bare: BoolArray) -> tuple[Int3
     return labels, len(patches)
 
 
-def _bound_loops(
-    points: FloatArray, labels: Int32Array, patches: int, tails: IntArray, heads: IntArray
-) -> FloatArray:
-    """Bound the bare ends of some edges, patch by patch."""
-    ends = unique_keys(np.where(labels[tails] >= 0, tails, heads))
+def _bound_patches(points: FloatArray, labels: Int32Array, patches: int) -> FloatArray:
+    """Bound the vertices of bare patches."""
+    bare = np.flatnonzero(labels >= 0)
     # (c, 6): inside out at first, so that any place bounds them.
-    loops = np.full((patches, 6), np.inf)
-    loops[:, 3:] = -np.inf
-    np.minimum.at(loops[:, :3], labels[ends], points[ends])
-    np.maximum.at(loops[:, 3:], labels[ends], points[ends])
-    return loops
+    extents = np.full((patches, 6), np.inf)
+    extents[:, 3:] = -np.inf
+    np.minimum.at(extents[:, :3], labels[bare], points[bare])
+    np.maximum.at(extents[:, 3:], labels[bare], points[bare])
+    return extents
 
 
 def _rank_nodes(part: MeshPart, tails: IntArray, heads: IntArray) -> IntArray:

@@ -75,7 +75,7 @@ def opening_seams(
     """Return the pattern of what `tasks.survey_support` finds."""
 
     def agrees(seams: OpeningSeams) -> bool:
-        patches, ends = len(seams.loops), seams.edges
+        patches, ends = len(seams.extents), seams.edges
         return (
             lie_within(seams.foreign_labels, -1, patches)
             and lie_within(seams.rim_labels, -1, patches)
@@ -84,7 +84,7 @@ def opening_seams(
             and lie_within(ends[:, 5], 0, _CUT_VERTICES)
             and taken.holds(ends[:, 4])
             and rise_by_pairs(seams.foreign_bricks, seams.foreign_numbers)
-            and are_bounds(seams.loops, taken.box)
+            and are_bounds(seams.extents, taken.box)
         )
 
     seams = pattern_of(

@@ -112,11 +112,11 @@ def match_seams(
     seams : sequence of OpeningSeams
         Of the parts.
     fill : callable
-        Given places, returns how large the boundaries of patches there may be that stay, in length
-        units of the input: the diagonal of the box around one.
+        Given places, returns how large patches there may be that stay, in length units of the
+        input: the diagonal of the box around one.
     """
     rims = _Rims(plan)
-    label_starts = starts_of(np.array([len(some.loops) for some in seams], np.int64))
+    label_starts = starts_of(np.array([len(some.extents) for some in seams], np.int64))
     # (r,): shifted, the labels of a part are those of all; -1 of supported ones is never looked up.
     shifts = np.repeat(label_starts[:-1], np.diff(rims.starts))
     rim_labels = np.concatenate([some.rim_labels for some in seams]) + shifts
@@ -129,8 +129,7 @@ def match_seams(
         # The patch that a vertex is in here and the one that it is in where it is from are one.
         left.append(start + some.foreign_labels[bare])
         right.append(rim_labels[rows[bare]])
-    loops = np.concatenate([some.loops for some in seams])
-    stays, holes = _choose_small(loops, np.concatenate(left), np.concatenate(right), fill)
+    stays, holes = _choose_small(seams, np.concatenate(left), np.concatenate(right), fill)
     return MatchedSeams(
         np.split(stays, label_starts[1:-1]),
         foreign_numbers,
@@ -140,18 +139,27 @@ def match_seams(
 
 
 def _choose_small(
-    loops: FloatArray, left: IntArray, right: IntArray, fill: Callable[[FloatArray], FloatArray]
+    seams: Sequence[OpeningSeams],
+    left: IntArray,
+    right: IntArray,
+    fill: Callable[[FloatArray], FloatArray],
 ) -> tuple[BoolArray, int]:
-    """Tell which labels are of patches with a small boundary, and how many these patches are."""
-    if not len(loops):
+    """Tell which labels are of small patches with a boundary, and how many these patches are.
+
+    A patch may bulge out of a small hole, and around all that was scanned.
+    """
+    extents = np.concatenate([some.extents for some in seams])
+    bounded = np.concatenate([some.is_bounded for some in seams])
+    if not len(extents):
         return np.zeros(0, np.bool_), 0
     joined = np.stack([left, right, right], axis=1)  # edges as faces with a corner twice
-    count, patch = kernels.label_components(joined.astype(np.int64), len(loops))
+    count, patch = kernels.label_components(joined.astype(np.int64), len(extents))
     low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
-    np.minimum.at(low, patch, loops[:, :3])
-    np.maximum.at(high, patch, loops[:, 3:])
-    is_small: BoolArray = np.logical_and.reduce(high >= low, axis=1)  # others have no boundary
-    # (s, 3): sizes and middles of the boxes around the boundaries.
+    np.minimum.at(low, patch, extents[:, :3])
+    np.maximum.at(high, patch, extents[:, 3:])
+    is_small = np.zeros(count, np.bool_)
+    is_small[patch[bounded]] = True
+    # (s, 3): sizes and middles of the boxes around the patches.
     size, middle = high[is_small] - low[is_small], 0.5 * (high[is_small] + low[is_small])
     is_small[is_small] = (size * size).sum(axis=1) <= fill(middle) ** 2
     return is_small[patch], int(is_small.sum())

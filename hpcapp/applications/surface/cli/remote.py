@@ -192,7 +192,7 @@ def _show(ctx: click.Context, report: dict[str, Any], mesh: Path, points: Path) 
     if page is None and png is None:
         return
     from hpcapp.applications.surface.job.report_page import (
-        find_job_up,
+        find_up,
         show_files,
         write_job_page,
     )
@@ -202,6 +202,6 @@ def _show(ctx: click.Context, report: dict[str, Any], mesh: Path, points: Path) 
     check_report(report, "the head's report")
     shown = show_files(mesh, points, report)
     if png is not None:
-        write_picture(png, shown.mesh, up=find_job_up(report, shown.mesh))
+        write_picture(png, shown.mesh, up=find_up(report, shown.mesh))
     if page is not None:
         write_job_page(page, shown, report, Path(ctx.params["output"]).name)

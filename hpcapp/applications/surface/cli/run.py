@@ -193,9 +193,9 @@ def _write(
     outcome, carrying, topology = deliver(settings, loaded, outcome, target, clock)
     report = describe_outcome(settings, loaded, outcome, topology, carrying)
     mesh = carrying.to_stream(outcome.result.surface.stream())
-    placed = place_mesh(target, mesh, settings.placement)
+    placed = place_mesh(target, mesh, carrying.placement)
     report["warnings"] += describe_losses(target, placed)
-    report |= {"origin": placed.shift.tolist(), "up": settings.placement.up}
+    report["origin"] = placed.shift.tolist()
     report["input"] = loaded.described
     report["command"] = shlex.join(settings.command)
     if verification.machines or verification.liars:
@@ -221,7 +221,7 @@ def _show(
 ) -> None:
     """Write the job's page and picture."""
     from hpcapp.applications.surface.job.report_page import (
-        find_job_up,
+        find_up,
         show_job,
         write_job_page,
     )
@@ -229,8 +229,8 @@ def _show(
 
     shown = show_job(loaded, outcome, carrying)
     if settings.png is not None:
-        up = find_job_up(report, shown.mesh)
-        write_picture(settings.png, shown.mesh, up=up, unit=report["input"]["unit"])
+        unit, up = report["input"]["unit"], find_up(report, shown.mesh)
+        write_picture(settings.png, shown.mesh, up=up, unit=unit)
     if settings.report is not None:
         whole = {**report, "stages": clock.seconds, "timeline": clock.timeline.to_json()}
         write_job_page(settings.report, shown, whole, Path(settings.output).name)

@@ -22,6 +22,7 @@ from hpcapp.applications.surface.cloud.arrangement import (
     snap_points,
 )
 from hpcapp.applications.surface.scale.local_scale import LocalScale
+from hpcapp.applications.surface.types.reading import UNREAD, Reading
 from hpcapp.cancellation import check_cancelled
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.lattice import find_keys
@@ -45,10 +46,13 @@ class Measured:
     scale : LocalScale
     sample : PointCloud
         Points by which the noise is judged, in the cloud's order.
+    reading : Reading
+        What the scan is of.
     """
 
     scale: LocalScale
     sample: PointCloud
+    reading: Reading = UNREAD
 
     @property
     def spacing(self) -> float:

@@ -44,6 +44,7 @@ from hpcapp.applications.surface.cloud.disk_parts import Part, translated
 from hpcapp.applications.surface.cloud.layout import FoldedLayout, Layout, SingleLayout
 from hpcapp.applications.surface.cloud.part_check import check_part
 from hpcapp.applications.surface.scale.local_scale import LocalScale
+from hpcapp.applications.surface.types.reading import Reading
 from hpcapp.geometry.lattice import find_keys, merge_counts
 from hpcapp.geometry.points import ByteArray, Float32Array, FloatArray, IntArray, PointCloud
 from hpccomponent.dataclass import dataclass
@@ -322,7 +323,7 @@ def write_index(
     }
     if measured is not None:
         columns = (measured.sample.positions, measured.sample.normals)
-        index["measured"] = (astuple(measured.scale), *columns)
+        index["measured"] = (astuple(measured.scale), *columns, measured.reading.to_json())
     with translated(folder):
         write_whole(folder / _INDEX, to_buffers(index, folder.name))
     return _put_together(folder, arrangement, origin, box, parts, measured, attributes or {})
@@ -378,8 +379,9 @@ def _open(folder: Path, *_version: int) -> DiskCloud:
     parts = [Part(*part) for part in index["parts"]]
     measured = None
     if index["measured"] is not None:
-        scale, positions, normals = index["measured"]
-        measured = Measured(LocalScale(*scale), PointCloud(positions, normals))
+        scale, positions, normals, reading = index["measured"]
+        sample = PointCloud(positions, normals)
+        measured = Measured(LocalScale(*scale), sample, Reading.of_json(reading))
     arrangement = Arrangement(index["corner"], index["edge"])
     attributes = {
         name: [Part(*part) for part in some] for name, some in index["attributes"].items()

@@ -27,6 +27,7 @@ from hpcapp.applications.surface.scale.local_scale import (
     make_scale,
 )
 from hpcapp.applications.surface.scale.scan_lines import GapBoxes, find_gaps
+from hpcapp.applications.surface.types.reading import UNREAD, Reading
 from hpcapp.geometry.lattice import lay_lattice, unique_keys
 from hpcapp.geometry.points import FloatArray, PointCloud
 
@@ -99,8 +100,8 @@ def find_scale(positions: FloatArray) -> LocalScale:
     return measure_scale(MemoryPass(arrange_cloud(PointCloud(positions))))
 
 
-def measure_cloud(cloud_pass: PassT, scale: LocalScale) -> PassT:
-    """Keep with a cloud what methods ask of it: its scale, which is given, and a sample.
+def measure_cloud(cloud_pass: PassT, scale: LocalScale, reading: Reading = UNREAD) -> PassT:
+    """Keep with a cloud what methods ask of it: its scale and reading, and a sample.
 
     The sample has about 15,000 points; of a cloud in few boxes more, and all of a small one.
     """
@@ -108,12 +109,12 @@ def measure_cloud(cloud_pass: PassT, scale: LocalScale) -> PassT:
     while True:
         sample = draw_boxes(cloud_pass, SAMPLED_BOX * scale.spacing, one_in)
         if one_in == 1 or len(sample[0]) > _SAMPLED_POINTS // 4:
-            return cloud_pass.note(Measured(scale, PointCloud(*sample)))
+            return cloud_pass.note(Measured(scale, PointCloud(*sample), reading))
         one_in = max(one_in // 8, 1)
 
 
-def measure_points(points: PointCloud) -> MemoryCloud:
-    """Arrange points with normals in memory, and measure them.
+def measure_points(points: PointCloud, reading: Reading = UNREAD) -> MemoryCloud:
+    """Arrange points with normals in memory, and measure them; their reading is given.
 
     Raises
     ------
@@ -121,7 +122,7 @@ def measure_points(points: PointCloud) -> MemoryCloud:
         All points are the same.
     """
     cloud_pass = MemoryPass(arrange_cloud(points))
-    return measure_cloud(cloud_pass, measure_scale(cloud_pass)).cloud
+    return measure_cloud(cloud_pass, measure_scale(cloud_pass), reading).cloud
 
 
 def replace_points(cloud: ArrangedCloud, points: PointCloud) -> MemoryCloud:
@@ -139,7 +140,11 @@ def replace_points(cloud: ArrangedCloud, points: PointCloud) -> MemoryCloud:
         All points are the same, and would be arranged.
     """
     is_endless = np.isinf(cloud.arrangement.edge)
-    return MemoryCloud.as_they_are(points) if is_endless else measure_points(points)
+    return (
+        MemoryCloud.as_they_are(points)
+        if is_endless
+        else measure_points(points, cloud.measured.reading)
+    )
 
 
 def first_share(points: int) -> int:

@@ -112,6 +112,7 @@ def solve_far_field(
     box: tuple[FloatArray, FloatArray],
     size: float,
     nodes: int,
+    missing: FloatArray,
     threads: int = 1,
 ) -> FarField:
     """Solve for the coarse field of some cells of points.
@@ -129,6 +130,8 @@ def solve_far_field(
         Gaussian that the samples are smeared with, too; at least one grid step is taken.
     nodes : int
         Along each side, a power of two.
+    missing : ndarray of float64, shape (3,)
+        As of the cloud's `Reading`.
 
     Notes
     -----
@@ -137,7 +140,7 @@ def solve_far_field(
     low, high = box
     origin, step = lay_far_field(low, high, nodes)
     corner = lay_lattice(low, size)
-    hull = find_hull(centroids, normals, size)
+    hull = find_hull(centroids, normals, size, missing)
     centroids, normals = spread_samples(centroids - corner, normals, size)
     # (s, 3): discs may reach beyond the box that the field covers.
     centroids = np.clip(centroids + corner, low, high)

@@ -21,7 +21,7 @@ _MARGIN = 1.0
 border of an open view is cut before. With .5 it curls; with .5 to 1 bare undersides are as good."""
 
 _BARE = 0.15
-"""Least length of the mean normal. Evenly scanned objects have .09 and less, those that stood on a
+"""Least length of what is missing. Evenly scanned objects have .09 and less, those that stood on a
 table .21 and more; patchy ones lie between, up to .24, and their facets are judged by the rest."""
 
 _MISSING = 0.5
@@ -34,7 +34,9 @@ tables have -.15 to .9, those under terrains and behind walls -.36 to -1."""
 _TINY = 1e-300
 
 
-def find_hull(centroids: FloatArray, normals: FloatArray, size: float) -> FloatArray:
+def find_hull(
+    centroids: FloatArray, normals: FloatArray, size: float, missing: FloatArray
+) -> FloatArray:
     """Find planes that the surface of some cells of points does not leave.
 
     Parameters
@@ -43,16 +45,16 @@ def find_hull(centroids: FloatArray, normals: FloatArray, size: float) -> FloatA
         Means of the points in each cell, in length units of the input.
     size : float
         Edge of the cells, in the same units.
+    missing : ndarray of float64, shape (3,)
+        As of the cloud's `Reading`.
 
     Returns
     -------
     ndarray of float64, shape (k, 4)
         See `FarField`; none where nothing is missing, or the cells lie in a plane.
     """
-    # The normals of a closed surface add up to zero: their sum points away from what is missing.
-    missing = -normals.sum(axis=0)
     length = float(np.linalg.norm(missing))
-    if length < _BARE * len(normals):
+    if length < _BARE:
         return np.empty((0, 4))
     from scipy.spatial import ConvexHull, QhullError  # takes its time
 

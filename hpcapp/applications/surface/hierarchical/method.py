@@ -189,6 +189,7 @@ class HierarchicalMethod:
             block_edge=blocks.edge,
             far=far,
             far_nodes=nodes,
+            missing=np.array(cloud.measured.reading.missing),
             tolerance=tolerance,
             refinement=refinement,
             strides=grid.strides,

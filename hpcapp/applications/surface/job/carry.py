@@ -28,11 +28,12 @@ def carry_columns(
     """Return what the vertices of a job's mesh carry."""
     cloud, choice = loaded.cloud, settings.attributes
     layout = loaded.columns.with_found(cloud)
+    placement = settings.placement.with_up(loaded.reading.up)
     if choice.has_confidence and CONFIDENCE not in layout.attributes:
         reason = "the normals are those of the input as they are"
         log.warning("warning: %s: left out: %s", name_option("attributes", CONFIDENCE), reason)
     if layout.colours is None and not layout.attributes and not choice.has_support:
-        return Carrying(layout, None, None, choice.has_normals, loaded.crs, settings.placement)
+        return Carrying(layout, None, None, choice.has_normals, loaded.crs, placement)
     at_once = min(choose_tile(settings, outcome.backend) or _MOST_AT_ONCE, _MOST_AT_ONCE)
     threads = choose_threads(outcome.backend.workforce, len(cloud))
     with clock.stage("attributes"):
@@ -41,4 +42,4 @@ def carry_columns(
             spacing = cloud.measured.spacing
         evaluate = loaded.columns.open(cloud, spacing, threads, at_once)
     support = spacing if choice.has_support else None
-    return Carrying(layout, evaluate, support, choice.has_normals, loaded.crs, settings.placement)
+    return Carrying(layout, evaluate, support, choice.has_normals, loaded.crs, placement)

@@ -9,14 +9,14 @@ import logging
 from typing import Any
 
 from hpcapp.applications.surface import kernels
-from hpcapp.applications.surface.boundary.drive import BARE_SHARE
+from hpcapp.applications.surface.boundary.closing import SURE
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.job.outcome import Reconstruction
 from hpcapp.applications.surface.job.scan import Loaded
 from hpcapp.applications.surface.job.settings import Settings
-from hpcapp.applications.surface.normals.consistency import faces_inwards
 from hpcapp.applications.surface.stitching.handles import find_small_handles
 from hpcapp.applications.surface.stitching.surface import Surface
+from hpcapp.applications.surface.types.reading import Reading
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.wording import say_count
@@ -29,15 +29,17 @@ log = logging.getLogger("hpcapp")
 SAMPLE = 10_000
 #: Share of the vertices outside the points' box; a closed scan leaves it by less than a cell.
 OUTSIDE = 0.02
+#: Share of a closed mesh without points that is worth a word; objects from all sides have .1.
+GUESSED = 0.2
 
 
-def check_sides(points: PointCloud) -> list[str]:
+def check_sides(reading: Reading) -> list[str]:
     """Warn of normals of a file that face inwards.
 
     A cloud of the inside of a room is oriented like one of an object turned inside out; only its
     user can tell them apart.
     """
-    if not faces_inwards(points):
+    if reading.kind != "inside":
         return []
     return [
         "the normals face inwards, as of a room seen from inside: if it is an object, "
@@ -127,7 +129,7 @@ def check_support(facts: dict[str, Any]) -> list[str]:
         Of the reconstruction; what is missing there was not measured.
     """
     support = facts.get("support")
-    if support is None or 1.0 - support["share"] <= BARE_SHARE:
+    if support is None or 1.0 - support["share"] <= GUESSED:
         return []
     return [
         f"{100.0 * (1.0 - support['share']):.0f} % of the mesh is supported by no point, up to "
@@ -136,12 +138,30 @@ def check_support(facts: dict[str, Any]) -> list[str]:
     ]
 
 
+def check_closing(facts: dict[str, Any]) -> list[str]:
+    """Warn of a mesh that is open, or closed, and may as well be the other.
+
+    Parameters
+    ----------
+    facts : dict
+        Of the reconstruction.
+    """
+    certainty = facts.get("closure_certainty", 1.0)
+    if certainty >= SURE:
+        return []
+    taken, other, option = ("open", "closed", "yes") if facts["open"] else ("closed", "open", "no")
+    kept = name_option("close", "no" if facts["open"] else "yes")
+    return [
+        f"it is {100.0 * certainty:.0f} % sure that what was scanned is {taken}: "
+        f"{name_option('close', option)} makes it {other}, {kept} keeps it {taken}"
+    ]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PointChecks:
     """What is suspicious of the points, and what their mesh is judged by."""
 
     resolution: list[str]
-    sides: list[str]
     low: FloatArray
     high: FloatArray
     step: float
@@ -151,9 +171,7 @@ def check_points(grid: int, cloud: ArrangedCloud) -> PointChecks:
     """Look for what is suspicious of the points of a grid."""
     low, high, points = cloud.low, cloud.high, cloud.sample(SAMPLE)
     step = float((high - low).max()) / grid
-    resolution = check_resolution(points, step)
-    sides = [] if resolution else check_sides(points)
-    return PointChecks(resolution, sides, low, high, step)
+    return PointChecks(check_resolution(points, step), low, high, step)
 
 
 def warn_of(
@@ -162,14 +180,15 @@ def warn_of(
     """Log what should make the user doubt the mesh, and return it for the report."""
     warnings = [*checks.resolution]
     is_open = result.facts.get("open", False)
-    # Where sides were looked for, that has been judged; of an open mesh, nothing is guessed.
-    if loaded.oriented.is_believed and (not is_open or result.facts.get("room", False)):
-        warnings += checks.sides
+    # Where sides were looked for, that has been judged.
+    if loaded.oriented.is_believed and not checks.resolution:
+        warnings += check_sides(loaded.reading)
     # Too few cells explain a mesh that is too large.
     if not (is_open or checks.resolution) and settings.method.makes_closed_meshes:
         warnings += check_closure(checks.low, checks.high, result.surface, checks.step)
         warnings += check_handles(result.surface, loaded.cleaned.line_gap)
         warnings += check_support(result.facts)
+    warnings += check_closing(result.facts)
     for warning in warnings:
         log.warning("warning: %s", warning)
     return warnings

@@ -70,6 +70,7 @@ def _read_into_memory(settings: JobSettings, source: PointSource, clock: StageCl
         dropped=dropped,
         is_oriented=source.oriented,
         sensor=_find_sensor(settings, source),
+        is_upright=source.is_upright,
         crs=source.frame,
         findings=source.findings,
     )
@@ -123,6 +124,7 @@ def _read_into_folder(
         source.has_normals,
         source.oriented,
         _find_sensor(settings, source),
+        source.is_upright,
         source.frame,
         source.findings,
     )
@@ -138,10 +140,10 @@ def _check_scans(chunks: Iterable[PointCloud], source: PointSource) -> None:
 
 def _find_sensor(settings: JobSettings, source: PointSource) -> Sensor:
     """Return where the points were measured from: as the user says, else as the file does."""
-    said = sensor_of(settings.viewpoint)
+    said = sensor_of(settings.viewpoint, source.upright)
     if said.is_told:
         return said.scale_heights(source.frame.height_scale)
     known = [scan.scanner for scan in source.scans if scan.scanner is not None]
     if known and len(known) == len(source.scans):
-        return Sensor("places", np.array(known))
-    return Sensor("above" if source.is_flown else "unknown")
+        return replace(said, kind="places", places=np.array(known))
+    return replace(said, kind="above" if source.is_flown else "unknown")

@@ -43,7 +43,9 @@ def describe_outcome(
     }
     report["turned_normals"] = loaded.cleaned.flipped
     report["scan_lines"] = loaded.cleaned.tell_lines()
+    report["up"] = carrying.placement.up
     report["normals"] = loaded.oriented.to_json()
+    report["reading"] = loaded.reading.to_json()
     return report
 
 

@@ -180,7 +180,7 @@ def build_job_page(shown: Shown, report: Mapping[str, Any], title: str) -> str:
     own = [one for one in fields_of(shown.mesh) if one.label != SUPPORT]
     scene = Scene(
         shown.mesh, [*fields, *shown.labels, *own], shown.points, markers,
-        up=find_job_up(report, shown.mesh), unit=unit, tint=tint,
+        up=find_up(report, shown.mesh), unit=unit, tint=tint,
     )  # fmt: skip
     sections = describe_job(report, [one.text for one in markers])
     if len(shown.mesh.faces) < shown.faces:
@@ -198,12 +198,10 @@ def _find_reach(report: Mapping[str, Any], spacing: float) -> float:
     return GUESSED * spacing
 
 
-def find_job_up(report: Mapping[str, Any], mesh: Mesh) -> str:
-    """Return the axis that points up: as the user or the input tells, else as the mesh stands."""
-    given = report.get("input")
-    told = str(given.get("up", "")).partition(" ")[0] if isinstance(given, Mapping) else ""
-    known = [axis for axis in (report.get("up"), told) if axis in AXES]
-    return choose_up(mesh, *known[:1])
+def find_up(report: Mapping[str, Any], mesh: Mesh) -> str:
+    """Return the axis that points up: as the report tells, else as the mesh stands."""
+    known = report.get("up")
+    return choose_up(mesh, known if known in AXES else None)
 
 
 def find_guesses(

@@ -62,7 +62,7 @@ def find_loaded(settings: JobSettings, source: PointSource, folder: PointFolder)
         Dropped(**known["dropped"]),
         Cleaned(**known["cleaned"]),
         Columns.of_file(settings, source),
-        Oriented(**known["oriented"]),
+        Oriented.of(known["oriented"]),
         Findings(**known["findings"]),
         source.frame,
     )

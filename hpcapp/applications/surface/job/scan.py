@@ -14,6 +14,7 @@ from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.job.columns import Columns
 from hpcapp.applications.surface.normals.oriented import Oriented
 from hpcapp.applications.surface.normals.sensor import Sensor
+from hpcapp.applications.surface.types.reading import Reading
 from hpcapp.geometry.validity import Dropped
 from hpcapp.io.crs import UNKNOWN, Crs
 from hpcapp.io.points.point_source import Findings
@@ -55,6 +56,8 @@ class Scan:
         Whether the points have normals, and whether the input says that these have a side.
     sensor : Sensor
         Where they were measured from.
+    is_upright : bool
+        Whether z is known to point up, as on a map.
     crs : Crs
         What the file's coordinates mean; heights are in the unit of x and y here.
     findings : Findings
@@ -68,6 +71,7 @@ class Scan:
     has_normals: bool
     is_oriented: bool = True
     sensor: Sensor = field(default_factory=Sensor)
+    is_upright: bool = False
     crs: Crs = UNKNOWN
     findings: Findings = field(default_factory=Findings)
 
@@ -114,6 +118,11 @@ class Loaded:
     findings: Findings
     crs: Crs
     described: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def reading(self) -> Reading:
+        """What the scan is of."""
+        return self.cloud.measured.reading
 
     def report(self, shown: str) -> None:
         """Log what was left out of the input.

@@ -9,8 +9,6 @@ from hpcapp.applications.surface.kernels import UNSURE, WRONG
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.lattice import (
     cells_of,
-    find_first,
-    lay_lattice,
     number_keys,
     pack_places,
 )
@@ -19,7 +17,6 @@ from hpcapp.geometry.points import (
     Float32Array,
     FloatArray,
     IntArray,
-    PointCloud,
 )
 from hpccomponent.dataclass import dataclass
 
@@ -34,15 +31,12 @@ _DRIFT = 0.5  # spacings between a sheet and the mean of those that oppose a nor
 _FEW = 8  # points, of which none is told
 _PAIRS = 8  # of each point, with those after it in its box
 _ROUNDS = 3  # each with cells of twice the size, for what the last left open
-_SAMPLE = 10_000  # points by which it is judged where normals face
 _FEWEST_JUDGED = 100  # of which it is judged
-_BOXES = 24  # along the longest side, whose mean normals count
 _SEEKING = 2_000  # points by which it is sought what normals follow
 _STEPS = 400  # of the search
 _HOPELESS = 60  # after which one that has found little is given up
 _ACROSS = 0.08  # cosine between normals that are across the line of sight and that
 _FEWEST_TORN = 30  # pairs of these that tell
-_INWARD = -0.1  # sum of n.(x - c) by that of |x - c|: a sphere has 1 seen from outside
 
 MARGIN = _EDGE * (2.0**_ROUNDS - 1.0)
 """Spacings: as far as what decides over a normal lies, all rounds together."""
@@ -250,39 +244,3 @@ def _pair_up(
         return order[:0], order[:0], np.empty(0)
     firsts, seconds, all_cosines = zip(*found, strict=True)
     return np.concatenate(firsts), np.concatenate(seconds), np.concatenate(all_cosines)
-
-
-def faces_inwards(cloud: PointCloud) -> bool:
-    """Tell whether the normals of a cloud point to its middle, as those of a room do.
-
-    Parameters
-    ----------
-    cloud : PointCloud
-        Finite positions and unit normals. Of fewer than a hundred points, none do.
-
-    Notes
-    -----
-    The sum of n . (x - c) by that of |x - c| is taken over boxes, each with the mean of its
-    normals, so that what is scanned more densely does not decide.
-    """
-    if cloud.normals is None or len(cloud) < _FEWEST_JUDGED:
-        return False
-    every = slice(None, None, -(-len(cloud) // _SAMPLE))
-    positions, normals = cloud.positions[every], cloud.normals[every]
-    low, high = bound_points(positions)
-    # The edge of the boxes: k of them along the longest side hold n / k^2 points of a surface each,
-    # and these should be 24 or more.
-    size = float((high - low).max()) / min(_BOXES, max(1.0, np.sqrt(len(positions) / 24.0)))
-    places = np.floor(cells_of(positions, lay_lattice(low, size), size))
-    keys = pack_places(places.astype(np.int64))
-    # Box by box, so that each box is one run of rows, which `reduceat` sums.
-    order = np.argsort(keys, kind="stable")
-    _, first = find_first(keys[order])
-    counts = np.diff(np.append(first, len(keys)))[:, None]
-    # (b, 3): the middle of each box's points, and the mean of their normals
-    middles = np.add.reduceat(positions[order] - low, first) / counts
-    means = np.add.reduceat(normals[order], first) / counts
-    arms = middles - middles.mean(axis=0)
-    lengths = np.linalg.norm(arms, axis=1)
-    # Boxes count by their distance from the middle: near it, there is no clear way to it.
-    return bool(np.einsum("ij,ij->", arms, means) < _INWARD * lengths.sum())

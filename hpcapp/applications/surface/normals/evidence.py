@@ -12,7 +12,7 @@ import numpy as np
 
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.kernels import WHOLE
-from hpcapp.applications.surface.normals.inside import TIGHT, find_inside
+from hpcapp.applications.surface.normals.inside import AMID, INSIDE, TIGHT, Places, find_inside
 from hpcapp.applications.surface.normals.patches import CELL, Patches
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.normals.visibility import look, surround
@@ -27,8 +27,6 @@ VIEWS = 64
 _CLEAR = 0.125  # of the viewpoints: the sum of cosines that makes a patch's leaning a whole one
 _AT_ONCE = 16  # viewpoints, of which no more than the sums is kept
 _FEW = 8  # viewpoints that see a patch from among things: others see other parts
-_BELIEVED = 0.5  # share of the area that may be hidden from scanners that a file names
-_LEVEL = 0.75  # of the longest side, below which the height of what was flown over is
 _SHELLS = 4  # inside each other
 _SHOWN = 0.25  # share of a component that must be seen from outside
 _ALIKE = 0.3  # of the better seen side, that the other one shows
@@ -104,11 +102,20 @@ class Views:
         return cls(front / WHOLE, back / WHOLE, _CLEAR * viewpoints, is_hidden)
 
     @classmethod
-    def inside(
-        cls, patches: Patches, places: FloatArray, spacing: float, threads: int = 1
-    ) -> Views:
-        """Look from places inside, of which a patch is seen from a few."""
-        return cls.of(patches, places, min(len(places), _FEW), spacing, threads)
+    def inside(cls, patches: Patches, places: Places, spacing: float, threads: int = 1) -> Views:
+        """Look from places inside, as far as they reach; a patch is seen from a few of them."""
+        front, back = np.zeros((2, len(patches)))
+        is_hidden = np.ones(len(patches), np.bool_)
+        viewpoints = min(len(places), _FEW)
+        for start in range(0, len(places), _AT_ONCE):
+            some = places.every[start : start + _AT_ONCE]
+            low, high = some.min(axis=0) - places.reach, some.max(axis=0) + places.reach
+            rows = np.flatnonzero(((patches.centres > low) & (patches.centres < high)).all(axis=1))
+            near = cls.of(patches.take(rows), some, viewpoints, spacing, threads)
+            front[rows] += near.front
+            back[rows] += near.back
+            is_hidden[rows] &= near.is_hidden
+        return cls(front, back, _CLEAR * viewpoints, is_hidden)
 
     @property
     def is_alike(self) -> BoolArray:
@@ -137,23 +144,33 @@ def share_of(patches: Patches, chosen: BoolArray) -> float:
     return float(areas[chosen].sum() / areas.sum())
 
 
-def face_along(patches: Patches, axis: int, sign: float, how: str, *, is_sensed: bool) -> Evidence:
-    """Return the evidence that all was seen from far away along an axis."""
-    along = sign * patches.normals[:, axis]
+def face_along(patches: Patches, rays: FloatArray, how: str) -> tuple[Views, Evidence]:
+    """Return what is seen along some rays, which lead back to the sensor, and that as evidence.
+
+    Parameters
+    ----------
+    patches : Patches
+    rays : ndarray of float64, shape (3,) or (p, 3)
+        In any length.
+    how : str
+        Where they come from, for people.
+    """
+    lengths = np.maximum(np.linalg.norm(rays, axis=-1), 1e-300)
+    along = (patches.normals * rays).sum(axis=1) / lengths
     shown = np.maximum(along, 0.0), np.maximum(-along, 0.0)
     views = Views(*shown, _CLEAR, np.zeros(len(patches), np.bool_))
-    return views.evidence(how, is_sensed=is_sensed)
+    return views, views.evidence(how, is_sensed=True)
 
 
-def hear_sensor(
+def hear_user(
     patches: Patches,
     components: IntArray,
     spacing: float,
     zero: FloatArray,
     sensor: Sensor,
     threads: int = 1,
-) -> Evidence | None:
-    """Return the evidence of a sensor; None where nothing is known of it.
+) -> Evidence:
+    """Return the evidence of a sensor that a user tells of, who is believed.
 
     Parameters
     ----------
@@ -166,9 +183,6 @@ def hear_sensor(
     zero : ndarray of float64, shape (3,)
         Where the input has (0, 0, 0), in the frame of the patches.
     sensor : Sensor
-        What a user has told is believed. What a file tells is where it can be: of scanners, if
-        they see half of the object; of a flight, if that is not as high as it is wide, for some
-        scanners on tripods write the same.
 
     Raises
     ------
@@ -176,31 +190,33 @@ def hear_sensor(
         Somebody was inside, and no place inside is found.
     """
     if sensor.kind == "inside":
-        places = find_inside(patches, spacing, TIGHT, threads)
-        if not len(places):
+        # The most enclosed places that there are: a street has none that a room would have.
+        found = find_inside(patches, spacing, TIGHT, threads, (INSIDE, *AMID))
+        places = next((some for some in found if len(some)), None)
+        if places is None:
             raise InputError(
                 f"{name_option('viewpoint', 'inside')}: no place inside was found: nothing "
                 "surrounds the points",
                 f"give where the sensor was ({name_option('viewpoint')}: X,Y,Z or path.csv)",
             )
         return Views.inside(patches, places, spacing, threads).evidence("from inside")
-    if sensor.kind == "outside":
+    if sensor.kind in ("above", "below"):
+        sign = 1.0 if sensor.kind == "above" else -1.0
+        return face_along(patches, np.array([0.0, 0.0, sign]), f"from {sensor.kind}")[1]
+    if sensor.places is None:
         outside = look_outside(patches, components, spacing, threads)
         return outside.toggled.evidence("from outside")
-    if sensor.kind in ("above", "below"):
-        size = np.ptp(patches.centres, axis=0)
-        sign = 1.0 if sensor.kind == "above" else -1.0
-        if sensor.is_told or size[2] < _LEVEL * size.max():
-            return face_along(patches, 2, sign, f"from {sensor.kind}", is_sensed=True)
-        return None
-    if sensor.places is None:
-        return None
-    views = Views.of(patches, sensor.places + zero, len(sensor.places), spacing, threads)
-    if sensor.is_told or share_of(patches, views.is_hidden) < _BELIEVED:
-        is_camera = sensor.axes is not None and bool(sensor.axes.any())
-        how = f"from where the {'cameras were' if is_camera else 'scanner stood'}"
-        return views.evidence(how, is_sensed=True)
-    return None
+    return look_from(patches, sensor, spacing, zero, threads)[1]
+
+
+def look_from(
+    patches: Patches, sensor: Sensor, spacing: float, zero: FloatArray, threads: int = 1
+) -> tuple[Views, Evidence]:
+    """Return what a sensor sees whose places are known, and that as evidence."""
+    assert sensor.places is not None  # noqa: S101 - it is of that kind
+    places = sensor.places + zero
+    views = Views.of(patches, places, len(places), spacing, threads)
+    return views, views.evidence(f"from where the {sensor.noun}", is_sensed=True)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

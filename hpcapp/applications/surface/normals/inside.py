@@ -1,4 +1,4 @@
-"""Places inside of what surrounds them: where somebody could stand who sees walls on most sides.
+"""Places among what surrounds them: where somebody could stand who sees walls on many sides.
 
 ::
 
@@ -9,27 +9,62 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 
 import numpy as np
 
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.normals.patches import CELL, Patches, quarter_patches
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
+from hpccomponent.dataclass import dataclass
 
 AMPLE, TIGHT = 6.0, 4.0
 """Spacings between a place and the nearest patch: where nobody has said that somebody was inside,
 and where somebody has. No sensor comes as close to a wall as a few times what lies between two of
 its rays; a cloud that was thinned out may look so."""
 
-_MOST = 32  # places
+INSIDE = 0.8
+"""Share of the directions that are blocked inside of a room, a tunnel or a cave."""
+AMID = 0.6, 0.4
+"""And amid a street, a yard, a front: the sky is open, and what lies behind a scanner."""
+
+_MOST = 512  # places: so many rooms, or some hundred metres of a tunnel
+_TRIED = 20_000  # cells that they are picked of
+_REACH = 16.0  # times as far as it is empty around most places: what lies farther is not looked at
 _EDGE = 0.5  # of the cells, in those of patches
-_CELLS = 96  # along the longest side at most
-_BLOCKED = 0.8  # share of the directions
+_CELLS = 2**20, 32  # at most, or so many for each patch: the box of a bent tunnel is mostly empty
 _ROOMY = 0.35  # of the emptiest place's distance: nearer ones are no places to stand
 _DIRECTIONS = [step for step in itertools.product((-1, 0, 1), repeat=3) if any(step)]
 
 
-def find_inside(patches: Patches, spacing: float, least: float, threads: int = 1) -> FloatArray:
+@dataclass(frozen=True, slots=True, eq=False)
+class Places:
+    """Where somebody could stand among what was scanned.
+
+    Parameters
+    ----------
+    every : ndarray of float64, shape (s, 3)
+        Along the longest side of the box; 512 at most.
+    emptiest : ndarray of float64, shape (1, 3) or (0, 3)
+    reach : float
+        How far each is worth looking from, in length units of the input.
+    """
+
+    every: FloatArray
+    emptiest: FloatArray
+    reach: float
+
+    def __len__(self) -> int:
+        return len(self.every)
+
+
+def find_inside(
+    patches: Patches,
+    spacing: float,
+    least: float,
+    threads: int = 1,
+    shares: Sequence[float] = (INSIDE,),
+) -> list[Places]:
     """Find places that are inside of what surrounds them, all along it.
 
     Parameters
@@ -40,15 +75,19 @@ def find_inside(patches: Patches, spacing: float, least: float, threads: int = 1
         Of the cloud, in length units of the input.
     least : float
         Spacings between a place and the nearest patch.
+    shares : sequence of float
+        Of the directions, that are blocked there.
 
     Returns
     -------
-    ndarray of float64, shape (s, 3)
-        At most 32; none where nothing surrounds anything.
+    list of Places
+        For each share; none where nothing surrounds anything.
     """
     parts = quarter_patches(patches, 0.25 * CELL * spacing)
     low, high = parts.min(axis=0), parts.max(axis=0)
-    edge = max(_EDGE * CELL * spacing, float((high - low).max()) / _CELLS)
+    edge = _EDGE * CELL * spacing
+    cells = float(np.maximum((high - low) / edge, 1.0).prod())
+    edge *= max(1.0, cells / max(_CELLS[0], _CELLS[1] * len(patches))) ** (1.0 / 3.0)
     # (4 p, 3): the cell of each quarter, with an empty one before the first and after the last.
     rows = np.floor((parts - low) / edge).astype(np.int64) + 1
     occupied = np.zeros(rows.max(axis=0) + 2, np.bool_)
@@ -59,12 +98,18 @@ def find_inside(patches: Patches, spacing: float, least: float, threads: int = 1
         blocked += _find_blocked(occupied, step)
     # (x, y, z): in cells, to the nearest one that is occupied.
     far = kernels.measure_distances(occupied, threads)
-    is_inside = blocked >= _BLOCKED * len(_DIRECTIONS)
-    roomy = max(least * spacing / edge, _ROOMY * float(far[is_inside].max(initial=0.0)))
-    cells = np.argwhere(is_inside & (far >= roomy))
-    # The middles of the cells; the first of them lies before `low`.
-    places: FloatArray = low + (_pick_emptiest(cells, far[tuple(cells.T)]) - 0.5) * edge
-    return places
+    found = []
+    for share in shares:
+        is_inside = blocked >= share * len(_DIRECTIONS)
+        roomy = max(least * spacing / edge, _ROOMY * float(far[is_inside].max(initial=0.0)))
+        chosen = np.argwhere(is_inside & (far >= roomy))
+        picked, empty = _pick_emptiest(chosen, far[tuple(chosen.T)])
+        # The middles of the cells; the first of them lies before `low`.
+        middles = low + (picked - 0.5) * edge
+        along = np.argsort(middles[:, int(np.argmax(high - low))], kind="stable")
+        reach = _REACH * edge * float(np.median(empty)) if len(empty) else 0.0
+        found.append(Places(middles[along], middles[:1], reach))
+    return found
 
 
 def _find_blocked(occupied: BoolArray, step: tuple[int, ...]) -> BoolArray:
@@ -85,14 +130,16 @@ def _find_blocked(occupied: BoolArray, step: tuple[int, ...]) -> BoolArray:
     return np.moveaxis(blocked[:: step[axis]], 0, axis)
 
 
-def _pick_emptiest(cells: IntArray, far: FloatArray) -> IntArray:
-    """Return the emptiest cell, the emptiest one outside its ball, and so on."""
-    order = np.argsort(-far, kind="stable")
+def _pick_emptiest(cells: IntArray, far: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return the emptiest cell, the emptiest one outside its ball, and so on; and how empty."""
+    order = np.argsort(-far, kind="stable")[:: -(-len(cells) // _TRIED) or 1]
     cells, far = cells[order], far[order]
     picked: list[IntArray] = []
+    empty: list[float] = []
     while len(cells) and len(picked) < _MOST:
         picked.append(cells[0])
+        empty.append(float(far[0]))
         # The ball around it is empty: places in it see about the same.
         is_left = ((cells - cells[0]) ** 2).sum(axis=1) >= far[0] ** 2
         cells, far = cells[is_left], far[is_left]
-    return np.array(picked, np.int64).reshape(-1, 3)
+    return np.array(picked, np.int64).reshape(-1, 3), np.array(empty)

@@ -10,7 +10,7 @@ from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 
 _POWER = 4  # of the agreement of two patches, in the strength of their link
 _MOST_CONTACTS = 4.0  # by the square root of the points: more make a link no stronger
-_STACKED = 4.0  # standard deviations between two sheets that are told apart
+_STACKED = 6.0  # standard deviations between two sheets that are told apart
 _HOLDING = 0.05  # strength from which on a link makes two patches one component
 _FREE = 1e-6  # how strongly patches that nobody sees are drawn to no side
 _TOLERANCE = 1e-4
@@ -28,7 +28,7 @@ class LinkedPatches:
     Notes
     -----
     The strength w of a link is the agreement of the two normals, one of them mirrored along the
-    line between the centres, so that it holds around edges and on both sides of a plate.
+    mean arm between points that touch, so that it holds around edges and on both sides of a plate.
 
     References
     ----------
@@ -95,19 +95,19 @@ def _rate_links(patches: Patches, links: Links) -> FloatArray:
     """Return how strongly two patches are linked: below 0 where their normals disagree."""
     first, second = links.first, links.second
     one, other = patches.normals[first], patches.normals[second]
-    arms = patches.centres[second] - patches.centres[first]
-    lengths = np.maximum(np.sqrt(_dot(arms, arms)), 1e-300)
-    arms = arms / lengths[:, None]
-    along_one, along_other = _dot(arms, one), _dot(arms, other)
+    # (l, 3): not from centre to centre, which may lie beside each other on both sides of a plate.
+    arms = links.arms.astype(np.float64)
+    arms /= np.maximum(np.sqrt(_dot(arms, arms)), 1e-300)[:, None]
     cosines = _dot(one, other)
-    # (l,): n . (m - 2 (m . e) e) with the unit vector e from centre to centre.
-    agreement: FloatArray = cosines - 2.0 * along_one * along_other
+    # (l,): n . (m - 2 (m . e) e) with the unit vector e along the arm.
+    agreement: FloatArray = cosines - 2.0 * _dot(arms, one) * _dot(arms, other)
     # (l,): the rim of a patch has about the square root of its points, and these touch others.
     fewer = np.minimum(patches.counts[first], patches.counts[second])
     strengths: FloatArray = np.sign(agreement) * np.abs(agreement) ** _POWER
     strengths *= np.minimum(links.contacts / np.sqrt(fewer), _MOST_CONTACTS)
     # Two layers of one noisy sheet look like the two sides of a plate.
-    apart = np.minimum(np.abs(along_one), np.abs(along_other)) * lengths
+    between = patches.centres[second] - patches.centres[first]
+    apart = np.minimum(np.abs(_dot(between, one)), np.abs(_dot(between, other)))
     noise = np.sqrt(patches.noise[first] * patches.noise[second])
     is_stacked = (agreement * cosines < 0.0) & (np.abs(cosines) > 0.5)
     strengths[is_stacked & (apart < _STACKED * noise)] = 0.0

@@ -9,36 +9,66 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from hpcapp.applications.surface.kernels import integrate_normals, sample_grid
-from hpcapp.applications.surface.normals.evidence import Evidence, areas_of, hear_sensor
+from hpcapp.applications.surface.normals.evidence import Evidence, areas_of, hear_user
 from hpcapp.applications.surface.normals.linked import LinkedPatches
 from hpcapp.applications.surface.normals.patches import CELL, Links, Patches, Sides
 from hpcapp.applications.surface.normals.readings import (
-    CERTAIN,
     Followed,
-    Reading,
+    Hypothesis,
     follow,
+    weigh_given,
     weigh_readings,
 )
 from hpcapp.applications.surface.normals.sensor import Sensor
+from hpcapp.applications.surface.types import reading
+from hpcapp.applications.surface.types.reading import Measurement
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 from hpccomponent.dataclass import dataclass
 
 SURE = 0.3
-"""From this confidence on the side of a patch counts as sure."""
+"""Confidence of a side of the probability `reading.SURE`; it grows with the logarithm of odds."""
+_ODDS = float(np.log(reading.SURE / (1.0 - reading.SURE))) / SURE
 
 _LEAN = 0.3  # how strongly all that is known of a patch counts beside its links
-_TANGLED = 0.07  # links that a flat sheet may break
-_FLAT = 0.6  # height of what may be a forest, in longest sides
-_MOST = 0.15  # cost of a reading that explains what there is
-_LEAST = 0.01  # certainty of a side that two readings explain alike
-_GUESSED = 0.25  # certainty of a side that no reading explains
+_LEAST = 0.01  # confidence of a side that two readings explain alike
 _NODES = 128
 _PADDING = 1.3
 _ROUNDS = 12
 _SETTLED = 1e-3  # share of patches that still change sides
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """How a scan was seen.
+
+    Parameters
+    ----------
+    kind : str
+        See `types.reading.Reading`.
+    certainty : float
+        Its probability, 0 to 1, with all readings that give the same sides.
+    rivals : tuple of (str, float)
+        Other readings, and the probability of each; the likeliest first.
+    because : tuple of Measurement
+    """
+
+    kind: str
+    certainty: float = 1.0
+    rivals: tuple[tuple[str, float], ...] = ()
+    because: tuple[Measurement, ...] = ()
+
+    @classmethod
+    def of(cls, weighed: Sequence[Followed], certainty: float) -> Verdict:
+        """Return it by what was weighed, of which the first is believed."""
+        best, *others = weighed
+        rivals = sorted(((one.hypothesis.name, one.share) for one in others), key=_second)
+        because = Measurement("cost of the reading", best.features.cost, "of the area")
+        return cls(best.hypothesis.name, certainty, tuple(rivals[-3:][::-1]), (because,))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,15 +79,15 @@ class Doubt:
     ----------
     middle : ndarray of float64, shape (3,)
         Of the largest piece whose side is unsure, in the frame of the patches.
-    reading : Reading
+    reading : Hypothesis
         What was believed.
-    rival : Reading or None
-        What would turn that piece round; None where no reading explains it.
+    rival : Hypothesis or None
+        What would most probably turn that piece round; None where nothing that was weighed would.
     """
 
     middle: FloatArray
-    reading: Reading
-    rival: Reading | None
+    reading: Hypothesis
+    rival: Hypothesis | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,12 +100,15 @@ class Orientation:
     how : str
         Where the evidence comes from, for people.
     doubt : Doubt or None
-        Where a sensor has told, nothing more can be told.
+        Where a user has told, nothing more can be told.
+    verdict : Verdict or None
+        None where a user has told places, among the points or around them.
     """
 
     sides: Sides
     how: str
     doubt: Doubt | None
+    verdict: Verdict | None
 
 
 def orient_patches(
@@ -108,8 +141,8 @@ def orient_patches(
     Notes
     -----
     A ray went to every point. Where it came from is evidence, and links and the far field fill in.
-    Where nobody knows, the reading that costs least is taken (see `readings`), and a patch is as
-    sure as the best reading that would turn it round costs more.
+    Where no user tells, the reading is taken whose sides are most probable (see `readings`), and a
+    patch is as sure as the readings that agree on its side are probable.
 
     Views show the inside of an object, too, where a part of it was not scanned. So the evidence
     is spread over links first, in which it counts next to nothing, and what contradicts the
@@ -118,44 +151,53 @@ def orient_patches(
     now, on its right-hand side.
     """
     linked = LinkedPatches(patches, links)
-    evidence = hear_sensor(patches, linked.components(), spacing, zero, sensor, threads)
-    if evidence is not None:
+    if sensor.is_told and sensor.kind != "unknown":
+        evidence = hear_user(patches, linked.components(), spacing, zero, sensor, threads)
         followed = None if evidence.is_sensed else follow(linked, evidence)
         sides = _settle(patches, linked, spacing, evidence, followed, threads)
         values = np.clip(sides, -1.0, 1.0).astype(np.float32)
-        return Orientation(Sides(patches.keys, patches.ranks, values), evidence.how, None)
-    best, *others = weigh_readings(patches, linked, spacing, zero, threads)
-    sides = _settle(patches, linked, spacing, best.reading.evidence, best.sides, threads)
-    # (r, p): how much more a reading costs that turns the patch round; the first row is the best
-    # reading's own, which turns none.
-    margins = np.full((1 + len(others), len(patches)), CERTAIN)
-    for margin, other in zip(margins[1:], others, strict=True):
-        margin[other.sides * sides < 0.0] = max(other.cost - best.cost, 0.0)
-    # (p,): the cheapest reading that contradicts decides. Above 0, or the sides would be lost.
-    certainty = np.maximum(margins.min(axis=0) / CERTAIN, _LEAST)
-    if _is_tangled(patches, linked, best):
-        certainty = np.minimum(certainty, _GUESSED)
-    values = np.clip(sides, -certainty, certainty).astype(np.float32)
-    doubt = _find_doubt(patches, linked, np.abs(values) < SURE, best, others, margins)
-    oriented = Sides(patches.keys, patches.ranks, values)
-    return Orientation(oriented, best.reading.evidence.how, doubt)
+        told = None if sensor.kind == "places" else Verdict(sensor.kind)
+        return Orientation(Sides(patches.keys, patches.ranks, values), evidence.how, None, told)
+    weighed = weigh_readings(patches, linked, spacing, zero, sensor, threads)
+    best, evidence = weighed[0], weighed[0].hypothesis.evidence
+    followed = None if evidence.is_sensed else best.sides
+    sides = _settle(patches, linked, spacing, evidence, followed, threads)
+    # (r, p): whether a reading turns a patch round; the first one is what it was settled from.
+    turns = np.array([one.sides * sides < 0.0 for one in weighed])
+    turns[0] = False
+    # (p,): the probability that a side is right.
+    right = np.array([one.share for one in weighed]) @ ~turns
+    odds = np.log(right / np.maximum(1.0 - right, 1e-9))
+    certainty = np.clip(odds / _ODDS, _LEAST, 1.0)  # above 0, or the sides would be lost
+    # Rays tell a side whatever its neighbours say of it.
+    leant: FloatArray = np.copysign(certainty, sides) if evidence.is_sensed else sides
+    values = np.clip(leant, -certainty, certainty).astype(np.float32)
+    doubt = _find_doubt(patches, linked, np.abs(values) < SURE, weighed, turns)
+    verdict = Verdict.of(weighed, float(np.average(right, weights=areas_of(patches))))
+    return Orientation(Sides(patches.keys, patches.ranks, values), evidence.how, doubt, verdict)
 
 
-def _is_tangled(patches: Patches, linked: LinkedPatches, best: Followed) -> bool:
-    """Tell whether not even the best reading explains what there is."""
-    # A flat tangle may be a forest, which hides its ground from wherever nobody was.
-    size = np.ptp(patches.centres, axis=0)
-    is_flat = bool(size[2] < _FLAT * size.max())
-    return best.cost > _MOST or (is_flat and linked.share_broken(best.sides) > _TANGLED)
+def read_given(
+    patches: Patches, spacing: float, zero: FloatArray, sensor: Sensor, threads: int = 1
+) -> Verdict:
+    """Tell how a scan was seen whose patches have their sides; as for `orient_patches`."""
+    if sensor.is_told and sensor.kind not in ("unknown", "places"):
+        return Verdict(sensor.kind)
+    weighed = weigh_given(patches, spacing, zero, sensor, threads)
+    name = weighed[0].hypothesis.name
+    return Verdict.of(weighed, sum(one.share for one in weighed if one.hypothesis.name == name))
+
+
+def _second(pair: tuple[str, float]) -> float:
+    return pair[1]
 
 
 def _find_doubt(
     patches: Patches,
     linked: LinkedPatches,
     is_unsure: BoolArray,
-    best: Followed,
-    others: list[Followed],
-    margins: FloatArray,
+    weighed: list[Followed],
+    turns: BoolArray,
 ) -> Doubt | None:
     """Return what is unsure of some patches; None where there are none."""
     if not is_unsure.any():
@@ -165,10 +207,11 @@ def _find_doubt(
     numbers = linked.components(is_unsure)
     largest = is_unsure & (numbers == np.argmax(np.bincount(numbers, counts)))
     middle: FloatArray = np.average(patches.centres[largest], axis=0, weights=counts[largest])
-    # (r - 1,): by points, and by how little more each reading costs that turns them round.
-    rivals = (patches.counts * largest * (CERTAIN - margins[1:])).sum(axis=1)
-    rival = others[int(np.argmax(rivals))].reading if rivals.any() else None
-    return Doubt(middle, best.reading, rival)
+    # (r,): by points that are turned round, and by how probable the reading is.
+    shares = np.array([one.share for one in weighed])
+    rivals = shares * (turns @ (patches.counts * largest))
+    rival = weighed[int(np.argmax(rivals))].hypothesis if rivals.any() else None
+    return Doubt(middle, weighed[0].hypothesis, rival)
 
 
 def _settle(

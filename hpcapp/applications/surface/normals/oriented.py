@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import asdict
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 from hpccomponent.cli.option_names import name_option
 from hpccomponent.dataclass import dataclass
@@ -72,6 +72,14 @@ class Oriented:
     judgement: Judgement = "agree"
     how: str = ""
     doubt: Unsure | None = None
+
+    @classmethod
+    def of(cls, told: dict[str, Any]) -> Self:
+        """Return what `asdict` has told."""
+        doubt = told["doubt"]
+        if doubt is not None:
+            doubt = Unsure(*(tuple(doubt[name]) for name in ("place", "seen", "options")))
+        return cls(**{**told, "doubt": doubt})
 
     @property
     def is_believed(self) -> bool:

@@ -13,7 +13,7 @@ points.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Annotated
 
 import numpy as np
@@ -21,6 +21,7 @@ import numpy as np
 from hpcapp.applications.surface.kernels import SHEETS, group_sheets, link_groups
 from hpcapp.applications.surface.normals.estimation import refuse_wide
 from hpcapp.applications.surface.types.result_patterns import LENGTH, UNIT
+from hpcapp.geometry.axes import rotate
 from hpcapp.geometry.lattice import (
     find_first,
     find_keys,
@@ -76,6 +77,11 @@ class Patches:
         """
         return Patches(*(getattr(self, field.name)[rows] for field in fields(self)))
 
+    def rotate(self, axes: FloatArray | None) -> Patches:
+        """Return the same along other axes; see `axes.rotate`."""
+        centres, normals = rotate(self.centres, axes), rotate(self.normals, axes)
+        return replace(self, centres=centres, normals=normals)
+
 
 @record("surface.patch_links")
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,6 +94,15 @@ class Links:
     """Rows of those that they touch: higher ones."""
     contacts: Annotated[IntArray, Column("l", low=1)]
     """Of how many neighbours of points."""
+    arms: Annotated[IntArray, Column("l", 3)]
+    """From the first's points to these neighbours in the second, summed; in units of 2^-19
+    spacings, so that the sums of regions are exact."""
+
+    def rotate(self, axes: FloatArray | None) -> Links:
+        """Return the same along other axes; see `axes.rotate`."""
+        return replace(
+            self, arms=np.rint(rotate(self.arms.astype(np.float64), axes)).astype(np.int64)
+        )
 
 
 @record("surface.patch_sides")
@@ -169,7 +184,7 @@ def find_patches(
         wanted[rows] = True
     # (g,): the row of each among those that are wanted.
     row_of = np.cumsum(wanted) - 1
-    kept = Links(row_of[links.first], row_of[links.second], links.contacts)
+    kept = Links(row_of[links.first], row_of[links.second], links.contacts, links.arms)
     return _describe(grouped, positions, vectors).take(np.flatnonzero(wanted)), kept
 
 
@@ -200,14 +215,15 @@ def merge_patches(found: Sequence[tuple[Patches, Links]]) -> tuple[Patches, Link
     for side in ("first", "second"):
         rows = zip((getattr(links, side) for _, links in found), starts, strict=True)
         ends.append(row_of[np.concatenate([local + start for local, start in rows])])
-    contacts = np.concatenate([links.contacts for _, links in found])
+    contacts = [np.column_stack([links.contacts, links.arms]) for _, links in found]
     # A link across a border comes from both regions, each with the contacts of its own points.
-    every, sums = merge_counts(ends[0] * len(kept) + ends[1], contacts)
+    every, sums = merge_counts(ends[0] * len(kept) + ends[1], np.concatenate(contacts))
     columns = [
         np.concatenate([getattr(part, field.name) for part in parts])[first_rows]
         for field in fields(Patches)
     ]
-    return Patches(*columns), Links(every // len(kept), every % len(kept), sums)
+    links = Links(every // len(kept), every % len(kept), sums[:, 0], sums[:, 1:])
+    return Patches(*columns), links
 
 
 def quarter_patches(patches: Patches, reach: float) -> FloatArray:

@@ -6,6 +6,7 @@ from typing import Annotated
 
 from hpcapp.applications.surface.cloud.patterns import AssignedPoints
 from hpcapp.applications.surface.cloud.regions import StoredBlocks
+from hpcapp.applications.surface.normals.facets import Facets
 from hpcapp.applications.surface.normals.patches import (
     CELL,
     LINKED,
@@ -72,6 +73,17 @@ def grouped_region(points: StoredBlocks, low: FloatArray, spacing: float) -> Dec
         Fixed(patches, pattern_of(Links, contacts=contacts)),
         _are_linked,
         "patches and links are in their order, and these between those",
+    )
+
+
+def summed_region(points: StoredBlocks, low: FloatArray, edge: float) -> Declared:
+    """Return the pattern of what `tasks.sum_region` returns."""
+    own = AssignedPoints.of(points)
+    found = pattern_of(Facets, keys=cells_in(own.box, low, edge))
+    return Where(
+        found,
+        lambda facets: float(facets.sums[:, :, 0].sum()) == own.points,
+        "all points are counted, each once",
     )
 
 

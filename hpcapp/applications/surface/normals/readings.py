@@ -2,19 +2,21 @@
 
 ::
 
-    all around, inside, 26 sides, zero ── look ──> what each sees ── sides follow over links ──┐
-        cost = seen from behind + seen by none + how rare  <───────────────────────────────────┘
-        the least is believed, as far as it costs less than the others
+    all around, inside, amid, 26 sides, (0, 0, 0), the file's sensor
+        ── look ──> what each sees ── sides follow over links ──> cost, evidence
+        odds ── shares of all of them ──> how sure each side is
 
 Nobody measured a surface from behind, nor one that he did not see. So of each reading two shares
 of the area are added up: of what its viewers see, what they see from behind, and what none of them
-sees.
+sees. The odds of a reading fall with a power of that cost; how common such scans are, which way
+what lies level faces, and how evenly the points lie as seen from a place change them. All numbers
+of that are one fit to scans whose truth is known (`likelihood`).
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,69 +25,53 @@ from hpcapp.applications.surface.normals.evidence import (
     Outside,
     Views,
     areas_of,
+    face_along,
+    look_from,
     look_outside,
     share_of,
 )
-from hpcapp.applications.surface.normals.inside import AMPLE, find_inside
+from hpcapp.applications.surface.normals.inside import AMID, AMPLE, INSIDE, find_inside
+from hpcapp.applications.surface.normals.likelihood import (
+    FITTED,
+    Features,
+    Likelihood,
+)
 from hpcapp.applications.surface.normals.linked import LinkedPatches
-from hpcapp.applications.surface.normals.patches import Patches
-from hpcapp.applications.surface.normals.stand import has_stand
+from hpcapp.applications.surface.normals.patches import Links, Patches
+from hpcapp.applications.surface.normals.sensor import Sensor
+from hpcapp.applications.surface.normals.stand import Density
 from hpcapp.geometry.points import BoolArray, FloatArray
 from hpccomponent.dataclass import dataclass
 
-CERTAIN = 0.047
-"""Cost from one reading to the next from which on the first one is certain, and from .3 of it on
-sure: right ones have .018 and more but two (a terrain that a camera at zero would see as well, a
-falcon on a table: .011), a wrong one, of a desk before a depth camera, .010."""
-
-RARE = 0.026
-"""What it costs that few scans are taken from inside. Without it objects (boxes, one on a table)
-cost up to .015 less from inside than from outside, rooms .037 less and more."""
-STAND = 0.1
-"""What all other readings cost where a tripod stood inside."""
-HABIT = 0.06
-"""What a view from below costs more than one from above: z is up, most often."""
-GROUND = 0.12
-"""And what it costs more where the thing lies level, wide in x and y and thin in z: few look at the
-ground from below. A yard or a street that somebody stood in is a bowl, which is seen from below
-without a fault, and from above with .01 to .04 more."""
-
-_THIN = 0.6  # thickness of what lies level by its width: streets .51, objects and rooms all
-# Half width of an image by its distance: of Kinect .54, of Azure Kinect 1.73. Farther aside a level
-# sheet is not seen, so that a larger one decides nothing.
-_SIGHT = 1.8
-_SWAY = 0.05 * np.array(list(itertools.product((1, -1), (1, -1), (0,))))
-"""Places of a camera at zero, by its distance. Of a sheet it sees 93 % and more from one, as pixels
-happen to fall, and all from these."""
-_LEVEL = 0.72  # cosine of its thin axis to z: a hillside of 35 degrees .82, a corner .63
+_FARTHEST = 3.0  # diagonals of the box that a sensor at zero may be outside of it
 _AROUND = 0.2  # cosine of the angle around a direction that a view from one side comes from
-_ALONE = 0.5  # and of that within which one of two such views is enough
+_BELT = 0.25  # sine of the angle from the plane across an axis, that a view around this comes from
 _STEEP = 0.7  # cosine to z of a side that the words above and below stand for
-_TRIED = 6  # readings that are followed: in a tangle, many promise much
+_STANDS, _LEVEL = 0.6, 0.9  # cosines to an axis of what stands and what lies level, were that up
+_FOLLOWED = 4.0  # logarithm of the odds, by which others than these may be better than they look
 _HINT = 0.003  # how strongly views count beside links that all agree
 _SIDES = [np.array(step) / np.linalg.norm(step) for step in itertools.product((1, 0, -1), repeat=3)
           if any(step)]  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reading:
+class Hypothesis:
     """Where a scan may have been taken from.
 
     Parameters
     ----------
     kind : str
-        ``outside``, ``inside``, ``above``, ``below``, the axes of a side, ``+y-z``, or ``camera``:
-        at (0, 0, 0), along z.
+        ``outside``, ``around`` an axis, ``amid``, ``side``, ``sensor`` (at zero), or
+        what the file tells: ``flown``, ``places``.
+    name : str
+        The kind; ``inside``; or the axes of a side: ``above``, ``below``, ``+y-z``.
     views : Views
         What is seen from there.
     evidence : Evidence
     unseen : float
-        Share of the area that is seen from none of its viewpoints.
-    rare : float
-        What it costs that few scans are taken so.
-    habit : float or None
-        Of a view from one side, or a camera, what it costs that axes are seldom laid so: it
-        decides between sides where nothing else does, and makes nothing certain.
+        Share of the area that is seen from none of its viewpoints, and should be.
+    known : Features
+        What counts for it whichever the sides are.
     place : ndarray of float64, shape (3,), or None
         A place on the side that it is seen from, in the frame of the patches.
     word : str
@@ -93,40 +79,42 @@ class Reading:
     """
 
     kind: str
+    name: str
     views: Views
     evidence: Evidence
     unseen: float
-    rare: float
-    habit: float | None = None
+    known: Features
     place: FloatArray | None = None
     word: str = ""
 
-    def cost(self, patches: Patches, is_turned: BoolArray) -> float:
-        """Return the share of what is seen that is seen from behind, and all else it costs."""
+    def measure(self, areas: FloatArray, level: FloatArray, is_turned: BoolArray) -> Features:
+        """Return what counts for it with some sides; see `measure_level`."""
         views = self.views
-        areas = areas_of(patches)
         # The area that shows its inner side, were the reading true, by how much of it is seen.
-        behind = (areas * np.where(is_turned, views.front, views.back)).sum()
-        seen = (areas * (views.front + views.back)).sum()
-        return float(behind / max(seen, 1e-300)) + self.unseen + self.rare
+        behind = float((areas * np.where(is_turned, views.front, views.back)).sum())
+        seen = float((areas * (views.front + views.back)).sum())
+        facing: FloatArray = np.einsum("p,pi->i", np.where(is_turned, -1.0, 1.0), level)
+        return self.known.with_sides(behind / max(seen, 1e-300) + self.unseen, facing)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Followed:
-    """A reading, and what follows of it.
+    """A hypothesis, and what follows of it.
 
     Parameters
     ----------
-    reading : Reading
+    hypothesis : Hypothesis
     sides : ndarray of float64, shape (p,)
         Over the links.
-    cost : float
-        Shares of the area, and how rare it is.
+    features : Features
+    share : float
+        Its probability, 0 to 1; of all that were weighed.
     """
 
-    reading: Reading
+    hypothesis: Hypothesis
     sides: FloatArray
-    cost: float
+    features: Features
+    share: float = 0.0
 
 
 def follow(linked: LinkedPatches, evidence: Evidence) -> FloatArray:
@@ -135,10 +123,36 @@ def follow(linked: LinkedPatches, evidence: Evidence) -> FloatArray:
     return linked.spread(weights, evidence.leanings, np.zeros(len(weights)))
 
 
+def measure_level(patches: Patches) -> FloatArray:
+    """Return how much of the area lies level along each axis, by patch; below 0 if facing down.
+
+    Returns
+    -------
+    ndarray of float64, shape (p, 3)
+    """
+    level = np.clip((np.abs(patches.normals) - _STANDS) / (_LEVEL - _STANDS), 0.0, 1.0)
+    areas = areas_of(patches)
+    found: FloatArray = level * np.sign(patches.normals) * (areas / areas.sum())[:, None]
+    return found
+
+
+def follow_reading(patches: Patches, linked: LinkedPatches, hypothesis: Hypothesis) -> Followed:
+    """Return what follows of a hypothesis over the links."""
+    sides = follow(linked, hypothesis.evidence)
+    given = areas_of(patches), measure_level(patches)
+    return Followed(hypothesis, sides, hypothesis.measure(*given, sides < 0.0))
+
+
 def weigh_readings(
-    patches: Patches, linked: LinkedPatches, spacing: float, zero: FloatArray, threads: int = 1
+    patches: Patches,
+    linked: LinkedPatches,
+    spacing: float,
+    zero: FloatArray,
+    sensor: Sensor,
+    threads: int = 1,
+    likelihood: Likelihood = FITTED,
 ) -> list[Followed]:
-    """Find the readings that are not refuted, the best one first.
+    """Weigh what a cloud may be; the reading whose sides are most probable comes first.
 
     Parameters
     ----------
@@ -149,116 +163,174 @@ def weigh_readings(
         Of the cloud, in length units of the input.
     zero : ndarray of float64, shape (3,)
         Where the input has (0, 0, 0), in the frame of the patches.
+    sensor : Sensor
+        What the file tells.
 
     Returns
     -------
     list of Followed
-        Of the others, those that cost `CERTAIN` more may be missing.
+        What their shares lack to 1 is that none is true; some of next to no share may be missing.
     """
-    readings = find_readings(patches, linked, spacing, zero, threads)
-    # What is left if every patch could take the side of its own that is seen more.
+    hypotheses = find_readings(patches, linked, spacing, zero, sensor, threads)
+    # What they come to if every patch could take the side of its own that is seen more.
+    given = areas_of(patches), measure_level(patches)
     bounds = [
-        reading.cost(patches, reading.views.front < reading.views.back) for reading in readings
+        likelihood.odds(one.measure(*given, one.views.front < one.views.back)) for one in hypotheses
     ]
     found: list[Followed] = []
-    for row in np.argsort(bounds, kind="stable"):
-        # The bounds rise: once one exceeds the least cost by so much, what follows can neither be
-        # the best reading nor cast doubt on it.
-        least = min((other.cost + (other.reading.habit or 0.0) for other in found), default=np.inf)
-        if bounds[row] > least + CERTAIN or len(found) == _TRIED:
+    best = -np.inf
+    for row in np.argsort(bounds, kind="stable")[::-1]:
+        if bounds[row] < best - _FOLLOWED:
             break
-        found.append(follow_reading(patches, linked, readings[row]))
-    costs = [followed.cost for followed in found]
-    best = found[choose(costs, [followed.reading.habit for followed in found])]
-    return [best, *(other for other in found if other is not best)]
+        found.append(follow_reading(patches, linked, hypotheses[row]))
+        best = max(best, likelihood.odds(found[-1].features))
+    weighed = _share(found, linked.share_broken(found[0].sides), likelihood)
+    # (r, p): readings that agree on a side speak for it together.
+    turned = np.array([one.sides < 0.0 for one in weighed])
+    areas = areas_of(patches)
+    shares = np.array([one.share for one in weighed])
+    agreed = [float((shares * ((turned == mine) * areas).sum(axis=1)).sum()) for mine in turned]
+    first = weighed[int(np.argmax(agreed))]
+    return [first, *(one for one in weighed if one is not first)]
 
 
-def choose(costs: Sequence[float], habits: Sequence[float | None]) -> int:
-    """Return which of some readings is believed.
+def weigh_given(
+    patches: Patches,
+    spacing: float,
+    zero: FloatArray,
+    sensor: Sensor,
+    threads: int = 1,
+    likelihood: Likelihood = FITTED,
+) -> list[Followed]:
+    """Weigh what a cloud may be whose patches have their sides; as for `weigh_readings`."""
+    none, sides = np.empty(0, np.int64), np.ones(len(patches))
+    linked = LinkedPatches(patches, Links(none, none, none, np.empty((0, 3), np.int64)))
+    given = areas_of(patches), measure_level(patches)
+    found = [
+        Followed(one, sides, one.measure(*given, sides < 0.0))
+        for one in find_readings(patches, linked, spacing, zero, sensor, threads)
+    ]
+    return sorted(_share(found, 0.0, likelihood), key=lambda one: -one.share)
 
-    Parameters
-    ----------
-    costs : sequence of float
-    habits : sequence of float or None
-        See `Reading`.
-    """
-    aside = [row for row, habit in enumerate(habits) if habit is not None]
-    # Habit tells which side is the best one; that competes with the rest by its cost alone.
-    aside.sort(key=lambda row: costs[row] + (habits[row] or 0.0))
-    others = [row for row, habit in enumerate(habits) if habit is None]
-    return min(aside[:1] + others, key=lambda row: costs[row])
 
-
-def follow_reading(patches: Patches, linked: LinkedPatches, reading: Reading) -> Followed:
-    """Return what follows of a reading over the links."""
-    sides = follow(linked, reading.evidence)
-    return Followed(reading, sides, reading.cost(patches, sides < 0.0))
+def _share(found: list[Followed], broken: float, likelihood: Likelihood) -> list[Followed]:
+    """Return the same with the probability of each, where sides break a share of the links."""
+    shares = likelihood.find_shares([one.features for one in found], broken)
+    return [replace(one, share=share) for one, share in zip(found, shares.tolist(), strict=True)]
 
 
 def find_readings(
-    patches: Patches, linked: LinkedPatches, spacing: float, zero: FloatArray, threads: int = 1
-) -> list[Reading]:
+    patches: Patches,
+    linked: LinkedPatches,
+    spacing: float,
+    zero: FloatArray,
+    sensor: Sensor,
+    threads: int = 1,
+) -> list[Hypothesis]:
     """Return all readings of a cloud; as for `weigh_readings`."""
     outside = look_outside(patches, linked.components(), spacing, threads)
-    places = find_inside(patches, spacing, AMPLE, threads)
-    # Whoever stood inside has scanned neither from outside nor from one side.
-    aside = STAND if len(places) and has_stand(patches, spacing) else 0.0
     toggled = outside.toggled.evidence("from outside")
+    content = share_of(patches, outside.is_content)
     found = [
-        Reading("outside", outside.views, toggled, share_of(patches, outside.is_content), aside)
+        Hypothesis("outside", "outside", outside.views, toggled, content, Features("outside")),
+        *_look_from_sides(patches, outside),
+        *_look_around(patches, outside),
     ]
-    if len(places):
+    density = Density.of(patches, spacing)
+    shares = (INSIDE, *AMID)
+    among = find_inside(patches, spacing, AMPLE, threads, shares)
+    seen_from = np.empty((0, 3))
+    for name, places in zip(("inside", "amid", "amid"), among, strict=True):
+        # Where fewer blocked directions add no place, that is no other reading.
+        if not len(places) or np.array_equal(places.every, seen_from):
+            continue
+        seen_from = places.every
+        how = "from inside" if name == "inside" else "from amid the points"
         views = Views.inside(patches, places, spacing, threads)
+        known = Features("amid", evenness=density.favour(patches, places.every))
         unseen = share_of(patches, views.is_hidden)
-        found.append(Reading("inside", views, views.evidence("from inside"), unseen, RARE))
-    # (p, 3): a camera at zero looks along z, and sees what is not too far aside.
-    away = np.abs(patches.centres - zero)
-    if (away[:, :2].max(axis=1) < _SIGHT * away[:, 2]).all():
-        places = zero + np.median(away[:, 2]) * _SWAY
-        views = Views.of(patches, places, len(places), spacing, threads)
-        seen = views.evidence("from a camera at (0, 0, 0)")
-        unseen = share_of(patches, views.is_hidden)
-        found.append(Reading("camera", views, seen, unseen, aside, HABIT, zero))
-    return found + _look_from_sides(patches, outside, aside)
+        # Inside is a word of its own.
+        place = None if name == "inside" else places.emptiest[0]
+        found.append(Hypothesis("amid", name, views, views.evidence(how), unseen, known, place))
+    return found + _ask_sensor(patches, outside, spacing, zero, sensor, density, threads)
 
 
-def _look_from_sides(patches: Patches, outside: Outside, rare: float) -> list[Reading]:
-    """Return what is seen from one side, for the sides that explain more than those beside them."""
+def _ask_sensor(
+    patches: Patches,
+    outside: Outside,
+    spacing: float,
+    zero: FloatArray,
+    sensor: Sensor,
+    density: Density,
+    threads: int,
+) -> list[Hypothesis]:
+    """Return what a sensor at (0, 0, 0) saw, and the one that the file tells of.
+
+    Rays that ended at a point have passed what is in front of it, however thick that looks at a
+    grazing angle: what such a sensor does not see costs nothing.
+    """
     found = []
-    ground = GROUND * lies_level(patches)
-    middle = 0.5 * (patches.centres.min(axis=0) + patches.centres.max(axis=0))
+    low, high = patches.centres.min(axis=0), patches.centres.max(axis=0)
+    beyond = np.maximum(np.maximum(low - zero, zero - high), 0.0)
+    if np.linalg.norm(beyond) < _FARTHEST * np.linalg.norm(high - low):
+        views, seen = face_along(patches, zero - patches.centres, "from a sensor at (0, 0, 0)")
+        known = Features("sensor", evenness=density.favour(patches, zero[None]))
+        found.append(Hypothesis("sensor", "sensor", views, seen, 0.0, known, zero))
+    if sensor.kind in ("above", "below"):
+        sign = 1.0 if sensor.kind == "above" else -1.0
+        side = np.array([0.0, 0.0, sign])
+        views = _see_from(outside, side)
+        _, seen = face_along(patches, side, f"from {sensor.kind}")
+        unseen, known = share_of(patches, views.is_hidden), Features("flown")
+        place = _lie_beside(patches, outside, side)
+        found.append(
+            Hypothesis("flown", sensor.kind, views, seen, unseen, known, place, sensor.kind)
+        )
+    if sensor.places is not None:
+        views, seen = look_from(patches, sensor, spacing, zero, threads)
+        place = sensor.places[0] + zero
+        found.append(Hypothesis("places", "places", views, seen, 0.0, Features("places"), place))
+    return found
+
+
+def _look_from_sides(patches: Patches, outside: Outside) -> list[Hypothesis]:
+    """Return what is seen from each of 26 sides."""
+    found = []
     for side in _SIDES:
-        # Such viewpoints of those all around as lie about on this side.
-        rows = np.flatnonzero(outside.directions @ side > _AROUND)
-        views = Views.sum(outside.cosines[rows], outside.is_seen[rows], len(rows))
+        views = _see_from(outside, side)
         name = _name_side(side)
-        # 0 from above, 1 from below.
-        downwards = 0.5 * (1.0 - float(side[2]))
-        habit, cost = HABIT * downwards, rare + ground * downwards
-        unseen = share_of(patches, views.is_hidden)
-        seen, place = views.evidence(f"from {name}"), middle + outside.radius * side
+        seen, place = views.evidence(f"from {name}"), _lie_beside(patches, outside, side)
         word = "" if abs(side[2]) < _STEEP else "above" if side[2] > 0.0 else "below"
-        found.append(Reading(name, views, seen, unseen, cost, habit, place, word))
-    bounds = [
-        reading.cost(patches, reading.views.front < reading.views.back) + (reading.habit or 0.0)
-        for reading in found
-    ]
-    # The best sides first; one that is near a better one is no reading of its own.
-    kept: list[int] = []
-    for row in np.argsort(bounds, kind="stable"):
-        if all(_SIDES[row] @ _SIDES[other] < _ALONE for other in kept):
-            kept.append(int(row))
-    return [found[row] for row in kept]
+        unseen, known = share_of(patches, views.is_hidden), Features("side")
+        found.append(Hypothesis("side", name, views, seen, unseen, known, place, word))
+    return found
 
 
-def lies_level(patches: Patches) -> bool:
-    """Tell whether a cloud is wide in x and y, and thin in z."""
-    areas = areas_of(patches)
-    arms = patches.centres - np.average(patches.centres, axis=0, weights=areas)
-    # (3,), (3, 3): squared spreads along the principal axes, and these; the thinnest one first.
-    spreads, axes = np.linalg.eigh(np.einsum("n,ni,nj->ij", areas, arms, arms))
-    is_thin = spreads[0] < _THIN**2 * spreads[1]
-    return bool(is_thin and abs(axes[2, 0]) > _LEVEL)
+def _look_around(patches: Patches, outside: Outside) -> list[Hypothesis]:
+    """Return what is seen by who goes round along one of the axes, and not over the ends."""
+    found = []
+    for axis, name in enumerate("xyz"):
+        rows = np.flatnonzero(np.abs(outside.directions[:, axis]) < _BELT)
+        views = Views.sum(outside.cosines[rows], outside.is_seen[rows], len(rows))
+        seen, unseen = views.evidence(f"from all around {name}"), share_of(patches, views.is_hidden)
+        known = Features("around")
+        # As from outside, most of the viewpoints see what these see.
+        given = views, seen, unseen, known, None, "outside"
+        found.append(Hypothesis("around", f"around {name}", *given))
+    return found
+
+
+def _see_from(outside: Outside, side: FloatArray) -> Views:
+    """Return what those of the viewpoints all around see that lie about on a side."""
+    rows = np.flatnonzero(outside.directions @ side > _AROUND)
+    return Views.sum(outside.cosines[rows], outside.is_seen[rows], len(rows))
+
+
+def _lie_beside(patches: Patches, outside: Outside, side: FloatArray) -> FloatArray:
+    """Return a place on a side of a cloud."""
+    middle = 0.5 * (patches.centres.min(axis=0) + patches.centres.max(axis=0))
+    place: FloatArray = middle + outside.radius * side
+    return place
 
 
 def _name_side(side: FloatArray) -> str:

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from hpcapp.applications.surface.normals.viewpoint import Viewpoint
+from hpcapp.geometry.axes import rotate
 from hpcapp.geometry.points import FloatArray
 from hpccomponent.cli.option_names import name_option
 from hpccomponent.dataclass import dataclass
@@ -31,19 +32,37 @@ class Sensor:
     Parameters
     ----------
     kind : str
-        ``above`` and ``below`` mean along z, ``inside`` a room or a tunnel, ``outside`` all around.
+        ``above`` and ``below`` mean along what is up, ``inside`` a room or a tunnel, ``outside``
+        all around.
     places : ndarray of float64, shape (s, 3), or None
         Where it stood, in the file's coordinates; with the kind ``places``, and only there.
     axes : ndarray of float64, shape (s, 3), or None
         Along which direction cameras looked from there; zero where nobody knows.
     is_told : bool
         Whether the user has said so; else the file has.
+    upright : ndarray of float64, shape (3, 3), or None
+        Rows to the east, to the north and up, where z is not up: see `find_upright`.
     """
 
     kind: SensorKind = "unknown"
     places: FloatArray | None = None
     axes: FloatArray | None = None
     is_told: bool = False
+    upright: FloatArray | None = None
+
+    def rotate(self) -> Sensor:
+        """Return the same to the east, to the north and up."""
+        places, axes = (
+            None if rows is None else rotate(rows, self.upright)
+            for rows in (self.places, self.axes)
+        )
+        return replace(self, places=places, axes=axes)
+
+    @property
+    def noun(self) -> str:
+        """What was in its places, for people."""
+        is_camera = self.axes is not None and bool(self.axes.any())
+        return "cameras were" if is_camera else "scanner stood"
 
     def scale_heights(self, factor: float) -> Sensor:
         """Return the same where heights are multiplied by a factor."""
@@ -94,11 +113,11 @@ class Sensor:
         )
 
 
-def sensor_of(viewpoint: Viewpoint) -> Sensor:
+def sensor_of(viewpoint: Viewpoint, upright: FloatArray | None = None) -> Sensor:
     """Return what a user says of where points were measured from."""
     if isinstance(viewpoint, str):
-        return Sensor(viewpoint, is_told=True)
+        return Sensor(viewpoint, is_told=True, upright=upright)
     if not viewpoint:
-        return Sensor()
+        return Sensor(upright=upright)
     rows = np.array([(*place, 0.0, 0.0, 0.0)[:6] for place in viewpoint])
-    return Sensor("places", rows[:, :3], rows[:, 3:], is_told=True)
+    return Sensor("places", rows[:, :3], rows[:, 3:], is_told=True, upright=upright)

@@ -1,4 +1,4 @@
-"""Whether the normals of a cloud agree on a side, and what gives them one where they do not.
+"""Whether the normals of a cloud agree on a side, what gives them one, and what they tell then.
 
 Every job asks; what estimates normals (`normals`) is only imported where it is needed.
 """
@@ -13,6 +13,8 @@ from hpcapp.applications.surface.normals import patches
 from hpcapp.applications.surface.normals.consistency import share_opposed, weigh_torn
 from hpcapp.applications.surface.normals.oriented import Judgement, Oriented
 from hpcapp.applications.surface.normals.sensor import Sensor
+from hpcapp.applications.surface.scale.local_scale import LocalScale
+from hpcapp.applications.surface.types.reading import Reading
 from hpcapp.geometry.lattice import lay_lattice
 from hpcapp.geometry.points import FloatArray
 from hpcapp.progress import StageClock
@@ -25,22 +27,23 @@ normals have one have .096 or less (leaves of a plant), others .176 and more; si
 
 def orient_cloud(
     cloud_pass: PassT,
-    spacing: float,
+    scale: LocalScale,
     wanted: str,
     sensor: Sensor,
     clock: StageClock,
     *,
     has_normals: bool,
     is_oriented: bool = True,
+    is_upright: bool = False,
     attribute: str | None = None,
-) -> tuple[PassT, Oriented]:
-    """Give points normals where they have none, or such that contradict each other.
+) -> tuple[PassT, Oriented, Reading]:
+    """Give points normals where they have none, or such that contradict each other, and read them.
 
     Parameters
     ----------
     cloud_pass : CloudPass
-    spacing : float
-        Of its points, in length units of the input.
+    scale : LocalScale
+        Of its points.
     wanted : str
         ``file``: they are taken as they are, where there are some.
     sensor : Sensor
@@ -48,6 +51,8 @@ def orient_cloud(
     clock : StageClock
     has_normals, is_oriented : bool
         Whether the points have normals, and whether the file says that these have a side.
+    is_upright : bool
+        Whether z is known to point up.
     attribute : str, optional
         By which name the points keep how sure their side is, 0 to 1.
 
@@ -56,20 +61,26 @@ def orient_cloud(
     cloud_pass : CloudPass
         Through points with unit normals.
     oriented : Oriented
+    reading : Reading
+        The one of this job.
     """
+    from hpcapp.applications.surface.normals.reading import read_scan
+
     if has_normals:
-        judgement = judge_normals(cloud_pass, spacing)
+        judgement = judge_normals(cloud_pass, scale.spacing)
         if wanted == "file" or (is_oriented and judgement == "agree"):
-            return cloud_pass, Oriented("file", 1.0, judgement=judgement)
+            oriented = Oriented("file", 1.0, judgement=judgement)
+            return cloud_pass, oriented, read_scan(cloud_pass, scale, sensor, is_upright)
     from hpcapp.applications.surface.normals.drive import orient_normals  # takes its time
 
     with clock.stage("normals"):
-        cloud_pass, found = orient_normals(
-            cloud_pass, spacing, sensor, keeps=has_normals, attribute=attribute
+        cloud_pass, found, verdict = orient_normals(
+            cloud_pass, scale.spacing, sensor, keeps=has_normals, attribute=attribute
         )
+        reading = read_scan(cloud_pass, scale, sensor, is_upright, verdict)
     if has_normals:
-        return cloud_pass, replace(found, source="file", judgement=judgement)
-    return cloud_pass, replace(found, flipped=0)
+        return cloud_pass, replace(found, source="file", judgement=judgement), reading
+    return cloud_pass, replace(found, flipped=0), reading
 
 
 def judge_normals(cloud_pass: CloudPass, spacing: float) -> Judgement:

@@ -1,7 +1,7 @@
 """Where a sensor stood, told by how its points lie.
 
 A scanner that turns takes as many points in every direction. So their density falls with the square
-of the distance, and nothing but a scan from a place inside looks even from a place inside. A camera
+of the distance, and nothing but a scan from among things looks even from among them. A camera
 takes them in rows and columns: from where it was, and from nowhere else, they lie on a lattice.
 """
 
@@ -10,19 +10,17 @@ from __future__ import annotations
 import numpy as np
 
 from hpcapp.applications.surface import kernels
-from hpcapp.applications.surface.normals.patches import CELL, Patches, quarter_patches
-from hpcapp.cancellation import check_cancelled
+from hpcapp.applications.surface.normals.evidence import areas_of
+from hpcapp.applications.surface.normals.patches import CELL, Patches
 from hpcapp.geometry.lattice import lay_lattice
 from hpcapp.geometry.points import FloatArray, IntArray
+from hpccomponent.dataclass import dataclass
 
 _SAMPLE = 3000  # patches, about
-_PLACES = 7  # along each side of the box
-_BANDS = 12  # of directions, each of twice as many of equal solid angle
 _NEAREST = 8  # patches whose points make the density of one
 _FARTHEST = 64.0  # cells: patches beyond are none of them
 _LOW, _HIGH = 0.15, 0.85  # quantiles that a spread lies between
-_EVEN = 0.66  # of the spread on the surface: that from a place where a tripod stood
-_AROUND = 0.94  # share of the directions in which it saw something
+_ROUNDS = 30  # of the fit
 _PIXELS = 4000  # points whose columns and rows are looked at
 _FEWEST_PIXELS = 100
 _COLUMNS = 48, 2048  # of an image
@@ -34,60 +32,92 @@ _IN_SPACE = 0.9
 """By it, that of such columns in space: of a depth image where most is one wall .78, of rasters of
 heights 1 to 3.3."""
 _WIDEST = 4.0  # width of an image by its distance
-_UNEVEN = 1.3  # spread on the surface, as logarithm, from which on this tells
+_GRAZING = 0.1  # cosine: flatter slopes are known too roughly
+_EVEN = 0.5  # spread of the density of objects that were scanned from all around: .35 to .6
+_ASIDE, _LEAST_SURFACE = 3.0 * np.pi / 8.0, 0.25  # 0.25: in a corner of a sheet
+_LEAST_SPREAD = 0.05  # of densities that were counted
 
 
-def has_stand(patches: Patches, spacing: float) -> bool:
-    """Tell whether a scanner stood in some place inside the box of a cloud, and saw all around.
+@dataclass(frozen=True, slots=True, eq=False)
+class Density:
+    """How densely points lie around some patches.
 
     Parameters
     ----------
-    patches : Patches
-        Of a whole cloud.
-    spacing : float
-        Of the cloud, in length units of the input.
-
-    Notes
-    -----
-    The spread of a density is the logarithm of its .85 by its .15 quantile. For 343 places it is
-    taken of the points per solid angle, and once of the points per area.
+    rows : ndarray of int64, shape (s,)
+        These patches, of all.
+    logs : ndarray of float64, shape (s,)
+        Logarithms of the points per area, up to a constant.
     """
-    if len(patches) <= _NEAREST:  # which are in too few directions from anywhere
-        return False
-    counts = patches.counts.astype(np.float64)
-    every = np.arange(0, len(patches), -(-len(patches) // _SAMPLE))
-    sampled, edge = counts[every], CELL * spacing
-    corner = lay_lattice(patches.centres.min(axis=0), edge)
-    boxes = kernels.sort_points(patches.centres, corner, edge)
-    # (s, 8): of each patch of the sample the nearest ones, and the squares of their distances.
-    squares, near = kernels.find_nearest(
-        patches.centres, *boxes, edge, every, _NEAREST, _FARTHEST * edge
-    )
-    # (s,): points per area, up to a factor: what lies within a distance by the square of that.
-    held = sampled + np.append(counts, 0.0)[near].sum(axis=1)
-    density = held / np.clip(squares[:, -1], 1e-300, (_FARTHEST * edge) ** 2)
-    # Quantiles over the points, of which some patches have many more than others.
-    order = np.argsort(density)
-    below = np.cumsum(sampled[order]) / sampled.sum()
-    low, high = (density[order[np.searchsorted(below, share)]] for share in (_LOW, _HIGH))
-    uneven = float(np.log(high / low))
-    if uneven < _UNEVEN:
-        return False
-    # (4 s, 3): quarters of the patches, as a near patch spans several directions.
-    parts = quarter_patches(patches.take(every), 0.25 * CELL * spacing)
-    shares, cells = np.tile(0.25 * sampled, 4), 2 * _BANDS * _BANDS
-    for place in _fill_box(patches.centres.min(axis=0), patches.centres.max(axis=0)):
-        check_cancelled()
-        # (288,): points in each direction; all have one solid angle.
-        points = np.bincount(_find_directions(parts - place), shares, cells)
-        seen = points[points > 0.0]
-        if len(seen) < _AROUND * cells:
-            continue
-        # From where a scanner turned they are spread more evenly than over the surface.
-        fewest, most = np.quantile(seen, (_LOW, _HIGH))
-        if np.log(most / fewest) < _EVEN * uneven:
-            return True
-    return False
+
+    rows: IntArray
+    logs: FloatArray
+
+    @classmethod
+    def of(cls, patches: Patches, spacing: float) -> Density:
+        """Measure it; `spacing` is that of the cloud, in length units of the input."""
+        counts = patches.counts.astype(np.float64)
+        rows, edge = np.arange(0, len(patches), -(-len(patches) // _SAMPLE)), CELL * spacing
+        corner = lay_lattice(patches.centres.min(axis=0), edge)
+        boxes = kernels.sort_points(patches.centres, corner, edge)
+        # (s, 8): of each of them the nearest ones, and the squares of their distances.
+        nearest = max(min(_NEAREST, len(patches) - 1), 1)
+        squares, near = kernels.find_nearest(
+            patches.centres, *boxes, edge, rows, nearest, _FARTHEST * edge
+        )
+        # (s,): what lies within a distance by the square of that.
+        held = counts[rows] + np.append(counts, 0.0)[near].sum(axis=1)
+        squares = np.clip(squares[:, -1], 1e-300, (_FARTHEST * edge) ** 2)
+        # (s,): how much of each disc has surface: at a straight border, half of it, and the mean
+        # of that lies 4 / (3 pi) of the radius aside.
+        found = np.minimum(near, len(patches) - 1)
+        arms = patches.centres[found] - patches.centres[rows, None]
+        mean = np.einsum("sk,ski->si", np.append(counts, 0.0)[near], arms) / held[:, None]
+        aside = np.sqrt(np.einsum("si,si->s", mean, mean) / squares)
+        surface = np.maximum(1.0 - _ASIDE * aside, _LEAST_SURFACE)
+        return cls(rows, np.log(held / (surface * squares)))
+
+    def favour(self, patches: Patches, places: FloatArray) -> float:
+        """Return how much more evenly points lie as sensors in some places show them: -1 to 1.
+
+        Their rays are even in direction, so that as many fall on an area as its distance and its
+        slope tell. How many rays each has is fitted: the most likely counts, by expectation
+        maximization. Where points were thinned evenly, they tell nothing.
+
+        Parameters
+        ----------
+        patches : Patches
+        places : ndarray of float64, shape (s, 3)
+        """
+        arms = patches.centres[self.rows, None] - places
+        squares = np.maximum(np.einsum("psi,psi->ps", arms, arms), 1e-300)
+        slopes = np.einsum("psi,pi->ps", arms, patches.normals[self.rows]) / np.sqrt(squares)
+        # (p, s): rays per area, of each sensor.
+        rays = np.maximum(np.abs(slopes), _GRAZING) / squares
+        rays /= rays.mean()
+        areas, density = areas_of(patches)[self.rows], np.exp(self.logs - self.logs.mean())
+        counts, whole = np.full(len(places), 1.0 / len(places)), np.einsum("p,ps->s", areas, rays)
+        for _ in range(_ROUNDS):
+            expected = np.einsum("ps,s->p", rays, counts)
+            counts *= np.einsum("p,ps->s", areas * density / expected, rays) / whole
+        expected = np.einsum("ps,s->p", rays, counts)
+        before, after = (
+            max(_spread(logs, areas), _LEAST_SPREAD)
+            for logs in (self.logs, self.logs - np.log(expected))
+        )
+        gain = float(np.clip(np.log(before / after), -1.0, 1.0))
+        # Points that were thinned evenly tell nothing against several sensors; of one there is
+        # nothing to be thinned.
+        is_told = gain > 0.0 or len(places) == 1
+        return gain * (1.0 if is_told else float(np.clip(before / _EVEN - 1.0, 0.0, 1.0)))
+
+
+def _spread(values: FloatArray, weights: FloatArray) -> float:
+    """Return what lies between two quantiles of values."""
+    order = np.argsort(values)
+    below = np.cumsum(weights[order]) / weights.sum()
+    low, high = (values[order[np.searchsorted(below, share)]] for share in (_LOW, _HIGH))
+    return float(high - low)
 
 
 def has_pixels(positions: FloatArray) -> bool:
@@ -135,23 +165,3 @@ def _find_strengths(places: FloatArray) -> FloatArray:
     bins = np.minimum((places - places.min()) / width * _BINS, _BINS - 1.0).astype(np.int64)
     strengths: FloatArray = np.abs(np.fft.rfft(np.bincount(bins, minlength=_BINS))) / len(places)
     return strengths
-
-
-def _fill_box(low: FloatArray, high: FloatArray) -> FloatArray:
-    shares = np.arange(1, _PLACES + 1) / (_PLACES + 1)
-    grid = np.stack(np.meshgrid(shares, shares, shares, indexing="ij"), axis=-1).reshape(-1, 3)
-    places: FloatArray = low + grid * (high - low)
-    return places
-
-
-def _find_directions(arms: FloatArray) -> IntArray:
-    """Return for each arm the number of the direction that it points in."""
-    lengths = np.maximum(np.sqrt(np.einsum("ij,ij->i", arms, arms)), 1e-300)
-    # Bands of equal height on a sphere have equal areas.
-    rows = np.floor((arms[:, 2] / lengths + 1.0) * (0.5 * _BANDS)).astype(np.int64)
-    turns = np.arctan2(arms[:, 1], arms[:, 0]) / (2.0 * np.pi) + 0.5
-    columns = np.floor(turns * 2 * _BANDS).astype(np.int64)
-    numbers: IntArray = np.minimum(rows, _BANDS - 1) * 2 * _BANDS + np.minimum(
-        columns, 2 * _BANDS - 1
-    )
-    return numbers

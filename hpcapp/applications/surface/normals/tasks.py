@@ -5,6 +5,7 @@
     region ── estimate_region ──> normals without a side, as long as the noise
     region ── group_region ──> patches and links ──> master: their sides
     region ── turn_region ──> unit normals, each on its side
+    region ── sum_region ──> facets, by which the shape of the whole is judged
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 from hpcapp.applications.surface.cloud.patterns import region_bytes
 from hpcapp.applications.surface.cloud.regions import RegionPoints, Replaced
 from hpcapp.applications.surface.normals.estimation import estimate_normals, keep_directions
+from hpcapp.applications.surface.normals.facets import Facets, gather_facets
 from hpcapp.applications.surface.normals.patches import (
     Links,
     Patches,
@@ -27,6 +29,7 @@ from hpcapp.applications.surface.normals.patterns import (
     Sureness,
     estimated_region,
     grouped_region,
+    summed_region,
     turned_region,
 )
 from hpcapp.geometry.points import FloatArray
@@ -109,3 +112,10 @@ def turn_region(
     replaced = region.replace_normals(normals.astype(np.float64))
     told = confidences if tells else np.empty(0, np.float32)
     return replaced, int(np.count_nonzero(is_turned)), counts, told
+
+
+@declare(result=summed_region, limit=region_bytes(400))
+def sum_region(points: RegionPoints, low: FloatArray, edge: float) -> Facets:
+    """Sum up the points of a region in cells (a task); see `facets.gather_facets`."""
+    region = points.take()
+    return gather_facets(region.positions, region.normals, low, edge)

@@ -49,6 +49,8 @@ class Plan:
         The level whose cells the far field is made of; of tiles, no coarser than theirs.
     far_nodes : int
         How many nodes the far field has along a side.
+    missing : ndarray of float64, shape (3,)
+        As of the cloud's `Reading`.
     tolerance : float
         How far off a point may lie until it counts half (see `weights.Weights`); not infinite only
         where `coarse` is 2 or more.
@@ -70,6 +72,7 @@ class Plan:
     block_edge: float
     far: int
     far_nodes: int
+    missing: FloatArray
     tolerance: float = np.inf
     refinement: Refinement = field(default_factory=Refinement.none)
     strides: BrickStrides | None = None

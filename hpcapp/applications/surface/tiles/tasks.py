@@ -174,7 +174,8 @@ def find_far(plan: Plan, samples: Samples, threads: int) -> FarField:
     # (c, 3): in cells, as sums of positions are, which count from the middle of each.
     places = unpack_keys(samples.cells) + 0.5 + sums[:, 1:4] / sums[:, :1]
     centroids, normals = plan.origin + size * places, sums[:, 4:] / sums[:, :1]
-    return solve_far_field(centroids, normals, plan.grid.box, size, plan.far_nodes, threads)
+    box, nodes, missing = plan.grid.box, plan.far_nodes, plan.missing
+    return solve_far_field(centroids, normals, box, size, nodes, missing, threads)
 
 
 @declare(

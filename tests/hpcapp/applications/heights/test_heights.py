@@ -5,14 +5,17 @@ from __future__ import annotations
 import json
 import logging
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from on_earth import put_on_earth
 
 from hpcapp.applications.heights.command import heights
+from hpcapp.cli import hpcapp
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import BoolArray, FloatArray, PointCloud
 from hpcapp.io import write_mesh, write_points
@@ -208,3 +211,16 @@ def test_what_cannot_be_written_is_refused_in_one_line(
     monkeypatch.setitem(sys.modules, "rasterio", None)
     with pytest.raises(MissingLibraryError, match="rasterio"):
         run(survey, "-o", dtm)
+
+
+@pytest.mark.parametrize("suffix", [".laz", ".xyz", ".ply"])
+def test_from_the_centre_of_the_earth_z_is_no_height(tmp_path: Path, suffix: str) -> None:
+    local = scan(2_000)
+    earth = put_on_earth(replace(local, origin=np.zeros(3)), 48.0)
+    terrain, output = tmp_path / f"terrain{suffix}", tmp_path / "dtm.tif"
+    write_points(terrain, earth, "EPSG:4978" if suffix == ".laz" else None)
+    for command in (["heights", "-o", str(output)], ["compare", str(terrain), "--volume"]):
+        run = CliRunner().invoke(hpcapp, [*command, str(terrain)])
+        assert isinstance(run.exception, InputError)
+        assert "centre of the earth (ECEF), and z is no height" in str(run.exception)
+    assert not output.exists()

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from on_earth import put_on_earth
 
 import hpcapp as package
 from hpcapp.applications.points import cloth
@@ -82,6 +83,22 @@ def test_feet_and_heights_of_their_own_are_lengths_like_others(yard: PointCloud)
     assert abs(len(find_ground(both, unit="ft", height_unit="m")) - len(found)) < 20
     with pytest.raises(InputError, match="its coordinates are degrees"):
         find_ground(yard, unit="degree")
+
+
+@pytest.mark.parametrize("latitude", [48.0, -35.0])
+def test_from_the_centre_of_the_earth_the_ground_is_what_is_lowest_along_up(
+    yard: PointCloud, tmp_path: Path, latitude: float
+) -> None:
+    truth, path = yard.attributes["truth"], tmp_path / "yard.ply"
+    earth = put_on_earth(yard, latitude)
+    write_points(path, earth, "EPSG:4978")
+    parts = make_crop(ground=True).take(open_points(path)).chunks(1000)
+    for found in (
+        np.concatenate([part.attributes["truth"] for part in parts]),
+        find_ground(earth),
+    ):
+        assert (found == 2).mean() > 0.999
+        assert (found == 2).sum() > 0.99 * (truth == 2).sum()
 
 
 def test_class_2_is_the_ground_where_there_is_some(

@@ -135,6 +135,7 @@ def test_values_that_fit_no_field(tmp_path: Path) -> None:
     [
         ("EPSG:32632", "m"),
         ("EPSG:4326", "degree"),
+        ("EPSG:4978", "m"),
         ('PROJCS["a",UNIT["US survey foot",0.3048006096]]', "US ft"),
         ('GEOGCS["Größe",UNIT["degree",0.0174532925]]', "degree"),
         (None, None),

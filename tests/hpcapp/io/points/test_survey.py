@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from on_earth import put_on_earth
 
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io.points.survey import is_flown_over, is_projected
@@ -58,6 +59,13 @@ def test_what_is_wide_and_even_on_a_map_was_flown_over() -> None:
     assert not is_flown_over(PointCloud(make_house() + MAP))
     assert not is_flown_over(PointCloud(make_ground(90.0) + MAP / 0.3048), "ft")
     assert not is_flown_over(PointCloud((make_ground() * (1, 1, 12)) + MAP))
+
+
+@pytest.mark.parametrize("latitude", [48.0, -35.0])
+def test_what_was_flown_over_is_even_across_up(latitude: float) -> None:
+    assert is_flown_over(put_on_earth(PointCloud(make_ground()), latitude))
+    assert not is_flown_over(put_on_earth(PointCloud(make_ground(20.0)), latitude))
+    assert not is_flown_over(put_on_earth(PointCloud(make_house()), latitude))
 
 
 def test_coordinates_of_a_map_are_known_by_their_size_or_their_name() -> None:

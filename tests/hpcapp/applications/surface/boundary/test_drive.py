@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from disk_clouds import DiskCloudWriter
+from passes import measure_read
 
 from hpcapp.applications.surface.boundary.drive import OpeningSettings
 from hpcapp.applications.surface.boundary.lengths import Length
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
-from hpcapp.applications.surface.cloud.measure import measure_points
 from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
 from hpcapp.applications.surface.job.outcome import Reconstruction
 from hpcapp.applications.surface.pipeline import make_surface
@@ -53,7 +53,7 @@ def ground(count: int = 100) -> PointCloud:
 def run(
     cloud: PointCloud, opening: OpeningSettings, tile_points: int | None = None
 ) -> Reconstruction:
-    return reconstruct(measure_points(cloud), opening, tile_points)
+    return reconstruct(measure_read(cloud), opening, tile_points)
 
 
 def reconstruct(
@@ -100,7 +100,7 @@ def test_an_object_stays_closed_to_the_last_byte() -> None:
 
 
 def test_a_view_is_open_with_one_clean_boundary() -> None:
-    mesh, found = open_mesh(cap(), OpeningSettings("auto"))
+    mesh, found = open_mesh(cap(), OpeningSettings("no"))
     assert (found.boundaries, found.components) == (1, 1)
     spacing = np.sqrt(4.0 * np.pi / 12_000)
     assert np.abs(np.linalg.norm(mesh.vertices, axis=1) - 1.0).max() < spacing
@@ -134,9 +134,22 @@ def test_a_room_has_no_outside() -> None:
     sphere = PointCloud(sphere_points(), -sphere_points())  # the box around it is the outside
     result = run(sphere, OpeningSettings("auto"))
     assert result.facts["open"]
-    assert "room" in result.facts["closure"]
     radii = np.linalg.norm(result.surface.mesh().vertices, axis=1)
     assert np.abs(radii - 1.0).max() < 0.05
+
+
+@pytest.mark.parametrize("tile_points", [None, 3_000])
+def test_what_is_around_a_room_does_not_fill_its_door(tile_points: int | None) -> None:
+    turn, z = (
+        a.ravel() for a in np.meshgrid(np.arange(0.0, 6.28, 0.15), np.arange(1.0, 1.3, 0.03))
+    )
+    inwards = -np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1)
+    walls = sphere_points()[np.linalg.norm(sphere_points() - [0.0, 0.0, 1.0], axis=1) > 0.2]
+    points = np.concatenate([walls, -0.2 * inwards + z[:, None] * [0.0, 0.0, 1.0]])
+    room = PointCloud(points, np.concatenate([-walls, inwards]))
+    asked = OpeningSettings("no", None, Length(1.0, False))  # the door is .5 across
+    mesh, _ = open_mesh(room, asked, tile_points)
+    assert np.abs(mesh.vertices).max(axis=0) == pytest.approx([1.0, 1.0, 1.3], abs=0.06)
 
 
 @pytest.mark.parametrize(("fill", "boundaries"), [(0.2, 2), (1.4, 1)])
@@ -188,7 +201,7 @@ def test_points_on_a_disk_give_the_same_bytes(asked: OpeningSettings, tmp_path: 
     assert whole.normals is not None
     dense = whole.positions[:, 0] > 0.5
     kept = dense | (np.arange(len(whole)) % 16 == 0)
-    cloud = measure_points(PointCloud(whole.positions[kept], whole.normals[kept]))
+    cloud = measure_read(PointCloud(whole.positions[kept], whole.normals[kept]))
     writer = DiskCloudWriter(tmp_path, cloud.arrangement, cloud.origin)
     writer.add(*cloud.take_blocks(cloud.keys))
     disk = replace(writer.finish(), noted=cloud.measured)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from passes import measure_read
 
 from hpcapp.applications.surface.boundary.drive import OpeningSettings
 from hpcapp.applications.surface.boundary.seams import place_foreign
-from hpcapp.applications.surface.cloud.measure import measure_points
 from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
 from hpcapp.applications.surface.pipeline import make_surface
 from hpcapp.applications.surface.stitching.plan import StitchingPlan
@@ -24,7 +24,7 @@ def plan_sphere() -> StitchingPlan:
     points /= np.linalg.norm(points, axis=1, keepdims=True)
     method = HierarchicalMethod(64, tile_points=500, opening=OpeningSettings("yes"))
     with SerialExecutor() as executor:
-        cloud, clock = measure_points(PointCloud(points, points)), StageClock(Progress())
+        cloud, clock = measure_read(PointCloud(points, points)), StageClock(Progress())
         surface = make_surface(cloud, method, Workforce(executor, in_process=True), clock).surface
     return surface.plan
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from passes import measure_read
 from scipy.spatial import cKDTree
 
 from hpcapp.applications.surface.boundary.drive import OpeningSettings
 from hpcapp.applications.surface.boundary.support import find_farthest
-from hpcapp.applications.surface.cloud.measure import measure_points
 from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
 from hpcapp.applications.surface.job.outcome import Reconstruction
 from hpcapp.applications.surface.pipeline import make_surface
@@ -36,14 +36,14 @@ def run(cloud: PointCloud, tile_points: int | None = None) -> Reconstruction:
         )  # fmt: skip
         clock = StageClock(Progress())
         workforce = Workforce(executor, in_process=True)
-        return make_surface(measure_points(cloud), method, workforce, clock)
+        return make_surface(measure_read(cloud), method, workforce, clock)
 
 
 @pytest.mark.parametrize("count", [0, 1, 60])
 def test_the_farthest_place_is_the_one_that_a_search_tree_finds(count: int) -> None:
     rng = np.random.default_rng(7)
     points = rng.normal(size=(30_000, 3)) * [4.0, 2.0, 0.1]
-    cloud = measure_points(PointCloud(points, np.tile([0.0, 0.0, 1.0], (len(points), 1))))
+    cloud = measure_read(PointCloud(points, np.tile([0.0, 0.0, 1.0], (len(points), 1))))
     places = rng.normal(size=(count, 3)) * 4.0
     held, _ = cloud.take_blocks(cloud.keys)
     away = cKDTree(held).query(places)[0].max(initial=0.0) if count else 0.0

@@ -29,7 +29,7 @@ def normals() -> FloatArray:
 
 @pytest.fixture(scope="module")
 def far(normals: FloatArray) -> FarField:
-    return solve_far_field(RADIUS * normals, normals, BOX, 0.1, 128)
+    return solve_far_field(RADIUS * normals, normals, BOX, 0.1, 128, np.zeros(3))
 
 
 def test_the_box_is_covered_and_values_are_shared_as_float32(far: FarField) -> None:
@@ -59,7 +59,7 @@ def test_nothing_is_larger_than_a_step_and_a_half(far: FarField) -> None:
 
 def test_a_hole_is_closed_smoothly(normals: FloatArray) -> None:
     kept = normals[normals[:, 2] < 0.8]
-    far = solve_far_field(RADIUS * kept, kept, BOX, 0.1, 128)
+    far = solve_far_field(RADIUS * kept, kept, BOX, 0.1, 128, np.zeros(3))
     axis = np.outer(np.linspace(0.5, 3.2, 200), [0.0, 0.0, 1.0])
     signs = distances_at(far, axis) > 0
     assert not signs[0]
@@ -84,7 +84,7 @@ def thin_out(directions: FloatArray, share: float) -> FloatArray:
 def test_few_samples_count_as_much_as_many_by_area(share: float) -> None:
     # All cells of a sphere are occupied where x is small; elsewhere a share of them.
     kept = thin_out(sphere(12_000), share)
-    far = solve_far_field(RADIUS * kept, kept, BOX, 0.1, 128)
+    far = solve_far_field(RADIUS * kept, kept, BOX, 0.1, 128, np.zeros(3))
     points = np.random.default_rng(1).uniform(-3.2, 3.2, (20_000, 3))
     distances = np.linalg.norm(points, axis=1) - RADIUS
     # Between samples that are so far apart nothing tells where the surface is.

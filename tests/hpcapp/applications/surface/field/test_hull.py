@@ -3,10 +3,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.field.hull import find_hull
+from hpcapp.applications.surface.field import hull as hulls
 from hpcapp.geometry.points import FloatArray
 
 SIZE = 0.1
+
+
+def find_hull(positions: FloatArray, normals: FloatArray, size: float) -> FloatArray:
+    return hulls.find_hull(positions, normals, size, -normals.mean(axis=0))
 
 
 def dome(lowest: float) -> tuple[FloatArray, FloatArray]:

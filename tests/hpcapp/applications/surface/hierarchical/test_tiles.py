@@ -45,7 +45,7 @@ def test_where_points_are_few_the_surface_is_work_still() -> None:
     keys = pack_places(places)
     counts = np.where(places[:, 0] < 32, 4, 400)
     low = np.zeros(3)
-    plan = Plan(low, 1.0, 5, 3, 0.0, low, 0.5, (40, 20, 2), low, 8.0, 3, 128)
+    plan = Plan(low, 1.0, 5, 3, 0.0, low, 0.5, (40, 20, 2), low, 8.0, 3, 128, np.zeros(3))
     work = weigh_cells(plan, counts)
     assert np.all(work > counts)
     assert np.ptp(work - counts) < 1e-9

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.surface.job.diagnostics import (
+    check_closing,
     check_closure,
     check_handles,
     check_resolution,
@@ -11,6 +12,7 @@ from hpcapp.applications.surface.job.diagnostics import (
     check_support,
 )
 from hpcapp.applications.surface.stitching.surface import Surface
+from hpcapp.applications.surface.types.reading import Reading
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, PointCloud
@@ -20,11 +22,6 @@ def surface_of(vertices: FloatArray) -> Surface:
     return Surface.of_mesh(Mesh(vertices, np.arange(3 * (len(vertices) // 3)).reshape(-1, 3)))
 
 
-def turned(cloud: PointCloud, signs: FloatArray | float) -> PointCloud:
-    assert cloud.normals is not None
-    return PointCloud(cloud.positions, cloud.normals * signs)
-
-
 def test_a_good_scan_is_not_doubted(sphere: PointCloud) -> None:
     assert check_resolution(sphere, 2.0 / 64) == []
     assert (
@@ -32,23 +29,21 @@ def test_a_good_scan_is_not_doubted(sphere: PointCloud) -> None:
     )
 
 
-def test_normals_are_judged_alike_wherever_and_however_large(sphere: PointCloud) -> None:
-    for scale, shift in ((1e-30, 0.0), (1e30, 0.0), (1.0, 50.0)):
-        moved = PointCloud(sphere.positions * scale + shift, sphere.normals)
-        assert check_sides(moved) == []
-        assert "face inwards" in check_sides(turned(moved, -1.0))[0]
+def test_a_file_is_warned_of_where_its_normals_make_it_a_room() -> None:
+    assert "face inwards" in check_sides(Reading("inside"))[0]
+    assert not any(check_sides(Reading(kind)) for kind in ("outside", "above", "-x+y", "camera"))
 
 
-def test_the_side_scanned_more_often_does_not_decide(sphere: PointCloud) -> None:
-    near = np.flatnonzero(sphere.positions[:, 0] > 0.9)
-    often = sphere.take(np.concatenate([np.arange(len(sphere)), np.repeat(near, 100)]))
-    assert check_sides(often) == []
-    assert check_sides(turned(often, -1.0)) != []
-
-
-def test_few_points_are_too_far_apart_to_contradict_each_other(sphere: PointCloud) -> None:
-    few = sphere.take(np.arange(20))
-    assert check_sides(few) == []
+@pytest.mark.parametrize(("is_open", "asked", "kept"), [(True, "yes", "no"), (False, "no", "yes")])
+def test_what_is_unsure_to_be_open_is_said_with_both_options(
+    is_open: bool, asked: str, kept: str
+) -> None:
+    facts = {"open": is_open, "closure_certainty": 0.7}
+    (warning,) = check_closing(facts)
+    assert "70 % sure" in warning
+    assert warning.index(f"close={asked!r} makes it") < warning.index(f"close={kept!r} keeps it")
+    assert not check_closing({**facts, "closure_certainty": 0.95})
+    assert not check_closing({"open": is_open})
 
 
 def test_an_outlier_that_takes_up_the_grid_is_noticed(sphere: PointCloud) -> None:

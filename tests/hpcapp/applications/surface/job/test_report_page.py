@@ -81,13 +81,13 @@ def test_guesswork_is_marked_where_it_is(capless: Path, tmp_path: Path) -> None:
 def test_the_axis_that_points_up_and_the_unit_are_those_of_the_scan() -> None:
     mesh = Mesh(np.eye(3), np.array([[0, 1, 2]]))
     shown = Shown(mesh, 1, PointCloud(np.eye(3)), np.array([0.0, 0.1, 3.5]))
-    given = {"unit": "m", "up": "y (flown)"}
-    page = build_job_page(shown, {"summary": "", "spacing": 0.5, "input": given}, "t")
+    report = {"summary": "", "spacing": 0.5, "input": {"unit": "m"}, "up": "y"}
+    page = build_job_page(shown, report, "t")
     scene = scene_of(page)
     assert (scene["up"], scene["unit"]) == ("y", "m")
     assert "<th>spacing of the points</th><td>0.500 m</td>" in page
     assert scene["tint"]["text"] == "guesswork: more than 3.00 m from every point"
-    unknown = scene_of(build_job_page(shown, {"summary": "", "input": {"up": "unknown"}}, "t"))
+    unknown = scene_of(build_job_page(shown, {"summary": "", "up": "askew"}, "t"))
     assert (unknown["up"], unknown["unit"], unknown["tint"]) == ("z", "", None)
 
 

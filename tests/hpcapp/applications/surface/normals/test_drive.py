@@ -18,6 +18,7 @@ from hpcapp.applications.surface.normals.orientation import SURE
 from hpcapp.applications.surface.normals.oriented import Oriented
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.normals.sides import judge_normals, orient_cloud
+from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.lab.simulate.scanner import simulate_scan
 from hpcapp.lab.simulate.settings import ScanSettings
@@ -41,9 +42,9 @@ def orient(
 ) -> tuple[PointCloud, Oriented]:
     """Orient points in memory, as if their normals had no side where there are some."""
     clock, cloud_pass = StageClock(Progress()), in_memory(points)
-    turned, oriented = orient_cloud(
+    turned, oriented, _ = orient_cloud(
         cloud_pass,
-        measure_spacing(cloud_pass),
+        LocalScale.uniform(measure_spacing(cloud_pass)),
         "auto",
         sensor,
         clock,
@@ -147,9 +148,9 @@ def test_regions_give_the_normals_of_the_whole(
     memory = MemoryPass(arrange_cloud(points))
     spacing = measure_spacing(memory)
     keeps = what == "given"
-    whole, wanted = orient_normals(memory, spacing, UNKNOWN, keeps=keeps, attribute="sure")
+    whole, wanted, _ = orient_normals(memory, spacing, UNKNOWN, keeps=keeps, attribute="sure")
     there = in_folder(points, tmp_path, alone(1_500, sees=workers_see))
-    found, same = orient_normals(there, spacing, UNKNOWN, keeps=keeps, attribute="sure")
+    found, same, _ = orient_normals(there, spacing, UNKNOWN, keeps=keeps, attribute="sure")
     assert len(found.cloud.parts) > 3
     found, _ = mend_normals(found, spacing)  # which leaves them beside other points
     whole, _ = mend_normals(whole, spacing)
@@ -184,7 +185,7 @@ def test_normals_depend_on_no_number_of_threads() -> None:
     spacing = measure_spacing(MemoryPass(cloud))
     found = []
     for threads in (1, 3):
-        cloud_pass, oriented = orient_normals(
+        cloud_pass, oriented, _ = orient_normals(
             MemoryPass(cloud, threads), spacing, UNKNOWN, keeps=False
         )
         cloud_pass, flipped = mend_normals(cloud_pass, spacing)
@@ -202,8 +203,8 @@ def test_normals_of_a_file_are_warned_of_where_they_are_taken_as_they_are() -> N
     mixed = in_memory(PointCloud(scan.positions, scan.normals * signs[:, None]))
     clock = StageClock(Progress())
     for given, is_wrong in ((in_memory(scan), False), (mixed, True)):
-        spacing = measure_spacing(given)
-        same, oriented = orient_cloud(given, spacing, "file", UNKNOWN, clock, has_normals=True)
+        scale = LocalScale.uniform(measure_spacing(given))
+        same, oriented, _ = orient_cloud(given, scale, "file", UNKNOWN, clock, has_normals=True)
         assert same is given
         assert ["contradict" in warning for warning in oriented.warnings] == [True] * is_wrong
 

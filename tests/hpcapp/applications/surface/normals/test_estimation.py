@@ -54,6 +54,18 @@ def test_the_sides_of_a_thin_wall_are_no_noise(thickness: float) -> None:
     assert np.mean(_angles(vectors, np.broadcast_to([0.0, 0.0, 1.0], vectors.shape)) < 5.0) > 0.85
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+@pytest.mark.parametrize("angle", [30.0, 40.0, 50.0])
+def test_points_at_an_acute_edge_have_the_plane_of_their_side(angle: float, noise: float) -> None:
+    random = np.random.default_rng(6)
+    inwards, along = random.uniform(0.0, [[20.0], [200.0]], (2, 8_000))  # one point per area of 1
+    sides, half = random.choice([-1.0, 1.0], 8_000), np.radians(angle / 2.0)
+    truth = np.column_stack([np.full(8_000, -np.sin(half)), 0.0 * along, sides * np.cos(half)])
+    edge = np.column_stack([inwards * np.cos(half), along, sides * inwards * np.sin(half)])
+    angles = _angles(_estimate(edge + noise * random.normal(size=(8_000, 1)) * truth), truth)
+    assert np.mean(angles[inwards < 4.0] > 10.0) < 0.14
+
+
 def test_a_noisy_sheet_is_no_wall() -> None:
     """The points of one spread as those of two do, but not around two planes."""
     lengths = np.linalg.norm(_estimate(_wall(0.0, 0.7)), axis=1)

@@ -65,7 +65,7 @@ def test_the_outside_is_seen_from_all_around() -> None:
     ball = _ball()
     views = _look_around(ball)
     assert (views.front > 5.0 * views.back).mean() > 0.97
-    places = find_inside(ball, SPACING, TIGHT)
+    (places,) = find_inside(ball, SPACING, TIGHT)
     views = Views.inside(ball, places, SPACING)
     assert (views.back > 5.0 * views.front).all()
 

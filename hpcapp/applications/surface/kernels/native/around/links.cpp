@@ -14,7 +14,7 @@ using namespace constants::links;
 constexpr int MOST = LINKED + 1;  // neighbours of a point, itself among them
 
 struct Link {
-  int64_t name, contacts;
+  int64_t name, contacts, arms[3];
 };
 
 // Sort links, and make those of one name one.
@@ -24,6 +24,7 @@ void merge(std::vector<Link>& links) {
   for (const Link& link : links) {
     if (kept && links[kept - 1].name == link.name) {
       links[kept - 1].contacts += link.contacts;
+      for (int axis = 0; axis < 3; ++axis) links[kept - 1].arms[axis] += link.arms[axis];
     } else {
       links[kept++] = link;
     }
@@ -48,7 +49,10 @@ void link_cells(const UnitPoints& points, const uint8_t* own, const int64_t* gro
       const int nearer = near.count(MOST);
       for (int k = 0; k < nearer; ++k) {
         const int64_t other = group_of[points.rows[near.at[k]]];
-        if (other != group) found.push_back({std::min(group, other) * count + std::max(group, other), 1});
+        if (other == group) continue;
+        const int64_t sign = group < other ? 1 : -1, x = static_cast<int64_t>(near.x[k]);
+        const int64_t y = static_cast<int64_t>(near.y[k]), z = static_cast<int64_t>(near.z[k]);
+        found.push_back({std::min(group, other) * count + std::max(group, other), 1, {sign * x, sign * y, sign * z}});
       }
     });
     merge(found);
@@ -69,6 +73,7 @@ nb::tuple link_groups(Doubles positions, Bytes own_of, Integers groups, Doubles 
     if (group_of[i] < 0 || group_of[i] >= count) refuse("group_of: a row is out of range");
   const int workers = check_threads(threads);
   Large<int64_t> first, second, contacts;
+  Buffer<int64_t> arms;
   {
     const Unlocked unlocked;
     const UnitPoints points = place_points(point, count, low, spacing);
@@ -81,13 +86,17 @@ nb::tuple link_groups(Doubles positions, Bytes own_of, Integers groups, Doubles 
       links.insert(links.end(), some.begin(), some.end());
     });
     merge(links);
+    arms = make_buffer<int64_t>(3 * links.size());
     for (const Link& link : links) {
+      std::copy_n(link.arms, 3, arms.get() + 3 * first.size());
       first.push_back(link.name / count);
       second.push_back(link.name % count);
       contacts.push_back(link.contacts);
     }
   }
-  return nb::make_tuple(give(std::move(first)), give(std::move(second)), give(std::move(contacts)));
+  const size_t n = first.size();
+  return nb::make_tuple(give(std::move(first)), give(std::move(second)), give(std::move(contacts)),
+                        give(std::move(arms), {n, 3}));
 }
 
 }  // namespace

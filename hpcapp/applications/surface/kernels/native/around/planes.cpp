@@ -46,7 +46,7 @@ HPC_CLONES void add_up(const Neighbours& near, const int* ends, int count, Sums&
   }
 }
 
-// Two parallel planes through the neighbours of a point.
+// Two planes through the neighbours of a point, of which the normal is that of the nearer one.
 struct Sheets {
   bool are_told = false;
   double normal[3], square;
@@ -205,55 +205,90 @@ double cut_heights(const double* heights, int count) {
   return bound;
 }
 
-// Add up the points above a height: how many they are, and their coordinates.
-HPC_CLONES void add_upper(const Neighbours& near, const Heights& heights, double bound, double (&upper)[4]) {
-  double sums[4][LANES] = {};
-  const double *x = near.x, *y = near.y, *z = near.z;
+// Some neighbours: how many they are, and the sums of their coordinates and of the products of these.
+struct Half {
+  double held, sum[3], product[PRODUCTS];
+};
+
+// A plane through some neighbours, and their squares across it.
+struct Side {
+  double normal[3], offset, squares;
+};
+
+// Add up the points that are marked by 1, not 0.
+HPC_CLONES void add_marked(const Neighbours& near, const double* marks, Half& half) {
+  double sums[1 + 3 + PRODUCTS][LANES] = {};
   for (int start = 0; start < HEIGHTS; start += LANES)
     HPC_LANES
     for (int lane = 0; lane < LANES; ++lane) {
       const int i = start + lane;
-      const bool is_upper = heights.each[i] > bound;
-      sums[0][lane] += is_upper ? 1.0 : 0.0;
-      sums[1][lane] += is_upper ? x[i] : 0.0;
-      sums[2][lane] += is_upper ? y[i] : 0.0;
-      sums[3][lane] += is_upper ? z[i] : 0.0;
+      const bool is_marked = marks[i] != 0.0;
+      const double x = is_marked ? near.x[i] : 0.0, y = is_marked ? near.y[i] : 0.0, z = is_marked ? near.z[i] : 0.0;
+      sums[0][lane] += marks[i];
+      sums[1][lane] += x, sums[2][lane] += y, sums[3][lane] += z;
+      sums[4 + XX][lane] += x * x, sums[4 + YY][lane] += y * y, sums[4 + ZZ][lane] += z * z;
+      sums[4 + XY][lane] += x * y, sums[4 + XZ][lane] += x * z, sums[4 + YZ][lane] += y * z;
     }
-  for (int sum = 0; sum < 4; ++sum) {
-    upper[sum] = 0.0;
-    for (int lane = 0; lane < LANES; ++lane) upper[sum] += sums[sum][lane];
+  half = Half{};
+  for (int lane = 0; lane < LANES; ++lane) {
+    half.held += sums[0][lane];
+    for (int axis = 0; axis < 3; ++axis) half.sum[axis] += sums[1 + axis][lane];
+    for (int product = 0; product < PRODUCTS; ++product) half.product[product] += sums[4 + product][lane];
   }
 }
 
-// Fit two parallel planes where one leaves much over, and these leave little.
+// Mark the points that are nearer to the second of two planes.
+HPC_CLONES void mark_nearer(const Neighbours& near, int count, const Side (&sides)[2], double* marks) {
+  const double *x = near.x, *y = near.y, *z = near.z;
+  const double *a = sides[0].normal, *b = sides[1].normal;
+  HPC_LANES
+  for (int i = 0; i < count; ++i) {
+    const double first = std::abs(a[0] * x[i] + a[1] * y[i] + a[2] * z[i] - sides[0].offset);
+    const double second = std::abs(b[0] * x[i] + b[1] * y[i] + b[2] * z[i] - sides[1].offset);
+    marks[i] = second < first ? 1.0 : 0.0;
+  }
+}
+
+// Fit a plane: see _fit_side.
+void fit_side(const Half& half, Side& side) {
+  double mean[3], spread[PRODUCTS];
+  for (int axis = 0; axis < 3; ++axis) mean[axis] = half.sum[axis] / half.held;
+  for (int product = 0; product < PRODUCTS; ++product)
+    spread[product] = half.product[product] / half.held - mean[PAIRS[product][0]] * mean[PAIRS[product][1]];
+  const double least = find_least(spread);
+  find_normal(spread, least, side.normal);
+  side.offset = mean[0] * side.normal[0] + mean[1] * side.normal[1] + mean[2] * side.normal[2];
+  side.squares = std::max(least, 0.0) * half.held;
+}
+
+// Fit two planes where one leaves much over, and these leave little.
 Sheets find_sheets(const Neighbours& near, const Planes& planes, const Sums& sums) {
   Sheets sheets;
   const double alone = planes.squares[SHEET_COUNT];
   const int count = near.count(COUNTS[SHEET_COUNT]);
   if (count < 2 * SHEET_LEAST || !(alone > THICK * UNITS * (THICK * UNITS))) return sheets;
-  double first[3], least = 0.0;
-  find_normal(planes, SHEET_COUNT, first);
-  double(&normal)[3] = sheets.normal;
-  std::copy_n(first, 3, normal);
+  double normal[3], marks[HEIGHTS] = {};
+  find_normal(planes, SHEET_COUNT, normal);
   Heights heights;
+  measure_heights(near, count, normal, heights);
+  const double bound = cut_heights(heights.rising, count);
+  for (int i = 0; i < count; ++i) marks[i] = heights.each[i] > bound ? 1.0 : 0.0;
+  Side sides[2];
   for (int round = 0; round < SHEET_ROUNDS; ++round) {
-    measure_heights(near, count, normal, heights);
-    double upper[4], spread[PRODUCTS];
-    add_upper(near, heights, cut_heights(heights.rising, count), upper);
-    const double lower[4] = {count - upper[0], sums.mean[0][SHEET_COUNT] - upper[1],
-                             sums.mean[1][SHEET_COUNT] - upper[2], sums.mean[2][SHEET_COUNT] - upper[3]};
-    if (std::min(lower[0], upper[0]) < SHEET_LEAST) return sheets;
-    for (int product = 0; product < PRODUCTS; ++product) {
-      const int i = PAIRS[product][0] + 1, j = PAIRS[product][1] + 1;
-      const double below = lower[i] * lower[j] / lower[0], above = upper[i] * upper[j] / upper[0];
-      spread[product] = (sums.product[product][SHEET_COUNT] - below - above) / count;
-    }
-    least = find_least(spread);
-    find_normal(spread, least, normal);
+    Half upper, lower;
+    add_marked(near, marks, upper);
+    lower.held = count - upper.held;
+    for (int axis = 0; axis < 3; ++axis) lower.sum[axis] = sums.mean[axis][SHEET_COUNT] - upper.sum[axis];
+    for (int product = 0; product < PRODUCTS; ++product)
+      lower.product[product] = sums.product[product][SHEET_COUNT] - upper.product[product];
+    if (std::min(lower.held, upper.held) < SHEET_LEAST) return sheets;
+    fit_side(lower, sides[0]);
+    fit_side(upper, sides[1]);
+    mark_nearer(near, count, sides, marks);
   }
-  sheets.square = std::max(least, 0.0) * (count / (count - 4.0));
-  const double along = normal[0] * first[0] + normal[1] * first[1] + normal[2] * first[2];
-  sheets.are_told = sheets.square < APART * APART * alone && std::abs(along) >= ALIKE;
+  sheets.square = (sides[0].squares + sides[1].squares) / (count - 6.0);
+  sheets.are_told = sheets.square < APART * APART * alone;
+  std::copy_n(sides[marks[0] != 0.0].normal, 3, sheets.normal);  // the first is the point itself
   return sheets;
 }
 

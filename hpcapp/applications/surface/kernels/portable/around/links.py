@@ -23,7 +23,7 @@ def link_groups(
     low: FloatArray,
     spacing: float,
     threads: int = 1,
-) -> tuple[IntArray, IntArray, IntArray]:
+) -> tuple[IntArray, IntArray, IntArray, IntArray]:
     """Find the groups that lie among the neighbours of points.
 
     Parameters
@@ -45,13 +45,16 @@ def link_groups(
     contacts : ndarray of int64, shape (l,)
         In how many neighbours, of the 8 of each point within 4 spacings. These are nearer than the
         first that is left out (see `fit_planes`).
+    arms : ndarray of int64, shape (l, 3)
+        From the points of the lower group to these in the other, summed; in units of 2^-19
+        spacings, and exact (see `nearest`).
     """
     del threads  # numpy runs on one
     if len(group_of) and not (group_of.min() >= 0 and group_of.max() < len(group_of)):
         raise ValueError("group_of: a row is out of range")
     rows, most = np.flatnonzero(own), _LINKED + 1
     tree = cKDTree(round_positions(positions, low, spacing))
-    found = [np.zeros(0, np.int64)]
+    names, sums = [np.zeros(0, np.int64)], [np.zeros((0, 4), np.int64)]
     for start in range(0, len(rows), _ROWS_AT_ONCE):
         some = rows[start : start + _ROWS_AT_ONCE]
         nearest = Nearest(tree, some, most, _REACH)
@@ -62,8 +65,9 @@ def link_groups(
         differ = first != second
         first, second = first[differ], second[differ]
         # Both groups as one number, the lower one first, so that a pair has one name.
-        found.append(np.minimum(first, second) * len(positions) + np.maximum(first, second))
-    names = np.concatenate(found)
-    names, contacts = merge_counts(names, np.ones(len(names), np.int64))
+        names.append(np.minimum(first, second) * len(positions) + np.maximum(first, second))
+        arms = nearest.arms[is_near][differ] * np.where(first < second, 1.0, -1.0)[:, None]
+        sums.append(np.insert(arms.astype(np.int64), 0, 1, axis=1))  # (l, 4): a contact, its arm
+    every, totals = merge_counts(np.concatenate(names), np.concatenate(sums))
     groups = max(len(positions), 1)
-    return names // groups, names % groups, contacts
+    return every // groups, every % groups, totals[:, 0], totals[:, 1:]

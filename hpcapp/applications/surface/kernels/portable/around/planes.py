@@ -13,7 +13,7 @@ from hpcapp.applications.surface.kernels.portable.around.nearest import (
     cells_of_units,
     round_positions,
 )
-from hpcapp.geometry.points import ByteArray, Float32Array, FloatArray, IntArray
+from hpcapp.geometry.points import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from hpccomponent.dataclass import dataclass
 
 __all__ = ["fit_planes"]
@@ -30,10 +30,10 @@ _PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 _SHEET_COUNT = 3  # whose points may lie on two sheets
 _THICK = 0.3  # spacings: the residual from which on that is asked
-_APART = 0.18
-"""Residual around two parallel planes, by that around one. Most points of a wall of 1.3 spacings
-have .06 to .11; of single sheets half have .5, and one in a thousand has .2 to .36."""
-_ALIKE = 0.8  # cos of the angle between the normals of both
+_APART = 0.25
+"""Residual around two planes, by that around one. Within 3 spacings of an edge of 15 to 45 degrees,
+and on a wall of .9 to 2, half the points have .04 to .11, with noise of .1 spacings .16 to .27. Of
+single noisy sheets half have .55, and one in a thousand has .3; of balls of 4 spacings .25."""
 _SHEET_LEAST, _SHEET_ROUNDS = 4, 3
 
 _STEPS = 24  # of Newton's method: a double root takes a bit each
@@ -72,9 +72,10 @@ def fit_planes(
     first part is what noise does, the second what curvature, edges and other sheets do that a
     larger neighbourhood takes in. The plane with the least e is taken.
 
-    Where the 24 nearest leave more than .3 spacings, they may lie on both sides of a thin wall: two
-    parallel planes are fitted, three times, to the halves that differ most in height. Where these
-    leave .18 of what one plane leaves, or less, their normal and residual are taken.
+    Where the 24 nearest leave more than .3 spacings, they may lie on both sides of a thin wall or
+    of an acute edge: two planes are fitted, to the halves that differ most in height, and twice
+    more to the points that each is nearer to. Where these leave .25 of what one plane leaves, or
+    less, the residual is theirs, and the normal that of the plane the point is nearer to.
 
     The k nearest are those nearer than the first that is left out, by more than rounding, so that
     nothing depends on the order of points equally far away. Distances and sums are those of rounded
@@ -127,7 +128,8 @@ class _Planes:
     spread : ndarray of float64, shape (6, n, k)
         Covariances, in the order of `_PAIRS`.
     sheets : ndarray of float64, shape (n, 4)
-        Where neighbours lie on two sheets their normal, and the variance across both; else NaN.
+        Where neighbours lie on two sheets the normal of the point's, and the variance across both;
+        else NaN.
     """
 
     held: FloatArray
@@ -185,7 +187,7 @@ def _fit(tree: cKDTree, rows: IntArray, counts: tuple[int, ...]) -> _Planes:
 def _find_sheets(
     arms: FloatArray, number: IntArray, spread: FloatArray, alone: FloatArray
 ) -> FloatArray:
-    """Fit two parallel planes to the first ones of some neighbours; see `_Planes.sheets`.
+    """Fit two planes to the first ones of some neighbours; see `_Planes.sheets`.
 
     Parameters
     ----------
@@ -198,29 +200,54 @@ def _find_sheets(
     """
     is_held = np.arange(arms.shape[1]) < number[:, None]
     arms = arms * is_held[..., None]
-    # (6, n): sums of products about the point; less those of both sides' means they are pooled.
-    products = np.stack([(arms[..., i] * arms[..., j]).sum(axis=1) for i, j in _PAIRS])
-    normals = first = _least_eigenvectors(spread)
-    is_split, least = np.ones(len(arms), np.bool_), np.zeros(len(arms))
+    products = np.stack([arms[..., i] * arms[..., j] for i, j in _PAIRS])  # (6, n, k)
+    # (n, k): along the normal of one plane; what is no neighbour is above all.
+    heights = np.where(is_held, _along(arms, _least_eigenvectors(spread)), np.inf)
+    is_upper = (heights > _cut_heights(heights, number)[:, None]) & is_held
+    is_split = np.ones(len(arms), np.bool_)
     for _ in range(_SHEET_ROUNDS):
-        x, y, z = np.moveaxis(arms * normals[:, None], 2, 0)
-        # (n, k): along the normal as it is so far; what is no neighbour is above all.
-        heights = np.where(is_held, x + y + z, np.inf)
-        upper = (heights > _cut_heights(heights, number)[:, None]) & is_held
-        pooled = products.copy()
-        for side in (is_held & ~upper, upper):
-            held = side.sum(axis=1)
-            is_split &= held >= _SHEET_LEAST
-            sums = (arms * side[..., None]).sum(axis=1)
-            for row, (i, j) in enumerate(_PAIRS):
-                pooled[row] -= sums[:, i] * sums[:, j] / np.maximum(held, 1)
-        pooled /= number
-        least, normals = _least_eigenvalues(pooled), _least_eigenvectors(pooled)
-    # (n,): two parallel planes take four degrees of freedom.
-    squares = np.maximum(least, 0.0) * (number / (number - 4.0))
-    along = normals[:, 0] * first[:, 0] + normals[:, 1] * first[:, 1] + normals[:, 2] * first[:, 2]
-    has_sheet = is_split & (squares < _APART * _APART * alone) & (np.abs(along) >= _ALIKE)
+        sides = [_fit_side(arms, products, some) for some in (is_held & ~is_upper, is_upper)]
+        is_split &= (sides[0].held >= _SHEET_LEAST) & (sides[1].held >= _SHEET_LEAST)
+        is_upper = (sides[1].distances(arms) < sides[0].distances(arms)) & is_held
+    # (n,): two planes take six degrees of freedom.
+    squares = (sides[0].squares + sides[1].squares) / (number - 6.0)
+    # The first of its neighbours is the point itself.
+    normals = np.where(is_upper[:, :1], sides[1].normals, sides[0].normals)
+    has_sheet = is_split & (squares < _APART * _APART * alone)
     return np.where(has_sheet[:, None], np.column_stack([normals, squares]), np.nan)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Side:
+    """A plane through some neighbours of each point: how many, and their squares across it."""
+
+    held: IntArray
+    normals: FloatArray
+    offsets: FloatArray
+    squares: FloatArray
+
+    def distances(self, arms: FloatArray) -> FloatArray:
+        """Return how far each neighbour lies from the plane."""
+        return np.abs(_along(arms, self.normals) - self.offsets[:, None])
+
+
+def _fit_side(arms: FloatArray, products: FloatArray, some: BoolArray) -> _Side:
+    held = some.sum(axis=1)
+    count = np.maximum(held, 1)
+    mean = (arms * some[..., None]).sum(axis=1) / count[:, None]
+    spread = (products * some).sum(axis=2) / count
+    for row, (i, j) in enumerate(_PAIRS):
+        spread[row] -= mean[:, i] * mean[:, j]
+    normals = _least_eigenvectors(spread)
+    squares = np.maximum(_least_eigenvalues(spread), 0.0) * held
+    return _Side(held, normals, _along(mean[:, None], normals)[:, 0], squares)
+
+
+def _along(arms: FloatArray, normals: FloatArray) -> FloatArray:
+    """Return how far each arm reaches along a direction."""
+    x, y, z = np.moveaxis(arms * normals[:, None], 2, 0)
+    reached: FloatArray = x + y + z
+    return reached
 
 
 def _cut_heights(heights: FloatArray, number: IntArray) -> FloatArray:

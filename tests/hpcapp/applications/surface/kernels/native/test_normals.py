@@ -23,6 +23,10 @@ def _make_points(kind: str, seed: int) -> FloatArray:
     if kind == "wall":  # both sides of one, little thicker than points are apart
         sides = 0.07 * random.choice([-1.0, 1.0], size=1500) + 0.005 * random.normal(size=1500)
         return np.column_stack([random.uniform(0.0, 2.7, size=(1500, 2)), sides])
+    if kind == "edge":  # of 30 degrees
+        along = random.uniform(0.0, 2.7, size=(1500, 2))
+        sides = along[:, 0] * random.choice([-0.27, 0.27], size=1500)
+        return np.column_stack([along, sides + 0.005 * random.normal(size=1500)])
     directions = random.normal(size=(1500, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     if kind == "noisy":  # planes of many points
@@ -34,7 +38,7 @@ def _make_points(kind: str, seed: int) -> FloatArray:
     return directions
 
 
-KINDS = ["sphere", "noisy", "uneven", "grid", "wall"]
+KINDS = ["sphere", "noisy", "uneven", "grid", "wall", "edge"]
 
 
 @pytest.mark.parametrize("kind", KINDS)
