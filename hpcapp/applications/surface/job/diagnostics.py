@@ -39,7 +39,8 @@ def check_sides(reading: Reading) -> list[str]:
     A cloud of the inside of a room is oriented like one of an object turned inside out; only its
     user can tell them apart.
     """
-    if reading.kind != "inside":
+    may_be = reading.kind, *(rival.kind for rival in reading.rivals)
+    if reading.share_among < 0.5 or "inside" not in may_be:
         return []
     return [
         "the normals face inwards, as of a room seen from inside: if it is an object, "

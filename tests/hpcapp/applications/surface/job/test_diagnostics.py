@@ -30,8 +30,8 @@ def test_a_good_scan_is_not_doubted(sphere: PointCloud) -> None:
 
 
 def test_a_file_is_warned_of_where_its_normals_make_it_a_room() -> None:
-    assert "face inwards" in check_sides(Reading("inside"))[0]
-    assert not any(check_sides(Reading(kind)) for kind in ("outside", "above", "-x+y", "camera"))
+    assert "face inwards" in check_sides(Reading("inside", 0.9))[0]
+    assert not any(check_sides(Reading(kind)) for kind in ("outside", "above", "-x+y", "places"))
 
 
 @pytest.mark.parametrize(("is_open", "asked", "kept"), [(True, "yes", "no"), (False, "no", "yes")])
