@@ -16,7 +16,7 @@ from hpcapp.applications.surface.job.scan import Loaded
 from hpcapp.applications.surface.job.settings import Settings
 from hpcapp.applications.surface.stitching.handles import find_small_handles
 from hpcapp.applications.surface.stitching.surface import Surface
-from hpcapp.applications.surface.types.reading import Reading
+from hpcapp.applications.surface.types.reading import AMONG, Reading
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.wording import say_count
@@ -40,7 +40,7 @@ def check_sides(reading: Reading) -> list[str]:
     user can tell them apart.
     """
     may_be = reading.kind, *(rival.kind for rival in reading.rivals)
-    if reading.share_among < 0.5 or "inside" not in may_be:
+    if reading.kind not in AMONG or "inside" not in may_be:
         return []
     return [
         "the normals face inwards, as of a room seen from inside: if it is an object, "

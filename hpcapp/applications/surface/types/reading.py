@@ -14,7 +14,8 @@ import numpy as np
 
 from hpccomponent.dataclass import dataclass
 
-_AMONG = "inside", "amid", "sensor"
+AMONG = "inside", "amid", "sensor"
+"""Kinds that were seen from among the points."""
 _SEEN = {
     "inside": "from inside",
     "amid": "from amid the points",
@@ -90,7 +91,12 @@ class Reading:
 
     @property
     def share_among(self) -> float:
-        """How probable it is that it was seen from among its points, as a room is: 0 to 1."""
+        """How probable it is that it was seen from among its points, as a room is: 0 to 1.
+
+        Or from above, where z is known to be up: ground goes on where nobody looked, as well.
+        """
+        if self.kind == "above" and self.up is not None:
+            return 1.0
         weighed = [
             (self.kind, self.certainty),
             *((one.kind, one.probability) for one in self.rivals),
@@ -99,7 +105,7 @@ class Reading:
         if self.kind == "places":
             weighed = weighed[1:2]
         among, others = (
-            max((share for kind, share in weighed if (kind in _AMONG) == is_among), default=0.0)
+            max((share for kind, share in weighed if (kind in AMONG) == is_among), default=0.0)
             for is_among in (True, False)
         )
         share = among / (among + others) if among else 0.0
