@@ -24,7 +24,7 @@ _SEEN = {
 }
 
 
-SURE = 0.85
+SURE = 0.8
 """Probability from which on a side, or a reading, is believed without a word."""
 
 

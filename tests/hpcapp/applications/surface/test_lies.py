@@ -35,6 +35,7 @@ BELIEVED: dict[str, set[str]] = {
     "zero": set(),
     "plus one": {
         "bound_range",  # how many points are near
+        "sum_region",  # sums of points by cell and facing, of which a step is next to nothing
         "sum_tile",  # how many finest cells a tile has, which is only reported
     },
     "times 1.001": {

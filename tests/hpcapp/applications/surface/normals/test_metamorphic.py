@@ -29,7 +29,7 @@ from hpcapp.lab.simulate.scanner import sample_surface
 from hpcapp.lab.simulate.shapes import find_shape
 
 ENOUGH = 0.9  # share of sure points below which a warning asks to look
-FAR = 0.95, 0.75  # certainty so far from that of a sure side that a tenth less does not change it
+FAR = 0.93, 0.7  # certainty so far from that of a sure side that a tenth less does not change it
 REACH, CRATE = 8.0, np.array([1.6, 0.8, 0.7])  # of the scanner, and a crate's edges, in metres
 APART = 0.05  # by how much the share of points on the right side may differ
 
