@@ -88,7 +88,7 @@ def tell(features: FloatArray, coefficients: FloatArray) -> FloatArray:
 
 def is_open(row: dict[str, Any]) -> bool | None:
     """Tell whether a scan is open; None where nothing tells, or its sides are wrong."""
-    faces_places = Reading.of_json(row["reading"]).share_among > 0.5
+    faces_places = Reading.of_json(row["reading"]).share_going_on > 0.5
     if row["closed"] is not None:
         return None if row["closed"] and faces_places else not row["closed"]
     if row["group"] in ("rooms", "object_in_part"):
@@ -105,7 +105,7 @@ def main() -> None:
     rows = [row for row in rows if row["reading"] and is_open(row) is not None]
     readings = [Reading.of_json(row["reading"]) for row in rows]
     shares = [row["unsupported"] for row in rows]
-    among = [round(reading.share_among) for reading in readings]
+    among = [round(reading.share_going_on) for reading in readings]
     features = np.array([*map(measure_opening, readings, shares, among)])
     truth = np.array([is_open(row) for row in rows])
     folds = np.arange(len(truth)) % _FOLDS

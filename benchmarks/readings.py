@@ -39,7 +39,11 @@ from hpcapp.applications.surface.normals import drive
 from hpcapp.applications.surface.normals.evidence import areas_of
 from hpcapp.applications.surface.normals.likelihood import FITTED, FLOOR, SENSED, UPS, Likelihood
 from hpcapp.applications.surface.normals.linked import LinkedPatches
-from hpcapp.applications.surface.normals.readings import find_readings, follow_reading
+from hpcapp.applications.surface.normals.readings import (
+    find_readings,
+    follow_reading,
+    measure_level,
+)
 from hpcapp.geometry.axes import rotate
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 from hpccomponent.errors import HpcError
@@ -88,7 +92,7 @@ def follow_world(data: Path, folder: Path, name: str, entry: dict[str, Any]) -> 
     patches, links, spacing, zero, sensor = caught[:5]
     linked, areas = LinkedPatches(patches, links), areas_of(patches)
     found = [
-        follow_reading(patches, linked, one)
+        follow_reading(linked, one, areas, measure_level(patches))
         for one in find_readings(patches, linked, spacing, zero, sensor)
     ]
     tool = load_tool(data, "judge_worlds").evaluate_raw

@@ -13,7 +13,8 @@ from hpcapp.applications.surface.types.reading import Reading
 
 COEFFICIENTS = (-4.23, 13.0, 2.69, -10.7, 7.37)
 """Of 1, the unsupported share, the length of what is missing, that times how far the border draws
-together, and 1 where places among the points saw it: ``benchmarks/closing.py``."""
+together, and 1 where it goes on (`Reading.share_going_on`): the likelihood of ``closed`` of scans
+whose truth is known, by ``benchmarks/closing.py``; its tests move each by a tenth."""
 
 SURE = 0.9
 """Probability of being open or closed, below which somebody should look."""
@@ -28,18 +29,18 @@ def weigh_open(reading: Reading, unsupported: float) -> float:
     unsupported : float
         Share of the closed surface that no point supports, 0 to 1.
     """
-    share = reading.share_among
-    outside, among = (
-        1.0 / (1.0 + np.exp(-np.dot(COEFFICIENTS, measure_opening(reading, unsupported, is_among))))
-        for is_among in (0.0, 1.0)
+    share = reading.share_going_on
+    ends, goes_on = (
+        1.0 / (1.0 + np.exp(-np.dot(COEFFICIENTS, measure_opening(reading, unsupported, going_on))))
+        for going_on in (0.0, 1.0)
     )
-    return float((1.0 - share) * outside + share * among)
+    return float((1.0 - share) * ends + share * goes_on)
 
 
-def measure_opening(reading: Reading, unsupported: float, is_among: float) -> tuple[float, ...]:
+def measure_opening(reading: Reading, unsupported: float, going_on: float) -> tuple[float, ...]:
     """Return what `COEFFICIENTS` are of."""
     missing = reading.share_missing
-    return 1.0, unsupported, missing, missing * reading.drawn, is_among
+    return 1.0, unsupported, missing, missing * reading.drawn, going_on
 
 
 def say_closing(reading: Reading, unsupported: float, *, is_open: bool) -> str:

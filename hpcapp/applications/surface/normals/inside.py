@@ -26,7 +26,9 @@ its rays; a cloud that was thinned out may look so."""
 INSIDE = 0.8
 """Share of the directions that are blocked inside of a room, a tunnel or a cave."""
 AMID = 0.6, 0.4
-"""And amid a street, a yard, a front: the sky is open, and what lies behind a scanner."""
+"""And amid a street, a yard, a front: the sky is open, and what lies behind a scanner. With either
+share alone 286 random scans that were left out of a fit were explained less well (logarithms of the
+likelihood of -66.7 for -60.9), with .5 between them not better (-64.4)."""
 
 _MOST = 512  # places: so many rooms, or some hundred metres of a tunnel
 _TRIED = 20_000  # cells that they are picked of

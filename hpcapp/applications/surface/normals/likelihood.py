@@ -3,7 +3,8 @@
 A power of its cost gives the odds of a reading, as the evidence adds up over an area whose parts
 are not independent. How common such scans are multiplies them; so does each of three pieces of
 evidence. The numbers are the maximum of the likelihood of the true sides of scans whose truth is
-known, by `benchmarks/readings.py`, which shows on others how often is right what is said.
+known, by `benchmarks/readings.py`, which shows on others how often is right what is said; but
+`around` is set, and `amid` and `sensor` are lowered, as that script says.
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ from hpcapp.geometry.points import FloatArray
 from hpccomponent.dataclass import dataclass
 
 FLOOR = 0.005
-"""Least cost: the share of the area that edges and noise show from behind where all is right."""
+"""Least cost: the share of the area that edges and noise show from behind where all is right. Of
+.005, .01 and .02 the least one explained 286 random scans best that were left out of the fit: their
+logarithms of the likelihood added up to -59.5, -60.9 and -62.8."""
 SENSED = "sensor", "flown", "places"
 """Kinds whose sensor is known, so that its rays are."""
 UPS = (2, 1.0), (1, 1.0), (1, -1.0)
@@ -31,7 +34,7 @@ class Features:
     Parameters
     ----------
     kind : str
-        See `Hypothesis`.
+        ``outside``, or a field of `Likelihood`.
     cost : float
         Share of the area that was seen from behind, or not at all.
     evenness : float

@@ -66,9 +66,10 @@ class Verdict:
     def of(cls, weighed: Sequence[Followed], certainty: float) -> Verdict:
         """Return it by what was weighed, of which the first is believed."""
         best, *others = weighed
-        rivals = sorted(((one.hypothesis.name, one.share) for one in others), key=_second)
+        others = sorted(others, key=lambda one: -one.share)[:3]
+        rivals = tuple((one.hypothesis.name, one.share) for one in others)
         because = Measurement("cost of the reading", best.features.cost, "of the area")
-        return cls(best.hypothesis.name, certainty, tuple(rivals[-3:][::-1]), (because,))
+        return cls(best.hypothesis.name, certainty, rivals, (because,))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,7 +167,7 @@ def orient_patches(
     turns = np.array([one.sides * sides < 0.0 for one in weighed])
     turns[0] = False
     # (p,): the probability that a side is right.
-    right = np.array([one.share for one in weighed]) @ ~turns
+    right = (np.array([[one.share] for one in weighed]) * ~turns).sum(axis=0)
     odds = np.log(right / np.maximum(1.0 - right, 1e-9))
     certainty = np.clip(odds / _ODDS, _LEAST, 1.0)  # above 0, or the sides would be lost
     # Rays tell a side whatever its neighbours say of it.
@@ -186,10 +187,6 @@ def read_given(
     weighed = weigh_given(patches, spacing, zero, sensor, threads)
     name = weighed[0].hypothesis.name
     return Verdict.of(weighed, sum(one.share for one in weighed if one.hypothesis.name == name))
-
-
-def _second(pair: tuple[str, float]) -> float:
-    return pair[1]
 
 
 def _find_doubt(

@@ -9,8 +9,8 @@
 Nobody measured a surface from behind, nor one that he did not see. So of each reading two shares
 of the area are added up: of what its viewers see, what they see from behind, and what none of them
 sees. The odds of a reading fall with a power of that cost; how common such scans are, which way
-what lies level faces, and how evenly the points lie as seen from a place change them. All numbers
-of that are one fit to scans whose truth is known (`likelihood`).
+what lies level faces, and how evenly the points lie as seen from a place change them: see
+`likelihood`.
 """
 
 from __future__ import annotations
@@ -60,11 +60,9 @@ class Hypothesis:
 
     Parameters
     ----------
-    kind : str
-        ``outside``, ``around`` an axis, ``amid``, ``side``, ``sensor`` (at zero), or
-        what the file tells: ``flown``, ``places``.
     name : str
-        The kind; ``inside``; or the axes of a side: ``above``, ``below``, ``+y-z``.
+        ``outside``, ``around z``, ``inside``, ``amid``, the axes of a side (``above``, ``below``,
+        ``+y-z``), ``sensor`` (at zero), or ``places`` that the file tells.
     views : Views
         What is seen from there.
     evidence : Evidence
@@ -78,7 +76,6 @@ class Hypothesis:
         ``above`` or ``below`` for one that looks more up or down than across.
     """
 
-    kind: str
     name: str
     views: Views
     evidence: Evidence
@@ -136,11 +133,12 @@ def measure_level(patches: Patches) -> FloatArray:
     return found
 
 
-def follow_reading(patches: Patches, linked: LinkedPatches, hypothesis: Hypothesis) -> Followed:
-    """Return what follows of a hypothesis over the links."""
+def follow_reading(
+    linked: LinkedPatches, hypothesis: Hypothesis, areas: FloatArray, level: FloatArray
+) -> Followed:
+    """Return what follows of a hypothesis over the links; see `Hypothesis.measure`."""
     sides = follow(linked, hypothesis.evidence)
-    given = areas_of(patches), measure_level(patches)
-    return Followed(hypothesis, sides, hypothesis.measure(*given, sides < 0.0))
+    return Followed(hypothesis, sides, hypothesis.measure(areas, level, sides < 0.0))
 
 
 def weigh_readings(
@@ -172,8 +170,8 @@ def weigh_readings(
         What their shares lack to 1 is that none is true; some of next to no share may be missing.
     """
     hypotheses = find_readings(patches, linked, spacing, zero, sensor, threads)
+    given = areas, _ = areas_of(patches), measure_level(patches)
     # What they come to if every patch could take the side of its own that is seen more.
-    given = areas_of(patches), measure_level(patches)
     bounds = [
         likelihood.odds(one.measure(*given, one.views.front < one.views.back)) for one in hypotheses
     ]
@@ -182,12 +180,11 @@ def weigh_readings(
     for row in np.argsort(bounds, kind="stable")[::-1]:
         if bounds[row] < best - _FOLLOWED:
             break
-        found.append(follow_reading(patches, linked, hypotheses[row]))
+        found.append(follow_reading(linked, hypotheses[row], *given))
         best = max(best, likelihood.odds(found[-1].features))
     weighed = _share(found, linked.share_broken(found[0].sides), likelihood)
     # (r, p): readings that agree on a side speak for it together.
     turned = np.array([one.sides < 0.0 for one in weighed])
-    areas = areas_of(patches)
     shares = np.array([one.share for one in weighed])
     agreed = [float((shares * ((turned == mine) * areas).sum(axis=1)).sum()) for mine in turned]
     first = weighed[int(np.argmax(agreed))]
@@ -232,7 +229,7 @@ def find_readings(
     toggled = outside.toggled.evidence("from outside")
     content = share_of(patches, outside.is_content)
     found = [
-        Hypothesis("outside", "outside", outside.views, toggled, content, Features("outside")),
+        Hypothesis("outside", outside.views, toggled, content, Features("outside")),
         *_look_from_sides(patches, outside),
         *_look_around(patches, outside),
     ]
@@ -251,7 +248,7 @@ def find_readings(
         unseen = share_of(patches, views.is_hidden)
         # Inside is a word of its own.
         place = None if name == "inside" else places.emptiest[0]
-        found.append(Hypothesis("amid", name, views, views.evidence(how), unseen, known, place))
+        found.append(Hypothesis(name, views, views.evidence(how), unseen, known, place))
     return found + _ask_sensor(patches, outside, spacing, zero, sensor, density, threads)
 
 
@@ -275,21 +272,17 @@ def _ask_sensor(
     if np.linalg.norm(beyond) < _FARTHEST * np.linalg.norm(high - low):
         views, seen = face_along(patches, zero - patches.centres, "from a sensor at (0, 0, 0)")
         known = Features("sensor", evenness=density.favour(patches, zero[None]))
-        found.append(Hypothesis("sensor", "sensor", views, seen, 0.0, known, zero))
-    if sensor.kind in ("above", "below"):
-        sign = 1.0 if sensor.kind == "above" else -1.0
-        side = np.array([0.0, 0.0, sign])
-        views = _see_from(outside, side)
-        _, seen = face_along(patches, side, f"from {sensor.kind}")
+        found.append(Hypothesis("sensor", views, seen, 0.0, known, zero))
+    if sensor.kind == "above":  # a flight; of the others only users tell
+        up = np.array([0.0, 0.0, 1.0])
+        views, (_, seen) = _see_from(outside, up), face_along(patches, up, "from above")
         unseen, known = share_of(patches, views.is_hidden), Features("flown")
-        place = _lie_beside(patches, outside, side)
-        found.append(
-            Hypothesis("flown", sensor.kind, views, seen, unseen, known, place, sensor.kind)
-        )
+        given = views, seen, unseen, known, _lie_beside(patches, outside, up)
+        found.append(Hypothesis("above", *given, "above"))
     if sensor.places is not None:
         views, seen = look_from(patches, sensor, spacing, zero, threads)
         place = sensor.places[0] + zero
-        found.append(Hypothesis("places", "places", views, seen, 0.0, Features("places"), place))
+        found.append(Hypothesis("places", views, seen, 0.0, Features("places"), place))
     return found
 
 
@@ -302,21 +295,23 @@ def _look_from_sides(patches: Patches, outside: Outside) -> list[Hypothesis]:
         seen, place = views.evidence(f"from {name}"), _lie_beside(patches, outside, side)
         word = "" if abs(side[2]) < _STEEP else "above" if side[2] > 0.0 else "below"
         unseen, known = share_of(patches, views.is_hidden), Features("side")
-        found.append(Hypothesis("side", name, views, seen, unseen, known, place, word))
+        found.append(Hypothesis(name, views, seen, unseen, known, place, word))
     return found
 
 
 def _look_around(patches: Patches, outside: Outside) -> list[Hypothesis]:
-    """Return what is seen by who goes round along one of the axes, and not over the ends."""
+    """Return what is seen by who goes round along one of the axes, and not over the ends.
+
+    Most of the viewpoints all around see what these see: ``outside`` is the option that tells it.
+    """
     found = []
     for axis, name in enumerate("xyz"):
         rows = np.flatnonzero(np.abs(outside.directions[:, axis]) < _BELT)
         views = Views.sum(outside.cosines[rows], outside.is_seen[rows], len(rows))
         seen, unseen = views.evidence(f"from all around {name}"), share_of(patches, views.is_hidden)
         known = Features("around")
-        # As from outside, most of the viewpoints see what these see.
         given = views, seen, unseen, known, None, "outside"
-        found.append(Hypothesis("around", f"around {name}", *given))
+        found.append(Hypothesis(f"around {name}", *given))
     return found
 
 

@@ -25,7 +25,10 @@ _SEEN = {
 
 
 SURE = 0.8
-"""Probability from which on a side, or a reading, is believed without a word."""
+"""Probability from which on a side, or a reading, is believed without a word. Of 457 scans 409 were
+said to be surer than that, and 396 of these were right, by a fit without them
+(`benchmarks/results/readings.json`); with .85 as many are wrong in silence of the hundred random
+worlds that are checked, and two more are warned of that are right."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,10 +93,11 @@ class Reading:
     because: tuple[Measurement, ...] = ()
 
     @property
-    def share_among(self) -> float:
-        """How probable it is that it was seen from among its points, as a room is: 0 to 1.
+    def share_going_on(self) -> float:
+        """How probable it is that it goes on where nobody looked: 0 to 1.
 
-        Or from above, where z is known to be up: ground goes on where nobody looked, as well.
+        As a room or a street does, which is seen from among its points, and ground, which is seen
+        from above where z is known to be up.
         """
         if self.kind == "above" and self.up is not None:
             return 1.0

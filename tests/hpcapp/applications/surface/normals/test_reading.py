@@ -89,7 +89,7 @@ def test_known_places_are_among_the_points_or_around_them(
     cloud_pass, _, verdict = orient_normals(cloud_pass, 0.03, sensor, keeps=False)
     reading = read_scan(cloud_pass, LocalScale.uniform(0.03), sensor, False, verdict)
     assert reading.kind == "places"
-    assert (reading.share_among > 0.5) == is_inside
+    assert (reading.share_going_on > 0.5) == is_inside
 
 
 def test_a_folder_gives_the_reading_of_memory(tmp_path: Path) -> None:

@@ -170,7 +170,7 @@ def test_what_lies_evenly_over_its_zero_is_no_scan_from_there(distance: float) -
 def test_rays_from_zero_tell_as_far_as_they_spread() -> None:
     """Over a few degrees they are as even as ground from above, over many as nothing else is."""
     ceilings = [_ceiling(narrowest) for narrowest in (0.5, 0.8, 0.95)]
-    read = [{one.hypothesis.kind: one.share for one in _read(c, np.zeros(3))} for c in ceilings]
+    read = [{one.hypothesis.name: one.share for one in _read(c, np.zeros(3))} for c in ceilings]
     shares = [found.get("sensor", 0.0) for found in read]
     assert np.diff(shares).max() < 0.0
     wide, _, narrow = (_orient(ceiling, zero=np.zeros(3)) for ceiling in ceilings)
@@ -266,7 +266,7 @@ def test_nothing_is_inside_of_a_sheet() -> None:
 def test_a_ball_is_no_room() -> None:
     ball = np.random.default_rng(4).normal(size=(9_000, 3))
     ball /= np.linalg.norm(ball, axis=1)[:, None]
-    assert _read(ball)[0].hypothesis.kind == "outside"
+    assert _read(ball)[0].hypothesis.name == "outside"
     normals, oriented = _orient(ball)
     assert (np.einsum("ij,ij->i", normals, ball) > 0.0).all()
     assert _share_sure(oriented) == 1.0
@@ -277,10 +277,10 @@ def test_a_cube_is_no_room(monkeypatch: pytest.MonkeyPatch) -> None:
     places = np.stack(np.meshgrid(*[np.arange(31.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     cube = places[((places == 0.0) | (places == 30.0)).any(axis=1)]
     cube += 0.1 * np.random.default_rng(0).normal(size=cube.shape)  # or edges have two planes
-    assert _read(cube)[0].hypothesis.kind == "outside"
-    cost = min(one.features.cost for one in _read(cube) if one.hypothesis.kind == "outside")
+    assert _read(cube)[0].hypothesis.name == "outside"
+    cost = min(one.features.cost for one in _read(cube) if one.hypothesis.name == "outside")
     monkeypatch.setattr(visibility, "_BENT", 2.0 * visibility._BENT)
-    costs = [one.features.cost for one in _read(cube) if one.hypothesis.kind == "outside"]
+    costs = [one.features.cost for one in _read(cube) if one.hypothesis.name == "outside"]
     assert min(costs, default=1.0) > 2.0 * cost
 
 
