@@ -5,8 +5,8 @@
 
 Of each scan with right normals, what `follows_place` sees of these, and of the same normals turned
 to +z, to a camera, and to a place inside (`decisions-normals.json`). Of each closed mesh of
-`tuning` and `lines`, made without normals, its handles, those of the truth, and the small ones that
-`handles` finds in boxes of half, once and twice the edge (`decisions-handles.json`).
+`tuning` and `lines`, made without normals, its handles, those of the truth, and those that are left
+where small ones are cut, in boxes of half, once and twice the edge (`decisions-handles.json`).
 `tests/benchmarks/test_decisions.py` holds the margins; what decides over readings is `readings.py`.
 """
 
@@ -19,6 +19,7 @@ import re
 import subprocess
 from collections.abc import Sequence
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 
@@ -28,17 +29,19 @@ from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
 from hpcapp.applications.surface.cloud.measure import draw_boxes, measure_spacing
 from hpcapp.applications.surface.normals.consistency import weigh_torn
 from hpcapp.applications.surface.normals.patches import CELL
-from hpcapp.applications.surface.stitching.handles import BOX, find_small_handles
+from hpcapp.applications.surface.stitching import handle_groups
+from hpcapp.applications.surface.stitching.handle_groups import Mended, mend_handles
+from hpcapp.applications.surface.stitching.handles import BOX
+from hpcapp.applications.surface.stitching.surface import Surface
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.geometry.lattice import lay_lattice
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import PointCloud
 from hpcapp.io import open_points, read_whole
-from hpcapp.io.meshes.mesh_stream import as_stream
 
 Row = list[str | float]
 NORMALS = ["scan", "signed", "following", "pairs", "torn"]
-HANDLES = ["scan", "genus", "true genus", "in half", "in one", "in two"]
+HANDLES = ["scan", "uncut", "true", "cut to half", "cut", "cut to twice"]
 
 
 def find_torn(path: Path) -> list[Row]:
@@ -85,15 +88,24 @@ def find_genera(data: Path) -> dict[Path, int]:
 
 
 def find_handles(path: Path, genus: int) -> list[Row]:
-    """Return a row of the handles of a closed mesh; none where it is open."""
-    made = hpcapp.reconstruct(path, normals="estimate")
+    """Return a row of what cutting the small handles leaves; none where the mesh is open."""
+    kept: list[Surface] = []
+
+    def keep(surface: Surface) -> tuple[Surface, Mended]:
+        kept.append(surface)
+        return surface, Mended()
+
+    with mock.patch.object(handle_groups, "mend_handles", keep):
+        made = hpcapp.reconstruct(path, normals="estimate")
     mesh = Mesh(np.asarray(made.vertices, np.float64), np.asarray(made.faces, np.int64))
     found = check_mesh(mesh).genus
     if found is None:
         return []
-    stream = as_stream(mesh)
-    counts = [find_small_handles(stream, factor * BOX).count for factor in (0.5, 1.0, 2.0)]
-    return [[path.stem, found, genus, *counts]]
+    left: list[float] = []
+    for factor in (0.5, 1.0, 2.0):
+        with mock.patch.object(handle_groups, "BOX", factor * BOX):
+            left.append((mend_handles(kept[0])[0].check().genus or 0) if kept else 0)
+    return [[path.stem, found, genus, *left]]
 
 
 def write(
@@ -140,7 +152,7 @@ def main() -> None:
             print(handles[-1:], flush=True)
     title = "Normals that follow a place: share that does, and opposite pairs across the sight"
     write(asked.output, "decisions-normals", title, NORMALS, normals)
-    title = "Handles of closed meshes: all, those of the truth, and the small ones that are found"
+    title = "Handles of closed meshes: before small ones are cut, in truth, and after"
     write(asked.output, "decisions-handles", title, HANDLES, handles)
 
 

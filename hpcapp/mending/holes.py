@@ -46,7 +46,7 @@ class Filled:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Patch:
+class Patch:
     """What fills a hole: faces over the vertices of its loop, and new ones behind these."""
 
     loop: IntArray
@@ -102,7 +102,7 @@ def _add_normals(mesh: Mesh, first: int) -> FloatArray:
     return normals
 
 
-def _fill(mesh: Mesh, holes: list[IntArray]) -> Iterator[_Patch | None]:
+def _fill(mesh: Mesh, holes: list[IntArray]) -> Iterator[Patch | None]:
     """Fill holes; yield None where no faces can."""
     if not holes:
         return
@@ -127,13 +127,24 @@ def _fill(mesh: Mesh, holes: list[IntArray]) -> Iterator[_Patch | None]:
     starts = np.searchsorted(near, len(faces) * np.arange(len(holes) + 1))
     for index, loop in enumerate(holes):
         around = faces[near[starts[index] : starts[index + 1]] % len(faces)]
-        yield _fill_one(mesh.vertices, loop, around, sides[loop])
+        yield fill_loop(mesh.vertices, loop, around, sides[loop])
 
 
-def _fill_one(
+def fill_loop(
     vertices: FloatArray, loop: IntArray, around: IntArray, sides: FloatArray
-) -> _Patch | None:
-    """Fill a hole; `around` are the faces with a vertex on its border."""
+) -> Patch | None:
+    """Fill a hole; None where no faces can.
+
+    Parameters
+    ----------
+    vertices : ndarray of float64, shape (v, 3)
+    loop : ndarray of int64, shape (n,)
+        Vertices of its border, as the faces that fill it run.
+    around : ndarray of int64, shape (f, 3)
+        The faces of the mesh with a vertex on it.
+    sides : ndarray of float64, shape (n,)
+        How long edges at each of its vertices are.
+    """
     border = len(loop)
     # Rows of all vertices that matter: those of the loop first.
     used = np.concatenate([loop, np.setdiff1d(around, loop)])
@@ -150,7 +161,7 @@ def _fill_one(
         places, faces, sides = refine(places, faces, sides, taken)
         end = len(places)
         if end == border:
-            return _Patch(loop, places[border:], faces, loop[:0])
+            return Patch(loop, places[border:], faces, loop[:0])
         shifted = np.where(around < border, around, around + end - border)
         every = np.concatenate([faces, shifted])
         places = bend(np.concatenate([places, beyond]), every, border, end)[:end]
@@ -158,7 +169,7 @@ def _fill_one(
     from scipy.spatial import cKDTree  # scipy takes its time
 
     nearest = loop[cKDTree(vertices[loop]).query(inner)[1]]
-    return _Patch(loop, inner, faces, nearest)
+    return Patch(loop, inner, faces, nearest)
 
 
 def _find_normals(places: FloatArray, around: IntArray, border: int) -> FloatArray:

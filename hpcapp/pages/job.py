@@ -12,8 +12,8 @@ from hpcapp.wording import say_name, say_number, say_share, say_value
 from hpccomponent.cli.terminal import visible_text
 from hpccomponent.foreign_json import convert
 
-_LENGTHS = {"cell_size", "coarsest_step", "farthest", "fill_holes", "noise", "reach", "spacing",
-            "spacing_range", "step", "trim"}  # fmt: skip
+_LENGTHS = {"cell_size", "coarsest_step", "farthest", "fill_holes", "handle_width", "noise",
+            "reach", "spacing", "spacing_range", "step", "trim"}  # fmt: skip
 _SHARES = {"certainty", "closure_certainty", "probability", "share", "sure", "unsupported"}
 _MESH = ("vertices", "faces", "watertight", "edge_manifold", "vertex_manifold", "components",
          "genus", "attributes")  # fmt: skip

@@ -129,6 +129,20 @@ def place_faces(
     return faces, corners, _join(counts, places.face_starts[bricks])
 
 
+def find_kept(part: MeshPart, places: PartPlaces, brick: int) -> IntArray:
+    """Return which of the faces of a brick go to the mesh, shape (k,): their numbers in the brick.
+
+    Parameters
+    ----------
+    part : MeshPart
+    places : PartPlaces
+    brick : int
+        The row of one that is taken from this part.
+    """
+    first, last = starts_of(part.face_counts)[[brick, brick + 1]]
+    return np.flatnonzero(_number_corners(part, places, part.faces[first:last])[:, 0] >= 0)
+
+
 def starts_of(counts: Counts) -> IntArray:
     """Return where each brick's rows begin, and the last one's end: (b + 1,) by counts of (b,)."""
     starts = np.zeros(len(counts) + 1, np.int64)

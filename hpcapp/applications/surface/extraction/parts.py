@@ -128,6 +128,21 @@ def cut_part(
     )
 
 
+def drop_faces(part: MeshPart, rows: IntArray) -> MeshPart:
+    """Return a part without some of its faces; it keeps all its vertices.
+
+    Parameters
+    ----------
+    rows : ndarray of int64, shape (k,)
+    """
+    stays = np.ones(len(part.faces), np.bool_)
+    stays[rows] = False
+    ends = np.cumsum(part.face_counts)
+    left = np.append(0, np.cumsum(stays))[ends]
+    counts = np.diff(left, prepend=0).astype(np.int32)
+    return replace(part, face_counts=counts, faces=part.faces[stays])
+
+
 def join_parts(parts: list[MeshPart]) -> MeshPart:
     """Join parts that have no brick in common; what they use of one another is no longer foreign.
 

@@ -8,9 +8,10 @@
 
 from __future__ import annotations
 
+import logging
 import secrets
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -53,6 +54,11 @@ from hpccomponent.cli.option_names import name_option
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError, UsageError
 
+if TYPE_CHECKING:
+    from hpcapp.applications.surface.stitching.handle_groups import Mended
+
+log = logging.getLogger("hpcapp")
+
 _LEAST_GRID = 16
 _POINTS_AT_ONCE = 2_000_000
 _ROBUST_LEVELS = 2  # whose fits ask the points themselves, where these are weighed
@@ -73,6 +79,8 @@ class HierarchicalPartition:
         Finest cells with points, once they are counted.
     closure : Closure or None
         How the borders of the surface came about, once it is there.
+    mended : Mended or None
+        What became of its small handles, where it is closed and has handles.
     """
 
     cloud: ArrangedCloud
@@ -81,6 +89,7 @@ class HierarchicalPartition:
     tiling: Tiling | None
     patches: int = 0
     closure: Closure | None = None
+    mended: Mended | None = None
 
 
 class HierarchicalMethod:
@@ -310,12 +319,12 @@ class HierarchicalMethod:
         workforce: Workforce,
         advance: Advance,
     ) -> Surface:
-        """Cut the surface open where no point supports it, if it is to be open.
+        """Cut the surface open where no point supports it, or cut its small handles.
 
         Parameters
         ----------
         partition : HierarchicalPartition
-            Its `closure` is set here.
+            Its `closure` and `mended` are set here.
         surface : Surface
         workforce : Workforce
         advance : callable
@@ -327,6 +336,12 @@ class HierarchicalMethod:
             surface, cloud, partition.plan, self.opening, workforce,
             shared, self.threads, advance,
         )  # fmt: skip
+        if not partition.closure.is_open and surface.check().genus:
+            # It stands on scipy, which takes its time.
+            from hpcapp.applications.surface.stitching.handle_groups import mend_handles
+
+            surface, partition.mended = mend_handles(surface)
+            log.info("%s", partition.mended.say())
         return surface
 
     def _find_shared(self, cloud: ArrangedCloud) -> Checkpoint | None:
@@ -374,4 +389,5 @@ class HierarchicalMethod:
             "levels": plan.height,
             "tiles": 1 if partition.tiling is None else len(partition.tiling),
             **({} if partition.closure is None else partition.closure.facts()),
+            **({} if partition.mended is None else partition.mended.facts()),
         }

@@ -14,7 +14,6 @@ from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.job.outcome import Reconstruction
 from hpcapp.applications.surface.job.scan import Loaded
 from hpcapp.applications.surface.job.settings import Settings
-from hpcapp.applications.surface.stitching.handles import find_small_handles
 from hpcapp.applications.surface.stitching.surface import Surface
 from hpcapp.applications.surface.types.reading import AMONG, Reading
 from hpcapp.geometry.bounds import bound_points
@@ -93,23 +92,20 @@ def check_closure(low: FloatArray, high: FloatArray, surface: Surface, step: flo
     ]
 
 
-def check_handles(surface: Surface, line_gap: float) -> list[str]:
-    """Warn of handles of a closed mesh that are too small to have been scanned.
+def check_handles(facts: dict[str, Any], line_gap: float) -> list[str]:
+    """Warn of handles of a closed mesh that are too small to have been scanned, and were not cut.
 
     Parameters
     ----------
-    surface : Surface
-        Closed. One that is kept in parts elsewhere is not looked at: it may not fit into memory.
+    facts : dict
+        Of the reconstruction; what is missing there was not looked at.
     line_gap : float
         From scan line to scan line, in length units of the input; 0 where there are none.
     """
-    if not surface.is_here or not surface.check().genus:  # None of a mesh that is not closed
+    left = facts.get("handles_left", 0)
+    if not left:
         return []
-    stream = surface.stream()
-    found = find_small_handles(stream)
-    if not found.count:
-        return []
-    place = ", ".join(f"{value:.6g}" for value in found.place + stream.origin)
+    place = ", ".join(f"{value:.6g}" for value in facts["handle_place"])
     cause = (
         f"the scan lines, some {line_gap:.3g} apart, are too far apart for the relief between "
         "them: scan more of them there"
@@ -117,8 +113,8 @@ def check_handles(surface: Surface, line_gap: float) -> list[str]:
         else "noise, thin walls or relief finer than the points make them: scan closer there, or "
         f"smooth more ({name_option('smoothness')})"
     )
-    handles = say_count(found.count, "handle")
-    return [f"{handles} no wider than {found.width:.3g}, most around ({place}): {cause}"]
+    width = facts["handle_width"]
+    return [f"{say_count(left, 'handle')} no wider than {width:.3g}, one at ({place}): {cause}"]
 
 
 def check_support(facts: dict[str, Any]) -> list[str]:
@@ -187,7 +183,7 @@ def warn_of(
     # Too few cells explain a mesh that is too large.
     if not (is_open or checks.resolution) and settings.method.makes_closed_meshes:
         warnings += check_closure(checks.low, checks.high, result.surface, checks.step)
-        warnings += check_handles(result.surface, loaded.cleaned.line_gap)
+        warnings += check_handles(result.facts, loaded.cleaned.line_gap)
         warnings += check_support(result.facts)
     warnings += check_closing(result.facts)
     for warning in warnings:

@@ -13,6 +13,7 @@ import numpy as np
 
 from hpcapp.applications.surface.extraction.part_places import (
     PartPlaces,
+    find_kept,
     place_faces,
     place_vertices,
 )
@@ -70,7 +71,7 @@ def stream_mesh(plan: StitchingPlan, load: LoadPart, origin: FloatArray) -> Mesh
     MeshStream
         Holds a block at a time in memory, and what the plan knows of the bricks.
     """
-    blocks = _Blocks(plan, load)
+    blocks = Blocks(plan, load)
     return MeshStream(
         plan.vertex_count,
         plan.face_count,
@@ -158,46 +159,132 @@ def _positions(
     return positions
 
 
-class _Blocks:
-    """Walks through the bricks of all parts in the order of their keys."""
+class Blocks:
+    """The bricks of all parts, in the order of their keys: all of them in blocks, or some.
+
+    Parameters
+    ----------
+    plan : StitchingPlan
+    load : callable
+        Returns the part of an index; is called again for every block.
+    """
 
     def __init__(self, plan: StitchingPlan, load: LoadPart) -> None:
-        self._plan = plan
-        self._load = load
+        self.plan = plan
+        self.load = load
         self._places: dict[int, PartPlaces] = {}  # grows with the bricks, like the plan
 
     def vertices(self) -> Iterator[PointCloud]:
-        for first, last in _cut(self._plan.vertex_starts):
+        """Yield the vertices of the mesh, block after block."""
+        for first, last in _cut(self.plan.vertex_starts):
             # (m, 3): the rows of a run of bricks, which several parts may give.
-            start = int(self._plan.vertex_starts[first])
-            block = np.empty((int(self._plan.vertex_starts[last] - start), 3))
-            for index, bricks in self._plan.givers(first, last):
-                found, runs = place_vertices(self._load(index), self._places_of(index), bricks)
+            start = int(self.plan.vertex_starts[first])
+            block = np.empty((int(self.plan.vertex_starts[last] - start), 3))
+            for index, bricks in self.plan.givers(np.arange(first, last)):
+                found, runs = place_vertices(self.load(index), self._places_of(index), bricks)
                 runs.put(found, block, start)
             yield PointCloud(block)
 
     def faces(self) -> Iterator[IntArray]:
-        for first, last in _cut(self._plan.face_starts):
-            start = int(self._plan.face_starts[first])
-            block = np.empty((int(self._plan.face_starts[last] - start), 3), np.int64)
-            for index, bricks in self._plan.givers(first, last):
-                _, found, runs = place_faces(self._load(index), self._places_of(index), bricks)
+        """Yield the faces of the mesh, as it numbers its vertices, shape (m, 3) each."""
+        for first, last in _cut(self.plan.face_starts):
+            start = int(self.plan.face_starts[first])
+            block = np.empty((int(self.plan.face_starts[last] - start), 3), np.int64)
+            for index, bricks in self.plan.givers(np.arange(first, last)):
+                _, found, runs = place_faces(self.load(index), self._places_of(index), bricks)
                 runs.put(found, block, start)
             yield block
 
     def corners(self) -> Iterator[FloatArray]:
-        for first, last in _cut(self._plan.face_starts):
-            start = int(self._plan.face_starts[first])
-            block = np.empty((int(self._plan.face_starts[last] - start), 3, 3))
-            for index, bricks in self._plan.givers(first, last):
-                faces, _, runs = place_faces(self._load(index), self._places_of(index), bricks)
-                found = _positions(self._plan, self._load, index, faces.reshape(-1))
+        """Yield where the vertices of each face are, shape (m, 3, 3) each."""
+        for first, last in _cut(self.plan.face_starts):
+            start = int(self.plan.face_starts[first])
+            block = np.empty((int(self.plan.face_starts[last] - start), 3, 3))
+            for index, bricks in self.plan.givers(np.arange(first, last)):
+                faces, _, runs = place_faces(self.load(index), self._places_of(index), bricks)
+                found = _positions(self.plan, self.load, index, faces.reshape(-1))
                 runs.put(found.reshape(-1, 3, 3), block, start)
             yield block
 
+    def take_faces(self, bricks: IntArray) -> tuple[IntArray, IntArray, FloatArray]:
+        """Return the faces in some bricks.
+
+        Parameters
+        ----------
+        bricks : ndarray of int64, shape (k,)
+            Rows of the plan's, sorted.
+
+        Returns
+        -------
+        rows : ndarray of int64, shape (f,)
+            Of the mesh, rising.
+        faces : ndarray of int64, shape (f, 3)
+            As the mesh numbers their vertices.
+        corners : ndarray of float64, shape (f, 3, 3)
+            Where these are.
+        """
+        count = int((self.plan.face_starts[bricks + 1] - self.plan.face_starts[bricks]).sum())
+        rows, faces = np.empty(count, np.int64), np.empty((count, 3), np.int64)
+        corners, end = np.empty((count, 3, 3)), 0
+        for index, mine in self.plan.givers(bricks):
+            named, found, runs = place_faces(self.load(index), self._places_of(index), mine)
+            start, end = end, end + len(found)
+            rows[start:end] = np.repeat(runs.numbers - runs.starts[:-1], np.diff(runs.starts))
+            rows[start:end] += np.arange(len(found))
+            faces[start:end] = found
+            places = _positions(self.plan, self.load, index, named.reshape(-1))
+            corners[start:end] = places.reshape(-1, 3, 3)
+        order = np.argsort(rows)
+        return rows[order], faces[order], corners[order]
+
+    def find_faces(self, rows: IntArray) -> tuple[IntArray, IntArray]:
+        """Return the bricks that faces of the mesh are in, and their numbers there.
+
+        Parameters
+        ----------
+        rows : ndarray of int64, shape (k,)
+            Sorted.
+
+        Returns
+        -------
+        bricks, numbers : ndarray of int64, shape (k,)
+            Those of the plan, by their rows.
+        """
+        bricks = np.searchsorted(self.plan.face_starts, rows, side="right") - 1
+        numbers = rows - self.plan.face_starts[bricks]
+        for index, mine in self.plan.givers(unique_keys(bricks)):
+            part, first = self.load(index), self.plan.bricks.parts[index]
+            for brick in mine.tolist():
+                stays = find_kept(part, self._places_of(index), brick)
+                here = bricks == self.plan.bricks.place[first + brick]
+                numbers[here] = stays[numbers[here]]
+        return bricks, numbers
+
+    def find_vertices(self, rows: IntArray) -> tuple[IntArray, IntArray]:
+        """Return the bricks that vertices of the mesh are in, and their numbers there.
+
+        Parameters
+        ----------
+        rows : ndarray of int64, shape (k,)
+            Sorted.
+
+        Returns
+        -------
+        bricks, numbers : ndarray of int64, shape (k,)
+            Those of the plan, by their rows.
+        """
+        bricks = np.searchsorted(self.plan.vertex_starts, rows, side="right") - 1
+        numbers = rows - self.plan.vertex_starts[bricks]
+        for brick in unique_keys(bricks).tolist():
+            copy, here = self.plan.bricks.taken[brick], bricks == brick
+            every = np.arange(self.plan.bricks.vertex_counts[copy])
+            labels = self.plan.bricks.labels_at(np.full(len(every), copy), every)
+            numbers[here] = every[self.plan.kept[labels]][numbers[here]]
+        return bricks, numbers
+
     def _places_of(self, index: int) -> PartPlaces:
         if index not in self._places:
-            self._places[index] = self._plan.places(index)
+            self._places[index] = self.plan.places(index)
         return self._places[index]
 
 

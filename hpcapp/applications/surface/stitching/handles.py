@@ -13,90 +13,102 @@ hole through a plate is none: the way around it leads around the plate.
 
 from __future__ import annotations
 
-from itertools import islice
-
 import numpy as np
 
 from hpcapp.applications.surface import kernels
 from hpcapp.geometry.lattice import number_keys, pack_places
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
-from hpcapp.io.meshes.mesh_stream import MeshStream
-from hpccomponent.dataclass import dataclass
 
 BOX = 8.0
 """Sides of faces: the edge of the boxes that a handle must fit into to be small. See
 ``benchmarks/decisions.py``."""
 _SHIFTS = tuple(np.ndindex(2, 2, 2))  # by half a box: one of these holds any that is half as wide
-_MOST_FACES = 1 << 21  # of a mesh that are looked at, about, in blocks from all over it
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SmallHandles:
-    """What `find_small_handles` has found.
+def find_small_handles(faces: IntArray, corners: FloatArray, width: float) -> list[IntArray]:
+    """Find small handles of a mesh.
 
     Parameters
     ----------
-    count : int
-        At least so many there are.
-    place : ndarray of float64, shape (3,)
-        The middle of the piece with the most of them, in the frame of the mesh.
+    faces : ndarray of int64, shape (f, 3)
+        Manifold.
+    corners : ndarray of float64, shape (f, 3, 3)
+        Where their vertices are.
     width : float
-        They are no wider, in length units of the input.
+        Of a box that they fit into, in length units of the input.
+
+    Returns
+    -------
+    list of ndarray of int64
+        The faces of each piece with handles that a box cuts out, of all lattices: they overlap.
     """
-
-    count: int
-    place: FloatArray
-    width: float
-
-
-def find_small_handles(stream: MeshStream, box: float = BOX) -> SmallHandles:
-    """Find small handles of a mesh, block by block.
-
-    Parameters
-    ----------
-    stream : MeshStream
-        Closed and manifold, the faces of a block near one another. Of very many blocks some are
-        looked at.
-    box : float
-        See `BOX`.
-    """
-    every = max(1, -(-stream.face_count // _MOST_FACES))
-    blocks = islice(zip(stream.faces(), stream.corners(), strict=True), 0, None, every)
-    found = [_search(faces, corners, box) for faces, corners in blocks if len(faces)]
-    if not found:
-        return SmallHandles(0, np.zeros(3), 0.0)
-    count, width = sum(one.count for one in found), max(one.width for one in found)
-    return SmallHandles(count, max(found, key=lambda one: one.count).place, width)
-
-
-def _search(faces: IntArray, corners: FloatArray, box: float) -> SmallHandles:
-    """Find those of a block: as many as the lattice of boxes cuts out that cuts out most.
-
-    `faces` are of shape (f, 3), `corners` where their vertices lie, (f, 3, 3).
-    """
-    # (f, 3, 3): the sides as vectors, of whose lengths the median is the unit of the boxes.
-    sides = corners - np.roll(corners, -1, axis=1)
-    edge = box * float(np.median(np.sqrt(np.square(sides).sum(axis=2))))
+    links = _link_sides(faces)
     centres = corners.mean(axis=1)
-    low, links = centres.min(axis=0), _link_sides(faces)
-    best = SmallHandles(0, low, edge)
+    low = centres.min(axis=0)
+    found = []
     for shift in _SHIFTS:
         # (f, 3): boxes that part a handle in one lattice hold all of it in a shifted one.
-        places = np.floor((centres - low) / edge + 0.5 * np.array(shift)).astype(np.int64)
+        places = np.floor((centres - low) / width + 0.5 * np.array(shift)).astype(np.int64)
         handles, piece = _count_handles(len(faces), links, pack_places(places))
-        if int(handles.sum()) > best.count:
-            place = centres[piece == int(handles.argmax())].mean(axis=0)
-            best = SmallHandles(int(handles.sum()), place, edge)
-    return best
+        found += [np.flatnonzero(piece == one) for one in np.flatnonzero(handles)]
+    return found
+
+
+def find_suspects(faces: IntArray) -> tuple[bool, list[IntArray]]:
+    """Tell whether there are handles at all, and which pieces are closed.
+
+    Parameters
+    ----------
+    faces : ndarray of int64, shape (f, 3)
+        Manifold.
+
+    Returns
+    -------
+    has_handles : bool
+        No box has some where all of it has none.
+    closed : list of ndarray of int64
+        The faces of each piece without a border.
+    """
+    links = _link_sides(faces)
+    handles, piece = _count_handles(len(faces), links, np.zeros(len(faces), np.int64))
+    sides = 3 * np.bincount(piece) - 2 * np.bincount(piece[links[0] // 3], minlength=len(handles))
+    return bool(handles.any()), [np.flatnonzero(piece == one) for one in np.flatnonzero(sides == 0)]
+
+
+def is_hollow(corners: FloatArray, width: float) -> bool:
+    """Tell whether a closed piece looks inwards and is no wider than a width.
+
+    Parameters
+    ----------
+    corners : ndarray of float64, shape (f, 3, 3)
+        Of its faces.
+    width : float
+        In length units of the input.
+    """
+    a, b, c = (corners - corners[0, 0]).transpose(1, 0, 2)
+    volume = float(np.einsum("ij,ij->", a, np.cross(b, c)))
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    return volume < 0.0 and bool((high - low).max() <= width)
+
+
+def measure_side(corners: FloatArray) -> float:
+    """Return how long a side of most faces is.
+
+    Parameters
+    ----------
+    corners : ndarray of float64, shape (f, 3, 3)
+    """
+    sides = corners - np.roll(corners, -1, axis=1)
+    return float(np.median(np.sqrt(np.square(sides).sum(axis=2))))
 
 
 def _link_sides(faces: IntArray) -> tuple[IntArray, IntArray]:
     """Return the pairs of sides that lie on one edge; side s of face f is 3 f + s."""
     tails, heads = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     low, high = np.minimum(tails, heads), np.maximum(tails, heads)
-    keys = low * (int(high.max()) + 1) + high
+    keys = low * (int(high.max(initial=0)) + 1) + high
     order = np.argsort(keys, kind="stable")
-    # The mesh is closed and manifold: two sides with one key, side by side, are an edge.
+    # The mesh is manifold: two sides with one key, side by side, are an edge.
     same = np.flatnonzero(np.diff(keys[order]) == 0)
     return order[same], order[same + 1]
 

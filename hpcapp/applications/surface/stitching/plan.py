@@ -70,13 +70,13 @@ class StitchingPlan:
     entries: Components
     dropped: int
 
-    def givers(self, first: int, last: int) -> Iterator[tuple[int, IntArray]]:
+    def givers(self, bricks: IntArray) -> Iterator[tuple[int, IntArray]]:
         """Return which part gives which of some bricks.
 
         Parameters
         ----------
-        first, last : int
-            The bricks, in the order of the keys.
+        bricks : ndarray of int64, shape (k,)
+            By their rows, in the order of the keys.
 
         Yields
         ------
@@ -85,7 +85,7 @@ class StitchingPlan:
         bricks : ndarray of int64, shape (k,)
             Rows of the bricks in the part, sorted.
         """
-        taken = self.bricks.taken[first:last]
+        taken = self.bricks.taken[bricks]
         owners = self.bricks.part_of(taken)
         for index in unique_keys(owners).tolist():
             yield index, taken[owners == index] - self.bricks.parts[index]

@@ -141,7 +141,7 @@ class Surface:
     @contextmanager
     def open_stream(self) -> Iterator[MeshStream]:
         """Yield its vertices and faces, block after block, in the local frame."""
-        with self._fetched() as load:
+        with self.fetched() as load:
             yield stream_mesh(self.plan, load, self.origin)
 
     def share_outside(self, low: FloatArray, high: FloatArray) -> float:
@@ -213,7 +213,7 @@ class Surface:
             write = self._share_ply if suffix == ".ply" else self._share_tiles
             write(path, workforce, self.checkpoint.place, carrying.crs)
             return
-        with self._fetched() as load:
+        with self.fetched() as load:
             if suffix == TILES_SUFFIX:
                 from hpcapp.io.meshes.tiles import write_tiles
 
@@ -232,7 +232,7 @@ class Surface:
                 write_mesh(path, mesh, carrying.placement)
 
     @contextmanager
-    def _fetched(self) -> Iterator[LoadPart]:
+    def fetched(self) -> Iterator[LoadPart]:
         """Yield what loads a part at little cost, again and again: from a bucket they are fetched.
 
         A block of the mesh needs a little of many parts.

@@ -11,6 +11,7 @@ from hpcapp.applications.surface.job.diagnostics import (
     check_sides,
     check_support,
 )
+from hpcapp.applications.surface.stitching.handle_groups import Mended
 from hpcapp.applications.surface.stitching.surface import Surface
 from hpcapp.applications.surface.types.reading import Reading
 from hpcapp.geometry.bounds import bound_points
@@ -60,26 +61,17 @@ def test_a_mesh_far_outside_its_points_is_noticed(sphere: PointCloud) -> None:
 
 
 @pytest.mark.parametrize(("gap", "said"), [(0.0, "noise"), (0.5, "scan lines, some 0.5 apart")])
-def test_a_handle_as_wide_as_a_face_is_noticed(gap: float, said: str) -> None:
-    ring = np.array([[0, 0], [3, 0], [3, 3], [0, 3], [1, 1], [2, 1], [2, 2], [1, 2]], float)
-    vertices = np.concatenate([np.insert(ring, 2, z, axis=1) for z in (0.0, 1.0)])
-    quads = [[8 + i, 8 + (i + 1) % 4, 12 + (i + 1) % 4, 12 + i] for i in range(4)]
-    quads += [[4 + i, 4 + (i + 1) % 4, (i + 1) % 4, i] for i in range(4)]
-    quads += [[i, (i + 1) % 4, 8 + (i + 1) % 4, 8 + i] for i in range(4)]
-    quads += [[12 + i, 12 + (i + 1) % 4, 4 + (i + 1) % 4, 4 + i] for i in range(4)]
-    faces = np.array([[q[a], q[b], q[c]] for q in quads for a, b, c in ((0, 1, 2), (0, 2, 3))])
-    origin = np.array([100.0, 0.0, 0.0])
-    warnings = check_handles(Surface.of_mesh(Mesh(vertices, faces, origin)), gap)
+def test_a_handle_that_cannot_be_cut_is_noticed(gap: float, said: str) -> None:
+    found = Mended(cut=3, left=1, place=np.array([101.5, 0.0, 2.0]), width=0.4)
+    warnings = check_handles(found.facts(), gap)
     assert len(warnings) == 1
-    assert warnings[0].startswith("1 handle no wider than")
-    assert "around (101" in warnings[0]
+    assert warnings[0].startswith("1 handle no wider than 0.4, one at (101.5, 0, 2): ")
     assert said in warnings[0]
 
 
 def test_a_mesh_without_handles_is_not_doubted() -> None:
-    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
-    faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
-    assert check_handles(Surface.of_mesh(Mesh(corners, faces)), 0.0) == []
+    assert check_handles(Mended(cut=2).facts(), 0.0) == []
+    assert check_handles({}, 0.0) == []
 
 
 def test_a_mesh_closed_over_a_side_that_was_not_scanned_is_warned_of() -> None:

@@ -1,0 +1,154 @@
+"""Small handles are cut and small hollows dropped: what is left is closed, and the same mesh."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from scipy.ndimage import gaussian_filter
+from skimage.measure import marching_cubes
+from voxels import block, skin
+
+from hpcapp.applications.surface.cloud.measure import measure_points
+from hpcapp.applications.surface.extraction.parts import MeshPart
+from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
+from hpcapp.applications.surface.stitching.handle_groups import (
+    GROUP,
+    MARGIN,
+    Mended,
+    group_bricks,
+    mend_handles,
+)
+from hpcapp.applications.surface.stitching.surface import Surface
+from hpcapp.applications.surface.stitching.topology import Topology, check_mesh, signed_volume
+from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
+from hpcapp.geometry.lattice import pack_places, unique_keys, unpack_keys
+from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import BoolArray, PointCloud
+from hpcapp.workforce import Workforce
+
+
+def mend(solid: BoolArray) -> tuple[Mesh, Mended, Topology]:
+    surface, found = mend_handles(Surface.of_mesh(skin(solid)))
+    mesh = surface.mesh()
+    assert surface.check() == check_mesh(mesh)
+    return mesh, found, check_mesh(mesh)
+
+
+@pytest.mark.parametrize("places", [((20, 20),), ((8, 8), (8, 36), (36, 8))])
+def test_bridges_over_narrow_grooves_are_cut(places: tuple[tuple[int, int], ...]) -> None:
+    solid = block(2, places)
+    mesh, found, topology = mend(solid)
+    assert topology.watertight
+    assert topology.oriented
+    assert topology.genus == 0
+    assert (found.cut, found.left, found.hollows) == (len(places), 0, 0)
+    # No more is gone than the bridges, or filled than the grooves below them.
+    assert abs(signed_volume(mesh) - solid.sum()) < 16 * len(places)
+
+
+def test_a_tunnel_below_the_skin_is_closed() -> None:
+    solid = np.ones((40, 40, 20), np.bool_)
+    solid[20:22, 20:26, 17:19] = False
+    solid[20:22, [20, 25], 19] = False
+    mesh, found, topology = mend(solid)
+    assert topology.watertight
+    assert topology.genus == 0
+    assert (found.cut, found.left) == (1, 0)
+    assert abs(signed_volume(mesh) - solid.sum()) < 30
+
+
+def test_wide_handles_stay_as_they_are() -> None:
+    solid = block(16)
+    surface = Surface.of_mesh(skin(solid))
+    mended, found = mend_handles(surface)
+    assert mended is surface
+    assert (found.cut, found.left, found.hollows) == (0, 0, 0)
+
+
+@pytest.mark.parametrize(("width", "dropped"), [(2, 1), (12, 0)])
+def test_small_hollows_are_dropped(width: int, dropped: int) -> None:
+    solid = np.ones((24, 24, 24), np.bool_)
+    solid[6 : 6 + width, 6 : 6 + width, 6 : 6 + width] = False
+    _, found, topology = mend(solid)
+    assert found.hollows == dropped
+    assert topology.components == 2 - dropped
+
+
+@settings(max_examples=12)
+@given(seed=st.integers(0, 2**32 - 1), size=st.integers(10, 18), width=st.floats(0.8, 2.0))
+def test_whatever_the_handles_a_mesh_stays_closed(seed: int, size: int, width: float) -> None:
+    """Level sets of smoothed noise: sponges, of as many handles and hollows as can be."""
+    values = gaussian_filter(np.random.default_rng(seed).normal(size=(size,) * 3), width)
+    padded = np.pad(values, 1, constant_values=values.min() - 1.0)
+    vertices, faces, _, _ = marching_cubes(padded, 0.0)  # type: ignore[no-untyped-call]
+    solid = Mesh(vertices.astype(np.float64), faces[:, ::-1].astype(np.int64))
+    before = check_mesh(solid)
+    assume(before.watertight and before.outward)
+    surface, found = mend_handles(Surface.of_mesh(solid))
+    mesh = surface.mesh()
+    after = check_mesh(mesh)
+    assert surface.check() == after
+    assert after.watertight
+    assert after.oriented
+    assert before.genus is not None
+    assert after.genus == before.genus - found.cut
+    assert after.components == before.components - found.hollows
+
+
+@given(seed=st.integers(0, 2**32 - 1), reach=st.integers(1, 70))
+def test_a_group_has_its_bricks_and_those_near_it(seed: int, reach: int) -> None:
+    keys = unique_keys(pack_places(np.random.default_rng(seed).integers(0, reach, (300, 3))))
+    places = unpack_keys(keys)
+    groups = group_bricks(keys)
+    corners = np.unique(places // GROUP, axis=0) * GROUP
+    assert len(groups) == len(corners)
+    for rows, low in zip(groups, corners, strict=True):
+        is_near = (places >= low - MARGIN) & (places < low + GROUP + MARGIN)
+        np.testing.assert_array_equal(rows, np.flatnonzero(is_near.all(axis=1)))
+
+
+def spotted_ball(count: int = 12_000) -> PointCloud:
+    """A sphere with spots where noise is four spacings: there are handles."""
+    rng = np.random.default_rng(0)
+    normals = rng.normal(size=(count, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    spots = np.array([[0, 0, 1.0], [1, 0, 0], [0, -1, 0], [-0.6, 0.8, 0]])
+    is_noisy = (normals @ spots.T > np.cos(0.35)).any(axis=1)
+    noise = np.where(is_noisy, 0.09, 0.002) * rng.normal(size=count)
+    return PointCloud((1.0 + noise[:, None]) * normals, normals)
+
+
+@pytest.mark.parametrize("tiles", [2, 5])
+@pytest.mark.parametrize("is_kept", [False, True])
+def test_tiles_and_folders_give_the_same_bits(tmp_path: Path, tiles: int, is_kept: bool) -> None:
+    cloud = spotted_ball()
+
+    def make(checkpoint: Checkpoint | None, tiles: int | None) -> tuple[Mesh, dict[str, object]]:
+        arranged = measure_points(cloud)
+        method = HierarchicalMethod(96, checkpoint=checkpoint)
+        with ThreadPoolExecutor(2) as executor:
+            workforce = Workforce(executor, tiles or 1, in_process=tiles is None)
+            partition = method.partition(arranged, workforce)
+            quadrics = method.fit(partition, workforce, lambda *_: None)
+            surface = method.extract(partition, quadrics, workforce, lambda *_: None)
+            surface = method.close(partition, surface, workforce, lambda *_: None)
+            assert all(isinstance(part, MeshPart) != is_kept for part in surface.parts) or not tiles
+            mesh = surface.mesh()
+            assert surface.check() == check_mesh(mesh)
+            assert len(np.unique(mesh.faces)) == len(mesh.vertices)
+            return mesh, method.facts(partition)
+
+    whole, facts = make(None, None)
+    assert facts["handles_cut"]
+    checkpoint = Checkpoint(str(tmp_path), "job") if is_kept else None
+    if checkpoint is not None:
+        checkpoint.make_folders()
+    mesh, found = make(checkpoint, tiles)
+    assert mesh.vertices.tobytes() == whole.vertices.tobytes()
+    assert mesh.faces.tobytes() == whole.faces.tobytes()
+    assert found == facts | {"tiles": tiles}
