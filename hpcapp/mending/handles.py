@@ -49,7 +49,7 @@ class HandleCutter:
         self.vertices, self.faces, self.cuts = vertices, faces, 0
         self.uncut: dict[frozenset[int], FloatArray] = {}
         self.is_left: BoolArray = np.ones(len(faces), np.bool_)
-        one, other, _ = _pair_sides(faces, len(vertices))
+        one, other, _ = pair_sides(faces, len(vertices))
         is_bare = np.ones(faces.size, np.bool_)
         is_bare[one] = is_bare[other] = False
         self._border = np.zeros(len(vertices), np.bool_)
@@ -76,7 +76,7 @@ class HandleCutter:
         """Return the faces along a loop: on both of its sides, then on one or the other."""
         ring = self._find_around(loop)
         faces, count = self.faces[ring], len(self.vertices)
-        one, other, keys = _pair_sides(faces, count)
+        one, other, keys = pair_sides(faces, count)
         ends = np.sort(np.stack([loop, np.roll(loop, -1)]), axis=0)
         is_beside = ~np.isin(keys, ends[0] * count + ends[1])
         pieces, piece = connected_components(
@@ -199,8 +199,22 @@ def walk_borders(faces: IntArray) -> tuple[list[IntArray], bool]:
     return loops, is_simple
 
 
-def _pair_sides(faces: IntArray, count: int) -> tuple[IntArray, IntArray, IntArray]:
-    """Return the sides (s of face f is 3 f + s) of two faces each, and the keys of their edges."""
+def pair_sides(faces: IntArray, count: int) -> tuple[IntArray, IntArray, IntArray]:
+    """Return the pairs of sides that lie on one edge; side s of face f is 3 f + s.
+
+    Parameters
+    ----------
+    faces : ndarray of int64, shape (f, 3)
+        Manifold: no edge has more than two of them.
+    count : int
+        More than any vertex.
+
+    Returns
+    -------
+    one, other : ndarray of int64, shape (e,)
+    keys : ndarray of int64, shape (e,)
+        Of the edges: the lower vertex, times `count`, and the higher one.
+    """
     tails, heads = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
     keys = np.minimum(tails, heads) * count + np.maximum(tails, heads)
     order = np.argsort(keys, kind="stable")
@@ -210,7 +224,7 @@ def _pair_sides(faces: IntArray, count: int) -> tuple[IntArray, IntArray, IntArr
 
 def _split_corners(faces: IntArray) -> tuple[IntArray, IntArray]:
     """Number the vertices of a piece, each once for every fan of faces that it has there."""
-    one, other, _ = _pair_sides(faces, int(faces.max()) + 1)
+    one, other, _ = pair_sides(faces, int(faces.max()) + 1)
     after = np.arange(3 * len(faces)).reshape(-1, 3)[:, [1, 2, 0]].reshape(-1)
     joined = np.concatenate([one, after[one]]), np.concatenate([after[other], other])
     whole = (faces.size, faces.size)
@@ -225,7 +239,7 @@ def _mark_edges(faces: IntArray, count: int) -> tuple[IntArray, IntArray]:
 
     A loop bounds something where the marks of its edges sum up to zero.
     """
-    one, other, keys = _pair_sides(faces, count)
+    one, other, keys = pair_sides(faces, count)
     edges = np.stack([keys // count, keys % count], axis=1)
     graph = csr_matrix((np.ones(len(keys)), edges.T), shape=(count, count))
     nodes, before = breadth_first_order(graph, int(faces[0, 0]), directed=False)

@@ -174,8 +174,9 @@ def _mend_group(
     has_handles, closed = find_suspects(number_keys(faces.reshape(-1))[1].reshape(-1, 3))
     width = BOX * measure_side(corners)
     hollows = [piece for piece in closed if is_hollow(corners[piece], width)]
-    is_near = np.zeros(len(faces), np.bool_)
-    is_near[np.concatenate([*hollows, np.empty(0, np.int64)])] = True
+    in_hollow = np.zeros(len(faces), np.bool_)
+    in_hollow[np.concatenate([*hollows, np.empty(0, np.int64)])] = True
+    is_near = in_hollow.copy()
     if has_handles:
         for piece in find_small_handles(faces, corners, width):
             some = corners[piece]
@@ -183,8 +184,7 @@ def _mend_group(
             is_near |= ((corners[:, 0] >= low) & (corners[:, 0] <= high)).all(axis=1)
     if not is_near.any():
         return
-    in_hollow = np.zeros(len(faces), np.bool_)
-    in_hollow[np.concatenate([*hollows, np.empty(0, np.int64)])] = True
+    # Only what lies around them goes on: v vertices, and their numbers in the mesh.
     names, local = number_keys(faces[is_near].reshape(-1))
     vertices = np.empty((len(names), 3))
     vertices[local] = corners[is_near].reshape(-1, 3)
@@ -192,13 +192,12 @@ def _mend_group(
     cutter.is_left[in_hollow[is_near]] = False
     if has_handles:
         _cut_handles(cutter, width)
-    cut = cutter.cuts
     for place in cutter.uncut.values():
         found.left, found.place = found.left + 1, place
-    if cut or cutter.uncut:
+    if cutter.cuts or cutter.uncut:
         found.width = max(found.width, width)
-    found.cut, found.hollows = found.cut + cut, found.hollows + len(hollows)
-    if cut or hollows:
+    found.cut, found.hollows = found.cut + cutter.cuts, found.hollows + len(hollows)
+    if cutter.cuts or hollows:
         _note(edits, cutter, rows[is_near], names)
 
 
@@ -249,7 +248,8 @@ def _apply(surface: Surface, blocks: Blocks, edits: _Edits) -> Surface:
             parts[index] = _keep(surface, parts[index], "mended", edited, summaries[index])
     patches = _make_part(blocks, edits)
     summaries.append(summarize_part(patches))
-    parts.append(_keep(surface, surface.parts[0], "patches", patches, summaries[-1]))
+    # A second pass has patches of its own.
+    parts.append(_keep(surface, surface.parts[0], f"patches-{len(parts)}", patches, summaries[-1]))
     mended = replace(
         surface, parts=parts, summaries=summaries, workers=workers + workers[:1],
         _plan=None, _topology=None, _checked=set(),

@@ -18,6 +18,7 @@ import numpy as np
 from hpcapp.applications.surface import kernels
 from hpcapp.geometry.lattice import number_keys, pack_places
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
+from hpcapp.mending.handles import pair_sides
 
 BOX = 8.0
 """Sides of faces: the edge of the boxes that a handle must fit into to be small. See
@@ -42,7 +43,7 @@ def find_small_handles(faces: IntArray, corners: FloatArray, width: float) -> li
     list of ndarray of int64
         The faces of each piece with handles that a box cuts out, of all lattices: they overlap.
     """
-    links = _link_sides(faces)
+    links = pair_sides(faces, int(faces.max(initial=0)) + 1)[:2]
     centres = corners.mean(axis=1)
     low = centres.min(axis=0)
     found = []
@@ -69,7 +70,7 @@ def find_suspects(faces: IntArray) -> tuple[bool, list[IntArray]]:
     closed : list of ndarray of int64
         The faces of each piece without a border.
     """
-    links = _link_sides(faces)
+    links = pair_sides(faces, int(faces.max(initial=0)) + 1)[:2]
     handles, piece = _count_handles(len(faces), links, np.zeros(len(faces), np.int64))
     sides = 3 * np.bincount(piece) - 2 * np.bincount(piece[links[0] // 3], minlength=len(handles))
     return bool(handles.any()), [np.flatnonzero(piece == one) for one in np.flatnonzero(sides == 0)]
@@ -100,17 +101,6 @@ def measure_side(corners: FloatArray) -> float:
     """
     sides = corners - np.roll(corners, -1, axis=1)
     return float(np.median(np.sqrt(np.square(sides).sum(axis=2))))
-
-
-def _link_sides(faces: IntArray) -> tuple[IntArray, IntArray]:
-    """Return the pairs of sides that lie on one edge; side s of face f is 3 f + s."""
-    tails, heads = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-    low, high = np.minimum(tails, heads), np.maximum(tails, heads)
-    keys = low * (int(high.max(initial=0)) + 1) + high
-    order = np.argsort(keys, kind="stable")
-    # The mesh is manifold: two sides with one key, side by side, are an edge.
-    same = np.flatnonzero(np.diff(keys[order]) == 0)
-    return order[same], order[same + 1]
 
 
 def _count_handles(

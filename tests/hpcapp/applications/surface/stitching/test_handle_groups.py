@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -15,7 +17,9 @@ from voxels import block, skin
 
 from hpcapp.applications.surface.cloud.measure import measure_points
 from hpcapp.applications.surface.extraction.parts import MeshPart
+from hpcapp.applications.surface.extraction.summary import summarize_part
 from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
+from hpcapp.applications.surface.stitching import handle_groups
 from hpcapp.applications.surface.stitching.handle_groups import (
     GROUP,
     MARGIN,
@@ -23,6 +27,7 @@ from hpcapp.applications.surface.stitching.handle_groups import (
     group_bricks,
     mend_handles,
 )
+from hpcapp.applications.surface.stitching.handles import BOX
 from hpcapp.applications.surface.stitching.surface import Surface
 from hpcapp.applications.surface.stitching.topology import Topology, check_mesh, signed_volume
 from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
@@ -79,6 +84,30 @@ def test_small_hollows_are_dropped(width: int, dropped: int) -> None:
     assert topology.components == 2 - dropped
 
 
+def test_a_second_pass_keeps_patches_of_its_own(tmp_path: Path) -> None:
+    """The first part has no handle, and so keeps its name in both passes."""
+    solid = block(2, ((8, 8),))
+    solid[24:28, 21:29, 4:] = False
+    solid[24:28, 24:26, 5] = True
+    meshes = skin(np.ones((4, 4, 4), np.bool_)), skin(solid)
+    parts = [MeshPart.of_mesh(meshes[0]), MeshPart.of_mesh(meshes[1])]
+    parts[1] = replace(parts[1], bricks=parts[1].bricks + 1, vertices=parts[1].vertices + 9.0)
+    checkpoint = Checkpoint(str(tmp_path), "job")
+    checkpoint.make_folders()
+    summaries = [summarize_part(part) for part in parts]
+    for name, part, summary in zip("ab", parts, summaries, strict=True):
+        checkpoint.store.put(name, (part, summary, np.empty(0, np.int64)))
+    surface = Surface(["a", "b"], summaries, np.zeros(3), checkpoint, crumb=0)
+    assert surface.check().genus == 2
+    with mock.patch.object(handle_groups, "BOX", 0.7 * BOX):
+        surface, first = mend_handles(surface)
+    surface, second = mend_handles(surface)
+    assert (first.cut, second.cut) == (1, 1)
+    assert surface.check() == check_mesh(surface.mesh())
+    assert surface.check().watertight
+    assert surface.check().genus == 0
+
+
 @settings(max_examples=12)
 @given(seed=st.integers(0, 2**32 - 1), size=st.integers(10, 18), width=st.floats(0.8, 2.0))
 def test_whatever_the_handles_a_mesh_stays_closed(seed: int, size: int, width: float) -> None:
@@ -117,13 +146,13 @@ def spotted_ball(count: int = 12_000) -> PointCloud:
     rng = np.random.default_rng(0)
     normals = rng.normal(size=(count, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    spots = np.array([[0, 0, 1.0], [1, 0, 0], [0, -1, 0], [-0.6, 0.8, 0]])
+    spots = np.array([[0, 0, 1.0], [1, 0, 0], [0, -1, 0], [0.6, 0.8, 0]])
     is_noisy = (normals @ spots.T > np.cos(0.35)).any(axis=1)
     noise = np.where(is_noisy, 0.09, 0.002) * rng.normal(size=count)
     return PointCloud((1.0 + noise[:, None]) * normals, normals)
 
 
-@pytest.mark.parametrize("tiles", [2, 5])
+@pytest.mark.parametrize("tiles", [2, 8])
 @pytest.mark.parametrize("is_kept", [False, True])
 def test_tiles_and_folders_give_the_same_bits(tmp_path: Path, tiles: int, is_kept: bool) -> None:
     cloud = spotted_ball()
@@ -136,12 +165,18 @@ def test_tiles_and_folders_give_the_same_bits(tmp_path: Path, tiles: int, is_kep
             partition = method.partition(arranged, workforce)
             quadrics = method.fit(partition, workforce, lambda *_: None)
             surface = method.extract(partition, quadrics, workforce, lambda *_: None)
-            surface = method.close(partition, surface, workforce, lambda *_: None)
+            # Some first, the others in a second pass: its patches stay beside the first ones.
+            with mock.patch.object(handle_groups, "BOX", 0.5 * BOX):
+                surface = method.close(partition, surface, workforce, lambda *_: None)
+            surface, more = mend_handles(surface)
+            assert more.cut
+            names = [part for part in surface.parts if isinstance(part, str)]
+            assert len(set(names)) == len(names)
             assert all(isinstance(part, MeshPart) != is_kept for part in surface.parts) or not tiles
             mesh = surface.mesh()
             assert surface.check() == check_mesh(mesh)
             assert len(np.unique(mesh.faces)) == len(mesh.vertices)
-            return mesh, method.facts(partition)
+            return mesh, method.facts(partition) | {"more": more.cut}
 
     whole, facts = make(None, None)
     assert facts["handles_cut"]
