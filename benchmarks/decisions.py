@@ -17,7 +17,7 @@ import json
 import os
 import re
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from unittest import mock
 
@@ -36,7 +36,7 @@ from hpcapp.applications.surface.stitching.surface import Surface
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.geometry.lattice import lay_lattice
 from hpcapp.geometry.mesh import Mesh
-from hpcapp.geometry.points import PointCloud
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import open_points, read_whole
 
 Row = list[str | float]
@@ -89,10 +89,12 @@ def find_genera(data: Path) -> dict[Path, int]:
 
 def find_handles(path: Path, genus: int) -> list[Row]:
     """Return a row of what cutting the small handles leaves; none where the mesh is open."""
-    kept: list[Surface] = []
+    kept: list[tuple[Surface, Callable[[FloatArray], FloatArray]]] = []
 
-    def keep(surface: Surface) -> tuple[Surface, Mended]:
-        kept.append(surface)
+    def keep(
+        surface: Surface, suited_steps: Callable[[FloatArray], FloatArray]
+    ) -> tuple[Surface, Mended]:
+        kept.append((surface, suited_steps))
         return surface, Mended()
 
     with mock.patch.object(handle_groups, "mend_handles", keep):
@@ -104,7 +106,7 @@ def find_handles(path: Path, genus: int) -> list[Row]:
     left: list[float] = []
     for factor in (0.5, 1.0, 2.0):
         with mock.patch.object(handle_groups, "BOX", factor * BOX):
-            left.append((mend_handles(kept[0])[0].check().genus or 0) if kept else 0)
+            left.append((mend_handles(*kept[0])[0].check().genus or 0) if kept else 0)
     return [[path.stem, found, genus, *left]]
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import logging
 import secrets
 from collections.abc import Iterator
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -42,7 +43,7 @@ from hpcapp.applications.surface.methods.method import (
     show_nothing,
 )
 from hpcapp.applications.surface.resolution.chain import resolve
-from hpcapp.applications.surface.resolution.estimates import Scale
+from hpcapp.applications.surface.resolution.estimates import Scale, suited_steps
 from hpcapp.applications.surface.stitching.surface import Surface
 from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
 from hpcapp.applications.surface.tiles.patterns import coarse_lattice
@@ -340,8 +341,10 @@ class HierarchicalMethod:
             # It stands on scipy, which takes its time.
             from hpcapp.applications.surface.stitching.handle_groups import mend_handles
 
-            surface, partition.mended = mend_handles(surface)
-            log.info("%s", partition.mended.say())
+            steps = partial(suited_steps, partition.plan.refinement)
+            surface, partition.mended = mend_handles(surface, steps)
+            if partition.mended.cut or partition.mended.hollows:
+                log.info("%s", partition.mended.say())
         return surface
 
     def _find_shared(self, cloud: ArrangedCloud) -> Checkpoint | None:

@@ -23,6 +23,7 @@ from hpcapp.applications.surface.field.pyramid import (
     count_levels,
     fit_levels,
 )
+from hpcapp.applications.surface.field.refinement import Refinement
 from hpcapp.applications.surface.field.robust import find_tolerance, measure_points, tell_kurtosis
 from hpcapp.applications.surface.field.weights import LEAST_MU, Weights, tell_noise
 from hpcapp.applications.surface.methods.method import MARGIN, MAX_GRID, Resolution
@@ -274,6 +275,26 @@ def suggest_grid(
         what = f"points {measured.scale.range[0]:.3g} to {measured.scale.range[1]:.3g} apart"
     step = longest / (cells - 2 * MARGIN)
     return Resolution(min(cells, MAX_GRID), f"steps of {step:.3g} for {what}")
+
+
+def suited_steps(refinement: Refinement, places: FloatArray) -> FloatArray:
+    """Return the steps of grids that show what points tell at some places; see `suggest_grid`.
+
+    Parameters
+    ----------
+    refinement : Refinement
+        With the spacing and the noise that lead to them, and what was asked of detail.
+    places : ndarray of float64, shape (n, 3)
+        In length units of the input.
+
+    Returns
+    -------
+    ndarray of float64, shape (n,)
+    """
+    noise = np.sqrt(refinement.noise.variances_at(places))
+    steps = np.maximum(refinement.scale.at(places), _NOISE_CELLS / _SPACINGS * noise)
+    told: FloatArray = steps * refinement.spacings / _FEWEST
+    return told
 
 
 def _count_cells(longest: float, step: float) -> int:

@@ -12,6 +12,7 @@ have done: so it is of no consequence which parts the bricks are in.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import field, replace
 from itertools import pairwise
 from typing import Any
@@ -98,13 +99,18 @@ class _Edits:
     corners: FloatArray = field(default_factory=lambda: np.empty((0, 3, 3)))
 
 
-def mend_handles(surface: Surface) -> tuple[Surface, Mended]:
+def mend_handles(
+    surface: Surface, suited_steps: Callable[[FloatArray], FloatArray]
+) -> tuple[Surface, Mended]:
     """Cut the small handles of a surface, and drop small hollows in it.
 
     Parameters
     ----------
     surface : Surface
         Closed and manifold.
+    suited_steps : callable
+        Of places, shape (n, 3), how long sides of faces are that show what the points tell there:
+        where those of the surface are longer, handles as wide as some of them are no work of noise.
 
     Returns
     -------
@@ -119,7 +125,7 @@ def mend_handles(surface: Surface) -> tuple[Surface, Mended]:
             blocks = Blocks(surface.plan, load)
             for bricks in group_bricks(surface.plan.bricks.keys):
                 check_cancelled()
-                _mend_group(*blocks.take_faces(bricks), edits, found)
+                _mend_group(*blocks.take_faces(bricks), suited_steps, edits, found)
             if edits.taken_out:
                 surface = _apply(surface, blocks, edits)
         # What one group has left another one may have cut, and two have seen: they look once more.
@@ -159,7 +165,12 @@ def group_bricks(keys: IntArray) -> list[IntArray]:
 
 
 def _mend_group(
-    rows: IntArray, faces: IntArray, corners: FloatArray, edits: _Edits, found: Mended
+    rows: IntArray,
+    faces: IntArray,
+    corners: FloatArray,
+    suited_steps: Callable[[FloatArray], FloatArray],
+    edits: _Edits,
+    found: Mended,
 ) -> None:
     """Cut the handles of some faces of the mesh, whose `rows` are given."""
     if not len(rows):
@@ -172,7 +183,10 @@ def _mend_group(
     corners = np.concatenate([corners[stays], edits.corners[near]])
     faces = np.concatenate([faces[stays], edits.faces[near]])
     has_handles, closed = find_suspects(number_keys(faces.reshape(-1))[1].reshape(-1, 3))
-    width = BOX * measure_side(corners)
+    if not (has_handles or closed):
+        return
+    told = float(np.median(suited_steps(corners[:, 0])))
+    width = BOX * min(measure_side(corners), told)
     hollows = [piece for piece in closed if is_hollow(corners[piece], width)]
     in_hollow = np.zeros(len(faces), np.bool_)
     in_hollow[np.concatenate([*hollows, np.empty(0, np.int64)])] = True

@@ -349,7 +349,7 @@ def test_workers_write_the_mesh_themselves(
         raise AssertionError
 
     monkeypatch.setattr(surface.Surface, "load", load)
-    monkeypatch.setattr(handle_groups, "mend_handles", lambda given: (given, Mended()))
+    monkeypatch.setattr(handle_groups, "mend_handles", lambda given, _: (given, Mended()))
     output = tmp_path / "mesh.ply"
     run_job(JobSettings(scan, str(output), grid=96, backend="zmq", workers=2), SILENT)
     assert output.read_bytes() == whole

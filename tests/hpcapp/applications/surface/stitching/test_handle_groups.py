@@ -15,6 +15,7 @@ from scipy.ndimage import gaussian_filter
 from skimage.measure import marching_cubes
 from voxels import block, skin
 
+from hpcapp import reconstruct
 from hpcapp.applications.surface.cloud.measure import measure_points
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.extraction.summary import summarize_part
@@ -33,12 +34,20 @@ from hpcapp.applications.surface.stitching.topology import Topology, check_mesh,
 from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
 from hpcapp.geometry.lattice import pack_places, unique_keys, unpack_keys
 from hpcapp.geometry.mesh import Mesh
-from hpcapp.geometry.points import BoolArray, PointCloud
+from hpcapp.geometry.points import BoolArray, FloatArray, PointCloud
+from hpcapp.lab.simulate.scanner import simulate_scan
+from hpcapp.lab.simulate.settings import ScanSettings
+from hpcapp.lab.simulate.shapes import SHAPES
 from hpcapp.workforce import Workforce
 
 
+def tell_one(places: FloatArray) -> FloatArray:
+    """What points tell that lie about as densely as the corners of voxels."""
+    return np.ones(len(places))
+
+
 def mend(solid: BoolArray) -> tuple[Mesh, Mended, Topology]:
-    surface, found = mend_handles(Surface.of_mesh(skin(solid)))
+    surface, found = mend_handles(Surface.of_mesh(skin(solid)), tell_one)
     mesh = surface.mesh()
     assert surface.check() == check_mesh(mesh)
     return mesh, found, check_mesh(mesh)
@@ -70,9 +79,25 @@ def test_a_tunnel_below_the_skin_is_closed() -> None:
 def test_wide_handles_stay_as_they_are() -> None:
     solid = block(16)
     surface = Surface.of_mesh(skin(solid))
-    mended, found = mend_handles(surface)
+    mended, found = mend_handles(surface, tell_one)
     assert mended is surface
     assert (found.cut, found.left, found.hollows) == (0, 0, 0)
+
+
+def test_handles_that_points_tell_stay_however_coarse_the_faces_are() -> None:
+    surface = Surface.of_mesh(skin(block(2)))
+    assert mend_handles(surface, tell_one)[1].cut == 1
+    mended, found = mend_handles(surface, lambda places: np.full(len(places), 0.25))
+    assert mended is surface
+    assert (found.cut, found.left, found.hollows) == (0, 0, 0)
+
+
+@pytest.mark.parametrize("grid", [32, 48, 64])
+def test_bores_stay_open_in_a_coarse_grid(grid: int) -> None:
+    """Two of the four are eight spacings wide, and three faces or fewer."""
+    scan = simulate_scan(SHAPES["bracket"], ScanSettings(points=20_000, noise=0.001))
+    made = reconstruct(scan, grid=grid)
+    assert check_mesh(Mesh(made.vertices, made.faces)).genus == 4
 
 
 @pytest.mark.parametrize(("width", "dropped"), [(2, 1), (12, 0)])
@@ -100,8 +125,8 @@ def test_a_second_pass_keeps_patches_of_its_own(tmp_path: Path) -> None:
     surface = Surface(["a", "b"], summaries, np.zeros(3), checkpoint, crumb=0)
     assert surface.check().genus == 2
     with mock.patch.object(handle_groups, "BOX", 0.7 * BOX):
-        surface, first = mend_handles(surface)
-    surface, second = mend_handles(surface)
+        surface, first = mend_handles(surface, tell_one)
+    surface, second = mend_handles(surface, tell_one)
     assert (first.cut, second.cut) == (1, 1)
     assert surface.check() == check_mesh(surface.mesh())
     assert surface.check().watertight
@@ -118,7 +143,7 @@ def test_whatever_the_handles_a_mesh_stays_closed(seed: int, size: int, width: f
     solid = Mesh(vertices.astype(np.float64), faces[:, ::-1].astype(np.int64))
     before = check_mesh(solid)
     assume(before.watertight and before.outward)
-    surface, found = mend_handles(Surface.of_mesh(solid))
+    surface, found = mend_handles(Surface.of_mesh(solid), tell_one)
     mesh = surface.mesh()
     after = check_mesh(mesh)
     assert surface.check() == after
@@ -168,7 +193,7 @@ def test_tiles_and_folders_give_the_same_bits(tmp_path: Path, tiles: int, is_kep
             # Some first, the others in a second pass: its patches stay beside the first ones.
             with mock.patch.object(handle_groups, "BOX", 0.5 * BOX):
                 surface = method.close(partition, surface, workforce, lambda *_: None)
-            surface, more = mend_handles(surface)
+            surface, more = mend_handles(surface, tell_one)
             assert more.cut
             names = [part for part in surface.parts if isinstance(part, str)]
             assert len(set(names)) == len(names)
