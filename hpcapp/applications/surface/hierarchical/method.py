@@ -174,10 +174,11 @@ class HierarchicalMethod:
             uniform=self.uniform, workers=workers, threads=self.threads,
         )  # fmt: skip
         scale, refinement, grid = found.scale, found.refinement, found.grid
-        low, high, below, noise = cloud.low, cloud.high, scale.levels, refinement.noise
+        low, high, below = cloud.low, cloud.high, scale.levels
+        noise = self.smoothness * scale.noise.whole
         height = scale.finer + count_levels(float((high - low).max()), scale.cell_size)
         height = max(height, below + 1)
-        nodes = choose_nodes(grid.box, scale.finest, noise.whole, found.measured)
+        nodes = choose_nodes(grid.box, scale.finest, noise, found.measured)
         far = far_level(grid, nodes, scale.finest, scale.finer, height)
         count = self._count_tiles(cloud, height - below, workforce)
         tolerance = scale.tolerance if height > _ROBUST_LEVELS else np.inf
@@ -191,7 +192,7 @@ class HierarchicalMethod:
             cell_size=scale.finest,
             height=height,
             coarse=coarse,
-            noise=noise.whole,
+            noise=noise,
             grid_origin=grid.origin,
             step=grid.step,
             bricks=grid.bricks,
@@ -337,7 +338,8 @@ class HierarchicalMethod:
             surface, cloud, partition.plan, self.opening, workforce,
             shared, self.threads, advance,
         )  # fmt: skip
-        if not partition.closure.is_open and surface.check().genus:
+        topology = surface.check()
+        if not partition.closure.is_open and (topology.genus or topology.components > 1):
             # It stands on scipy, which takes its time.
             from hpcapp.applications.surface.stitching.handle_groups import mend_handles
 

@@ -46,7 +46,8 @@ from hpccomponent.dataclass import dataclass
 
 GROUP, MARGIN = 16, 2
 """Bricks along the side of a group, and those that it sees around it: more than a handle with the
-ring around it is wide. With a larger group memory grows, with a smaller one what is seen twice."""
+ring around it is wide. With a larger group memory grows, with a smaller one what is seen twice; it
+is twice the margin at least."""
 _ROUNDS = 16  # over the handles of a group: what one hides from the lattices comes in the next
 
 

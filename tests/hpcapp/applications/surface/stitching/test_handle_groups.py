@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from unittest import mock
 
@@ -20,6 +21,7 @@ from hpcapp.applications.surface.cloud.measure import measure_points
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.extraction.summary import summarize_part
 from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
+from hpcapp.applications.surface.resolution.estimates import suited_steps
 from hpcapp.applications.surface.stitching import handle_groups
 from hpcapp.applications.surface.stitching.handle_groups import (
     GROUP,
@@ -175,6 +177,43 @@ def spotted_ball(count: int = 12_000) -> PointCloud:
     is_noisy = (normals @ spots.T > np.cos(0.35)).any(axis=1)
     noise = np.where(is_noisy, 0.09, 0.002) * rng.normal(size=count)
     return PointCloud((1.0 + noise[:, None]) * normals, normals)
+
+
+def test_handles_between_groups_are_cut_as_those_within() -> None:
+    """With half the margin they are, too; without one a few are left of 27."""
+    arranged = measure_points(spotted_ball())
+    method = HierarchicalMethod(96)
+    with ThreadPoolExecutor(1) as executor:
+        workforce = Workforce(executor, in_process=True)
+        partition = method.partition(arranged, workforce)
+        surface = method.extract(partition, None, workforce, lambda *_: None)
+    handles = surface.check().genus
+    assert handles
+    assert handles > 20
+    left = []
+    for margin in (MARGIN, MARGIN // 2, 0):
+        with mock.patch.multiple(handle_groups, GROUP=2 * MARGIN, MARGIN=margin):
+            steps = partial(suited_steps, partition.plan.refinement)
+            left.append(mend_handles(surface, steps)[0].check().genus or 0)
+    assert left[0] <= left[1] <= 1 < left[2]
+
+
+def test_a_hollow_alone_is_dropped() -> None:
+    """Inside a ball without any handle, as noise makes them."""
+    ball, corners = np.random.default_rng(0).normal(size=(12_000, 3)), np.eye(3)
+    ball /= np.linalg.norm(ball, axis=1, keepdims=True)
+    around = np.concatenate([corners, -corners, np.full((1, 3), 0.577), np.full((1, 3), -0.577)])
+    normals = np.concatenate([ball, -around])
+    cloud = PointCloud(np.concatenate([ball, 0.06 * around]), normals)
+    method = HierarchicalMethod(96)
+    with ThreadPoolExecutor(1) as executor:
+        workforce = Workforce(executor, in_process=True)
+        partition = method.partition(measure_points(cloud), workforce)
+        surface = method.extract(partition, None, workforce, lambda *_: None)
+        assert surface.check().components == 2
+        surface = method.close(partition, surface, workforce, lambda *_: None)
+    assert partition.mended is not None
+    assert (surface.check().components, partition.mended.hollows) == (1, 1)
 
 
 @pytest.mark.parametrize("tiles", [2, 8])
