@@ -26,6 +26,7 @@ CONSTANTS = (
     ("fit", "field.weights:_MOST_LAM", "λ at most"),
     ("fit", "field.weights:LEAST_MU", "weight μ of the prior at least, in points"),
     ("fit", "field.weights:_MOST_MU", "μ at most"),
+    ("fit", "field.weights:BELIEVED", "of noise up to half a spacing, what fits reckon with"),
     ("fit", "field.weights:CHANCE_SHARE", "of the variance, what excuses a prior"),
     ("blend", "field.weights:FIELD_LEVELS", "levels that are blended, from the base up"),
     ("blend", "field.weights:_FULL_COUNT", "own points of full trust"),

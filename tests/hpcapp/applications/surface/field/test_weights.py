@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.surface.field.weights import (
+    BELIEVED,
     LEAST_MU,
+    believe_noise,
     localise_noise,
     trust_vertices,
     weigh_levels,
@@ -30,6 +32,14 @@ def test_the_coarsest_level_has_no_prior_to_compare() -> None:
     weights = weigh_levels(0.5, 3, 0.1)
     assert [w.most_mu > w.least_mu for w in weights] == [True, True, False]
     assert weights[-1].most_mu == LEAST_MU
+
+
+def test_little_noise_counts_for_less_and_much_for_what_it_is() -> None:
+    believed = [believe_noise(noise) for noise in np.linspace(0.0, 2.0, 101)]
+    assert believed[0] == BELIEVED < 1.0
+    assert believed[-1] == 1.0
+    assert np.all(np.diff(believed) >= 0.0)
+    assert np.abs(np.diff(believed)).max() < 0.03  # no step
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-9, 1e9])

@@ -16,8 +16,10 @@ from hpcapp.applications.surface.cloud.measure import measure_points
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.field import levels as field_levels
+from hpcapp.applications.surface.field import weights
 from hpcapp.applications.surface.field.levels import SlabFields
 from hpcapp.applications.surface.field.robust import find_tolerance
+from hpcapp.applications.surface.field.weights import BELIEVED
 from hpcapp.applications.surface.hierarchical import one_tile
 from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
 from hpcapp.applications.surface.hierarchical.tiles import Tiling
@@ -32,6 +34,9 @@ from hpcapp.geometry.lattice import pack_places, unpack_keys
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
 from hpcapp.io import read_points
+from hpcapp.lab.simulate.scanner import simulate_scan
+from hpcapp.lab.simulate.settings import ScanSettings
+from hpcapp.lab.simulate.shapes import SHAPES
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import InputError, UsageError
 
@@ -107,6 +112,21 @@ def test_noise_is_averaged_away() -> None:
     errors = np.linalg.norm(mesh.vertices, axis=1) - 1.0
     assert np.sqrt((errors**2).mean()) < 0.3 * noise
     assert facts["noise"] == pytest.approx(noise, rel=0.1)
+
+
+@pytest.mark.parametrize(("name", "believed", "worse"), [("bust", 1.0, 1.02), ("torus", 0.5, 1.3)])
+def test_less_of_little_noise_keeps_relief_and_too_little_of_it_ripples(
+    monkeypatch: pytest.MonkeyPatch, name: str, believed: float, worse: float
+) -> None:
+    """All of it costs relief a twentieth; with half of it, a torus has twice the error."""
+    shape, errors = SHAPES[name], []
+    cloud = simulate_scan(shape, ScanSettings(points=15_000, noise=0.001))
+    for share in (BELIEVED, believed):
+        monkeypatch.setattr(weights, "BELIEVED", share)
+        vertices = reconstruct(cloud, HierarchicalMethod(128))[0].vertices
+        slopes = np.maximum(np.linalg.norm(shape.gradient(vertices), axis=1), 1e-9)
+        errors.append(np.abs(shape.value(vertices) / slopes).mean())
+    assert errors[1] > worse * errors[0]
 
 
 def test_noise_with_heavy_tails_is_not_just_averaged(monkeypatch: pytest.MonkeyPatch) -> None:
