@@ -27,6 +27,7 @@ import hpcapp
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
 from hpcapp.applications.surface.cloud.measure import draw_boxes, measure_spacing
+from hpcapp.applications.surface.hierarchical import method
 from hpcapp.applications.surface.normals.consistency import weigh_torn
 from hpcapp.applications.surface.normals.patches import CELL
 from hpcapp.applications.surface.stitching import handle_groups
@@ -97,7 +98,7 @@ def find_handles(path: Path, genus: int) -> list[Row]:
         kept.append((surface, suited_steps))
         return surface, Mended()
 
-    with mock.patch.object(handle_groups, "mend_handles", keep):
+    with mock.patch.object(method, "mend_handles", keep):
         made = hpcapp.reconstruct(path, normals="estimate")
     mesh = Mesh(np.asarray(made.vertices, np.float64), np.asarray(made.faces, np.int64))
     found = check_mesh(mesh).genus

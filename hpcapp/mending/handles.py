@@ -20,6 +20,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, dijk
 from hpcapp.geometry.lattice import number_keys
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 from hpcapp.mending.holes import fill_loop
+from hpcapp.mending.loops import pair_sides
 
 _MOST_BITS = 62  # of the loops of a piece that are told from one another
 
@@ -197,29 +198,6 @@ def walk_borders(faces: IntArray) -> tuple[list[IntArray], bool]:
             at = after.pop(at)
         loops.append(np.array(loop))
     return loops, is_simple
-
-
-def pair_sides(faces: IntArray, count: int) -> tuple[IntArray, IntArray, IntArray]:
-    """Return the pairs of sides that lie on one edge; side s of face f is 3 f + s.
-
-    Parameters
-    ----------
-    faces : ndarray of int64, shape (f, 3)
-        Manifold: no edge has more than two of them.
-    count : int
-        More than any vertex.
-
-    Returns
-    -------
-    one, other : ndarray of int64, shape (e,)
-    keys : ndarray of int64, shape (e,)
-        Of the edges: the lower vertex, times `count`, and the higher one.
-    """
-    tails, heads = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
-    keys = np.minimum(tails, heads) * count + np.maximum(tails, heads)
-    order = np.argsort(keys, kind="stable")
-    same = np.flatnonzero(np.diff(keys[order]) == 0)
-    return order[same], order[same + 1], keys[order[same]]
 
 
 def _split_corners(faces: IntArray) -> tuple[IntArray, IntArray]:

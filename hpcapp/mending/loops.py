@@ -75,6 +75,29 @@ def find_holes(mesh: Mesh, size: float) -> Loops:
     return Loops(holes, int((is_small & is_tangled).sum()))
 
 
+def pair_sides(faces: IntArray, count: int) -> tuple[IntArray, IntArray, IntArray]:
+    """Return the pairs of sides that lie on one edge; side s of face f is 3 f + s.
+
+    Parameters
+    ----------
+    faces : ndarray of int64, shape (f, 3)
+        Manifold: no edge has more than two of them.
+    count : int
+        More than any vertex.
+
+    Returns
+    -------
+    one, other : ndarray of int64, shape (e,)
+    keys : ndarray of int64, shape (e,)
+        Of the edges: the lower vertex, times `count`, and the higher one.
+    """
+    tails, heads = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
+    keys = np.minimum(tails, heads) * count + np.maximum(tails, heads)
+    order = np.argsort(keys, kind="stable")
+    same = np.flatnonzero(np.diff(keys[order]) == 0)
+    return order[same], order[same + 1], keys[order[same]]
+
+
 def _find_odd(runs_up: BoolArray, number: IntArray, sides: IntArray) -> BoolArray:
     """Tell which sides are of edges with more than two faces, or with two that run one way."""
     up = np.bincount(number, runs_up, len(sides))

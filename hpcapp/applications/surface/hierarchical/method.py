@@ -12,7 +12,7 @@ import logging
 import secrets
 from collections.abc import Iterator
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -44,6 +44,7 @@ from hpcapp.applications.surface.methods.method import (
 )
 from hpcapp.applications.surface.resolution.chain import resolve
 from hpcapp.applications.surface.resolution.estimates import Scale, suited_steps
+from hpcapp.applications.surface.stitching.handle_groups import Mended, mend_handles
 from hpcapp.applications.surface.stitching.surface import Surface
 from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
 from hpcapp.applications.surface.tiles.patterns import coarse_lattice
@@ -54,9 +55,6 @@ from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.cli.option_names import name_option
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError, UsageError
-
-if TYPE_CHECKING:
-    from hpcapp.applications.surface.stitching.handle_groups import Mended
 
 log = logging.getLogger("hpcapp")
 
@@ -340,9 +338,6 @@ class HierarchicalMethod:
         )  # fmt: skip
         topology = surface.check()
         if not partition.closure.is_open and (topology.genus or topology.components > 1):
-            # It stands on scipy, which takes its time.
-            from hpcapp.applications.surface.stitching.handle_groups import mend_handles
-
             steps = partial(suited_steps, partition.plan.refinement)
             surface, partition.mended = mend_handles(surface, steps)
             if partition.mended.cut or partition.mended.hollows:

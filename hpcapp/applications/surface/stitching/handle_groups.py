@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import field, replace
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -40,9 +40,11 @@ from hpcapp.geometry.lattice import (
     unpack_keys,
 )
 from hpcapp.geometry.points import FloatArray, IntArray
-from hpcapp.mending.handles import HandleCutter
 from hpcapp.wording import say_count
 from hpccomponent.dataclass import dataclass
+
+if TYPE_CHECKING:
+    from hpcapp.mending.handles import HandleCutter
 
 GROUP, MARGIN = 16, 2
 """Bricks along the side of a group, and those that it sees around it: more than a handle with the
@@ -199,6 +201,8 @@ def _mend_group(
             is_near |= ((corners[:, 0] >= low) & (corners[:, 0] <= high)).all(axis=1)
     if not is_near.any():
         return
+    from hpcapp.mending.handles import HandleCutter  # it stands on scipy, which takes its time
+
     # Only what lies around them goes on: v vertices, and their numbers in the mesh.
     names, local = number_keys(faces[is_near].reshape(-1))
     vertices = np.empty((len(names), 3))

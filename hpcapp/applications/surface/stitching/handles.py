@@ -18,7 +18,7 @@ import numpy as np
 from hpcapp.applications.surface import kernels
 from hpcapp.geometry.lattice import number_keys, pack_places
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
-from hpcapp.mending.handles import pair_sides
+from hpcapp.mending.loops import pair_sides
 
 BOX = 8.0
 """Sides of faces: the edge of the boxes that a handle must fit into to be small. See

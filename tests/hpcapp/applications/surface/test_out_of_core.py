@@ -20,13 +20,12 @@ from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.cli import run
 from hpcapp.applications.surface.cli.run import run_job
 from hpcapp.applications.surface.extraction.parts import MeshPart
-from hpcapp.applications.surface.hierarchical import all_tiles
+from hpcapp.applications.surface.hierarchical import all_tiles, method
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
 from hpcapp.applications.surface.job import folder, read, site, storage
 from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.resolution.memory import fitting_tile, parse_limit
 from hpcapp.applications.surface.stitching import (
-    handle_groups,
     shared_ply,
     surface,
     tile_ply,
@@ -349,7 +348,7 @@ def test_workers_write_the_mesh_themselves(
         raise AssertionError
 
     monkeypatch.setattr(surface.Surface, "load", load)
-    monkeypatch.setattr(handle_groups, "mend_handles", lambda given, _: (given, Mended()))
+    monkeypatch.setattr(method, "mend_handles", lambda given, _: (given, Mended()))
     output = tmp_path / "mesh.ply"
     run_job(JobSettings(scan, str(output), grid=96, backend="zmq", workers=2), SILENT)
     assert output.read_bytes() == whole
