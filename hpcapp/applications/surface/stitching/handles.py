@@ -86,10 +86,11 @@ def is_hollow(corners: FloatArray, width: float) -> bool:
     width : float
         In length units of the input.
     """
-    a, b, c = (corners - corners[0, 0]).transpose(1, 0, 2)
-    volume = float(np.einsum("ij,ij->", a, np.cross(b, c)))
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-    return volume < 0.0 and bool((high - low).max() <= width)
+    if (high - low).max() > width:
+        return False
+    a, b, c = (corners - corners[0, 0]).transpose(1, 0, 2)
+    return float(np.einsum("ij,ij->", a, np.cross(b, c))) < 0.0
 
 
 def measure_side(corners: FloatArray) -> float:
