@@ -45,7 +45,7 @@ def find_small_handles(faces: IntArray, corners: FloatArray, width: float) -> li
     """
     links = pair_sides(faces, int(faces.max(initial=0)) + 1)[:2]
     centres = corners.mean(axis=1)
-    low = centres.min(axis=0)
+    low = centres.min(axis=0, initial=np.inf)
     found = []
     for shift in _SHIFTS:
         # (f, 3): boxes that part a handle in one lattice hold all of it in a shifted one.

@@ -111,6 +111,17 @@ def test_small_hollows_are_dropped(width: int, dropped: int) -> None:
     assert topology.components == 2 - dropped
 
 
+def test_a_hollow_with_a_handle_is_dropped_whole() -> None:
+    solid = np.ones((32, 32, 32), np.bool_)
+    solid[14:17, 14:17, 15] = False
+    solid[15, 15, 15] = True
+    assert check_mesh(skin(solid)).genus == 1
+    mesh, found, topology = mend(solid)
+    assert (found.cut, found.left, found.hollows) == (0, 0, 1)
+    assert (topology.components, topology.genus) == (1, 0)
+    assert signed_volume(mesh) == pytest.approx(32**3)
+
+
 def test_a_second_pass_keeps_patches_of_its_own(tmp_path: Path) -> None:
     """The first part has no handle, and so keeps its name in both passes."""
     solid = block(2, ((8, 8),))
