@@ -133,6 +133,7 @@ def write(
         "rows": rows,
         "notes": list(notes),
     }
+    folder.mkdir(parents=True, exist_ok=True)
     (folder / f"{name}.json").write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
 
 
