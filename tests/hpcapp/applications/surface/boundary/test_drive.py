@@ -168,11 +168,15 @@ def test_the_border_is_half_as_far_from_the_points_as_asked() -> None:
     assert 0.05 < away.min(axis=1).max() <= 0.1
 
 
-def test_crumbs_go_and_objects_stay() -> None:
+@pytest.mark.parametrize("count", [1, 8, 12, 20, 40])
+@pytest.mark.parametrize("side", [0.5, 2.0])
+def test_crumbs_go_and_objects_stay(count: int, side: float) -> None:
+    """An object of five spacings is one; a clump of strays, all on one spot, is a crumb."""
     cloud = ground()
     random = np.random.default_rng(0)
-    crumb = np.array([5.0, 5.0, 4.0]) + random.uniform(-0.02, 0.02, (12, 3)) * [1.0, 1.0, 0.01]
-    x, y = (axis.ravel() for axis in np.meshgrid(*[np.linspace(2.0, 4.0, 21)] * 2))
+    crumb = np.array([5.0, 5.0, 4.0]) + random.uniform(-0.02, 0.02, (count, 3)) * [1.0, 1.0, 0.01]
+    lines = np.linspace(2.0, 2.0 + side, round(side / 0.1) + 1)
+    x, y = (axis.ravel() for axis in np.meshgrid(lines, lines))
     shelf = np.stack([x, y, np.full(len(x), 3.0)], axis=1)
     up = np.tile([0.0, 0.0, 1.0], (len(crumb) + len(shelf), 1))
     positions = np.concatenate([cloud.positions, crumb, shelf])
