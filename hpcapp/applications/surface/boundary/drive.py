@@ -54,7 +54,7 @@ log = logging.getLogger("hpcapp")
 _SPACINGS, _NOISES, _STEPS = 3.0, 4.0, 1.5  # of the trim distance that is chosen
 _FILL = 4.0  # times the trim distance: patches that fill holes
 _CRUMB = 2.5  # times the trim distance: pieces smaller than a square of this are dropped. What
-# grows around a clump of 8 to 40 strays is larger than one of 2, and smaller than one of 2.5.
+# grows around a clump of 8 to 40 strays may be larger than one of 2; it is smaller than one of 2.5.
 _JUDGED_BRICKS = 20_000  # about: of larger surfaces a sample
 _FACES = 2.0  # of a piece as large as the side of a cell
 _STEPS_OF_PART = 3  # it is judged, surveyed and cut, or less

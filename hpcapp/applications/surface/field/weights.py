@@ -23,9 +23,10 @@ CHANCE_SHARE = 0.5
 variance is estimated too large."""
 
 BELIEVED = 0.7
-"""Of little noise, how much fits reckon with."""
+"""Of little noise, how much fits reckon with. Of 1, .7 and .5 it has the least mean distance on
+scans with known truth; with .5 smooth shapes ripple (see `believe_noise`)."""
 
-_LITTLE, _MUCH = 0.5, 0.8  # spacings
+_LITTLE, _MUCH = 0.5, 0.8  # spacings: scans of much noise, told as .5 to 1, gain least by it (.98)
 
 LEAST_MU = 0.3
 """The least weight of a prior, in points; and its weight where there is nothing to compare."""
@@ -101,7 +102,8 @@ def believe_noise(noise: float) -> float:
     -----
     Of little noise a sixth is relief that residuals cannot be told from, of much a sixth is
     missed. On 60 scans with truth the mean distance is .97 of that with all of it: .96 at relief,
-    .95 at edges, 1.05 on smooth shapes. With half of it they are .97, .94 and 1.21.
+    .95 at edges, 1.05 on smooth shapes. With half of it, up to .4 spacings, 40 of
+    them have 1.00, .97, .94 and 1.21.
     """
     return float(np.interp(noise, (_LITTLE, _MUCH), (BELIEVED, 1.0)))
 

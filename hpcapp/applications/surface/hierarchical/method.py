@@ -79,7 +79,7 @@ class HierarchicalPartition:
     closure : Closure or None
         How the borders of the surface came about, once it is there.
     mended : Mended or None
-        What became of its small handles, where it is closed and has handles.
+        What became of small handles and hollows, where it is closed and has handles or pieces.
     """
 
     cloud: ArrangedCloud

@@ -118,7 +118,7 @@ def test_noise_is_averaged_away() -> None:
 def test_less_of_little_noise_keeps_relief_and_too_little_of_it_ripples(
     monkeypatch: pytest.MonkeyPatch, name: str, believed: float, worse: float
 ) -> None:
-    """All of it costs relief a twentieth; with half of it, a torus has twice the error."""
+    """All of it costs relief a twentieth; with half of it, a torus has 1.7 times the error."""
     shape, errors = SHAPES[name], []
     cloud = simulate_scan(shape, ScanSettings(points=15_000, noise=0.001))
     for share in (BELIEVED, believed):
