@@ -44,6 +44,7 @@ _NAMES = {
     "sure": "sides that are sure",
     "trim": "cut off beyond",
     "turned": "turned around",
+    "smoothed_depths": "depths in layers smoothed",
     "turned_normals": "inconsistent normals flipped",
     "unsupported": "supported by no point, were it closed",
     "vertex_manifold": "manifold at vertices",

@@ -50,6 +50,8 @@ class Cleaned:
         Points along scan lines that were not needed.
     lone_lines : int
         Points along lone lines, as wires, that were dropped.
+    smoothed : int
+        Of a depth image, whose depth came in steps: see `depth_image.smooth_steps`.
     line_gap, line_step : float
         From line to line, and from point to point along one, in length units of the input: the
         medians over the cells that hold lines; 0 where none does.
@@ -61,6 +63,7 @@ class Cleaned:
     repeated: int = 0
     spared: int = 0
     lone_lines: int = 0
+    smoothed: int = 0
     line_gap: float = 0.0
     line_step: float = 0.0
 

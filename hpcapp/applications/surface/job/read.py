@@ -20,6 +20,7 @@ from hpcapp.applications.surface.job.columns import Columns
 from hpcapp.applications.surface.job.scan import PointFolder, Scan
 from hpcapp.applications.surface.job.settings import JobSettings, Settings, count_own_threads
 from hpcapp.applications.surface.normals.sensor import Sensor, sensor_of
+from hpcapp.applications.surface.reading.depth_steps import smooth_cloud, smooth_source
 from hpcapp.applications.surface.reading.drive import ingest_file
 from hpcapp.applications.surface.reading.reach import drop_far
 from hpcapp.applications.surface.reading.registration import check_registration
@@ -79,19 +80,22 @@ def _read_into_memory(settings: JobSettings, source: PointSource, clock: StageCl
 def arrange_points(
     settings: Settings, points: PointCloud, labels: frozenset[str], clock: StageClock
 ) -> Scan:
-    """Drop points that lie far away, arrange the rest, and drop those at the place of another.
+    """Smooth the steps of depths, drop far points, arrange the rest, and drop those that repeat.
 
     Parameters
     ----------
     settings : Settings
-        The method tells whether far points are dropped, and whether the others are arranged.
+        The method tells whether points are cleaned, and whether they are arranged.
     points : PointCloud
         Usable ones.
     labels : frozenset of str
         Attributes of which no mean is to be taken.
     clock : StageClock
     """
-    method, near = settings.method, points
+    method, smoothed = settings.method, 0
+    if method.cleans:
+        points, smoothed = smooth_cloud(points)
+    near = points
     with nullcontext() if method.needs_whole_cloud else clock.stage("arrange"):
         if method.needs_whole_cloud:  # it cuts the cloud up by itself
             cloud = MemoryCloud.as_they_are(points)
@@ -100,7 +104,7 @@ def arrange_points(
             cloud = arrange_cloud(near)
         whole = MemoryPass(cloud, count_own_threads(settings, len(points)))
         cloud_pass, repeated = drop_repeated(whole)
-    cleaned = Cleaned(len(points) - len(near), repeated=repeated)
+    cleaned = Cleaned(len(points) - len(near), repeated=repeated, smoothed=smoothed)
     columns = Columns(points.take(np.empty(0, np.int64)), labels)  # a view would hold the points
     return Scan(cloud_pass, Dropped(0, 0), cleaned, columns, points.normals is not None)
 
@@ -109,8 +113,10 @@ def _read_into_folder(
     settings: JobSettings, source: PointSource, folder: PointFolder, clock: StageClock
 ) -> Scan:
     remove_path(folder.path)
-    place = make_cloud_folder(folder.path)
+    place, smoothed = make_cloud_folder(folder.path), 0
     with clock.stage("read"):
+        if settings.method.cleans:
+            source, smoothed = smooth_source(source)
         _check_scans(source.chunks(folder.workers.points), source)
         ingested = ingest_file(source, place, folder.workers, drop_far=settings.method.cleans)
     with clock.stage("arrange"):
@@ -119,7 +125,7 @@ def _read_into_folder(
     return Scan(
         cloud_pass,
         ingested.dropped,
-        Cleaned(ingested.far, repeated=repeated),
+        Cleaned(ingested.far, repeated=repeated, smoothed=smoothed),
         Columns.of_file(settings, source),
         source.has_normals,
         source.oriented,

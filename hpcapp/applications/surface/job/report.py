@@ -41,6 +41,7 @@ def describe_outcome(
         "strays": loaded.cleaned.strays,
         "lone_lines": loaded.cleaned.lone_lines,
     }
+    report["smoothed_depths"] = loaded.cleaned.smoothed
     report["turned_normals"] = loaded.cleaned.flipped
     report["scan_lines"] = loaded.cleaned.tell_lines()
     report["up"] = carrying.placement.up

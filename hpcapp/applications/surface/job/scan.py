@@ -140,6 +140,8 @@ class Loaded:
                 "%s: scan lines some %.3g apart, with points every %.3g: %d of these spared",
                 shown, cleaned.line_gap, cleaned.line_step, cleaned.spared,
             )  # fmt: skip
+        if cleaned.smoothed:
+            log.info("%s: smoothed the steps of %d depths", shown, cleaned.smoothed)
         for count, what in (
             (dropped.non_finite_points, "dropped %d points that are NaN or Inf"),
             (dropped.bad_normals, "dropped %d points whose normal is zero, NaN or Inf"),

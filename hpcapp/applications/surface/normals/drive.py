@@ -18,8 +18,8 @@ from hpcapp.applications.surface.normals.orientation import SURE, Doubt, Verdict
 from hpcapp.applications.surface.normals.oriented import Oriented, Unsure
 from hpcapp.applications.surface.normals.patterns import CONFIDENCE_BINS
 from hpcapp.applications.surface.normals.sensor import Sensor
-from hpcapp.applications.surface.normals.stand import has_pixels
 from hpcapp.applications.surface.normals.tasks import estimate_region, group_region, turn_region
+from hpcapp.applications.surface.scale.depth_image import has_pixels
 from hpcapp.geometry.axes import rotate
 from hpcapp.geometry.lattice import lay_lattice
 from hpcapp.geometry.points import FloatArray

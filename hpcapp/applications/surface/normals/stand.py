@@ -1,8 +1,7 @@
 """Where a sensor stood, told by how its points lie.
 
 A scanner that turns takes as many points in every direction. So their density falls with the square
-of the distance, and nothing but a scan from among things looks even from among them. A camera
-takes them in rows and columns: from where it was, and from nowhere else, they lie on a lattice.
+of the distance, and nothing but a scan from among things looks even from among them.
 """
 
 from __future__ import annotations
@@ -21,17 +20,6 @@ _NEAREST = 8  # patches whose points make the density of one
 _FARTHEST = 64.0  # cells: patches beyond are none of them
 _LOW, _HIGH = 0.15, 0.85  # quantiles that a spread lies between
 _ROUNDS = 30  # of the fit
-_PIXELS = 4000  # points whose columns and rows are looked at
-_FEWEST_PIXELS = 100
-_COLUMNS = 48, 2048  # of an image
-_BINS = 8192  # across it
-_SHARP = 0.5
-"""Strength of the columns of an image, as a Fourier coefficient: of depth images, rounded to whole
-millimetres or not, .98 and more; of scattered points .06 at most."""
-_IN_SPACE = 0.9
-"""By it, that of such columns in space: of a depth image where most is one wall .78, of rasters of
-heights 1 to 3.3."""
-_WIDEST = 4.0  # width of an image by its distance
 _GRAZING = 0.1  # cosine: flatter slopes are known too roughly
 _EVEN = 0.5  # spread of the density of objects that were scanned from all around: .35 to .6
 _ASIDE, _LEAST_SURFACE = 3.0 * np.pi / 8.0, 0.25  # 0.25: in a corner of a sheet
@@ -118,50 +106,3 @@ def _spread(values: FloatArray, weights: FloatArray) -> float:
     below = np.cumsum(weights[order]) / weights.sum()
     low, high = (values[order[np.searchsorted(below, share)]] for share in (_LOW, _HIGH))
     return float(high - low)
-
-
-def has_pixels(positions: FloatArray) -> bool:
-    """Tell whether points are the pixels of a camera at (0, 0, 0).
-
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-
-    Notes
-    -----
-    Along the axis that most points lie at, y / x and z / x lie on a lattice: on columns and rows.
-    Where y and z themselves do so as much, points lie on a lattice in space.
-    """
-    if len(positions) < _FEWEST_PIXELS:
-        return False
-    some = positions[:: -(-len(positions) // _PIXELS)]
-    axis = int(np.argmax(np.abs(some.mean(axis=0))))
-    depth = some[:, [axis]]
-    if depth.min() <= 0.0 <= depth.max():
-        return False
-    across = np.delete(some, axis, axis=1)
-    image = across / depth
-    if np.ptp(image, axis=0).max() > _WIDEST:
-        return False
-    return all(map(_are_columns, image.T, across.T))
-
-
-def _are_columns(image: FloatArray, across: FloatArray) -> bool:
-    """Tell whether coordinates are those of columns in an image, and not in space."""
-    few, most = _COLUMNS
-    strengths = _find_strengths(image)
-    # The strongest frequency: so many columns the image has. In space, a lattice with half to twice
-    # as many would explain it as well.
-    columns = few + int(np.argmax(strengths[few:most]))
-    in_space = _find_strengths(across)[columns // 2 : 2 * columns]
-    sharp = strengths[columns]
-    return bool(sharp > _SHARP and in_space.max() < _IN_SPACE * sharp)
-
-
-def _find_strengths(places: FloatArray) -> FloatArray:
-    """Return how far coordinates take so many even steps from end to end: 0 to 1, by number."""
-    width = max(float(np.ptp(places)), np.finfo(np.float64).tiny)
-    # (n,): even steps from end to end are a peak in the spectrum of the histogram.
-    bins = np.minimum((places - places.min()) / width * _BINS, _BINS - 1.0).astype(np.int64)
-    strengths: FloatArray = np.abs(np.fft.rfft(np.bincount(bins, minlength=_BINS))) / len(places)
-    return strengths
