@@ -63,10 +63,7 @@ NEEDS = {
 def check_address_space() -> None:
     """Find out whether the libraries that compute can be loaded, which end badly if not.
 
-    Raises
-    ------
-    UsageError
-        The address space is limited to less.
+    Raise UsageError where the address space is limited to less.
     """
     limit = address_space_limit()
     if limit is not None and limit < LEAST_ADDRESS_SPACE:
@@ -78,14 +75,9 @@ def check_address_space() -> None:
 
 
 def count_carried(backend: str, root: Path = _ROOT) -> tuple[int, str]:
-    """Return how many workers of a backend this machine carries, and what bounds their number.
+    """Return how many workers of a backend this machine carries, 0 where none, and why no more.
 
-    Returns
-    -------
-    most : int
-        0 where it carries none.
-    reason : str
-        The scarcest thing, with its numbers, for messages.
+    The reason is the scarcest thing, with its numbers, for messages.
     """
     needs = NEEDS[backend]
     bounds: list[tuple[int, str]] = []
@@ -120,19 +112,10 @@ def count_carried(backend: str, root: Path = _ROOT) -> tuple[int, str]:
 
 
 def check_workers(backend: str, count: int | None, default: int, root: Path = _ROOT) -> int:
-    """Return how many workers to start, once it is known that this machine carries them.
+    """Return how many workers to start, by default as many of `default` as this machine carries.
 
-    The soft limit of open files is raised to what they need.
-
-    Parameters
-    ----------
-    default : int
-        How many there are otherwise, where the machine carries so many.
-
-    Raises
-    ------
-    UsageError
-        It does not carry as many as were asked for; the message says how many it does.
+    The soft limit of open files is raised to what they need. Raise UsageError, which says how many
+    it carries, where it does not carry as many as were asked for.
     """
     if backend not in NEEDS:
         return default if count is None else count
@@ -155,10 +138,7 @@ def check_workers(backend: str, count: int | None, default: int, root: Path = _R
 def reserve_connections(peers: int) -> None:
     """See that a master can hold a connection to each of so many workers elsewhere.
 
-    Raises
-    ------
-    UsageError
-        The hard limit of open files is too low for one of each.
+    Raise UsageError where the hard limit of open files is too low for one of each.
     """
     files, needed = available_descriptors(), OWN_DESCRIPTORS + peers
     if files < needed:

@@ -101,10 +101,7 @@ class ProgressBars(ProgressObserver):
 class ProgressEvents(ProgressObserver):
     """Writes each step as a line of JSON.
 
-    Parameters
-    ----------
-    dashboard : str, optional
-        Address of the job's page: the first event.
+    The first event has the address of the job's page, the dashboard.
     """
 
     def __init__(self, stream: TextIO, dashboard: str | None = None) -> None:
@@ -132,17 +129,8 @@ class ProgressEvents(ProgressObserver):
 def open_events(path: Path | None, dashboard: str | None = None) -> Iterator[ProgressObserver]:
     """Yield an observer that writes events to a file, if there is one.
 
-    Parameters
-    ----------
-    path : Path or None
-        A file that is written anew, or a pipe that somebody reads.
-    dashboard : str, optional
-        Address of the job's page: the first event.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
+    It is written anew, or a pipe that somebody reads; the first event has the address of the job's
+    page, the dashboard. Raise OutputError where the file cannot be written.
     """
     if path is None:
         yield ProgressObserver()

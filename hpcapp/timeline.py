@@ -57,12 +57,8 @@ class Span:
 class WorkerState:
     """What a worker does at the moment.
 
-    Parameters
-    ----------
-    state : str
-        ``busy``, ``idle``, ``leaving`` (it gets nothing new) or ``retired`` (for the job).
-    task : str
-        What it does, or did last without having answered; empty where it has nothing.
+    It is ``busy``, ``idle``, ``leaving`` (it gets nothing new) or ``retired`` (for the job). The
+    task is the one at hand, or the last without an answer; empty where it has nothing.
     """
 
     name: str
@@ -111,27 +107,16 @@ class Timeline:
         bytes_in: int = 0,
         bytes_out: int = 0,
     ) -> None:
-        """Add a span that has just ended.
+        """Add a span that ended some seconds ago.
 
-        Parameters
-        ----------
-        seconds : float
-            How long it took, by the worker's own clock; a span begins with the job at the earliest.
-        ago : float
-            How long before now it ended, in seconds.
+        It took so many seconds by the worker's own clock; it begins with the job at the earliest.
         """
         end = max(0.0, self.now() - ago)
         begin = max(0.0, end - max(0.0, seconds))
         self.spans.append(Span(name, worker, begin, end, outcome, bytes_in, bytes_out))
 
     def to_json(self) -> dict[str, list[dict[str, Any]]]:
-        """Return the spans as JSON values.
-
-        Returns
-        -------
-        dict
-            ``spans``: a dict for each, times rounded to the microsecond.
-        """
+        """Return the spans as JSON values: ``spans``, times rounded to the microsecond."""
         spans = [asdict(span) for span in list(self.spans)]
         for span in spans:
             span["begin"], span["end"] = round(span["begin"], 6), round(span["end"], 6)

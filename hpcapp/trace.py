@@ -20,10 +20,7 @@ _MICROSECONDS = 1e6
 def open_trace(path: Path | None, timeline: Timeline) -> Iterator[None]:
     """Write the trace of a job to a file when the block ends, even if by an error.
 
-    Raises
-    ------
-    OutputError
-        The file cannot be written; before the block where that shows by then.
+    Raise OutputError where it cannot be written; before the block where that shows by then.
     """
     if path is None:
         yield
@@ -50,18 +47,14 @@ def _translated(path: Path) -> Iterator[None]:
 
 
 def to_trace(timeline: Timeline) -> dict[str, object]:
-    """Return a timeline in the Trace Event Format.
+    """Return a timeline in the Trace Event Format, as JSON values.
 
-    Returns
-    -------
-    dict
-        JSON values: a complete event ("X") for each span, in microseconds; the master is the first
-        row, each worker has one of its own; tasks of workers that are not known share as many as
-        they need.
+    Each span is a complete event ("X"), in microseconds; the master is the first row, each worker
+    has one of its own; tasks of workers that are not known share as many as they need.
 
     References
     ----------
-    Trace Event Format, https://docs.google.com/document/d/1CvAClvFfyA5R-PhYUmn5OOQtYMH4h6I0nSsKchNAySU
+    https://docs.google.com/document/d/1CvAClvFfyA5R-PhYUmn5OOQtYMH4h6I0nSsKchNAySU
     """
     events: list[dict[str, object]] = [
         {"ph": "M", "pid": _PROCESS, "name": "process_name", "args": {"name": "hpcapp"}}

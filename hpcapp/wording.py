@@ -55,12 +55,7 @@ _LEAST, _MOST = 1e-4, 1e7  # beyond them the exponent is written
 
 
 def say_count(number: int, one: str, many: str = "") -> str:
-    """Return how many of something there are.
-
-    Parameters
-    ----------
-    one, many : str
-        What it is called; by default the second has an s.
+    """Return how many of something there are; by default many of it get an s.
 
     Examples
     --------
@@ -84,12 +79,7 @@ def say_name(name: str) -> str:
 
 
 def say_number(number: float, unit: str = "") -> str:
-    """Return a measured number with three digits, and its unit.
-
-    Parameters
-    ----------
-    unit : str
-        Nothing where it is not known.
+    """Return a measured number with three digits, and its unit, if that is known.
 
     Examples
     --------
@@ -131,14 +121,9 @@ def say_share(share: float) -> str:
 
 
 def round_ticks(end: float, most: int = 5) -> list[float]:
-    """Return round numbers from 0 to an end: multiples of 1, 2 or 5 times a power of ten.
+    """Return round numbers from 0 to an end above 0: multiples of 1, 2 or 5 times a power of ten.
 
-    Parameters
-    ----------
-    end : float
-        More than 0.
-    most : int
-        So many steps at most.
+    There are so many steps at most.
 
     Examples
     --------

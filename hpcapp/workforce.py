@@ -61,19 +61,11 @@ class Workforce:
         return cut_equal(rows, self.workers * self.batches_per_worker)
 
     def share(self, value: object) -> object:
-        """Offer a large value to all workers, where the Executor can send it once for many tasks.
+        """Offer a large value, ndarrays that must not change any more, to all workers.
 
-        Parameters
-        ----------
-        value : ndarray, or tuple or dict of them
-            Must not change any more.
-
-        Returns
-        -------
-        object
-            To be passed to tasks in place of `value`, as an argument or within a tuple of one;
-            the task itself gets the value. It is the value itself where the Executor has no
-            ``share``. Keep it as long as tasks are submitted with it.
+        Where the Executor can, it is sent once for many tasks. Pass what this returns to them in
+        its place, as an argument or within a tuple of one; the task itself gets the value. It is
+        the value itself where the Executor has no ``share``. Keep it as long as tasks come with it.
         """
         share = getattr(self.executor, "share", None)
         return value if share is None else share(value)
@@ -81,10 +73,7 @@ class Workforce:
     def defer(self, find: Callable[[], Result]) -> Deferred[Result]:
         """Leave something to be found while this process waits for results of `stream_batches`.
 
-        Parameters
-        ----------
-        find : callable
-            See `Deferred`; results that come meanwhile wait for it.
+        `find` is that of `Deferred`; results that come meanwhile wait for it.
         """
         return self.background.defer(find)
 
@@ -92,23 +81,10 @@ class Workforce:
         """Ask the workers whether they see some files, so that they may use them themselves.
 
         An Executor does not say which worker a task will run on: each is asked twice on average,
-        and who was not asked must still be able to tell.
-
-        Parameters
-        ----------
-        *files : Path
-            As for `hpccomponent.runtime.visible_files.sees_files`; they must not grow meanwhile.
-
-        Returns
-        -------
-        bool
-            Whether all answers were yes; true where tasks run in this process. A path that is not
-            UTF-8 cannot be told to others: no.
-
-        Raises
-        ------
-        OSError
-            This process does not see one of them itself.
+        and who was not asked must still be able to tell. The files are as for `sees_files`, and
+        must not grow meanwhile. Return whether all answers were yes: true where tasks run in this
+        process, false for a path that is not UTF-8, which cannot be told to others. Raise OSError
+        where this process does not see one of them itself.
         """
         sizes = tuple((str(file.resolve()), file.stat().st_size) for file in files)
         if self.in_process:
@@ -124,21 +100,11 @@ def map_batches(
     batches: Sequence[tuple[object, ...]],
     advance: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> list[Result]:
-    """Run `task` once per batch and return the results in the order of the batches.
+    """Run `task`, a registered one, once per batch; return the results in the order of the batches.
 
-    Parameters
-    ----------
-    task : callable
-        A registered task (see ``docs/explanation/design.md``).
-
-    Raises
-    ------
-    TaskError
-        The task raised; batches that have not started are cancelled.
-    WorkerLostError
-        The Executor lost a worker and does not replace it.
-    JobCancelledError
-        Somebody cancelled; see `Workforce`.
+    Raise TaskError where the task raised (batches that have not started are cancelled),
+    WorkerLostError where the Executor lost a worker and does not replace it, JobCancelledError
+    where somebody cancelled (see `Workforce`).
     """
     results: dict[int, Result] = {}
     for index, result in stream_batches(workforce, task, batches, max(1, len(batches))):
@@ -156,17 +122,8 @@ def stream_batches(
 ) -> Iterator[tuple[int, Result]]:
     """Run `task` once per batch, with so many batches in memory, and yield results as they come.
 
-    Parameters
-    ----------
-    batches : iterable of tuple
-        See `map_batches`; the next one is asked for when there is room for it.
-    makers : dict, optional
-        Gets the worker of each batch, before its result is yielded, where the backend tells.
-
-    Raises
-    ------
-    TaskError, WorkerLostError, JobCancelledError
-        See `map_batches`.
+    The next batch is asked for when there is room for it. `makers` gets the worker of each batch,
+    before its result is yielded, where the backend tells. Errors are those of `map_batches`.
     """
     waiting, cancellation = enumerate(batches), workforce.cancellation
     pending: dict[Future[Result], int] = {}
@@ -195,10 +152,7 @@ def begin_batch(
 ) -> Iterator[Callable[[], Result]]:
     """Run `task` once, while this process does something else.
 
-    Yields
-    ------
-    callable
-        Waits for the result and returns it, or raises what `map_batches` would.
+    Yield what waits for the result and returns it, or raises what `map_batches` would.
     """
     with _explain(task):
         future = workforce.executor.submit(task, *batch)

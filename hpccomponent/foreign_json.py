@@ -17,19 +17,10 @@ _PATTERN = "Expected `str` matching regex '"  # which says nothing to a user
 
 
 def decode(text: str | bytes, kind: type[T]) -> T:
-    """Return what JSON says, as a value of a type.
+    """Return what JSON, in UTF-8, says, as a value of a type that `msgspec.convert` takes.
 
-    Parameters
-    ----------
-    text : str or bytes
-        UTF-8.
-    kind : type
-        As `msgspec.convert` takes it; keys that it does not name are left out.
-
-    Raises
-    ------
-    ValueError
-        It is no JSON, nests too deeply, or says something else; one line.
+    Keys that the type does not name are left out. Raise ValueError, of one line, where it is no
+    JSON, nests too deeply, or says something else.
 
     Examples
     --------
@@ -52,17 +43,8 @@ def decode(text: str | bytes, kind: type[T]) -> T:
 def decode_large(content: bytes, kind: type[T]) -> T:
     """Return the same as `decode`; what the type does not name takes neither memory nor time.
 
-    Parameters
-    ----------
-    content : bytes
-        UTF-8; names that are not are only read where the type does not name them.
-    kind : type
-        A `msgspec.Raw` in it stays as it is, for another call.
-
-    Raises
-    ------
-    ValueError
-        See `decode`.
+    Names that are not UTF-8 are only read where the type does not name them. A `msgspec.Raw` in the
+    type stays as it is, for another call.
 
     Examples
     --------
@@ -79,12 +61,7 @@ def decode_large(content: bytes, kind: type[T]) -> T:
 
 
 def convert(value: object, kind: type[T]) -> T:
-    """Return a JSON value as one of a type.
-
-    Raises
-    ------
-    ValueError
-        It is something else; one line.
+    """Return a JSON value as one of a type; ValueError, of one line, where it is something else.
 
     Examples
     --------

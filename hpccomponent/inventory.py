@@ -24,15 +24,7 @@ INVENTORY_VERSION = 1
 
 @dataclass(frozen=True, slots=True)
 class InventoryWorker:
-    """A machine with a component.
-
-    Parameters
-    ----------
-    name : str
-        ``head``, ``worker-1``, ...
-    public_key : str
-        CURVE, Z85.
-    """
+    """A machine with a component: ``head``, ``worker-1``, ...; its CURVE key is in Z85."""
 
     name: str
     address: str
@@ -41,14 +33,9 @@ class InventoryWorker:
 
 @dataclass(frozen=True, slots=True)
 class Inventory:
-    """A cluster as its HPC App sees it.
+    """A cluster as its HPC App sees it; the keys are the master's, CURVE in Z85.
 
-    Parameters
-    ----------
-    bind : str
-        ZeroMQ endpoint to listen on: the head's private address and the communicator's port.
-    server_public_key, server_secret_key : str
-        The master's CURVE keys, Z85.
+    `bind` is the ZeroMQ endpoint to listen on: the head's private address, the communicator's port.
     """
 
     cluster: str
@@ -67,11 +54,8 @@ def dump_inventory(inventory: Inventory) -> str:
 def read_inventory(path: Path | str) -> Inventory:
     """Read an inventory, and trust it only if nobody else can read it.
 
-    Raises
-    ------
-    ConfigError
-        If the file is missing, is readable by group or others, or a key is missing, unknown or
-        not as it should be; the message names the file and the key.
+    Raise ConfigError, which names the file and the key, where the file is missing or readable by
+    group or others, or a key is missing, unknown or not as it should be.
     """
     expected = {item.name for item in fields(Inventory)}
     entries = read_private_json(Path(path), INVENTORY_VERSION, expected)
@@ -108,19 +92,10 @@ def _check_curve_key(where: str, key: object) -> None:
 
 @contextmanager
 def hold_cluster(path: Path | str, on_wait: Callable[[], None]) -> Iterator[None]:
-    """Be the only master of an inventory's cluster; wait while another one is.
+    """Be the only master of an inventory's cluster; tell `on_wait` and wait while another one is.
 
-    Parameters
-    ----------
-    path : path-like
-        The inventory; the lock is a file beside it, freed by the system when its holder ends.
-    on_wait : callable
-        Called if another one is.
-
-    Raises
-    ------
-    ConfigError
-        If nothing can be written beside it.
+    The lock is a file beside the inventory, freed by the system when its holder ends. Raise
+    ConfigError where nothing can be written there.
     """
     lock = Path(path).with_suffix(".lock")
     try:

@@ -20,13 +20,9 @@ _SHORTAGES = {errno.ENOMEM, errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.ENFI
 def control_groups(controller: str, root: Path = _ROOT) -> Iterator[Path]:
     """Yield the folders of this process's control groups and of all groups above them.
 
-    A limit may sit on any level. Inside a container the path in ``/proc/self/cgroup`` is often
-    the host's and not to be seen; then the mount itself is the container's group.
-
-    Parameters
-    ----------
-    controller : str
-        ``cpu``, ``memory`` or ``pids``: what the groups limit; in version 2 they limit everything.
+    A limit may sit on any level. Inside a container the path in ``/proc/self/cgroup`` is often the
+    host's and not to be seen; then the mount itself is the container's group. The controller is
+    ``cpu``, ``memory`` or ``pids``; in version 2 groups limit everything.
     """
     mounts = root / "sys/fs/cgroup"
     for line in read_text(root / "proc/self/cgroup").splitlines():
@@ -61,11 +57,10 @@ def available_cores(root: Path = _ROOT) -> int:
 
 
 def available_memory(root: Path = _ROOT) -> float | None:
-    """Return the memory that can still be had.
+    """Return the memory that can still be had, in bytes; None where the system does not say.
 
     Of the machine, and of each control group with a limit: what it holds of files that nobody has
-    used lately is given back before anything else, and counts as free. In bytes; None where the
-    system does not say.
+    used lately is given back before anything else, and counts as free.
     """
     fields = _read_fields(root / "proc/meminfo")
     free = [1024.0 * fields["MemAvailable:"]] if "MemAvailable:" in fields else []
@@ -153,11 +148,7 @@ def _count_tasks_of_user(root: Path) -> int:
 
 
 def total_memory(root: Path = _ROOT) -> int:
-    """Return the memory that there is for this process, used or not.
-
-    That of the machine, or the lowest limit of its control groups. In bytes; 0 where nothing is
-    known.
-    """
+    """Return the machine's memory, or its control groups' lowest limit, in bytes; 0 if unknown."""
     limits = [memory_limit(group) for group in control_groups("memory", root)]
     sizes = [1024 * size for size in [_read_fields(root / "proc/meminfo").get("MemTotal:")] if size]
     return min([*sizes, *(limit for limit in limits if limit is not None)], default=0)
@@ -179,10 +170,7 @@ def _read_fields(path: Path) -> dict[str, int]:
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a file, or nothing where it cannot be read.
-
-    What is no UTF-8 is replaced.
-    """
+    """Return the text of a file, no UTF-8 replaced, or nothing where it cannot be read."""
     try:
         return path.read_text(encoding="utf-8", errors="replace")
     except OSError:
@@ -192,11 +180,7 @@ def read_text(path: Path) -> str:
 def is_shortage(error: BaseException) -> bool:
     """Tell whether an error says that a machine lacks something, and not what the task did wrong.
 
-    Returns
-    -------
-    bool
-        True where memory, disk or open files have run out, or a disk is broken:
-        another machine may have what this one has not.
+    Memory, disk or open files have run out, or a disk is broken: another machine may have them.
 
     Examples
     --------

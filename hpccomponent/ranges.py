@@ -45,21 +45,9 @@ def is_place(*coordinates: float) -> bool:
 def check_range(
     name: str, value: float, low: float = -inf, high: float = inf, *, is_open: bool = False
 ) -> None:
-    """Refuse what is no number, see `is_number`, or beyond its range.
+    """Raise UsageError where a value is no number (see `is_number`), or beyond its range.
 
-    Parameters
-    ----------
-    name : str
-        For the message.
-    low, high : float
-        The range, its ends included.
-    is_open : bool
-        Whether `low` itself is refused, too.
-
-    Raises
-    ------
-    UsageError
-        It is one of these.
+    The range has its ends, but for `low` where `is_open`; the message tells the name.
     """
     if is_number(value) and low <= value <= high and not (is_open and value == low):
         return

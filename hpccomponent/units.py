@@ -10,17 +10,9 @@ _SECONDS = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
 
 
 def parse_size(size: int | str) -> int:
-    """Return a size in bytes.
+    """Return a size in bytes; ValueError where it is none.
 
-    Parameters
-    ----------
-    size : int or str
-        Bytes, or a number with K, M, G or T for powers of 1024, with or without ``B`` or ``iB``.
-
-    Raises
-    ------
-    ValueError
-        It is no size.
+    It is bytes, or a number with K, M, G or T for powers of 1024, with or without ``B`` or ``iB``.
 
     Examples
     --------
@@ -36,17 +28,9 @@ def parse_size(size: int | str) -> int:
 
 
 def parse_duration(text: object) -> float:
-    """Return a duration in seconds.
+    """Return a duration in seconds, of a number and unit: ``90s``, ``15m``, ``2h``, ``1d``.
 
-    Parameters
-    ----------
-    text : str
-        A number with its unit: ``90s``, ``15m``, ``2h``, ``1d``.
-
-    Raises
-    ------
-    ValueError
-        It is none.
+    Raise ValueError where it is none.
 
     Examples
     --------

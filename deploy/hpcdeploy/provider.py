@@ -30,14 +30,9 @@ class State(StrEnum):
 
 
 class LaunchChoice(NamedTuple):
-    """One way to have a machine.
+    """One way to have a machine; `market` is ``on_demand`` or ``spot``.
 
-    Parameters
-    ----------
-    market : str
-        ``on_demand`` or ``spot``.
-    place : str
-        A zone, or the id of a subnet, where the file names several; else empty.
+    `place` is a zone, or the id of a subnet, where the file names several; else empty.
     """
 
     instance_type: str
@@ -98,10 +93,7 @@ class MachineSeen:
     def address(self, kind: str = "auto") -> str:
         """Return where the machine is reached; empty while it is nowhere.
 
-        Parameters
-        ----------
-        kind : str
-            ``public``, ``private``, or ``auto``: the public address where there is one.
+        `kind` is ``public``, ``private``, or ``auto``: the public address where there is one.
         """
         known = {"public": (self.public_address,), "private": (self.private_address,)}
         return next(filter(None, known.get(kind, (self.public_address, self.private_address))), "")
@@ -144,13 +136,7 @@ class Resource:
 
 @dataclass(frozen=True, slots=True)
 class Observed:
-    """All that exists, of one cluster or of every one.
-
-    Parameters
-    ----------
-    machines : tuple of MachineSeen
-        Those that are gone may still be listed.
-    """
+    """All that exists, of one cluster or of every one; gone machines may still be listed."""
 
     machines: tuple[MachineSeen, ...] = ()
     resources: tuple[Resource, ...] = ()
@@ -175,12 +161,8 @@ class Launch:
     ----------
     profile : str
         A name in the file's ``profiles``; empty where the provider has none.
-    instance_type : str
-        One of the profile's.
-    market : str
-        ``on_demand`` or ``spot``.
-    place : str
-        A zone or the id of a subnet, where the file names several.
+    instance_type, market, place : str
+        The type is one of the profile's; the others are as in `LaunchChoice`.
     user_data : str
         What the machine runs at its first boot.
     desired : Desired, optional
@@ -206,14 +188,9 @@ class Launch:
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """Something that `check` found.
+    """Something that `check` found; `up` would fail over what is fatal.
 
-    Parameters
-    ----------
-    is_fatal : bool
-        Whether `up` would fail over it.
-    excerpt : str
-        Lines of somebody else's that tell more, such as the end of a machine's console.
+    `excerpt` is lines of somebody else's that tell more, such as the end of a machine's console.
     """
 
     what: str
@@ -226,14 +203,8 @@ class Problem:
 class Prerequisites:
     """What a cluster needs before its machines are launched.
 
-    Parameters
-    ----------
-    incarnation : str
-        Of the cluster's life that is there, or is to begin.
-    ssh_from : frozenset of str
-        Networks (CIDR) that may reach the SSH port.
-    internal_ports : frozenset of int
-        Ports that the machines may reach on one another.
+    `incarnation` is of the cluster's life that is there, or is to begin. Networks (CIDR) in
+    `ssh_from` may reach the SSH port, and machines the `internal_ports` of one another.
     """
 
     cluster: str
@@ -287,10 +258,7 @@ class Principal(Protocol):
 class Tags:
     """What a cloud keeps with machines and lists again; None leaves it as it is.
 
-    Parameters
-    ----------
-    desired : Desired, optional
-        How many workers the cluster is to have: its head bears it.
+    `desired` is how many workers the cluster is to have: its head bears it.
     """
 
     owner: Owner | None = None

@@ -24,10 +24,7 @@ T = TypeVar("T")
 class TaskOutcome(Generic[T]):
     """What a worker of a foreign engine answers.
 
-    Parameters
-    ----------
-    worker : str
-        The machine and the process, and the thread where it is not the process's first.
+    The worker is the machine and the process, and the thread where it is not the process's first.
     """
 
     value: T
@@ -36,13 +33,7 @@ class TaskOutcome(Generic[T]):
 
 
 def run_task(numerics: str, task: Callable[..., T], *arguments: object) -> TaskOutcome[T]:
-    """Run a task, on a worker, if it computes the same bits as the master.
-
-    Raises
-    ------
-    JobError
-        This worker runs other kernels.
-    """
+    """Run a task, on a worker; JobError where that computes with other kernels than the master."""
     numerics_here = _numerics_here()
     if numerics_here != numerics:
         raise JobError(
@@ -70,20 +61,9 @@ def _numerics_here() -> str:
 def align(value: Any) -> Any:
     """Copy arrays that do not start at a multiple of their numbers' size.
 
-    Parameters
-    ----------
-    value : object
-        An array, or tuples, lists and dicts that may hold some.
-
-    Returns
-    -------
-    object
-        The value itself where nothing had to be copied, or an equal one.
-
-    Notes
-    -----
-    Dask makes arrays of whatever place in a message they came in. numpy adds such numbers up
-    through a buffer, in another order than aligned ones: the sum has other bits.
+    They may be in tuples, lists and dicts. Return the value itself where nothing had to be copied,
+    or an equal one. Dask makes arrays of whatever place in a message they came in. numpy adds such
+    numbers up through a buffer, in another order than aligned ones: the sum has other bits.
 
     Examples
     --------

@@ -53,17 +53,9 @@ class ClusterMaster:
         return len(self.inventory.workers)
 
     def gather(self, first_s: float | None = None, others_s: float | None = None) -> int:
-        """Wait for workers, and return how many came.
+        """Wait for workers, and return how many came; NoWorkersError where none came.
 
-        Parameters
-        ----------
-        first_s, others_s : float, optional
-            How long to wait for the first one, and then for the others, in seconds.
-
-        Raises
-        ------
-        NoWorkersError
-            None came.
+        The first one is waited for for `first_s` seconds, and then the others for `others_s`.
         """
         executor, name = self.executor, self.inventory.cluster
         executor.wait_for_workers(1, FIRST_WAIT_S if first_s is None else first_s)
@@ -86,20 +78,10 @@ def listen_inventory(
 ) -> Iterator[ClusterMaster]:
     """Be the master of a cluster, once its other masters have ended; its workers come meanwhile.
 
-    Parameters
-    ----------
-    verification : Verification, optional
-        Which answers are asked for again on another machine; by default `CLUSTER_SHARE` of them.
-    lead : callable, optional
-        Where this is not the head: listen on loopback, and enter what this makes of the endpoint
-        there; it leads the cluster's workers to it.
-
-    Raises
-    ------
-    UsageError
-        The inventory lists no worker, or nothing can listen where it says.
-    ConfigError
-        It is not as it should be.
+    By default `verification` asks for `CLUSTER_SHARE` of the answers again on another machine.
+    Where this is not the head, listen on loopback, and enter what `lead` makes of the endpoint
+    there; it leads the cluster's workers to it. Raise UsageError where the inventory lists no
+    worker, or nothing can listen where it says, ConfigError where it is not as it should be.
     """
     if not read_inventory(path).workers:
         raise UsageError(f"{path} lists no worker", "give the cluster one with 'hpcapp scale'")
@@ -175,17 +157,9 @@ def _follow_inventory(
 
 
 def load_cluster_function(name: str) -> Callable[..., Any]:
-    """Return the function that is registered under `name` as an entry point ``hpc.clusters``.
+    """Return the function of an entry point ``hpc.clusters``, ``open`` or ``run``.
 
-    Parameters
-    ----------
-    name : str
-        ``open`` or ``run``.
-
-    Raises
-    ------
-    UsageError
-        No installed package knows cluster files.
+    Raise UsageError where no installed package knows cluster files.
     """
     registered = entry_points(group="hpc.clusters", name=name)
     if not registered:

@@ -39,13 +39,7 @@ ADVICE = "look at the logs of the Dask scheduler and of its workers: memory, net
 
 
 class DaskExecutor(Executor):
-    """Submits to a Dask cluster, every call anew.
-
-    Parameters
-    ----------
-    client : distributed.Client
-        Stays open.
-    """
+    """Submits to a Dask cluster, every call anew; the client stays open."""
 
     def __init__(self, client: Client) -> None:
         self._client = client
@@ -85,17 +79,9 @@ def _keep(value: T) -> T:
 def open_dask(address: str) -> Iterator[RetryingExecutor]:
     """Connect to a Dask scheduler.
 
-    Parameters
-    ----------
-    address : str
-        ``tcp://host:port``, or ``tls://host:port`` with the certificates of Dask's configuration.
-
-    Raises
-    ------
-    NoWorkersError
-        No scheduler answers, or it has no workers.
-    UsageError
-        The certificates are missing.
+    It is at ``tcp://host:port``, or ``tls://host:port`` with the certificates of Dask's
+    configuration: UsageError where they are missing. Raise NoWorkersError where no scheduler
+    answers, or it has no workers.
     """
     security = Security()
     if address.startswith("tls://") and not security.get_connection_args("client")["ssl_context"]:
@@ -118,14 +104,9 @@ def open_dask(address: str) -> Iterator[RetryingExecutor]:
 
 @contextmanager
 def borrow_client(client: Client) -> Iterator[RetryingExecutor]:
-    """Use a Client that stays open.
+    """Use a Client that stays open; UsageError where it is one for coroutines.
 
-    Raises
-    ------
-    UsageError
-        The client is one for coroutines.
-    NoWorkersError
-        Its scheduler has no workers.
+    Raise NoWorkersError where its scheduler has no workers.
     """
     if client.asynchronous:
         raise UsageError("this Dask Client is asynchronous", "pass Client(..., asynchronous=False)")

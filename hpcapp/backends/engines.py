@@ -27,17 +27,9 @@ RAY = re.compile(r"ray(?:=(auto|(?:ray://)?[^/]+:\d+))?")
 
 
 def check_engine(name: str) -> None:
-    """Find out whether an engine's name can be right; see `selection.check_backend`.
+    """Find out whether an engine's name, not in `BACKENDS`, can be right.
 
-    Parameters
-    ----------
-    name : str
-        One that is not in `BACKENDS`.
-
-    Raises
-    ------
-    UsageError
-        No engine has such a name, or what it needs is not installed or not running.
+    Raise UsageError where no engine has it, or what it needs is not installed or not running.
     """
     if name == "mpi":
         check_mpi()
@@ -62,18 +54,9 @@ def check_engine(name: str) -> None:
 
 
 def open_engine(name: str, workers: int | None) -> AbstractContextManager[RetryingExecutor]:
-    """Open an engine.
+    """Open an engine; UsageError where its name, or the number of workers, cannot be had.
 
-    Parameters
-    ----------
-    workers : int, optional
-        For a function that takes them and a Ray that is started here: others have those that there
-        are.
-
-    Raises
-    ------
-    UsageError
-        The name, or the number of workers, cannot be had.
+    `workers` are for a function that takes them and a Ray that is started here: others have theirs.
     """
     check_engine(name)
     scheduler, ray = DASK.fullmatch(name), RAY.fullmatch(name)

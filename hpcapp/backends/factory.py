@@ -28,13 +28,7 @@ def is_factory(name: str) -> bool:
 
 
 def find_factory(name: str) -> Callable[..., object]:
-    """Import a factory.
-
-    Raises
-    ------
-    UsageError
-        There is no such module or function.
-    """
+    """Import a factory; UsageError where there is no such module or function."""
     module, _, function = name.partition(":")
     try:
         factory = getattr(import_module(module), function)
@@ -54,22 +48,10 @@ def find_factory(name: str) -> Callable[..., object]:
 
 @contextmanager
 def open_factory(name: str, workers: int | None) -> Iterator[RetryingExecutor]:
-    """Use the Executor that a factory makes.
+    """Use the Executor that a factory makes; when it is broken, the factory is called again.
 
-    Parameters
-    ----------
-    workers : int, optional
-        Passed on as ``workers=``; without it the factory is called with nothing.
-
-    Yields
-    ------
-    RetryingExecutor
-        It calls the factory again when the Executor is broken.
-
-    Raises
-    ------
-    UsageError
-        The factory is not one.
+    `workers` is passed on as ``workers=``; without it the factory is called with nothing. Raise
+    UsageError where the factory is not one.
     """
     factory = find_factory(name)
     arguments = {} if workers is None else {"workers": workers}

@@ -59,31 +59,12 @@ _KILL_S = 2.0
 
 
 class LocalMachines:
-    """Emulated machines for the time of a ``with`` block.
+    """Emulated machines for the time of a ``with`` block, which leaves none of their processes.
 
-    Parameters
-    ----------
-    count : int
-        How many, with one loader, component and worker each.
-    extra_tasks : sequence of str
-        ``NAME=module:function`` of tasks beside the installed ones; the modules must be found
-        through ``PYTHONPATH`` or be installed.
-
-    Attributes
-    ----------
-    listener : Listener
-        Where their components connect.
-
-    Raises
-    ------
-    UsageError
-        No sensible number of machines, or more than this one carries.
-    NoWorkersError
-        On entry: not one loader can be started.
-
-    Notes
-    -----
-    The processes are gone when the block is left.
+    Each has one loader, component and worker, and connects to `listener`. `extra_tasks` are
+    ``NAME=module:function`` beside the installed ones; the modules must be found through
+    ``PYTHONPATH`` or be installed. Raise UsageError for no sensible number of machines, or more
+    than this one carries, and on entry NoWorkersError where not one loader can be started.
     """
 
     def __init__(self, count: int, extra_tasks: Sequence[str] = ()) -> None:
@@ -128,10 +109,7 @@ class LocalMachines:
     def watch(self, on_exit: Callable[[], None]) -> None:
         """Have `on_exit` called for each machine whose loader ends, or has ended already.
 
-        Parameters
-        ----------
-        on_exit : callable
-            Called from any thread, not after `stop`.
+        It is called from any thread, not after `stop`.
         """
         with self._guard:
             self._on_exit = on_exit
@@ -198,39 +176,21 @@ class LocalMachines:
 
 
 class LocalCluster:
-    """Workers on this machine for the time of a ``with`` block.
+    """Workers on this machine for the time of a ``with`` block, which leaves no process of theirs.
 
-    Parameters
-    ----------
-    workers : int or LocalMachines
-        How many emulated machines, with one loader, component and worker each; or those that
-        have been started by now, which are stopped at the block's end.
-    policy : str
-        How batches are handed out: a name in `POLICIES` of ``communicator/scheduling/policy.py``.
-    verification : Verification, optional
-        Which answers are asked for again on another machine; by default none.
-    extra_tasks : sequence of str
-        ``NAME=module:function`` of tasks beside the installed ones; the modules must be found
-        through ``PYTHONPATH`` or be installed. Machines that run know their own.
-    start_timeout_s : float
-        How long to wait for a further worker to register, in seconds.
+    `workers` is how many emulated machines, or machines that have been started by now, which know
+    their own `extra_tasks` (see `LocalMachines`) and are stopped at the block's end. `policy` is a
+    name in `POLICIES` of ``communicator/scheduling/policy.py``. By default `verification` asks for
+    no answer again. A further worker is waited for `start_timeout_s`, in seconds.
 
-    Raises
-    ------
-    UsageError
-        No sensible number of workers, or an unknown policy.
-    NoWorkersError
-        On entry: none came up; the message says how each loader ended, or holds the end of the
-        log of one that did not.
+    Raise UsageError for no sensible number of workers, or an unknown policy, and on entry
+    NoWorkersError where none came up; the message says how each loader ended, or holds the end of
+    the log of one that did not.
 
-    Notes
-    -----
     Loaders that end, or do not come up, cost the job their machine and no more, while there is
-    another. `workers` is how many there were when the block was entered.
-
-    When the block ends by itself, submitted work is finished first; when it ends by an
-    exception, waiting work is cancelled and running work is cut off. Either way the processes
-    are gone when the block is left.
+    another. The attribute `workers` is how many there were when the block was entered. When the
+    block ends by itself, submitted work is finished first; when it ends by an exception, waiting
+    work is cancelled and running work is cut off.
     """
 
     def __init__(

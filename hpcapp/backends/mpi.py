@@ -23,9 +23,7 @@ START = "mpiexec -n 5 python -m mpi4py.futures -m hpcapp ..."
 def check_mpi() -> None:
     """Raise UsageError where this process is not the master of MPI workers.
 
-    Notes
-    -----
-    Told by the command that started it: to ask MPI would mean to start it.
+    The command that started it tells: to ask MPI would mean to start it.
     """
     if "mpi4py.futures" not in sys.orig_argv:
         raise UsageError("the backend mpi has no workers in this process", f"start it as '{START}'")
@@ -33,13 +31,7 @@ def check_mpi() -> None:
 
 @contextmanager
 def open_mpi() -> Iterator[RetryingExecutor]:
-    """Use the workers of this MPI job.
-
-    Raises
-    ------
-    UsageError
-        There are none.
-    """
+    """Use the workers of this MPI job; UsageError where there are none."""
     check_mpi()
     from mpi4py import MPI  # starts MPI; here it runs already
     from mpi4py.futures import MPIPoolExecutor

@@ -138,13 +138,7 @@ class _Shared:
 
 
 class RayExecutor(Executor):
-    """Submits to the Ray that this process is connected to.
-
-    Parameters
-    ----------
-    head : Head
-        Of that Ray: looked for while a task takes long.
-    """
+    """Submits to the Ray of this process, whose `head` is looked for while a task takes long."""
 
     workers: int
 
@@ -282,21 +276,11 @@ def check_ray() -> None:
 def open_ray(address: str | None, workers: int | None) -> Iterator[RetryingExecutor]:
     """Start a Ray on this machine, or connect to one.
 
-    Parameters
-    ----------
-    address : str, optional
-        ``auto`` for one that runs on this machine, ``HOST:PORT`` of its head on a machine that
-        is one of its nodes, ``ray://HOST:PORT`` of its client server from any other; without
-        it, one is started, which ends with the context.
-    workers : int, optional
-        How many cores a Ray that is started here takes; by default all.
-
-    Raises
-    ------
-    UsageError
-        Ray is not installed, or this process uses one already.
-    NoWorkersError
-        No Ray answers, it is of another version, or it has no cores.
+    The address is ``auto`` for one that runs on this machine, ``HOST:PORT`` of its head on a
+    machine that is one of its nodes, ``ray://HOST:PORT`` of its client server from any other;
+    without it, one is started with so many cores as `workers`, by default all, which ends with the
+    context. Raise UsageError where Ray is not installed, or this process uses one already, and
+    NoWorkersError where no Ray answers, it is of another version, or it has no cores.
     """
     if workers is not None and workers < 1:
         raise UsageError(

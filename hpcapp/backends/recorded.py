@@ -13,12 +13,9 @@ T = TypeVar("T")
 
 
 class RecordedExecutor(Executor):
-    """Submits to another Executor, whose threads are the workers of the timeline.
+    """Submits to another Executor of this process, whose threads are the workers of the timeline.
 
-    Parameters
-    ----------
-    executor : concurrent.futures.Executor
-        Of this process; stays open.
+    That one stays open.
     """
 
     def __init__(self, executor: Executor, timeline: Timeline) -> None:

@@ -54,10 +54,8 @@ def count_broken(error: BaseException) -> int:
 def count_workers(executor: Executor) -> int:
     """Return how many tasks an Executor runs at once, as far as it tells; else the cores here.
 
-    Notes
-    -----
-    No Executor has to tell. Those of the standard library, loky and mpi4py have
-    ``_max_workers``; a wrong guess only makes batches larger or smaller.
+    No Executor has to tell. Those of the standard library, loky and mpi4py have ``_max_workers``; a
+    wrong guess only makes batches larger or smaller.
 
     Examples
     --------
@@ -189,10 +187,7 @@ class RetryingExecutor(Executor):
     def record(self, timeline: Timeline) -> None:
         """Record from now on what becomes of tasks.
 
-        Parameters
-        ----------
-        timeline : Timeline
-            The process on the worker's machine is the worker; of a lost one nothing is known.
+        The process on the worker's machine is the worker; of a lost one nothing is known.
         """
         self._timeline = timeline
 

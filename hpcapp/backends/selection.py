@@ -60,13 +60,7 @@ CLUSTER_FILES = (".json", ".yaml", ".yml")
 
 @dataclass(frozen=True, slots=True)
 class Traffic:
-    """What went over the wire.
-
-    Parameters
-    ----------
-    bytes_sent, bytes_received : int
-        In bytes, as the master sees them; zero where there is no wire.
-    """
+    """What went over the wire, in bytes, as the master sees them; zero where there is no wire."""
 
     bytes_sent: int = 0
     bytes_received: int = 0
@@ -116,10 +110,7 @@ class Backend:
 def check_backend(name: str) -> None:
     """Find out whether a backend's name can be right, before any work is done for it.
 
-    Raises
-    ------
-    UsageError
-        No backend has such a name, or what it needs is not installed or not running.
+    Raise UsageError where none has it, or what it needs is not installed or not running.
     """
     if name not in BACKENDS and not name.endswith(CLUSTER_FILES):
         from hpcapp.backends.engines import check_engine
@@ -222,15 +213,8 @@ def _check_choice(
 def start_early(name: str, workers: int | None) -> Iterator[LocalMachines | None]:
     """Check that this machine carries a backend, and start at once what takes a while.
 
-    Yields
-    ------
-    LocalMachines or None
-        For `open_executor`: loaders start while this process imports what it computes with.
-
-    Raises
-    ------
-    UsageError
-        This machine does not carry so many workers, or lets no process compute.
+    Yield it for `open_executor`, or None: loaders start while this process imports what it computes
+    with. Raise UsageError where this machine does not carry so many workers or lets none compute.
     """
     check_address_space()
     count = check_workers(name, workers, available_cores())
@@ -249,10 +233,7 @@ def open_backend(
 ) -> Iterator[Backend]:
     """Open a backend by its name, or use an Executor or a Dask Client that is open and stays so.
 
-    Parameters
-    ----------
-    workers : int, optional
-        As for `open_executor`; how many an Executor has that does not tell.
+    `workers` is as for `open_executor`; how many an Executor has that does not tell.
     """
     if isinstance(executor, str):
         with open_executor(executor, workers=workers) as backend:
@@ -339,20 +320,8 @@ def _borrow_executor(
 ) -> Iterator[RetryingExecutor | CommunicatorExecutor | SerialExecutor]:
     """Use an Executor, or a Dask Client, that its owner has opened and will close.
 
-    Parameters
-    ----------
-    workers : int, optional
-        How many tasks it runs at once, where it does not tell.
-
-    Yields
-    ------
-    Executor
-        With ``workers``.
-
-    Raises
-    ------
-    UsageError
-        It is neither.
+    Yield one with ``workers``: how many tasks it runs at once, by the argument where it does not
+    tell. Raise UsageError where it is neither.
     """
     from hpcapp.backends.retrying import RetryingExecutor
     from hpcapp.communicator.executor import CommunicatorExecutor

@@ -97,13 +97,9 @@ def choose_to_end(
 class ConnectionWatch:
     """Watches the connections of one listening socket, on a thread of its own.
 
-    Parameters
-    ----------
-    port : int
-        Where the socket listens; 0 where that is no TCP port: then nothing is watched.
-    report : callable
-        Called on that thread with the key (Z85) of every connection that is ended for its
-        sending without end; with an empty one where that is not known.
+    The port is 0 where the socket listens on no TCP port: then nothing is watched. `report` is
+    called on that thread with the key (Z85) of every connection that is ended for its sending
+    without end; with an empty one where that is not known.
     """
 
     is_possible = sys.platform == "linux"
@@ -127,12 +123,9 @@ class ConnectionWatch:
         self._connections.pop(descriptor, None)
 
     def take(self, descriptor: int, key: str, size_bytes: int) -> None:
-        """Note a message that was taken.
+        """Note a message that was taken from a connection.
 
-        Parameters
-        ----------
-        descriptor : int
-            Of the connection; it may be closed, and another one may have its number.
+        That may be closed, and another one may have its descriptor's number.
         """
         connection = self._connections.get(descriptor)
         if connection is not None:

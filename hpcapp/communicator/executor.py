@@ -172,13 +172,7 @@ class CommunicatorExecutor(Executor):
     # -- workers -------------------------------------------------------------------------------
 
     def allow(self, public_key: str, worker: str) -> None:
-        """Let the owner of `public_key` connect, as `worker` and nobody else.
-
-        Raises
-        ------
-        UsageError
-            If it is not a key.
-        """
+        """Let a key's owner connect, as `worker` and nobody else; UsageError where it is none."""
         self._listener.allow(public_key, worker)
 
     def revoke(self, public_key: str) -> None:
@@ -193,11 +187,8 @@ class CommunicatorExecutor(Executor):
     def wait_for_workers(self, count: int, timeout_s: float) -> None:
         """Wait until `count` workers are registered, less those of which `worker_gone` was told.
 
-        Raises
-        ------
-        NoWorkersError
-            If they have not come in `timeout_s` seconds, or the launcher says that they will
-            not; the message names what kept peers out.
+        Raise NoWorkersError, which names what kept peers out, where they have not come in
+        `timeout_s` seconds, or the launcher says that they will not.
         """
         with self._loop.workers_changed:
             have_come = self._loop.workers_changed.wait_for(

@@ -105,13 +105,7 @@ class Request:
         return of_head, self.size - of_head
 
     def fill(self, frames: Sequence[Buffer]) -> None:
-        """Take the frames of the piece.
-
-        Raises
-        ------
-        ProtocolError
-            If it is longer or shorter than what was asked for.
-        """
+        """Take the frames of the piece; ProtocolError where its length is not that asked for."""
         if sum(map(len, frames)) != self.size:
             raise ProtocolError("a piece of a result is not what was asked for")
         content, at = self.parcel.content, self.start
@@ -163,15 +157,8 @@ class Fetcher:
     def announce(self, worker: bytes, announce: Announce, limits: Sequence[int]) -> None:
         """Take the announcement of a parcel.
 
-        Parameters
-        ----------
-        limits : sequence of int
-            How large each of its results may be, in bytes; 0 where nobody waits for it.
-
-        Raises
-        ------
-        ProtocolError
-            If it is larger, or too much of this worker waits already.
+        `limits` are how large each of its results may be, in bytes; 0 where nobody waits for it.
+        Raise ProtocolError where it is larger, or too much of this worker waits already.
         """
         limit = sum(limits)
         if announce.head_bytes > MAX_HEAD_BYTES:
@@ -196,22 +183,13 @@ class Fetcher:
     def wait(self, worker: bytes, message: Results | Lost, frames: Sequence[Buffer]) -> None:
         """Keep what a worker has sent until the parcels before it are complete.
 
-        Raises
-        ------
-        ProtocolError
-            If too much of this worker waits already.
+        Raise ProtocolError where too much of this worker waits already.
         """
         waiting = _QueuedMessage(message, frames)
         self._append(self._queue(worker), waiting, waiting.size)
 
     def take(self, worker: bytes, number: int) -> Request | None:
-        """Return what was asked for under this number, once.
-
-        Raises
-        ------
-        ProtocolError
-            If nothing was ever asked for under it.
-        """
+        """Return what was asked for under this number, once; ProtocolError if nothing ever was."""
         if not 0 < number <= self.last:
             raise ProtocolError(f"it sends piece {number}, which nobody asked for")
         queue = self._queues.get(worker)
@@ -257,10 +235,7 @@ class Fetcher:
     def complete(self, worker: bytes) -> Iterator[tuple[Results | Lost, TakeBuffers]]:
         """Yield what is complete, with what takes its buffers, up to the first that is not.
 
-        Raises
-        ------
-        ProtocolError
-            If a parcel holds something else than it announced.
+        Raise ProtocolError where a parcel holds something else than it announced.
         """
         queue = self._queues.get(worker)
         while queue is not None and queue.items:

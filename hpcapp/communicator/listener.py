@@ -19,21 +19,10 @@ from hpccomponent.protocol.keys import KeyPair, is_key, make_key_pair
 class Listener:
     """A listening socket with a list of keys that may connect, each under one name.
 
-    Parameters
-    ----------
-    bind : str
-        ZeroMQ endpoint to listen on: loopback and any free port by default.
-    workers : mapping of str to str
-        Public keys (Z85) of workers that may connect, and each one's name; `allow` and `invite` add
-        more.
-    keys : KeyPair, optional
-        The master's own keys; fresh ones by default.
-
-    Raises
-    ------
-    UsageError
-        If nothing can listen at `bind`, a key is malformed, or this process cannot open as many
-        files as there are keys.
+    `bind` is a ZeroMQ endpoint, by default loopback and any free port. `workers` are public keys
+    (Z85) that may connect, and each one's name; `allow` and `invite` add more. `keys` are the
+    master's own, by default fresh ones. Raise UsageError where nothing can listen at `bind`, a key
+    is malformed, or this process cannot open as many files as there are keys.
     """
 
     def __init__(
@@ -74,13 +63,7 @@ class Listener:
         return self._transport
 
     def allow(self, public_key: str, worker: str) -> None:
-        """Let the owner of `public_key` connect, as `worker` and nobody else.
-
-        Raises
-        ------
-        UsageError
-            If it is not a key.
-        """
+        """Let a key's owner connect, as `worker` and nobody else; UsageError where it is none."""
         if not is_key(public_key):
             raise UsageError(f"{public_key!r} is not a Z85 CURVE key of 40 characters")
         self.names[public_key] = worker

@@ -77,18 +77,9 @@ MESSAGES_PER_ROUND = 200  # then the inbox and the clock have their turn
 class Timing:
     """How often the parties speak, and how long they listen; all in seconds.
 
-    Parameters
-    ----------
-    heartbeat_s : float
-        Between two heartbeats of a component.
-    liveness_s : float
-        After so long without a message a worker is lost.
-    silence_s : float
-        After so long without a message from the master a component leaves.
-    worker_wait_s : float
-        After so long without any worker the tasks fail.
-    probe_s : float
-        Between two probes of every connection.
+    A component's heartbeats are `heartbeat_s` apart, probes of every connection `probe_s`. A worker
+    is lost after `liveness_s` without a message, a component leaves after `silence_s` without one
+    from the master, and tasks fail after `worker_wait_s` without any worker.
     """
 
     heartbeat_s: float = 1.0
@@ -101,10 +92,7 @@ class Timing:
 class EventLoop:
     """One thread that owns the sockets, the scheduler, and the results of futures.
 
-    Parameters
-    ----------
-    transport : RouterTransport
-        Closed by the loop.
+    It closes the transport.
     """
 
     def __init__(
@@ -137,13 +125,7 @@ class EventLoop:
     # -- from any thread -----------------------------------------------------------------------
 
     def post(self, event: Callable[[], list[Action]]) -> None:
-        """Have `event` called on the event loop's thread, and the actions it returns carried out.
-
-        Parameters
-        ----------
-        event : callable
-            Takes nothing; returns a list of `Action`.
-        """
+        """Have the event loop's thread call `event`, and carry out the actions that it returns."""
         self._inbox.append(event)
         if self._is_asleep:
             self._is_asleep = False  # one waker is enough
@@ -175,13 +157,7 @@ class EventLoop:
         self.post(event)
 
     def join(self, timeout_s: float | None = None) -> None:
-        """Wait until every future is done, and then a little for the sockets to close.
-
-        Parameters
-        ----------
-        timeout_s : float, optional
-            How long to wait for the futures, in seconds; until they are done by default.
-        """
+        """Wait for all futures, `timeout_s` at most, and then a little for the sockets to close."""
         if self._is_over.wait(timeout_s):
             self._thread.join(CLOSE_S)
 
@@ -331,10 +307,7 @@ class EventLoop:
     def _take_frames(self, worker: bytes, sizes: Sequence[int]) -> list[memoryview]:
         """Receive the frames of buffers of these sizes, and no more.
 
-        Raises
-        ------
-        ProtocolError
-            If they are more than a worker may send unasked, and than one piece.
+        Raise ProtocolError where they are more than a worker may send unasked, and than one piece.
         """
         if sum(sizes) > LARGE_BYTES:
             raise ProtocolError(f"it sends {sum(sizes)} bytes that were not asked for")

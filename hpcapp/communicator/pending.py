@@ -83,10 +83,7 @@ class PendingTasks:
         return numbers
 
     def claim(self, number: int) -> bool:
-        """Mark a task as running, or let it go if its future was cancelled.
-
-        Return False where its future was cancelled: the submission is gone.
-        """
+        """Mark a task as running; return False where its future was cancelled, and let it go."""
         if self._submissions[number].claim():
             return True
         del self._submissions[number]
@@ -111,10 +108,7 @@ class PendingTasks:
         return tasks
 
     def is_cancelled(self, number: int) -> bool:
-        """Tell whether a task can be forgotten because its future was cancelled in time.
-
-        Return True where it has been forgotten now.
-        """
+        """Tell whether a task is forgotten now because its future was cancelled in time."""
         return number in self._submissions and not self.claim(number)
 
     def find(self, number: int) -> Submission | None:

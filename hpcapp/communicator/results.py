@@ -42,21 +42,11 @@ def open_results(
     take_buffers: TakeBuffers,
     find: Callable[[int], Submission | None],
 ) -> list[Answer]:
-    """Return the values of results that came together.
+    """Return the values of results that came together; None where a task failed or nobody waits.
 
-    One for each; its value is None where the task has failed, or nobody waits.
-
-    Parameters
-    ----------
-    limits : sequence of int
-        How large each may be, in bytes; 0 where nobody waits for it: it is not looked at.
-    find : callable
-        From a task's number to its submission, if it still waits.
-
-    Raises
-    ------
-    ProtocolError
-        If one of them is not what its task declares, or larger than it may be.
+    `limits` are how large each may be, in bytes; 0 where nobody waits for it: it is not looked at.
+    `find` returns a submission by its task's number, if it still waits. Raise ProtocolError where a
+    result is not what its task declares, or larger than it may be.
     """
     if not any(limits):
         return [Answer(result) for result in results]

@@ -65,15 +65,10 @@ class Submission:
 def make_submission(
     future: Future[Any], name: str, arguments: tuple[object, ...], traits: Traits
 ) -> Submission:
-    """Encode a task.
+    """Encode a task; it keeps the arguments themselves only where it declares how it is split.
 
-    It keeps the arguments themselves only where the task declares how it is split.
-
-    Raises
-    ------
-    UsageError
-        If an argument cannot travel, there are too many shared values, or the declared cost is
-        no positive number.
+    Raise UsageError where an argument cannot travel, there are too many shared values, or the
+    declared cost is no positive number.
     """
     header, buffers, blobs = encode_arguments(arguments)
     if len(blobs) > MAX_TASK_BLOBS:
@@ -124,19 +119,10 @@ def each_traits(traits: Traits) -> Traits:
 
 
 def split_submission(submission: Submission) -> list[Submission]:
-    """Cut a task into others whose results are joined to its own.
+    """Cut a task into others whose results are joined to its own; none if it cannot be split.
 
-    Return none if it cannot be split.
-
-    Parameters
-    ----------
-    submission : Submission
-        Its future is done with the last of the others, or by the first that fails.
-
-    Raises
-    ------
-    HpcError
-        If what the task declares for it fails.
+    Its future is done with the last of the others, or by the first that fails. Raise HpcError where
+    what the task declares for it fails.
     """
     split, join = submission.traits.split, submission.traits.join
     if split is None or join is None:

@@ -54,17 +54,8 @@ class Received:
 class RouterTransport:
     """A ROUTER that only known keys reach, and that says what became of a message.
 
-    Parameters
-    ----------
-    bind : str
-        ZeroMQ endpoint to listen on; port 0 means any free one.
-    is_allowed : callable
-        Tells of a public key (Z85) whether its owner may connect.
-
-    Raises
-    ------
-    UsageError
-        If nothing can listen there.
+    `bind` is a ZeroMQ endpoint, with port 0 for any free one; UsageError where nothing can listen
+    there. `is_allowed` tells of a public key (Z85) whether its owner may connect.
     """
 
     def __init__(
@@ -156,10 +147,7 @@ class RouterTransport:
     def take_frames(self, most_frames: int, most_bytes: int) -> list[memoryview]:
         """Return the frames after the first one of the message that `receive` has returned last.
 
-        Raises
-        ------
-        ProtocolError
-            If there is more: nothing of it is kept.
+        Raise ProtocolError where there is more: nothing of it is kept.
         """
         frames: list[memoryview] = []
         size = 0
@@ -183,12 +171,8 @@ class RouterTransport:
     def send(self, identity: bytes, frames: Sequence[Buffer]) -> bool:
         """Send a message without waiting; large frames are not copied.
 
-        Return False if there is no way to the receiver, or no room for the message on it.
-
-        Parameters
-        ----------
-        frames : sequence of bytes-like
-            Must not change until they have been sent; nobody tells when.
+        Return False if there is no way to the receiver, or no room for the message on it. Frames
+        must not change until they have been sent; nobody tells when.
         """
         try:
             self._router.send_multipart([identity, *frames], zmq.NOBLOCK, copy=False)

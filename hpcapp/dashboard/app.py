@@ -70,12 +70,8 @@ HEADERS = {
 def make_app(job: WatchedJob, token: str, connections: UnauthenticatedConnections) -> ASGIApp:
     """Return the application that shows a job.
 
-    Parameters
-    ----------
-    token : str
-        Every request must name it: ``?token=...``, or ``Authorization: Bearer ...``.
-    connections : UnauthenticatedConnections
-        Those that have not named it yet.
+    Every request must name the token: ``?token=...``, or ``Authorization: Bearer ...``;
+    `connections` are those that have not named it yet.
     """
     views = _Views(job, token)
     return Starlette(

@@ -19,9 +19,7 @@ Key = TypeVar("Key", bound=Hashable)
 def write_metrics(job: WatchedJob) -> bytes:
     """Return the metrics of a job in the text format of Prometheus.
 
-    References
-    ----------
-    https://prometheus.io/docs/instrumenting/exposition_formats/
+    See https://prometheus.io/docs/instrumenting/exposition_formats/
     """
     registry = CollectorRegistry()
     registry.register(_Collector(job))

@@ -21,13 +21,9 @@ class Reader:
     def look(self) -> dict[str, object]:
         """Return what is new, as JSON values.
 
-        Returns
-        -------
-        dict
-            ``first``: whether the page is to forget what it has; ``more``: whether to look again
-            at once; ``now``, ``state``, ``stage``, ``workers``, ``parts`` (how many can be asked
-            for) and ``uncounted`` (how many cannot) as they are; ``spans`` and ``lines``
-            that came since the last look.
+        ``first``: whether the page is to forget what it has; ``more``: whether to look again at
+        once; ``now``, ``state``, ``stage``, ``workers``, ``parts`` (how many can be asked for) and
+        ``uncounted`` (how many cannot) as they are; ``spans`` and ``lines`` since the last look.
         """
         job = self._job
         spans = job.timeline.spans[self._spans : self._spans + MOST_SPANS]

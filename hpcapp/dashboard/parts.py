@@ -15,21 +15,11 @@ LARGEST = 65535  # what a coordinate of 16 bits can be
 
 
 def pack_part(part: MeshPart, most: int) -> bytes:
-    """Return a part as bytes.
+    """Return a part as bytes, without faces that have a vertex of another part.
 
-    Parameters
-    ----------
-    part : MeshPart
-        Faces with a vertex of another part are left out.
-    most : int
-        Triangles that are kept, about; of more, a thinned copy.
-
-    Returns
-    -------
-    bytes
-        Little-endian: the step (float64), the low corner (3 float64), v and f (uint32), the places
-        in steps from the low corner (v x 3 uint16, filled up to four bytes) and the faces (f x 3
-        uint32). Empty where nothing is left.
+    Of more than about `most` triangles a thinned copy is kept. Little-endian: the step (float64),
+    the low corner (3 float64), v and f (uint32), the places in steps from the low corner (v x 3
+    uint16, filled up to four bytes) and the faces (f x 3 uint32). Empty where nothing is left.
     """
     faces = np.asarray(part.faces)
     whole = Mesh(

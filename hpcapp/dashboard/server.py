@@ -30,17 +30,7 @@ LEAVE_S = 5.0
 
 
 def parse_address(text: str) -> tuple[str, int]:
-    """Return host and port of an address.
-
-    Parameters
-    ----------
-    text : str
-        ``HOST:PORT``; port 0 is any free one.
-
-    Raises
-    ------
-    UsageError
-        It is none.
+    """Return host and port of ``HOST:PORT``; port 0 is any free one. UsageError where it is none.
 
     Examples
     --------
@@ -60,15 +50,8 @@ def parse_address(text: str) -> tuple[str, int]:
 def open_dashboard(address: str, job: WatchedJob) -> Iterator[str]:
     """Serve the page of a job while the block runs, and until open pages know how it has ended.
 
-    Yields
-    ------
-    str
-        The page's address, which holds a random token.
-
-    Raises
-    ------
-    UsageError
-        Nothing can listen there, or the libraries are not installed.
+    Yield its address, which holds a random token. Raise UsageError where nothing can listen there,
+    or the libraries are not installed.
     """
     host, port = parse_address(address)
     token = secrets.token_urlsafe(24)

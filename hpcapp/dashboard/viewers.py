@@ -17,18 +17,10 @@ LOADING_S = 5.0  # from the page to its first request
 
 @dataclass(slots=True)
 class _Page:
-    """A page that was asked for.
+    """A page that was asked for, `since` a moment in seconds of the clock.
 
-    Parameters
-    ----------
-    since : float
-        When, in seconds of the clock.
-    streams : int or None
-        How many times it is told news at present; None before the first time.
-    parts : int
-        How many it has fetched, one after the other.
-    is_told : bool
-        Whether it knows how the job has ended.
+    `streams` is how many times it is told news at present, None before the first time; `parts` is
+    how many it has fetched, one after the other; `is_told` whether it knows how the job has ended.
     """
 
     since: float
@@ -38,14 +30,9 @@ class _Page:
 
 
 class Viewers:
-    """The pages of a job that are open.
+    """The pages of a job that are open; its methods may be called from any thread.
 
-    Methods may be called from any thread.
-
-    Parameters
-    ----------
-    patience_s : float
-        How long pages that are open may ask for nothing at the end, in seconds.
+    Open pages may ask for nothing for `patience_s` at the end, in seconds.
     """
 
     def __init__(self, clock: Clock | None = None, patience_s: float = PATIENCE_S) -> None:
@@ -63,12 +50,9 @@ class Viewers:
         return name
 
     def attend(self, name: str) -> None:
-        """Note that a page is told news from now on.
+        """Note that a page, by its name of `arrive`, is told news from now on.
 
-        Parameters
-        ----------
-        name : str
-            Of `arrive`; for who has none, nobody waits.
+        Without a name nobody waits for it.
         """
         with self._changing():
             if name:
@@ -96,18 +80,8 @@ class Viewers:
     def wait(self, parts: int, *, is_over: bool = False) -> bool:
         """Wait until every open page has all parts, for a bounded time; at once where none is open.
 
-        Parameters
-        ----------
-        parts : int
-            So many there are.
-        is_over : bool
-            Wait until they know how the job has ended, too.
-
-        Returns
-        -------
-        bool
-            Whether they have. Else none of them has asked for anything for `patience_s`, or all
-            of them together have taken `MOST_S`.
+        With `is_over`, wait until they know how the job has ended, too. Return whether they have;
+        else none of them asked for anything for `patience_s`, or all together have taken `MOST_S`.
         """
         end = self._clock.now() + MOST_S
         with self._change:

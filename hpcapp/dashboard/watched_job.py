@@ -18,14 +18,9 @@ MOST_PARTS = 4096  # that are shown; later ones are counted only
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """The stage that a job is in.
+    """The stage that a job is in, which begins so many seconds after the job's start.
 
-    Parameters
-    ----------
-    done, total : int
-        Parts; 0 where it does not tell.
-    begin : float
-        In seconds since the job's start.
+    Of `total` parts `done` are done; 0 where it does not tell.
     """
 
     name: str
@@ -35,29 +30,11 @@ class Stage:
 
 
 class WatchedJob(ProgressObserver):
-    """A job that is watched.
+    """A job that is watched, and fills the timeline.
 
-    Parameters
-    ----------
-    timeline : Timeline
-        That the job fills.
-    title : str
-        What it does, in a few words.
-
-    Attributes
-    ----------
-    state : str
-        ``running``, ``done`` or ``failed``.
-    stage : Stage or None
-        The present one.
-    lines : deque of (int, str)
-        The last lines of the log, each with its number.
-    loads : list of callable
-        Each returns a part of the mesh.
-    parts : int
-        How many have come.
-    viewers : Viewers
-        The pages that are open.
+    Its title is what it does, in a few words; `state` is ``running``, ``done`` or ``failed``.
+    `lines` are the last of the log, each with its number. `loads` return a part of the mesh each,
+    of the `parts` that have come; `viewers` are the pages that are open.
     """
 
     shows_parts = True

@@ -19,12 +19,7 @@ _TO_Z: dict[str, list[list[int]]] = {
 
 
 def turn_up(axis: str, to: str = "z") -> FloatArray:
-    """Return the rotation, shape (3, 3), that makes one axis point where another one does.
-
-    Parameters
-    ----------
-    axis, to : str
-        Of `axis_names.AXES`.
+    """Return the rotation (3, 3) that makes one of `axis_names.AXES` point where another one does.
 
     Examples
     --------
@@ -71,14 +66,9 @@ def measure_faces(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
 def find_up(faces: Iterator[tuple[FloatArray, FloatArray]], box: FloatArray) -> str:
     """Return the axis that points up: y where a surface stands on a flat base there, else z.
 
-    An open one tells nothing: the wall of a house lies as flat as the base of a statue.
-
-    Parameters
-    ----------
-    faces : iterator of tuple of ndarray of float64, shape (f, 3)
-        Their middles, and their normals as long as their areas.
-    box : ndarray of float64, shape (2, 3)
-        Around them.
+    An open one tells nothing: the wall of a house lies as flat as the base of a statue. Faces come
+    as their middles and their normals as long as their areas, (f, 3) each, with the box (2, 3)
+    around.
     """
     sides = box[1] - box[0]
     total, whole, bases = 0.0, np.zeros(3), np.zeros((2, 3))

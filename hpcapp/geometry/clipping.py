@@ -21,14 +21,10 @@ from hpccomponent.dataclass import dataclass
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Piece:
-    """A mesh that is being cut; vertices may be in no face.
+    """A mesh that is being cut; vertices (v, 3) may be in no face of the faces (f, 3).
 
-    Parameters
-    ----------
-    vertices : ndarray of float64, shape (v, 3)
-    faces : ndarray of int64, shape (f, 3)
-    sources : ndarray of int64, shape (v,)
-        The vertex of the whole mesh that each is, or that is nearest on the same face.
+    Each vertex has for its source, (v,), the one of the whole mesh that it is, or that is nearest
+    on the same face.
     """
 
     vertices: FloatArray
@@ -67,18 +63,10 @@ def find_beyond(positions: FloatArray, region: Cutter) -> ByteArray:
 
 
 def clip_mesh(mesh: Mesh, region: Cutter) -> Mesh:
-    """Cut a mesh so that it ends on the border of a region.
+    """Cut a mesh so that it ends on the border of a region in its local frame, z in the unit of x.
 
-    Parameters
-    ----------
-    region : Cutter
-        In the local frame of the mesh, with z in the unit of x and y.
-
-    Returns
-    -------
-    Mesh
-        Vertices that a face has: old ones in their order, then those on the border, with the
-        columns of the nearest vertex on the same face. Faces keep their sides.
+    Vertices that a face has stay in their order, then come those on the border, with the columns of
+    the nearest vertex on the same face. Faces keep their sides.
     """
     beyond = find_beyond(mesh.vertices, region)
     is_near = np.bitwise_and.reduce(beyond[mesh.faces], axis=1) == 0

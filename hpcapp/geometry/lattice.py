@@ -32,21 +32,9 @@ OCTANTS: IntArray = np.array([(o & 1, o >> 1 & 1, o >> 2 & 1) for o in range(8)]
 
 
 def pack_places(places: IntArray) -> IntArray:
-    """Pack integer triples into keys that sort like the triples.
+    """Pack integer triples (..., 3), each within +-2^20, into keys (...) that sort like them.
 
-    Parameters
-    ----------
-    places : ndarray of int64, shape (..., 3)
-        Each coordinate within +-2^20.
-
-    Returns
-    -------
-    ndarray of int64, shape (...)
-
-    Raises
-    ------
-    InputError
-        A coordinate is out of range.
+    Raise InputError where a coordinate is out of range.
 
     Examples
     --------
@@ -71,14 +59,7 @@ def unpack_keys(keys: IntArray) -> IntArray:
 
 
 def keys_lie_within(keys: IntArray, first: IntArray, last: IntArray) -> bool:
-    """Tell whether all keys are of places in a box.
-
-    Parameters
-    ----------
-    keys : ndarray of int64, shape (k,)
-    first, last : ndarray of int64, shape (3,)
-        The lowest place and the highest.
-    """
+    """Tell whether all keys are of places between the lowest, (3,), and the highest one, (3,)."""
     for axis, shift in enumerate((2 * BITS, BITS, 0)):
         biased = keys >> shift & _MASK  # one axis at a time: there may be many keys
         low, high = first[axis] + _BIAS, last[axis] + _BIAS
@@ -88,24 +69,15 @@ def keys_lie_within(keys: IntArray, first: IntArray, last: IntArray) -> bool:
 
 
 def shift_within(places: FloatArray, step: int) -> IntArray:
-    """Return the places `step` further on along each axis, or the last ones that have a key.
+    """Return places (..., 3) `step` further on along each axis, or the last ones with a key.
 
-    Parameters
-    ----------
-    places : ndarray of float64, shape (..., 3)
-        Whole numbers; they may lie beyond.
+    They are whole numbers, and may lie beyond.
     """
     return np.clip(places + step, -_BIAS, _BIAS - 1).astype(np.int64)
 
 
 def ancestor_keys(keys: IntArray, levels: int = 1) -> IntArray:
-    """Return the key of the cell, so many levels further up, that each cell lies in.
-
-    Parameters
-    ----------
-    keys : ndarray of int64, shape (...)
-    levels : int
-        0 to 20.
+    """Return the key of the cell, so many levels (0 to 20) further up, that each cell lies in.
 
     Examples
     --------
@@ -120,14 +92,7 @@ def ancestor_keys(keys: IntArray, levels: int = 1) -> IntArray:
 
 
 def are_sampled(keys: IntArray, one_in: int) -> BoolArray:
-    """Tell which keys are in a sample of about one in `one_in`, chosen by a hash of each.
-
-    Parameters
-    ----------
-    keys : ndarray of int64, shape (k,)
-    one_in : int
-        1 for all.
-    """
+    """Tell which keys are in a sample of about one in `one_in`, chosen by a hash of each."""
     if one_in == 1:
         return np.ones(len(keys), np.bool_)
     mixed = (keys.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(33)
@@ -139,10 +104,6 @@ def shuffle_keys(keys: IntArray) -> IntArray:
     """Return another key for each, which tells nothing of where it lies.
 
     Of a regular lattice `are_sampled` leaves planes; of shuffled keys it leaves no pattern.
-
-    Parameters
-    ----------
-    keys : ndarray of int64, shape (k,)
     """
     mixed = keys.view(np.uint64)
     for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
@@ -169,19 +130,7 @@ def find_first(keys: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def find_keys(keys: IntArray, wanted: IntArray) -> IntArray:
-    """Return where each wanted key stands among sorted keys.
-
-    Parameters
-    ----------
-    keys : ndarray of int64, shape (k,)
-        Sorted, unique.
-    wanted : ndarray of int64, shape (...)
-
-    Returns
-    -------
-    ndarray of int64, shape (...)
-        The row in `keys`, and k where a key is missing.
-    """
+    """Return the row of each wanted key among k sorted, unique keys; k where it is missing."""
     rows = np.searchsorted(keys, wanted)
     if not len(keys):
         return rows
@@ -190,14 +139,7 @@ def find_keys(keys: IntArray, wanted: IntArray) -> IntArray:
 
 
 def find_layers(keys: IntArray, first: int, last: int) -> slice:
-    """Return the run of sorted keys whose x lies in a range.
-
-    Parameters
-    ----------
-    keys : ndarray of int64, shape (k,)
-        Sorted.
-    first, last : int
-        Of the range, both included.
+    """Return the run of sorted keys whose x is from the first to the last one, both included.
 
     Examples
     --------
@@ -220,11 +162,9 @@ def merge_counts(keys: IntArray, counts: IntArray) -> tuple[IntArray, IntArray]:
 def unique_keys(keys: NDArray[KeyT]) -> NDArray[KeyT]:
     """Return the keys, sorted, each once.
 
-    Notes
-    -----
     Sorting keys is several times faster than the hash table of `numpy.unique`, whose first call
-    imports masked arrays besides. Most keys come in sorted runs, which the stable sort merges
-    four times faster than the other one sorts them; on keys in no order it is a third slower.
+    imports masked arrays besides. Most keys come in sorted runs, which the stable sort merges four
+    times faster than the other one sorts them; on keys in no order it is a third slower.
     """
     ordered = np.sort(keys, kind="stable")
     return ordered[_begins(ordered)]
@@ -267,19 +207,9 @@ def unite_keys(first: IntArray, second: IntArray) -> IntArray:
 
 
 def spread_keys(keys: IntArray, low: int, high: int) -> IntArray:
-    """Return the places within a box around each place.
+    """Return the places within the box [low, high]^3 around each place, sorted, each once.
 
-    Parameters
-    ----------
-    keys : ndarray of int64, shape (k,)
-    low, high : int
-        The box is [low, high]^3 around each place; (0, 1) turns cells into their corners,
-        (-1, 2) into the corners of the cells and of their neighbours.
-
-    Returns
-    -------
-    ndarray of int64, shape (m,)
-        Sorted, unique.
+    (0, 1) turns cells into their corners, (-1, 2) into those of the cells and their neighbours.
     """
     for stride in _STRIDES[::-1]:
         # One axis at a time: the intermediate sets stay a few times the input's size.
@@ -288,56 +218,29 @@ def spread_keys(keys: IntArray, low: int, high: int) -> IntArray:
 
 
 def corner_parents(places: IntArray, octant: IntArray) -> tuple[IntArray, IntArray]:
-    """Return one of the eight parents of each corner, and the corner's place beside it.
+    """Return one of the eight parents of corners (v, 3), as keys (v,), and steps (v, 3) from it.
 
-    Parameters
-    ----------
-    places : ndarray of int64, shape (v, 3)
-        Corners of a level.
-    octant : ndarray of int64, shape (3,)
-        Which parent; the two parents along an axis with an even coordinate are the same.
-
-    Returns
-    -------
-    keys : ndarray of int64, shape (v,)
-        Corners of the next coarser level.
-    steps : ndarray of int64, shape (v, 3)
-        Corner minus parent in cells of the finer level: -1, 0 or 1.
+    The octant (3,) says which; the two parents along an axis with an even coordinate are the same.
+    Steps are in cells of the finer level: -1, 0 or 1.
     """
     parents = (places + octant) >> 1
     return pack_places(parents), places - 2 * parents
 
 
 def lay_lattice(low: FloatArray, cell_size: float) -> FloatArray:
-    """Return where corner (0, 0, 0) of the lattice over a cloud lies: a little below it.
+    """Return where corner (0, 0, 0) of the lattice over a cloud lies: a little below `low` (3,).
 
-    Parameters
-    ----------
-    low : ndarray of float64, shape (3,)
-        The least coordinates of the cloud.
-    cell_size : float
-        In length units of the input.
-
-    Notes
-    -----
-    What comes of a cloud must not hang on the last bits of its coordinates. A lattice from `low`
-    on would have points on the faces of its cells: the outermost ones, and those of clouds that
-    are regular themselves.
+    What comes of a cloud must not hang on the last bits of its least coordinates. A lattice from
+    `low` on would have points on the faces of its cells: the outermost ones, and those of clouds
+    that are regular themselves.
     """
     return low - _OFFSETS * cell_size
 
 
 def cells_of(positions: FloatArray, origin: FloatArray, cell_size: float) -> FloatArray:
-    """Return positions in cells of a lattice: the integer part names the cell.
+    """Return positions (n, 3) in cells of a lattice whose corner (0, 0, 0) is the origin.
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        In length units of the input.
-    origin : ndarray of float64, shape (3,)
-        Where corner (0, 0, 0) lies.
-    cell_size : float
-        In length units of the input.
+    The integer part names the cell.
     """
     return (positions - origin) / cell_size
 
@@ -345,20 +248,9 @@ def cells_of(positions: FloatArray, origin: FloatArray, cell_size: float) -> Flo
 def find_overlapping(
     keys: IntArray, origin: FloatArray, size: float, other_origin: FloatArray, other_size: float
 ) -> IntArray:
-    """Return the cells of another lattice that some cells overlap.
+    """Return the cells of another lattice that some cells overlap: sorted, unique keys.
 
-    Parameters
-    ----------
-    keys : ndarray of int64, shape (k,)
-    origin, other_origin : ndarray of float64, shape (3,)
-        Where corner (0, 0, 0) of each lattice lies, in length units of the input.
-    size, other_size : float
-        Edges of the cells, in the same units.
-
-    Returns
-    -------
-    ndarray of int64
-        Sorted, unique keys.
+    Each lattice has its corner (0, 0, 0) at its origin (3,), and cells with edges of its size.
     """
     corner = origin + size * unpack_keys(keys) - other_origin
     first = np.floor(corner / other_size).astype(np.int64)

@@ -26,7 +26,7 @@ class Mesh:
     origin : ndarray of float64, shape (3,)
         To be added to the vertices for the input's own coordinates.
     normals : ndarray of float64, shape (v, 3), or None
-        Of the vertices: unit length, pointing out of the object.
+        Unit length, pointing out of the object.
     colours : ndarray of uint8, shape (v, 3), or None
         Red, green, blue of the vertices.
     attributes : dict of str to ndarray, shape (v,)

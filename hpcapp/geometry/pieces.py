@@ -26,12 +26,7 @@ _BITS = 24
 class PieceChoice:
     """Which pieces of a mesh stay.
 
-    Parameters
-    ----------
-    most : int or None
-        So many, the largest ones by their area.
-    smallest : float or None
-        None with a smaller area, in squared length units of the input.
+    `most` is how many, the largest ones by their area; none stays with an area below `smallest`.
     """
 
     most: int | None = None
@@ -43,30 +38,16 @@ class PieceChoice:
         return self.most is not None or self.smallest is not None
 
     def check(self) -> None:
-        """Refuse numbers out of their range, before the work.
-
-        Raises
-        ------
-        UsageError
-            There is one.
-        """
+        """Refuse numbers out of their range, by a UsageError before the work."""
         if self.most is not None and not (isinstance(self.most, int) and self.most >= 1):
             raise UsageError(f"{name_option('pieces')} is {self.most!r}", "give 1 or more")
         if self.smallest is not None:
             check_range(name_option("smallest"), self.smallest, 0.0, inf, is_open=True)
 
     def choose(self, areas: FloatArray) -> BoolArray:
-        """Tell which pieces stay.
+        """Tell which pieces of areas (c,) stay: of equal ones, the first.
 
-        Parameters
-        ----------
-        areas : ndarray of float64, shape (c,)
-            Of pieces as large as each other, the first ones stay.
-
-        Raises
-        ------
-        UsageError
-            None does.
+        Raise UsageError where none does.
         """
         stays = areas >= (self.smallest or 0.0)
         if not stays.any() and len(areas):

@@ -50,13 +50,7 @@ class SharedPly:
 
 
 def ply_header(element_lines: list[str]) -> bytes:
-    """Return the header of a binary little-endian PLY file.
-
-    Parameters
-    ----------
-    element_lines : list of str
-        What its elements are.
-    """
+    """Return the header of a binary little-endian PLY file with these lines of elements."""
     start = ["ply", "format binary_little_endian 1.0", "comment hpcapp"]
     return "\n".join([*start, *element_lines, "end_header", ""]).encode("utf-8")
 
@@ -68,17 +62,9 @@ def mesh_header(
     property_lines: Sequence[str] = (),
     comment_lines: Sequence[str] = (),
 ) -> bytes:
-    """Return the header of a mesh.
+    """Return the header of a mesh, with coordinates of float64 or float32.
 
-    Parameters
-    ----------
-    vertex_count, face_count : int
-    is_double : bool
-        Whether coordinates are float64, not float32.
-    property_lines : sequence of str
-        Further properties of the vertices.
-    comment_lines : sequence of str
-        What the coordinates mean.
+    Property lines are of the vertices; comment lines tell what the coordinates mean.
     """
     return ply_header(
         [
@@ -92,42 +78,20 @@ def mesh_header(
 
 
 def coordinate_lines(vertex_count: int, is_double: bool) -> list[str]:
-    """Return what a header says of the vertices and their coordinates.
-
-    Parameters
-    ----------
-    vertex_count : int
-    is_double : bool
-        Whether coordinates are float64, not float32.
-    """
+    """Return what a header says of the vertices and their coordinates, of float64 or float32."""
     kind = "double" if is_double else "float"
     return [f"element vertex {vertex_count}", *(f"property {kind} {name}" for name in "xyz")]
 
 
 def vertex_size(is_double: bool) -> int:
-    """Return the bytes of a vertex.
-
-    Parameters
-    ----------
-    is_double : bool
-        Whether coordinates are float64, not float32.
-    """
+    """Return the bytes of a vertex of float64 or float32."""
     return 24 if is_double else 12
 
 
 def vertex_rows(vertices: FloatArray, origin: FloatArray, is_double: bool) -> NDArray[Any]:
-    """Return vertices as the rows of a binary PLY file, in the input's frame.
+    """Return vertices (v, 3), moved by the origin (3,), as the rows of a binary PLY file.
 
-    Parameters
-    ----------
-    vertices : ndarray of float64, shape (v, 3)
-        In length units of the input, in the local frame.
-    origin : ndarray of float64, shape (3,)
-    is_double : bool
-
-    Returns
-    -------
-    ndarray of float64 or float32, shape (v, 3)
+    They are of float64 or float32.
     """
     kind = "<f8" if is_double else "<f4"
     with np.errstate(over="ignore"):  # what float cannot hold becomes infinite
@@ -142,16 +106,7 @@ def vertex_rows(vertices: FloatArray, origin: FloatArray, is_double: bool) -> ND
 
 
 def face_rows(faces: IntArray) -> NDArray[Any]:
-    """Return faces as the rows of a binary PLY file.
-
-    Parameters
-    ----------
-    faces : ndarray of int, shape (f, 3)
-
-    Returns
-    -------
-    structured ndarray, shape (f,)
-    """
+    """Return faces (f, 3) as the rows of a binary PLY file, structured, (f,)."""
     rows = np.empty(len(faces), _FACE)
     # 13 bytes each: how many corners, and these.
     rows["n"] = 3

@@ -32,8 +32,6 @@ class PointRecords:
 
     Parameters
     ----------
-    path : str
-        Of the file.
     start : int
         Of the first record, in bytes from the start of the file.
     length : int
@@ -56,25 +54,10 @@ class PointRecords:
     attributes: tuple[tuple[str, Column], ...] = ()
 
     def read(self, start: int, stop: int, wanted: Container[str] | None = None) -> PointCloud:
-        """Read a run of points.
+        """Read a run of points, NaN and zero normals included, in the file's coordinates.
 
-        Parameters
-        ----------
-        start, stop : int
-            From 0, within `count`.
-        wanted : container of str, optional
-            What to read beside positions: ``normals``, ``colours`` and names of attributes; all
-            that there is by default.
-
-        Returns
-        -------
-        PointCloud
-            Every point, NaN and zero normals included, in the file's coordinates.
-
-        Raises
-        ------
-        InputError
-            The file cannot be read, or has become shorter.
+        Wanted beside positions are ``normals``, ``colours`` and names of attributes, by default
+        all. Raise InputError where the file cannot be read, or has become shorter.
         """
         rows = max(stop - start, 0)
         positions = np.empty((rows, 3))
@@ -98,22 +81,9 @@ class PointRecords:
         )
 
     def scan(self, rows: int) -> Iterator[PointCloud]:
-        """Read all points in parts.
+        """Yield all points in parts of so many, one empty part where there are none.
 
-        Parameters
-        ----------
-        rows : int
-            Points in a part, the last of fewer.
-
-        Yields
-        ------
-        PointCloud
-            One empty part where there are no points.
-
-        Raises
-        ------
-        InputError
-            As from `read`.
+        Errors are those of `read`.
         """
         for start in range(0, max(self.count, 1), rows):
             yield self.read(start, min(start + rows, self.count))
@@ -159,17 +129,9 @@ def _is_in(name: str, wanted: Container[str] | None) -> bool:
 
 
 def colour_type(dtypes: Iterable[Any]) -> np.dtype[Any]:
-    """Return the type that keeps the colours of three columns as they are.
+    """Return the type that keeps colours of three columns as they are.
 
-    Parameters
-    ----------
-    dtypes : iterable of dtype
-        Of the columns, or what numpy makes one of.
-
-    Returns
-    -------
-    dtype
-        uint8, uint16, or float32 for all others.
+    That is uint8, uint16, or float32 for all others.
     """
     common = np.result_type(*(np.dtype(dtype).newbyteorder("=") for dtype in dtypes))
     return common if common in (np.uint8, np.uint16) else np.dtype(np.float32)

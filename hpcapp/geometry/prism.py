@@ -18,12 +18,9 @@ from hpccomponent.errors import MissingLibraryError
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prism:
-    """What lies above and below polygons.
+    """What lies above and below polygons of shapely.
 
-    Parameters
-    ----------
-    polygons : shapely.Polygon or shapely.MultiPolygon
-        Valid, with holes or without; in the coordinates of the points.
+    They are valid, with holes or without, in the coordinates of the points.
     """
 
     polygons: Any
@@ -101,10 +98,7 @@ class Prism:
 def load_shapely(what: str) -> Any:
     """Return the library of polygons.
 
-    Raises
-    ------
-    MissingLibraryError
-        It is not installed; the message says what asks for it.
+    Raise MissingLibraryError, which says what asks for it, where it is not installed.
     """
     try:
         import shapely

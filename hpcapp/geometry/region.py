@@ -53,9 +53,8 @@ class Region:
     ----------
     low, high : ndarray of float64, shape (3,)
         Corners of the box, in the coordinates of the points.
-    centre : ndarray of float64, shape (3,)
     radius : float
-        In the unit of x and y; infinite where all of the box is meant.
+        In the unit of x and y, of the centre (3,); infinite where all of the box is meant.
     height_unit : float
         How long a unit of z is, in units of x and y.
     """

@@ -46,14 +46,7 @@ def refine_at_sphere(piece: Piece, centre: FloatArray, radius: float) -> Piece:
 
 
 class Walls:
-    """Vertical walls.
-
-    Parameters
-    ----------
-    segments : ndarray of float64, shape (s, 2, 2)
-        Seen from above, in the frame of the mesh.
-    shapely : module
-    """
+    """Vertical walls: segments (s, 2, 2) seen from above, in the frame of the mesh."""
 
     def __init__(self, segments: FloatArray, shapely: Any) -> None:
         self._segments, self._shapely = segments, shapely
@@ -190,14 +183,9 @@ def _share_faces(faces: IntArray, middles: IntArray, ranks: IntArray) -> IntArra
     """Share out faces among the vertices on their edges.
 
     The wall of the first rank becomes an edge of the shares. As the walls of a face do not cross,
-    and each takes its turn, there are no more turns than a face has walls.
-
-    Parameters
-    ----------
-    middles : ndarray of int64, shape (f, 3)
-        On the edges that begin at each vertex; -1 where an edge has none.
-    ranks : ndarray of int64, shape (f, 3)
-        The wall that crosses there.
+    and each takes its turn, there are no more turns than a face has walls. Middles (f, 3) are on
+    the edges that begin at each vertex, -1 where one has none; ranks (f, 3) are of the walls that
+    cross there.
     """
     count = (middles >= 0).sum(axis=1)
     # Faces are turned, so that the wall of the first rank crosses the edge from a to b at m; all

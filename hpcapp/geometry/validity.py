@@ -27,12 +27,8 @@ def are_finite(rows: NDArray[Any]) -> BoolArray:
 class Dropped:
     """How many points were dropped, each counted once.
 
-    Parameters
-    ----------
-    non_finite_points : int
-        Points with NaN or infinity in their position.
-    bad_normals : int
-        Other points whose normal is zero, NaN or infinite.
+    Non-finite points have NaN or infinity in their position; others may have a bad normal: zero,
+    NaN or infinite.
     """
 
     non_finite_points: int = 0
@@ -52,40 +48,20 @@ class Dropped:
 @record("surface.reach")
 @dataclass(frozen=True, slots=True, eq=False)
 class Reach:
-    """How far from the middle of a cloud points may lie.
+    """How far from the middle (3,) of a cloud points may lie.
 
-    Parameters
-    ----------
-    middle : ndarray of float64, shape (3,)
-    distance : float
-        Along each axis, in length units of the input; infinite where the core has no extent.
+    The distance is along each axis; infinite where the core has no extent.
     """
 
     middle: FloatArray
     distance: float
 
     def holds(self, low: FloatArray, high: FloatArray) -> bool:
-        """Tell whether all of a box lies within.
-
-        Parameters
-        ----------
-        low, high : ndarray of float64, shape (3,)
-            Its corners, in length units of the input.
-        """
+        """Tell whether all of the box between two corners, (3,), lies within."""
         return bool((np.abs(np.stack([low, high]) - self.middle) <= self.distance).all())
 
     def find_near(self, positions: FloatArray) -> BoolArray:
-        """Tell which points lie within.
-
-        Parameters
-        ----------
-        positions : ndarray of float64, shape (n, 3)
-            In length units of the input.
-
-        Returns
-        -------
-        ndarray of bool, shape (n,)
-        """
+        """Tell which of the points (n, 3) lie within, (n,)."""
         away: FloatArray = np.abs(positions - self.middle)
         near: BoolArray = np.all(away <= self.distance, axis=1)
         return near
@@ -94,17 +70,7 @@ class Reach:
 def select_usable(cloud: PointCloud) -> tuple[PointCloud, Dropped]:
     """Drop points without a finite position, or without a normal where others have one.
 
-    Parameters
-    ----------
-    cloud : PointCloud
-        As it was read, or a part of it.
-
-    Returns
-    -------
-    usable : PointCloud
-        In the order of `cloud`; its colours and origin are kept, its normals have unit length.
-        There may be none left.
-    dropped : Dropped
+    The others, perhaps none, keep order, colours and origin; their normals get unit length.
     """
     # Column by column here and below: reductions along rows of three are several times slower.
     finite = np.logical_and.reduce([np.isfinite(column) for column in cloud.positions.T])

@@ -8,15 +8,10 @@ from hpcapp.geometry.points import FloatArray, IntArray
 
 
 def add_face_normals(sums: FloatArray, faces: IntArray, corners: FloatArray) -> None:
-    """Add the normals of some faces, as long as their areas are large, to their vertices.
+    """Add the normals of faces (f, 3), as long as their areas are large, to sums (3, v).
 
-    Parameters
-    ----------
-    sums : ndarray of float64, shape (3, v)
-        Is added to, face after face: so blocks of faces of any size give the same sums.
-    faces : ndarray of int, shape (f, 3)
-    corners : ndarray of float64, shape (f, 3, 3)
-        Where the faces' vertices are, in length units of the input.
+    Corners (f, 3, 3) are the places of their vertices. Face after face is added, so that blocks of
+    faces of any size give the same sums.
     """
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     vertices = np.ascontiguousarray(faces).reshape(-1)
@@ -27,16 +22,9 @@ def add_face_normals(sums: FloatArray, faces: IntArray, corners: FloatArray) -> 
 
 
 def scale_normals(sums: FloatArray) -> FloatArray:
-    """Return vectors with a length of one.
+    """Return vectors (3, v) with a length of one, as (v, 3).
 
-    Parameters
-    ----------
-    sums : ndarray of float64, shape (3, v)
-
-    Returns
-    -------
-    ndarray of float64, shape (v, 3)
-        Zero where there are no faces with an area.
+    They are zero where there are no faces with an area.
     """
     with np.errstate(over="ignore"):  # of vertices far beyond all: no direction
         lengths = np.sqrt(sums[0] * sums[0] + sums[1] * sums[1] + sums[2] * sums[2])

@@ -14,10 +14,9 @@ T = TypeVar("T", bound=np.generic)
 
 
 def batch_points(parts: Iterable[PointCloud], rows: int) -> Iterator[PointCloud]:
-    """Cut and join parts so that all but the last have so many points.
+    """Cut and join parts, at least one, so that all but the last have so many points.
 
-    Parts have the same attributes; there is one at least, and some may be empty. One empty part
-    comes where there are no points.
+    Parts have the same attributes and may be empty. One empty part comes without points.
     """
     waiting: list[PointCloud] = []
     points = 0

@@ -14,13 +14,7 @@ Numbers = NDArray[np.number | np.bool_]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ragged:
-    """Lists of different lengths, end to end.
-
-    Parameters
-    ----------
-    lengths : ndarray of int64, shape (n,)
-    values : ndarray, shape (lengths.sum(),)
-    """
+    """Lists of lengths (n,), end to end."""
 
     lengths: IntArray
     values: Numbers
@@ -30,10 +24,7 @@ class Ragged:
 class Rows:
     """The rows of one element, by the names of its properties.
 
-    Parameters
-    ----------
-    scalars : dict of str to ndarray, shape (n,)
-        May be views of the mapped file: strided, and in its byte order.
+    Scalars (n,) may be views of the mapped file: strided, and in its byte order.
     """
 
     scalars: dict[str, Numbers]
@@ -42,10 +33,6 @@ class Rows:
 
 def positions_within(lengths: IntArray) -> IntArray:
     """Number the values of each list from 0, list after list.
-
-    Parameters
-    ----------
-    lengths : ndarray of int64, shape (n,)
 
     Examples
     --------
@@ -57,19 +44,10 @@ def positions_within(lengths: IntArray) -> IntArray:
 
 
 def cut_fans(lengths: IntArray) -> tuple[IntArray, IntArray]:
-    """Cut polygons into triangle fans.
+    """Cut polygons of so many corners into triangle fans; those of fewer than three give none.
 
-    Parameters
-    ----------
-    lengths : ndarray of int64, shape (n,)
-        Corners of each polygon; those of fewer than three give no triangle.
-
-    Returns
-    -------
-    corners : ndarray of int64, shape (t, 3)
-        Where the corners of each triangle are in the list of all polygons' corners.
-    polygon : ndarray of int64, shape (t,)
-        Which polygon each triangle is from.
+    Return where the corners of each triangle are in the list of all polygons' corners, (t, 3), and
+    which polygon it is from, (t,).
 
     Examples
     --------

@@ -135,16 +135,9 @@ def parse_wkt(text: str) -> Crs:
 def parse_geokeys(directory: bytes, texts: bytes) -> Crs | None:
     """Find the code and the unit of a coordinate reference system in GeoTIFF keys, or None.
 
-    Parameters
-    ----------
-    directory : bytes
-        Of the keys: four 16-bit numbers each, a header of four before.
-    texts : bytes
-        The ASCII parameters that keys refer to.
-
-    Notes
-    -----
-    A projected system that gives a code alone, of UTM on the usual datums, has metres.
+    The directory has four 16-bit numbers a key, a header of four before; keys refer to the texts,
+    the ASCII parameters. A projected system that gives a code alone, of UTM on the usual datums,
+    has metres.
     """
     keys, name = _read_keys(directory, texts)
     is_geographic, is_centred = keys.get(_MODEL) == 2, keys.get(_MODEL) == 3

@@ -67,16 +67,9 @@ def read_points(path: str | PathLike[str]) -> PointCloud:
 def open_points(path: str | PathLike[str], *, keeps_noise: bool = False) -> PointSource:
     """Open a point cloud to read it in parts; path and errors as of `read_points`.
 
-    Parameters
-    ----------
-    keeps_noise : bool
-        Whether points stay that the file itself says are noise, by their class.
-
-    Returns
-    -------
-    PointSource
-        Its parts are in the file's coordinates, and hold every point of it but missing returns;
-        what its columns hold was found out (see `recognise`).
+    Parts are in the file's coordinates, and hold every point of it but missing returns, and what
+    the file says is noise by its class unless that is kept; what columns hold was found out
+    (`recognise`).
     """
     if os.fspath(path) in STANDARD_INPUT:
         raise UsageError(
@@ -126,23 +119,9 @@ def find_mesh_up(path: str | PathLike[str]) -> str | None:
 def read_mesh(path: str | PathLike[str]) -> Mesh:
     """Read a triangle mesh: .ply, .obj, .off, .stl, .glb, .vtp; polygons become triangle fans.
 
-    Parameters
-    ----------
-    path : str or PathLike
-        The suffix, in any case, chooses the format.
-
-    Returns
-    -------
-    Mesh
-        In the input's coordinates, as a file beside it says (see `placement`); those far from zero
-        are relative to `origin`.
-
-    Raises
-    ------
-    InputError
-        The file cannot be opened, is damaged or holds no faces.
-    UsageError
-        The suffix is unknown.
+    It is in the input's coordinates, as a file beside it says (see `placement`); those far from
+    zero are relative to `origin`. Raise InputError where the file cannot be opened, is damaged or
+    holds no faces, and UsageError where the suffix is unknown.
     """
     reader = find_mesh_reader(Path(path))
     with translated(Path(path)):
@@ -200,22 +179,10 @@ def write_mesh(
     """Write a mesh: .ply, .off, .vtp in the input's coordinates, .glb, .obj, .stl, .3mf near zero.
 
     What was subtracted is in a file beside it (see `placement`). ``.3dtiles`` makes a folder for
-    web viewers (see `write_tileset`), ``.tiles`` makes a folder with the mesh as one tile (see
-    `write_tiles`). What its vertices carry and the format does not hold is logged as a warning.
-
-    Parameters
-    ----------
-    path : str or PathLike
-        The suffix chooses the format. The file appears whole or not at all.
-    mesh : Mesh or MeshStream
-        In memory, or block after block. The same mesh gives the same bytes.
-    placement : Placement, optional
-        Where it is written, and which way up.
-
-    Raises
-    ------
-    OutputError
-        The suffix is unknown, or the file cannot be written.
+    web viewers (`write_tileset`), ``.tiles`` one with the mesh as one tile (`write_tiles`). What
+    its vertices carry and the format does not hold is logged as a warning. The same mesh gives the
+    same bytes; a file appears whole or not at all. Raise OutputError where the suffix is unknown,
+    or the file cannot be written.
     """
     stream = place_mesh(path, mesh, placement)
     for loss in describe_losses(path, stream):
@@ -269,11 +236,8 @@ def _say_losses(
 def check_writable(path: str | PathLike[str], kind: Literal["mesh", "points"] = "mesh") -> None:
     """Find out before the work whether its result can be written; leave nothing behind.
 
-    Raises
-    ------
-    OutputError
-        The suffix is unknown, the folder does not exist or cannot be written, or `path`, or a name
-        beside it, is not a file.
+    Raise OutputError where the suffix is unknown, the folder does not exist or cannot be written,
+    or `path`, or a name beside it, is not a file.
     """
     lists = list_mesh_files if kind == "mesh" else list_point_files
     check_files([*lists(Path(path))])

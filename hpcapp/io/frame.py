@@ -23,20 +23,11 @@ _FLOAT32_TOLERANCE = 1e-6
 
 
 def to_local(positions: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Subtract an origin from coordinates that lie far from zero.
+    """Subtract an origin (3,) from positions (n, 3) that lie far from zero, and return both.
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        In the input's coordinates; rows with NaN or infinity do not count.
-
-    Returns
-    -------
-    local : ndarray of float64, shape (n, 3)
-        Relative to `origin`; `positions` itself where the origin is zero.
-    origin : ndarray of float64, shape (3,)
-        Centre of the bounding box in whole units where the largest coordinate exceeds
-        `FAR_IN_DIAGONALS` diagonals, else zeros.
+    The origin is the centre of the bounding box of the finite ones, in whole units, where the
+    largest coordinate exceeds `FAR_IN_DIAGONALS` diagonals, else zeros: then `positions` itself
+    comes back.
 
     Examples
     --------
@@ -60,10 +51,7 @@ def choose_origin(low: FloatArray, high: FloatArray) -> FloatArray:
 def needs_double(positions: FloatArray, origin: FloatArray) -> bool:
     """Tell whether float32 would round coordinates by more than a millionth of the extent.
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        Relative to `origin`, which is added on writing.
+    Positions (n, 3) are relative to the origin, which is added on writing.
     """
     if origin.any():
         return True
@@ -92,10 +80,7 @@ def finite_bounds(positions: FloatArray) -> tuple[FloatArray, FloatArray]:
 def check_coordinates(numbers: FloatArray, path: str | PathLike[str], what: str) -> None:
     """Refuse what moves all points of a file: an origin, an offset, a scanner's place, a matrix.
 
-    Raises
-    ------
-    InputError
-        A number is NaN, or beyond `FARTHEST`: all points would fall on few.
+    Raise InputError where a number is NaN, or beyond `FARTHEST`: all points would fall on few.
     """
     is_number = np.abs(numbers) <= FARTHEST
     if not is_number.all():

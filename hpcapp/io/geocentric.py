@@ -22,17 +22,10 @@ _LEAST_Z, _LEAST_RADIUS = 1e4, 1e6
 
 
 def find_upright(low: FloatArray, high: FloatArray, crs: Crs) -> FloatArray | None:
-    """Return the axes of a local frame, shape (3, 3): rows to the east, to the north and up.
+    """Return the axes of a local frame, (3, 3): rows to the east, to the north and up, or None.
 
-    Parameters
-    ----------
-    low, high : ndarray of float64, shape (3,)
-        Between which points lie, in the file's coordinates.
-
-    Returns
-    -------
-    ndarray of float64, or None
-        None where coordinates are not from the centre of the earth.
+    Points lie between low and high, in the file's coordinates. None is for coordinates that are not
+    from the centre of the earth.
 
     Examples
     --------
@@ -61,13 +54,7 @@ def find_upright(low: FloatArray, high: FloatArray, crs: Crs) -> FloatArray | No
 
 
 def refuse_geocentric(name: str, low: FloatArray, high: FloatArray, crs: Crs) -> None:
-    """Refuse coordinates from the centre of the earth where z has to be a height on a map.
-
-    Raises
-    ------
-    InputError
-        They are.
-    """
+    """Refuse coordinates from the earth's centre where z has to be a height: raise InputError."""
     if find_upright(low, high, crs) is not None:
         raise InputError(
             f"{name}: its coordinates are from the centre of the earth (ECEF), and z is no height",

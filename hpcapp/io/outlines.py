@@ -38,21 +38,11 @@ _COORDINATES: dict[object, Any] = {"Polygon": _Rings, "MultiPolygon": list[_Ring
 
 
 def read_outline(given: str) -> str:
-    """Return all polygons of a file as one text in WKT, in which they are valid and flat.
+    """Return all polygons of a file, or of WKT, as one text in WKT: valid and flat.
 
-    Parameters
-    ----------
-    given : str
-        A file, or WKT itself.
-
-    Raises
-    ------
-    InputError
-        It cannot be read, holds no polygon, or one that crosses itself.
-    UsageError
-        It is WKT itself, of which the same is true.
-    MissingLibraryError
-        shapely is not installed, or pyshp, which a shapefile needs.
+    Raise InputError where it cannot be read, holds no polygon, or one that crosses itself,
+    UsageError where that is true of WKT itself, and MissingLibraryError without shapely, or pyshp
+    for a shapefile.
     """
     shapely = load_shapely("polygons")
     path, name = Path(given), name_option("polygon")

@@ -19,10 +19,7 @@ from hpccomponent.files.outputs import Role, Written
 def open_output(output: str, kind: Literal["mesh", "points"] = "mesh") -> Iterator[Path]:
     """Yield the path to write to.
 
-    Parameters
-    ----------
-    output : str
-        What the user typed; ``-`` is the standard output, which gets a PLY at the end.
+    ``-`` is the standard output, which gets a PLY at the end.
     """
     if output != "-":
         yield Path(output)
@@ -35,15 +32,7 @@ def open_output(output: str, kind: Literal["mesh", "points"] = "mesh") -> Iterat
 
 
 def list_mesh_files(path: Path, option: str = "", is_textured: bool = False) -> Iterator[Written]:
-    """Yield what is written with a mesh; OutputError where its suffix is unknown.
-
-    Parameters
-    ----------
-    option : str
-        See `Written`.
-    is_textured : bool
-        Whether it has a texture.
-    """
+    """Yield what is written with a mesh; OutputError where its suffix is unknown."""
     writer = find_mesh_writer(path)
     yield Written(path, option, Role.FOLDER if writer.makes_folder else Role.FILE)
     yield Written(name_beside(path), option, is_beside=True)

@@ -71,16 +71,10 @@ class Placement:
         return replace(self, up=self.up or axis)
 
     def place(self, stream: MeshStream, is_near: bool, turns: bool) -> MeshStream:
-        """Return a mesh where it is written.
+        """Return a mesh, in the input's coordinates, where it is written.
 
-        Parameters
-        ----------
-        stream : MeshStream
-            In the input's coordinates.
-        is_near : bool
-            Whether the format is read in single precision.
-        turns : bool
-            Whether the format says which axis is up, so that a mesh is turned.
+        A format is near where it is read in single precision, and turns where it says which axis is
+        up.
         """
         if self.origin == "keep" or (self.origin == "auto" and not is_near):
             shift = np.zeros(3)
@@ -93,11 +87,7 @@ class Placement:
 def choose_up(mesh: Mesh | MeshStream, asked: str | None = None) -> str:
     """Return the axis of a mesh without a job that points up: as asked, z of a map, else as found.
 
-    Parameters
-    ----------
-    mesh : Mesh or MeshStream
-    asked : str, optional
-        By the user, or said by the mesh's file.
+    It is asked by the user, or said by the mesh's file.
     """
     if asked is not None:
         return asked
@@ -106,12 +96,7 @@ def choose_up(mesh: Mesh | MeshStream, asked: str | None = None) -> str:
 
 
 def parse_origin(text: str) -> Origin:
-    """Return what ``--origin`` says.
-
-    Raises
-    ------
-    UsageError
-        It is neither a word nor a place.
+    """Return what ``--origin`` says; raise UsageError where it is neither a word nor a place.
 
     Examples
     --------
@@ -151,16 +136,7 @@ class _Beside:
 def note_origin(path: Path, origin: FloatArray, crs: Crs, holds_crs: bool = True) -> None:
     """Write what a mesh's file does not say into the one beside it; remove one that is out of date.
 
-    Parameters
-    ----------
-    path : Path
-        Of the mesh.
-    origin : ndarray of float64, shape (3,)
-        What was subtracted.
-    crs : Crs
-        What the input's coordinates mean.
-    holds_crs : bool
-        Whether the mesh's file says that, too.
+    That is the origin (3,) that was subtracted, and the crs, unless the mesh's file holds it.
     """
     beside = name_beside(path)
     if origin.any() or (crs.stated and not holds_crs):

@@ -64,12 +64,9 @@ def take_lines(lines: Iterator[Line], count: int, path: Path, rows: str) -> Iter
 
 
 def parse_table(lines: Iterator[Line], columns: int, path: Path) -> FloatArray:
-    """Parse lines of so many numbers between blanks, as an array of float64 of shape (n, columns).
+    """Parse lines of so many numbers between blanks, as (n, columns).
 
-    Raises
-    ------
-    InputError
-        Names the first line that does not fit, and why.
+    Raise InputError, which names the first line that does not fit, and why.
     """
     parts = []
     while chunk := list(islice(lines, _LINES_AT_ONCE)):
@@ -111,13 +108,9 @@ def _is_number(token: str) -> bool:
 
 
 def write_rows(template: str, table: Numbers) -> Iterator[bytes]:
-    """Format the rows of a table, many at once.
+    """Format the rows of a table (n, columns), many at once.
 
-    Parameters
-    ----------
-    template : str
-        One row with a %-placeholder per column, ending in a newline.
-    table : ndarray, shape (n, columns)
+    The template is a row with a %-placeholder per column, ending in a newline.
     """
     for start in range(0, len(table), _LINES_AT_ONCE):
         part = table[start : start + _LINES_AT_ONCE]

@@ -28,13 +28,9 @@ from hpccomponent.files.private_files import create_private, make_private_folder
 def replacing(path: Path) -> Iterator[BinaryIO]:
     """Open a temporary file beside `path` that takes its place when the block ends well.
 
-    Whatever ends the block otherwise, an interrupt included, removes the temporary file and
-    leaves what was at `path`: of a symbolic link, the file it points to.
-
-    Raises
-    ------
-    OutputError
-        The folder or the file cannot be written.
+    Whatever ends the block otherwise, an interrupt included, removes it and leaves what was at
+    `path`: of a symbolic link, the file it points to. Raise OutputError where the folder or the
+    file cannot be written.
     """
     with staged(path) as (target, beside):
         mode = usual_mode(beside)
@@ -48,12 +44,8 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
 def replacing_folder(path: Path) -> Iterator[Path]:
     """Make a temporary folder beside `path` that gets its name when the block ends well.
 
-    Of a symbolic link, what it points to.
-
-    Raises
-    ------
-    OutputError
-        There is something at `path`, or the folder cannot be written.
+    Of a symbolic link, what it points to. Raise OutputError where there is something at `path`, or
+    the folder cannot be written.
     """
     check_folder(path)
     target = Path(os.path.realpath(path))

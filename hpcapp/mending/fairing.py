@@ -18,14 +18,8 @@ _LEAST_AREA = 0.3  # of the usual one around a vertex; likewise
 def bend(places: FloatArray, faces: IntArray, border: int, end: int) -> FloatArray:
     """Return the places of all vertices, with those of a patch where it is bent the least.
 
-    Parameters
-    ----------
-    places : ndarray of float64, shape (m, 3)
-        The loop, then the vertices within, then those of the mesh that stand around the loop.
-    faces : ndarray of int64, shape (f, 3)
-        Of the patch, and those of the mesh that have a vertex of the loop.
-    border, end : int
-        The first vertex within, and the first of the mesh behind those.
+    Places (m, 3) are the loop, the vertices within from `border` on, and from `end` on those of the
+    mesh around the loop. Faces (f, 3) are the patch's, and the mesh's with a vertex of the loop.
     """
     from scipy.sparse import csr_matrix  # scipy takes its time
     from scipy.sparse.linalg import splu

@@ -26,13 +26,9 @@ _MOST_BITS = 62  # of the loops of a piece that are told from one another
 
 
 class HandleCutter:
-    """Faces of a closed mesh around some handles, which are cut one after the other.
+    """Faces (f, 3) of a closed mesh around some handles, which are cut one after the other.
 
-    Parameters
-    ----------
-    vertices : ndarray of float64, shape (v, 3)
-    faces : ndarray of int64, shape (f, 3)
-        Manifold; some around them may be missing.
+    They are manifold; some around them may be missing.
 
     Attributes
     ----------
@@ -58,13 +54,7 @@ class HandleCutter:
             self._border[ends.reshape(-1)[is_bare]] = True
 
     def cut(self, rows: IntArray) -> None:
-        """Cut the narrowest handle of some faces, if it can be.
-
-        Parameters
-        ----------
-        rows : ndarray of int64, shape (k,)
-            Of a piece of the mesh with handles.
-        """
+        """Cut the narrowest handle of a piece's faces, given by rows (k,), if it can be."""
         loop = find_shortest_loop(self.vertices, self.faces[rows])
         if loop is None:
             return
@@ -129,18 +119,10 @@ class HandleCutter:
 
 
 def find_shortest_loop(vertices: FloatArray, faces: IntArray) -> IntArray | None:
-    """Return the shortest loop of edges that parts a piece of a mesh nowhere.
+    """Return the vertices (n,) of the shortest loop of edges that parts a piece of a mesh nowhere.
 
-    Parameters
-    ----------
-    vertices : ndarray of float64, shape (v, 3)
-    faces : ndarray of int64, shape (f, 3)
-        Connected, manifold; their border may be any number of loops.
-
-    Returns
-    -------
-    ndarray of int64, shape (n,), or None
-        Vertices along it; None where each loop bounds something, or runs along the border.
+    Faces (f, 3) are connected, manifold; their border may be any number of loops. None where each
+    loop bounds something, or runs along the border.
     """
     nodes, corners = _split_corners(faces)
     count = len(nodes)
@@ -178,12 +160,7 @@ def find_shortest_loop(vertices: FloatArray, faces: IntArray) -> IntArray | None
 
 
 def walk_borders(faces: IntArray) -> tuple[list[IntArray], bool]:
-    """Return the loops of edges with one face, as that face runs, and whether each is simple.
-
-    Parameters
-    ----------
-    faces : ndarray of int64, shape (f, 3)
-    """
+    """Return the loops of edges with one face, as that face runs, and whether each is simple."""
     count = int(faces.max(initial=0)) + 1
     tails, heads = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
     is_bare = ~np.isin(tails * count + heads, heads * count + tails)

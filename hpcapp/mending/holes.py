@@ -31,13 +31,7 @@ _PASSES = 5  # each bends the patch by the shape that the one before has given i
 class Filled:
     """A mesh whose holes were filled.
 
-    Parameters
-    ----------
-    mesh : Mesh
-    holes : int
-        That were filled.
-    left : int
-        Borders of that size that could not be.
+    `holes` counts those that were, `left` the borders of that size that could not be.
     """
 
     mesh: Mesh
@@ -56,20 +50,10 @@ class Patch:
 
 
 def fill_holes(mesh: Mesh, size: float) -> Filled:
-    """Fill the holes of a mesh up to a size.
+    """Fill the holes of a mesh up to a size, the diagonal of the box around their border.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        With a face.
-    size : float
-        The diagonal of the box around a hole's border, in length units of the mesh.
-
-    Returns
-    -------
-    Filled
-        Old vertices and faces stay as they are. New vertices carry what the nearest one on the
-        border of their hole does, and normals of their own.
+    Old vertices and faces, at least one, stay as they are. New vertices carry what the nearest one
+    on the border of their hole does, and normals of their own.
     """
     loops = find_holes(mesh, size)
     patches = [patch for patch in _fill(mesh, loops.holes) if patch is not None]
@@ -133,17 +117,10 @@ def _fill(mesh: Mesh, holes: list[IntArray]) -> Iterator[Patch | None]:
 def fill_loop(
     vertices: FloatArray, loop: IntArray, around: IntArray, sides: FloatArray
 ) -> Patch | None:
-    """Fill a hole; None where no faces can.
+    """Fill a hole, whose border is a loop (n,), as the faces that fill it run; None where none can.
 
-    Parameters
-    ----------
-    vertices : ndarray of float64, shape (v, 3)
-    loop : ndarray of int64, shape (n,)
-        Vertices of its border, as the faces that fill it run.
-    around : ndarray of int64, shape (f, 3)
-        The faces of the mesh with a vertex on it.
-    sides : ndarray of float64, shape (n,)
-        How long edges at each of its vertices are.
+    Around it are the faces (f, 3) of the mesh with a vertex on it; sides (n,) are the lengths of
+    edges at each of its vertices.
     """
     border = len(loop)
     # Rows of all vertices that matter: those of the loop first.

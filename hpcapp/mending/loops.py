@@ -40,14 +40,9 @@ class Loops:
 
 
 def find_holes(mesh: Mesh, size: float) -> Loops:
-    """Find the holes of a mesh up to a size.
+    """Find the holes of a mesh, of a face at least, up to a size.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        With a face.
-    size : float
-        The diagonal of the box around a border, in length units of the mesh.
+    It is the diagonal of the box around a border, in length units of the mesh.
     """
     count = len(mesh.vertices)
     heads, tails = mesh.faces.reshape(-1), np.roll(mesh.faces, -1, axis=1).reshape(-1)
@@ -78,18 +73,9 @@ def find_holes(mesh: Mesh, size: float) -> Loops:
 def pair_sides(faces: IntArray, count: int) -> tuple[IntArray, IntArray, IntArray]:
     """Return the pairs of sides that lie on one edge; side s of face f is 3 f + s.
 
-    Parameters
-    ----------
-    faces : ndarray of int64, shape (f, 3)
-        Manifold: no edge has more than two of them.
-    count : int
-        More than any vertex.
-
-    Returns
-    -------
-    one, other : ndarray of int64, shape (e,)
-    keys : ndarray of int64, shape (e,)
-        Of the edges: the lower vertex, times `count`, and the higher one.
+    Faces (f, 3) are manifold: no edge has more than two of them. Both sides, (e,) each, come with
+    the key (e,) of the edge: the lower vertex, times `count`, which is more than any, and the
+    higher one.
     """
     tails, heads = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
     keys = np.minimum(tails, heads) * count + np.maximum(tails, heads)

@@ -23,14 +23,8 @@ log = logging.getLogger("hpcapp")
 class Mending:
     """What is asked of a mesh that is there.
 
-    Parameters
-    ----------
-    fill_holes : float or None
-        Holes up to it are filled: the diagonal of the box around a border, in units of the mesh.
-    choice : PieceChoice
-        Where nothing is chosen, small pieces are named.
-    crop : Crop
-        The part that is kept, in the coordinates of the mesh.
+    Holes up to a size are filled: the diagonal of the box around a border. Where nothing is chosen,
+    small pieces are named. The crop is in the coordinates of the mesh.
     """
 
     fill_holes: float | None = None
@@ -44,24 +38,10 @@ class Mending:
 
 
 def mend_mesh(mesh: Mesh, asked: Mending, height_unit: float = 1.0, name: str = "the mesh") -> Mesh:
-    """Fill holes of a mesh, drop pieces of it, and cut it.
+    """Fill holes of a mesh, drop pieces of it, and cut it; a unit of z is so many of x and y.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        With a face.
-    asked : Mending
-    height_unit : float
-        How long a unit of z is, in units of x and y.
-    name : str
-        Of the mesh, in messages.
-
-    Raises
-    ------
-    UsageError
-        No piece is as large as was asked for.
-    InputError
-        The mesh has no faces, or places that are none, or nothing where it is to be cut.
+    Raise UsageError where no piece is as large as was asked for, and InputError where the mesh has
+    no faces, or places that are none, or nothing where it is to be cut.
     """
     _check(mesh)
     if asked.fill_holes is not None:

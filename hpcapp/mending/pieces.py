@@ -12,19 +12,10 @@ from hpcapp.io.meshes.mesh_stream import find_vertices, make_mesh
 
 
 def measure_pieces(mesh: Mesh) -> tuple[IntArray, FloatArray]:
-    """Return the piece of each face, and the area of each piece.
+    """Return the piece of each face, (f,), of which there is one at least, and the areas (p,).
 
-    Parameters
-    ----------
-    mesh : Mesh
-        With a face.
-
-    Returns
-    -------
-    pieces : ndarray of int64, shape (f,)
-        Numbered in the order of their first vertices. Faces that share a vertex are one piece.
-    areas : ndarray of float64, shape (p,)
-        In squared length units of the mesh, rounded as those of `StitchingPlan.pieces`.
+    Pieces are numbered in the order of their first vertices; faces that share a vertex are one.
+    Areas are in squared units of the mesh, rounded as those of `StitchingPlan.pieces`.
     """
     labels = kernels.label_components(mesh.faces, len(mesh.vertices))[1]
     _, pieces = np.unique(labels[mesh.faces[:, 0]], return_inverse=True)
@@ -34,13 +25,7 @@ def measure_pieces(mesh: Mesh) -> tuple[IntArray, FloatArray]:
 
 
 def keep_faces(mesh: Mesh, stays: BoolArray) -> Mesh:
-    """Return some of the faces of a mesh, and the vertices that these have.
-
-    Parameters
-    ----------
-    mesh : Mesh
-    stays : ndarray of bool, shape (f,)
-    """
+    """Return the faces of a mesh that stay, and the vertices that these have."""
     if stays.all():
         return mesh
     used, corners = np.unique(mesh.faces[stays], return_inverse=True)

@@ -23,22 +23,9 @@ def refine(
 ) -> tuple[FloatArray, IntArray, FloatArray]:
     """Divide the triangles of a patch until they are as large as those around it.
 
-    Parameters
-    ----------
-    places : ndarray of float64, shape (n, 3)
-        The vertices of the loop around it, and those within.
-    faces : ndarray of int64, shape (f, 3)
-    sides : ndarray of float64, shape (n,)
-        How long edges at each of the vertices are to be.
-    taken : ndarray of int64, shape (t, 2)
-        Vertices that edges of the mesh join, the lower first.
-
-    Returns
-    -------
-    places : ndarray of float64, shape (n + k, 3)
-        New ones are behind the others.
-    faces : ndarray of int64, shape (g, 3)
-    sides : ndarray of float64, shape (n + k,)
+    Places (n, 3) are the vertices of the loop around it, and those within; edges are to be as long
+    as the sides (n,) at their vertices; edges of the mesh join the vertices that are taken, (t, 2),
+    the lower first. Return places, faces and sides; new vertices are behind the others.
     """
     one, other = (places[faces[:, k]] - places[faces[:, 0]] for k in (1, 2))
     area = 0.5 * float(np.linalg.norm(np.cross(one, other), axis=1).sum())

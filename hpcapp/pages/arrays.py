@@ -26,18 +26,7 @@ _LEVEL = 5  # of gzip: a million triangles in half a second
 
 
 def quantise(positions: FloatArray, low: FloatArray, high: FloatArray) -> NDArray[np.uint16]:
-    """Return positions as multiples of 1/65535 of the longest side of a box.
-
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        Finite, within the box.
-    low, high : ndarray of float64, shape (3,)
-        Its corners.
-
-    Returns
-    -------
-    ndarray of uint16, shape (n, 3)
+    """Return finite positions (n, 3) in a box as multiples of 1/65535 of its longest side.
 
     Examples
     --------
@@ -60,13 +49,7 @@ class PackedArray:
 
 
 def pack_array(name: str, values: Packable) -> PackedArray:
-    """Pack an array; the same one gives the same text.
-
-    Parameters
-    ----------
-    name : str
-    values : ndarray of uint8, uint16 or uint32, shape (n,) or (n, c)
-    """
+    """Pack an array, (n,) or (n, c); the same one gives the same text."""
     rows = np.ascontiguousarray(values)
     columns = 1 if rows.ndim == 1 else rows.shape[1]
     bits = 8 * rows.itemsize

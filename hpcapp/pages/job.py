@@ -28,17 +28,10 @@ _FAILED = ("lost", "failed", "refused", "repeated")
 def describe_job(
     report: Mapping[str, object], marked: Sequence[str] = (), *, has_mesh: bool = True
 ) -> list[Section]:
-    """Return what a job found, decided and did.
+    """Return what a job found, decided and did, and what its mesh is, if it has one.
 
-    Parameters
-    ----------
-    report : mapping
-        JSON values; see ``docs/reference/reconstruct.md``. What it lacks is left out, and names
-        that are not known here stand among the decisions.
-    marked : sequence of str
-        The texts of the scene's markers.
-    has_mesh : bool
-        Whether what the mesh is, is said.
+    A report has JSON values; see ``docs/reference/reconstruct.md``. What it lacks is left out;
+    names not known here stand among the decisions. Texts of the scene's markers are marked.
     """
     others = convert(report.get("warnings") or [], list[str])
     sections = [

@@ -28,12 +28,8 @@ MOST_TILES = 1 << 16
 class Owners:
     """Who made a mesh.
 
-    Parameters
-    ----------
-    tiles : ndarray of int32, shape (v,)
-        Of each vertex, in the order of the mesh's file.
-    workers : sequence of str
-        Of each tile; empty where it is not known of all.
+    Tiles (v,) are of each vertex, in the order of the mesh's file; workers are of each tile, empty
+    where it is not known of all.
     """
 
     tiles: IntArray
@@ -70,28 +66,10 @@ def mark_tiles(
 ) -> tuple[Mesh, Sequence[str]]:
     """Give a mesh that was read the attribute `TILE`, as the report of its job tells.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        In the order of its file.
-    path : Path
-        The file; an STL has no order of vertices.
-    report : mapping
-        JSON values, with `Owners.to_json` as ``owners``.
-    source : str
-        Of the report, for messages.
-
-    Returns
-    -------
-    mesh : Mesh
-        As it is where nothing is told of it, or of a mesh with other vertices.
-    workers : sequence of str
-        Of each tile; see `Owners`.
-
-    Raises
-    ------
-    InputError
-        What is told is nothing of the kind.
+    The mesh is in the order of its file; an STL has none. The report has `Owners.to_json` as
+    ``owners``; messages name its source. Return the mesh, as it is where nothing is told of it, or
+    of one with other vertices, and each tile's worker as `Owners` has it. Raise InputError where
+    what is told is nothing of the kind.
     """
     if "owners" not in report or path.suffix.lower() == ".stl":
         return mesh, ()
@@ -112,19 +90,9 @@ def mark_tiles(
 
 
 def take_labels(mesh: Mesh, workers: Sequence[str]) -> tuple[Mesh, list[Field]]:
-    """Turn the attribute `TILE` of a mesh into what it can be coloured by.
+    """Turn the attribute `TILE` of a mesh into what it can be coloured by: tiles and workers.
 
-    Parameters
-    ----------
-    workers : sequence of str
-        Of each tile; empty where it is not known.
-
-    Returns
-    -------
-    mesh : Mesh
-        Without the attribute.
-    labels : list of Field
-        Tiles and workers; nothing where it has no such attribute.
+    Without it there is nothing; without workers of each tile, only these.
     """
     if TILE not in mesh.attributes:
         return mesh, []

@@ -44,14 +44,8 @@ def build_page(
 ) -> str:
     """Return a page as HTML; the same scene and sections give the same text.
 
-    Parameters
-    ----------
-    title, summary : str
-        Its heading, and the line below.
-    sections : sequence of Section
-        Below the controls.
-    is_small : bool
-        Whether it is shown within another page.
+    The summary is a line below the heading; sections are below the controls; a page is small where
+    it is shown within another one.
     """
     description, arrays = pack_scene(scene)
     return render(
@@ -85,14 +79,8 @@ def tabulate(
 ) -> Section:
     """Return a section with a table; numbers stand below each other.
 
-    Parameters
-    ----------
-    rows : mapping, or sequence of sequences
-        Names, and what is said of each.
-    head : sequence of str
-        Above the columns, which are numbers then.
-    notes : sequence of str
-        Paragraphs below the table.
+    Rows are names, and what is said of each; with a head, columns are numbers. Notes are paragraphs
+    below the table.
     """
     lines = list(rows.items()) if isinstance(rows, Mapping) else rows
     return Section(title, "table.html", {"rows": lines, "head": head, "notes": notes})

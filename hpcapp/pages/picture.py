@@ -32,21 +32,9 @@ def write_picture(
 ) -> None:
     """Draw a mesh or a cloud into a PNG file, which appears whole or not at all.
 
-    Parameters
-    ----------
-    eye : tuple of float, optional
-        Azimuth and elevation, in degrees; for a mesh `choose_eye` by default.
-    size : int
-        Pixels along a side, for points along the longer one at most.
-    up : str
-        The axis of `axis_names.AXES` that points up.
-    unit : str, optional
-        Of the coordinates, for the scale bar.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
+    The eye is at an azimuth and an elevation, in degrees, for a mesh `choose_eye` by default. The
+    size is in pixels along a side, for points along the longer one at most; the unit is for the
+    scale bar. Raise OutputError where the file cannot be written.
     """
     if isinstance(shown, PointCloud):
         write_png(path, draw_points(shown, eye=eye, size=size, up=up, unit=unit))

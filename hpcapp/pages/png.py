@@ -12,16 +12,9 @@ from hpcapp.io.staging import replacing
 
 
 def write_png(path: Path, picture: NDArray[np.uint8]) -> None:
-    """Write a picture as PNG, which appears whole or not at all.
+    """Write a picture (height, width, 3) as PNG, which appears whole or not at all.
 
-    Parameters
-    ----------
-    picture : ndarray of uint8, shape (height, width, 3)
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
+    Raise OutputError where the file cannot be written.
     """
     content = encode_png(picture)
     with replacing(path) as file:

@@ -40,25 +40,11 @@ def render_mesh(
     up: str = "z",
     zoom: float = 1.0,
 ) -> NDArray[np.uint8]:
-    """Draw a mesh in parallel projection, with its shadow on the ground.
+    """Draw a mesh in parallel projection, with its shadow on the ground, as (size, size, 3).
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Faces have the colours of their corners, or grey where there are none; their backs are
-        light brown. Vertices that are not finite are left out with their faces.
-    azimuth, elevation : float
-        Where the eye is, in degrees.
-    size : int
-        Width and height of the picture in pixels.
-    up : str
-        The axis of `axis_names.AXES` that points up.
-    zoom : float
-        Above 1, the middle of the picture is seen larger.
-
-    Returns
-    -------
-    ndarray of uint8, shape (size, size, 3)
+    Faces have the colours of their corners, or grey; their backs are light brown. Vertices that are
+    not finite are left out with their faces. The eye's angles are in degrees; with a zoom above 1,
+    the middle of the picture is seen larger.
     """
     return draw_mesh(mesh, look_along(azimuth, elevation, up), size, up, zoom)[0]
 

@@ -47,17 +47,9 @@ class _Known:
 
 
 def read_report(path: Path) -> dict[str, object]:
-    """Read a report from a file, and check it.
+    """Read from a file what ``reconstruct --json`` has printed, and check it.
 
-    Parameters
-    ----------
-    path : Path
-        What ``reconstruct --json`` has printed.
-
-    Raises
-    ------
-    InputError
-        It cannot be read, or is no report.
+    Raise InputError where it cannot be read, or is no report.
     """
     try:
         report = decode(read_regular(path), dict[str, object])
@@ -72,10 +64,7 @@ def read_report(path: Path) -> dict[str, object]:
 def check_report(report: Mapping[str, object], source: str) -> None:
     """Refuse a report that a page cannot say.
 
-    Raises
-    ------
-    InputError
-        An entry is not what it is in reports, or the values are nested too deeply.
+    Raise InputError where an entry is not what it is in reports, or values are nested too deeply.
     """
     try:
         convert(report, _Known)

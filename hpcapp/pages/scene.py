@@ -57,16 +57,9 @@ class Field:
 
 @dataclass(frozen=True, slots=True)
 class Tint:
-    """What of a mesh is guesswork, and is tinted.
+    """What of a mesh is guesswork, and is tinted: where a field's number is beyond a limit.
 
-    Parameters
-    ----------
-    field : str
-        The field by whose numbers it is told.
-    beyond : float
-        Larger ones are tinted.
-    text : str
-        In the legend.
+    The text stands in the legend.
     """
 
     field: str
@@ -76,15 +69,7 @@ class Tint:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Marker:
-    """A place in the scene, and what is to be said of it.
-
-    Parameters
-    ----------
-    place : ndarray of float64, shape (3,)
-        In the frame of the scene.
-    text : str
-        One line.
-    """
+    """A place (3,) in the frame of the scene, and what is to be said of it, in one line."""
 
     place: FloatArray
     text: str
@@ -108,8 +93,6 @@ class Scene:
         The field that is shown at first; by default the colours, where there are some.
     unit : str
         Of length; nothing where it is not known.
-    tint : Tint, optional
-        Guesswork.
     """
 
     mesh: Mesh | None
@@ -128,15 +111,7 @@ def fields_of(shown: Mesh | PointCloud) -> list[Field]:
 
 
 def label_field(name: str, label: str, numbers: NDArray[np.integer], words: str) -> Field:
-    """Return whole numbers as a field of labels.
-
-    Parameters
-    ----------
-    numbers : ndarray of int, shape (v,)
-        From 0.
-    words : str
-        In front of each number in the legend.
-    """
+    """Return whole numbers from 0, (v,), as a field of labels, behind words in the legend."""
     labels = [f"{words} {number}" for number in range(int(numbers.max(initial=0)) + 1)]
     return Field(name, label, numbers, labels=labels)
 

@@ -22,18 +22,9 @@ _COARSER = 1.25  # cells of a next attempt, where too many faces are left
 
 
 def thin_mesh(mesh: Mesh | MeshStream, most: int = MOST_FACES) -> Mesh:
-    """Return a mesh, or a copy of it with fewer faces.
+    """Return a mesh as it is, or in the same frame a copy of it with at most so many faces.
 
-    Parameters
-    ----------
-    most : int
-        Faces of the copy at most; a mesh with as many or fewer is returned as it is.
-
-    Returns
-    -------
-    Mesh
-        In the same frame. Of what the vertices of a cell carry, colours are means and attributes
-        are those of the first.
+    Of what the vertices of a cell carry, colours are means and attributes are those of the first.
     """
     stream = as_stream(mesh)
     if stream.face_count <= most:

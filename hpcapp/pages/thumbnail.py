@@ -40,17 +40,8 @@ def write_thumbnail(
 ) -> None:
     """Draw a cloud into a PNG file, which appears whole or not at all.
 
-    Parameters
-    ----------
-    scanner : ndarray of float64, shape (3,), optional
-        Where the scanner stood, in the input's coordinates: the points are seen from there.
-    unit : str, optional
-        Of the coordinates, for the scale bar.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
+    The points are seen from the scanner (3,), in the input's coordinates; the unit is for the scale
+    bar. Raise OutputError where the file cannot be written.
     """
     write_png(path, draw_points(cloud, scanner, unit=unit))
 
@@ -64,27 +55,11 @@ def draw_points(
     up: str = "z",
     unit: str | None = None,
 ) -> NDArray[np.uint8]:
-    """Draw a cloud in its colours, else by its normals, else by depth: what is near is dark.
+    """Draw finite points in their colours, else by normals, else by depth: what is near is dark.
 
-    Parameters
-    ----------
-    cloud : PointCloud
-        Points that are not finite are not drawn.
-    scanner : ndarray of float64, shape (3,), optional
-        Where the scanner stood, in the input's coordinates; else it is seen from above and aside.
-    eye : tuple of float, optional
-        Azimuth and elevation to see it from, in degrees.
-    size : int
-        Pixels along the longer side at most.
-    up : str
-        The axis of `axis_names.AXES` that points up.
-    unit : str, optional
-        Of the coordinates, for the scale bar.
-
-    Returns
-    -------
-    ndarray of uint8, shape (h, w, 3)
-        White where nothing is.
+    They are seen from the scanner (3,), in the input's coordinates, or the eye's azimuth and
+    elevation in degrees, else from above and aside. The picture (h, w, 3) has at most so many
+    pixels along the longer side, and is white where nothing is; the unit is for the scale bar.
     """
     is_finite = np.isfinite(cloud.positions).all(axis=1)
     if not is_finite.any():

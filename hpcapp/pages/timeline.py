@@ -19,10 +19,7 @@ MASTER = "master"
 def draw_timeline(spans: Sequence[TaskSpan]) -> dict[str, object]:
     """Return what ``timeline.html`` draws: an SVG with a legend; nothing without spans.
 
-    Parameters
-    ----------
-    spans : sequence of TaskSpan
-        Of very many the longest are drawn.
+    Of very many spans the longest are drawn.
     """
     if not spans:
         return {}

@@ -96,13 +96,7 @@ class Output:
         return self.up is not None or self.origin != "auto"
 
     def write(self, mesh: Path, change: Callable[[Mesh, Crs], Mesh]) -> tuple[Mesh, Mesh]:
-        """Read a mesh, change and simplify it, and write it.
-
-        Returns
-        -------
-        whole, light : Mesh
-            As it was read, and as it was written.
-        """
+        """Read a mesh, change, simplify and write it; return it as it was read, and as written."""
         from dataclasses import replace
 
         from hpcapp.io import find_mesh_crs, find_mesh_up, read_mesh, write_mesh

@@ -9,30 +9,12 @@ from hpcapp.simplification.target import Target
 
 
 def simplify_mesh(mesh: Mesh, target: Target) -> Mesh:
-    """Simplify a mesh in memory.
+    """Simplify a mesh in memory, closed or open, by `kernels.portable.mesh.collapse`.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Closed or open.
-
-    Returns
-    -------
-    Mesh
-        Manifold and closed where `mesh` is. Its normals, colours and attributes are those of the
-        nearest vertices of `mesh`.
-
-    Raises
-    ------
-    UsageError
-        See `Target.check`.
-    JobError
-        See `require_closed`.
-
-    Notes
-    -----
-    See `kernels.portable.mesh.collapse`: edges go in the order of their errors. Each distance of a
-    new vertex from the planes of the faces that it stands for is below `Target.tolerance`.
+    It stays manifold and closed if it is; its normals, colours and attributes are those of the
+    nearest vertices before. Edges go in the order of their errors; each distance of a new vertex
+    from the planes of the faces that it stands for is below `Target.tolerance`. Errors are those of
+    `Target.check` and `require_closed`.
     """
     target.check()
     if not target.is_something or len(mesh.faces) <= (target.faces or 0):

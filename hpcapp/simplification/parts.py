@@ -25,18 +25,10 @@ _LIMITS = 1e-200, 1e200
 def collapse(mesh: Mesh, target: Target, *, keeps_border: bool) -> tuple[Mesh, IntArray]:
     """Collapse edges of a mesh; see `kernels.portable.mesh.collapse`.
 
-    Parameters
-    ----------
-    keeps_border : bool
-        Whether the vertices of its boundary stay where they are, and not its shape alone: then
-        `join_parts` makes a manifold, closed mesh of the parts of one.
-
-    Returns
-    -------
-    mesh : Mesh
-        Manifold and closed where `mesh` is; its vertices carry what the nearest ones of `mesh` do.
-    rows : ndarray of int64, shape (w,)
-        Which vertex of the input each is, where it stayed as it was; else -1.
+    Where the vertices of its border stay, and not its shape alone, `join_parts` makes a manifold,
+    closed mesh of the parts of one. It is manifold and closed where `mesh` is; its vertices carry
+    what the nearest ones of `mesh` do. Return, too, which vertex of `mesh` each is, (w,), where it
+    stayed; else -1.
     """
     scale = _find_scale(mesh.vertices, mesh.faces)
     limit = inf
@@ -57,18 +49,9 @@ def collapse(mesh: Mesh, target: Target, *, keeps_border: bool) -> tuple[Mesh, I
 
 
 def join_parts(parts: Sequence[Mesh], names: Sequence[IntArray]) -> tuple[Mesh, IntArray]:
-    """Join parts of a mesh, one or more, at the vertices that have one name.
+    """Join parts of a mesh, one or more, at the vertices that have one name; -1 is none.
 
-    Parameters
-    ----------
-    names : sequence of ndarray of int64, shape (v,)
-        Of the vertices of each part; -1 where one has none.
-
-    Returns
-    -------
-    mesh : Mesh
-        Without vertices that no face uses.
-    names : ndarray of int64, shape (w,)
+    Return the mesh, without vertices that no face uses, and the names of its vertices, (w,).
     """
     starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
     faces = np.concatenate([p.faces + start for p, start in zip(parts, starts, strict=False)])
@@ -83,14 +66,7 @@ def join_parts(parts: Sequence[Mesh], names: Sequence[IntArray]) -> tuple[Mesh, 
 
 
 def _carry_nearest(light: Mesh, mesh: Mesh) -> Mesh:
-    """Return a mesh with what the nearest vertices of another one carry.
-
-    Parameters
-    ----------
-    light : Mesh
-        In the frame of `mesh`.
-    mesh : Mesh
-    """
+    """Return a mesh with what the nearest vertices of another one, in one frame, carry."""
     if mesh.normals is None and mesh.colours is None and not mesh.attributes:
         return light
     from scipy.spatial import cKDTree  # scipy takes its time

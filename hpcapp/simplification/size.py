@@ -27,19 +27,9 @@ _TRIES = 8
 
 
 def read_size(size: int | str, output: str | PathLike[str]) -> int:
-    """Return the size of a file in bytes.
+    """Return the size in bytes that an output is to have, as `parse_size` reads it.
 
-    Parameters
-    ----------
-    size : int or str
-        See `parse_size`.
-    output : str or PathLike
-        What is to have it.
-
-    Raises
-    ------
-    UsageError
-        It is no size, or that of no mesh, or the output is a folder.
+    Raise UsageError where it is no size, or that of no mesh, or the output is a folder.
     """
     try:
         bytes_ = parse_size(size)
@@ -53,26 +43,10 @@ def read_size(size: int | str, output: str | PathLike[str]) -> int:
 
 
 def fit_size(size: int, most: int, weigh: Callable[[int], int]) -> int:
-    """Return the most triangles of which a file has a size at most.
+    """Return the most triangles, up to `most`, of which a file has a size in bytes at most.
 
-    Parameters
-    ----------
-    size : int
-        In bytes.
-    most : int
-        No more triangles than that.
-    weigh : callable
-        Writes a mesh of so many triangles, and returns the bytes of its file.
-
-    Returns
-    -------
-    int
-        With it the file is filled to 97 %, unless `most` is too few for that.
-
-    Raises
-    ------
-    UsageError
-        No mesh that was tried fits.
+    `weigh` writes a mesh of so many, and returns its file's bytes. The file is filled to 97 %,
+    unless `most` is too few for that. Raise UsageError where no mesh that was tried fits.
     """
     fits, exceeds = 0, most + 1
     faces, written = min(most, max(4, size // _LEAST_BYTES)), 0
@@ -104,23 +78,9 @@ def weigh_mesh(path: Path, mesh: MeshStream, placement: Placement) -> int:
 
 
 def fit_mesh(mesh: Mesh, size: int, suffix: str, crs: Crs, placement: Placement) -> Mesh:
-    """Return a mesh of as many triangles as fit a file.
+    """Return a mesh of as many triangles as fit a file of a format, of a size in bytes.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        In memory.
-    size : int
-        In bytes.
-    suffix : str
-        Names the format.
-    crs, placement : Crs, Placement
-        What is to be written of it, and where.
-
-    Raises
-    ------
-    UsageError
-        See `fit_size`.
+    Its suffix names the format. Errors are those of `fit_size`.
     """
     with temporary_folder() as folder:
         path = folder / f"mesh{suffix}"

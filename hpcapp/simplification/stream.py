@@ -27,25 +27,12 @@ _RUNS_KEEP = 3
 
 
 def simplify_stream(mesh: Mesh | MeshStream, target: Target, run_faces: int = RUN_FACES) -> Mesh:
-    """Simplify a mesh that may be larger than memory.
+    """Simplify a mesh that may be larger than memory, as `simplify_mesh` does.
 
-    Parameters
-    ----------
-    mesh : Mesh or MeshStream
-        What its vertices carry is left out.
-    target : Target
-        Three times as many faces as the result has must fit in memory.
-    run_faces : int
-        Faces that are simplified at once, where there are more.
+    What its vertices carry is left out. Three times as many faces as the result has must fit in
+    memory. It depends on the order of vertices and faces, and on nothing else: not on blocks, tiles
+    or memory.
 
-    Returns
-    -------
-    Mesh
-        As of `simplify_mesh`; it depends on the order of the vertices and faces, and on nothing
-        else: not on blocks, tiles or memory.
-
-    Notes
-    -----
     Runs of a million faces come first, each within half of the tolerance. The vertices on the rim
     of a run stay as they are, so that runs fit together; the pass over the whole simplifies these,
     too.

@@ -12,12 +12,8 @@ from hpccomponent.errors import UsageError
 class Target:
     """When to stop: at whichever comes first.
 
-    Parameters
-    ----------
-    faces : int or None
-        No fewer faces than that, but for one.
-    tolerance : float or None
-        How far the surface may move, in length units of the mesh.
+    There are no fewer faces than that, but for one; the tolerance is how far the surface may move,
+    in length units of the mesh.
     """
 
     faces: int | None = None
@@ -31,10 +27,7 @@ class Target:
     def check(self) -> None:
         """Find out before the work whether it can be done.
 
-        Raises
-        ------
-        UsageError
-            A number is out of its range.
+        Raise UsageError where a number is out of its range.
         """
         if self.faces is not None and not self.faces >= 4:
             raise UsageError(f"faces is {self.faces!r}", "give 4 or more")

@@ -44,12 +44,7 @@ def make_bars(stream: TextIO, *, is_transient: bool = False) -> Progress:
 
 
 def say_rate(per_second: float) -> str:
-    """Return how fast parts are finished, in two digits or more.
-
-    Parameters
-    ----------
-    per_second : float
-        Above 0.
+    """Return how fast parts are finished, which is above 0, in two digits or more.
 
     Examples
     --------

@@ -30,14 +30,8 @@ _ADVICE = "name a file to write to"
 class InputFile(click.Path):
     """A file that is read; of several, a pattern, and - is the standard input.
 
-    Parameters
-    ----------
-    beside : callable, optional
-        Names what else is read for it.
-    is_word : bool
-        Whether it may be a folder, or a word that names no file.
-    path_type : type
-        Path, or str where it need not name a file.
+    `beside` names what else is read for it. With `is_word` it may be a folder, or a word that names
+    no file; `path_type` is str where it need not name a file.
     """
 
     def __init__(
@@ -61,20 +55,10 @@ class InputFile(click.Path):
 
 
 class OutputFile(click.Path):
-    """A file that is written.
+    """A file that is written, with `suffixes`, a role and a word for `what` it is, as of `Written`.
 
-    Parameters
-    ----------
-    what : str
-        What it is, as "page".
-    suffixes : tuple of str
-        See `Written`.
-    role : Role
-        How it is written.
-    lists : callable, optional
-        Lists all that comes of a value; by default the one file.
-    printed : tuple of str
-        Names of the standard output that it may have.
+    `lists` lists all that comes of a value, by default the one file; `printed` are names of the
+    standard output that it may have.
     """
 
     def __init__(
@@ -101,13 +85,7 @@ class OutputFile(click.Path):
         option: str = "",
         params: Mapping[str, Any] | None = None,
     ) -> Iterator[Written]:
-        """Yield what is written for a value.
-
-        Raises
-        ------
-        OutputError
-            It names no file.
-        """
+        """Yield what is written for a value; raise OutputError where it names no file."""
         name = os.fspath(value)
         if name in self._printed:
             yield _print_by(f"{option} {name}")
@@ -137,13 +115,7 @@ def json_option(what: str = "Print one JSON object on standard output.") -> Deco
 
 
 def list_files(ctx: click.Context) -> tuple[list[Written], list[Read]]:
-    """Return what a call of a verb writes, and what it reads.
-
-    Raises
-    ------
-    OutputError
-        An output names no file.
-    """
+    """Return what a call of a verb writes and reads; OutputError where an output names no file."""
     written: list[Written] = []
     read: list[Read] = []
     for parameter in ctx.command.params:

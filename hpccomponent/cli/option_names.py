@@ -19,12 +19,8 @@ _speakers = 0  # of flags; the whole process speaks one way, its threads too
 def name_option(name: str, value: object = None) -> str:
     """Return an option, with a value if there is one, as its user would write it.
 
-    Parameters
-    ----------
-    name : str
-        Of the option's field in the settings.
-    value : object, optional
-        A string that stands for something else, as ``X,Y,Z``, is shown as it is.
+    The name is that of its field in the settings. A string that stands for something else, as
+    ``X,Y,Z``, is shown as it is.
 
     Examples
     --------

@@ -90,15 +90,7 @@ def align_rows(rows: Sequence[Sequence[str]]) -> list[str]:
 
 
 def echo(text: str, *, err: bool = False) -> None:
-    """Print text with a newline behind it, visible.
-
-    Parameters
-    ----------
-    text : str
-        Cells of a table have passed `visible_line` before.
-    err : bool
-        To the standard error in place of the standard output.
-    """
+    """Print text with a newline behind it, visible; cells of a table have passed `visible_line`."""
     import click  # no worker needs it
 
     click.echo(visible_text(text), err=err)
@@ -114,10 +106,7 @@ def echo_json(value: object) -> None:
 def echo_output(text: str) -> None:
     """Print what another program may want as it is: visible on a terminal, else byte for byte.
 
-    Parameters
-    ----------
-    text : str
-        One line, such as a path or a line of somebody's output.
+    It is one line, such as a path or a line of somebody's output.
     """
     import click
 

@@ -47,12 +47,8 @@ def _say_missing(error: click.MissingParameter, ctx: click.Context) -> str:
 class Verb(click.Command):
     """A verb of the command.
 
-    Parameters
-    ----------
-    groups : mapping of str to sequence of str
-        Headings, and below each the names of parameters in the order in which help shows them.
-    examples : sequence of (str, str)
-        Commands that can be typed, and what each does.
+    `groups` are headings, and below each the names of parameters in the order in which help shows
+    them; `examples` are commands that can be typed, and what each does.
     """
 
     def __init__(

@@ -27,10 +27,7 @@ Problem = tuple[yaml.Node, Location, str]
 def problems_error(name: str, problems: list[Problem]) -> ConfigError:
     """Write one line per place, in the order of the text; what a union says twice is joined.
 
-    Parameters
-    ----------
-    problems : list of tuple
-        `Problem`, in any order; the first 100 places are told.
+    The problems may be in any order; the first 100 places are told.
     """
     lines: dict[tuple[int, int, str], list[str]] = {}
     for node, location, message in problems:
@@ -76,17 +73,9 @@ def is_miscounted(detail: ErrorDetails, root: yaml.MappingNode) -> bool:
 
 
 def place_finding(detail: ErrorDetails, root: yaml.MappingNode, model: type[BaseModel]) -> Problem:
-    """Put one of pydantic's findings into our words, at its place in the text.
+    """Put one of pydantic's findings about a `model` into our words, at its place in the text.
 
-    Parameters
-    ----------
-    model : type
-        The class of `pydantic.BaseModel` that it was checked against.
-
-    Returns
-    -------
-    tuple
-        `Problem`: the node, its path, and what is said of it.
+    Return the node, its path, and what is said of it.
     """
     kind, context = detail["type"], detail.get("ctx", {})
     loc: Location = detail["loc"]
@@ -115,15 +104,7 @@ def place_misfit(
 ) -> Problem:
     """Put a misfit at its place in the text, or where the longest part of its path is.
 
-    Parameters
-    ----------
-    choices : collection of str
-        What would fit; the nearest is named, or all of them.
-
-    Returns
-    -------
-    tuple
-        `Problem`: the node, its path, and what is said of it.
+    Of `choices`, what would fit, the nearest is named, or all of them.
     """
     for end in range(len(location), -1, -1):
         key, value, path = _locate(root, location[:end])

@@ -59,12 +59,7 @@ class ConfigModel(BaseModel):
 class Misfit(NamedTuple):
     """A value that is right by itself and does not fit the others.
 
-    Parameters
-    ----------
-    location : tuple of int and str
-        The path of the value; it need not be in the text.
-    choices : collection of str
-        What would fit; the nearest to the value is named.
+    Its path need not be in the text. Of `choices`, what would fit, the nearest is named.
     """
 
     location: Location
@@ -78,23 +73,11 @@ def read_config(
     check: Callable[[ModelT], Iterable[Misfit]] | None = None,
     environment: Mapping[str, str] | None = None,
 ) -> ModelT:
-    """Read a YAML file into `model`.
+    """Read a YAML file, in UTF-8, into `model`, best a `ConfigModel`.
 
-    Parameters
-    ----------
-    path : path-like
-        The file, UTF-8.
-    model : type
-        A pydantic model, best a `ConfigModel`.
-    check : callable, optional
-        Tells which values do not fit together.
-    environment : mapping of str to str, optional
-        Where ``${NAME}`` in a value is looked up; without it, values are taken literally.
-
-    Raises
-    ------
-    ConfigError
-        The file cannot be read, or is not what the model describes.
+    `check` tells which values do not fit together; `environment` is where ``${NAME}`` in a value is
+    looked up: without it, values are taken literally. Raise ConfigError where the file cannot be
+    read, or is not what the model describes.
     """
     try:
         content = read_regular(Path(path), MOST_BYTES + 1)
@@ -119,20 +102,11 @@ def parse_config(
     check: Callable[[ModelT], Iterable[Misfit]] | None = None,
     environment: Mapping[str, str] | None = None,
 ) -> ModelT:
-    """Read YAML text into `model`.
+    """Read YAML text into `model`, best a `ConfigModel`.
 
-    Parameters
-    ----------
-    model : type
-        A pydantic model, best a `ConfigModel`.
-    check : callable, optional
-        Tells which values do not fit together. Where a block of the text is wrong by itself, the
-        others are checked against that block's defaults, if it has any.
-
-    Raises
-    ------
-    ConfigError
-        With one line for each mistake in the text, in the order of the text.
+    `check` tells which values do not fit together. Where a block of the text is wrong by itself,
+    the others are checked against that block's defaults, if it has any. Raise ConfigError, with one
+    line for each mistake, in the order of the text.
 
     Examples
     --------

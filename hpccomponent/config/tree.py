@@ -57,10 +57,7 @@ class _Loader(yaml.SafeLoader):
 def compose(text: str, name: str) -> yaml.MappingNode:
     """Parse YAML text, and resolve its merge keys.
 
-    Raises
-    ------
-    ConfigError
-        It is no YAML, no mapping, or more than a file of settings has any use for.
+    Raise ConfigError for no YAML, no mapping, or more than a file of settings has any use for.
     """
     if len(text) > MOST_BYTES:
         refuse_length(text, name)
@@ -97,13 +94,7 @@ def _parse(text: str, name: str) -> yaml.Node | None:
 
 
 def refuse_length(text: str, name: str) -> NoReturn:
-    """Refuse a text of more than `MOST_BYTES`, at the line that goes beyond.
-
-    Raises
-    ------
-    ConfigError
-        Always.
-    """
+    """Raise ConfigError for a text of more than `MOST_BYTES`, at the line that goes beyond."""
     line = text.count("\n", 0, MOST_BYTES) + 1
     raise ConfigError(
         f"{name}:{line}: here the file is longer than {MOST_BYTES // 1024} KiB, which is the most",
@@ -112,13 +103,7 @@ def refuse_length(text: str, name: str) -> NoReturn:
 
 
 def refuse_text(name: str, where: yaml.Node) -> NoReturn:
-    """Refuse what comes to more than `MOST_TEXT`, at the value that goes beyond.
-
-    Raises
-    ------
-    ConfigError
-        Always.
-    """
+    """Raise ConfigError for what comes to more than `MOST_TEXT`, at the value that goes beyond."""
     most = f"more than {MOST_TEXT >> 10} KiB of text"
     _refuse(name, where, f"what variables and aliases stand for makes this file {most}")
 

@@ -24,17 +24,8 @@ def expand_variables(
 ) -> None:
     """Fill in the variables of all values, in place, within the bounds of a file's text.
 
-    Parameters
-    ----------
-    environment : mapping of str to str, optional
-        Without it, values are taken literally, and only measured.
-    found : list of Problem
-        Gets a problem for each variable that is not set, with its place.
-
-    Raises
-    ------
-    ConfigError
-        All values together are longer than `MOST_TEXT`.
+    Without an environment values are taken literally, and only measured. `found` gets a problem for
+    each variable that is not set. Raise ConfigError where all together are beyond `MOST_TEXT`.
     """
     seen: set[int] = set()
     remaining = MOST_TEXT

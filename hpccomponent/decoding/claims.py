@@ -27,13 +27,7 @@ class Claims:
         self._path, self._most, self._claimed = path, most_memory(path), 0
 
     def add(self, size: int, what: str) -> None:
-        """Allow so many bytes more, before they are taken.
-
-        Raises
-        ------
-        InputError
-            With them the file claims more than it may.
-        """
+        """Allow so many bytes more, before they are taken; InputError where that is too much."""
         self._claimed += size
         if self._claimed > self._most:
             raise InputError(

@@ -48,14 +48,8 @@ _ENDS_S = 1.0  # so long after its pipe has closed
 class Decoder:
     """A process that decodes a file, and the memory that it decodes into.
 
-    Parameters
-    ----------
-    memory : ndarray of uint8
-        Shared: each answer overwrites it.
-    computing_s : float
-        How long it may compute, for all of its answers.
-    patience_s : float
-        How long one answer may take.
+    The memory is shared: each answer overwrites it. It may compute for `computing_s` for all of its
+    answers, and one of them may take `patience_s`.
     """
 
     def __init__(
@@ -78,14 +72,8 @@ class Decoder:
     def ask(self, *words: str | int) -> int:
         """Have it decode something, and return a number from 0 on, whose meaning its module says.
 
-        Raises
-        ------
-        InputError
-            It could not, it died, or it takes too long.
-        JobError
-            Somebody killed it, as the kernel does when memory is short.
-        UsageError
-            Its library is not what it should be.
+        Raise InputError where it could not, died, or takes too long, JobError where it was killed,
+        as by the kernel for memory, UsageError where its library is wrong.
         """
         with contextlib.suppress(BrokenPipeError):  # why it ended is found out below
             os.write(self._requests, (" ".join(map(str, words)) + "\n").encode())
@@ -137,21 +125,9 @@ def open_decoder(
 ) -> Iterator[Decoder]:
     """Start the process that decodes a file; it ends with the block.
 
-    Parameters
-    ----------
-    module : str
-        Of this package: what runs there.
-    size : int
-        Bytes of the memory that is shared.
-    patience_s : float
-        How long one answer may take, beside the time that it may compute.
-
-    Raises
-    ------
-    InputError
-        The file claims too much memory.
-    OSError
-        The process cannot be started, or the file is not there.
+    It runs a module of this package, shares `size` bytes of memory, and may take `patience_s` for
+    an answer beside the time that it may compute. Raise InputError where the file claims too much
+    memory, OSError where it is not there or the process cannot be started.
     """
     Claims(path).add(size, "what is decoded at once")
     computing_s = _LEAST_S + path.stat().st_size / _BYTES_PER_S

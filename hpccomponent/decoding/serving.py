@@ -25,13 +25,8 @@ def serve(open_file: Callable[[str, memoryview, list[str]], Answer]) -> None:
     """Answer requests until there are no more, or until one fails.
 
     The command line is: path, descriptor of the shared memory, its size in bytes, limits of memory
-    in bytes and of computing time in seconds; then arguments of `open_file`.
-
-    Parameters
-    ----------
-    open_file : callable
-        Given the path, the shared memory and arguments, it opens the file when the first request
-        is there.
+    in bytes and of computing time in seconds; then arguments of `open_file`, which opens the file
+    when the first request is there.
     """
     path, shared, size, most_bytes, most_s, *arguments = sys.argv[1:]
     answers = os.dup(1)

@@ -33,16 +33,8 @@ def take_written() -> int:
 def checksum(pieces: Iterable[Buffer], check: int = 0) -> int:
     """Return the checksum of some bytes, which depends on how they are cut into pieces.
 
-    Parameters
-    ----------
-    pieces : iterable of bytes-like
-        Cut between pages they give what they give as one.
-    check : int
-        Of the pieces before these.
-
-    Notes
-    -----
-    Of a page what matters is the sum of its words, in whatever order.
+    Pieces cut between pages give what they give as one; of a page what matters is the sum of its
+    words, in whatever order. `check` is that of the pieces before these.
     """
     import numpy as np  # not above: a worker starts without it
 

@@ -66,13 +66,7 @@ class Owner:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldFolder:
-    """A folder that this process holds.
-
-    Parameters
-    ----------
-    lock : int or None
-        The descriptor whose lock holds it; None where the file system has no locks.
-    """
+    """A folder that this process holds by a descriptor's lock; None where there are no locks."""
 
     path: Path
     lock: int | None
@@ -101,18 +95,7 @@ class HeldFolder:
 
 
 def create_held(path: Path) -> HeldFolder:
-    """Make a folder for this process.
-
-    Parameters
-    ----------
-    path : Path
-        Nothing may be there; folders above it are made.
-
-    Raises
-    ------
-    OutputError
-        It cannot be made.
-    """
+    """Make a folder for this process where nothing is, and those above it; else OutputError."""
     try:
         make_private_folder(path.parent)
         path.mkdir(0o700)
@@ -132,12 +115,7 @@ def create_held(path: Path) -> HeldFolder:
 def hold(path: Path, *, waits: bool = False) -> HeldFolder | None:
     """Take a folder that was made by `create_held` and that nobody holds any more.
 
-    Return None where somebody holds it, or it is not there, or not this user's.
-
-    Parameters
-    ----------
-    waits : bool
-        Whether to wait until whoever holds it has ended.
+    Return None where it is not there, not this user's, or held; with `waits` wait for its holder.
     """
     with _opened(path) as folder:
         if folder is None:
@@ -211,10 +189,7 @@ def remove_abandoned(parent: Path, prefix: str) -> list[Owner]:
 def temporary_room() -> Iterator[Path]:
     """Yield the system's folder for temporary files, while something is written there.
 
-    Raises
-    ------
-    OutputError
-        There is none, or no room in it; the system's own error names no file.
+    Raise OutputError where there is none, or no room in it; the system's own error names no file.
     """
     problem = "no temporary folder can be had"
     try:
@@ -229,14 +204,9 @@ def temporary_room() -> Iterator[Path]:
 
 @contextmanager
 def temporary_folder() -> Iterator[Path]:
-    """Yield a folder of the system's for temporary files; it is removed when the block ends.
+    """Yield a temporary folder, which the block's end removes; OutputError where none can be made.
 
     What is left of a process that was killed, the next one removes.
-
-    Raises
-    ------
-    OutputError
-        None can be made.
     """
     with temporary_room() as parent:
         remove_abandoned(parent, _PREFIX)

@@ -46,13 +46,7 @@ class Role(enum.Enum):
 
 @dataclass(frozen=True, slots=True)
 class Read:
-    """A file or a folder that a call reads.
-
-    Parameters
-    ----------
-    option : str
-        Which names it; empty for what the call is about.
-    """
+    """A file or a folder that a call reads; its option is empty for what the call is about."""
 
     path: Path
     option: str = ""
@@ -62,18 +56,9 @@ class Read:
 class Written:
     """A file or a folder that a call writes.
 
-    Parameters
-    ----------
-    option : str
-        Which names it; in Python none.
-    suffixes : tuple of str
-        Of which it needs one, in any case; any will do where there are none.
-    what : str
-        What the suffixes stand for, as "page".
-    is_beside : bool
-        Whether it lies beside what the option names.
-    makes_folders : bool
-        Whether the folders that it lies in are made where they are missing.
+    An option names it, in Python none. It needs one of `suffixes`, in any case, if there are any;
+    `what` is what they stand for, as "page". With `is_beside` it lies beside what the option names,
+    with `makes_folders` missing folders above it are made.
     """
 
     path: Path
@@ -120,15 +105,8 @@ class Written:
 def check_files(written: Sequence[Written], read: Sequence[Read] = ()) -> None:
     """Find out, before anything is opened, whether a call can write its files and loses none.
 
-    Parameters
-    ----------
-    written, read : sequence of Written, sequence of Read
-        All of the call; of a folder that is read, all that is in it.
-
-    Raises
-    ------
-    OutputError
-        A file cannot be written, is written twice, or is read.
+    All of the call are given, and of a folder that is read all that is in it. Raise OutputError
+    where a file cannot be written, is written twice, or is read.
     """
     for one in written:
         if one.suffixes and one.path.suffix.lower() not in one.suffixes:
@@ -241,18 +219,9 @@ def usual_folder_mode(path: Path) -> int:
 def check_place(path: Path, makes_folders: bool = False) -> None:
     """Find out now whether a file can be written later, and leave nothing behind.
 
-    Permissions are tried, not read: what root may do, or a read-only file system forbids,
-    they do not tell.
-
-    Parameters
-    ----------
-    makes_folders : bool
-        Whether the folders above it are made where they are missing.
-
-    Raises
-    ------
-    OutputError
-        The folder does not exist or cannot be written, or `path` is not a file.
+    Permissions are tried, not read: what root may do, or a read-only file system forbids, they do
+    not tell. Raise OutputError where the folder cannot be written or is missing (unless
+    `makes_folders`), or `path` is not a file.
     """
     with staged(path) as (target, beside):
         if not makes_folders or target.parent.is_dir():
@@ -278,10 +247,7 @@ def _check_stream(path: Path) -> None:
 def check_folder(path: Path) -> None:
     """Find out now whether a folder can be written later, and leave nothing behind.
 
-    Raises
-    ------
-    OutputError
-        It cannot, or there is something in it.
+    Raise OutputError where it cannot, or there is something in it.
     """
     target = Path(os.path.realpath(path))
     with translated(path, target):

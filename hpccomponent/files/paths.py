@@ -19,13 +19,7 @@ _KINDS = (
 
 
 def home_folder() -> Path:
-    """Return the user's home: ``$HOME``, or where the system says it is.
-
-    Raises
-    ------
-    UsageError
-        Neither is known.
-    """
+    """Return ``$HOME``, or the home that the system knows; UsageError where neither is known."""
     named = os.environ.get("HOME", "")
     if not named:
         try:
@@ -42,10 +36,7 @@ def home_folder() -> Path:
 def expand_home(path: str | Path) -> Path:
     """Return a path with its home folder written out, if it begins with ``~`` or ``~USER``.
 
-    Raises
-    ------
-    UsageError
-        There is no such user.
+    Raise UsageError where there is no such user.
 
     Examples
     --------
@@ -84,13 +75,7 @@ def expand_pattern(name: str) -> list[str]:
 
 
 def check_regular(path: Path) -> None:
-    """Find out whether a path is a regular file, or nothing yet; nothing is opened.
-
-    Raises
-    ------
-    UsageError
-        It is something else, or cannot be looked at.
-    """
+    """Raise UsageError unless a path is a regular file, or nothing yet; nothing is opened."""
     try:
         refuse_special(os.stat(path).st_mode, path)
     except FileNotFoundError:
@@ -100,17 +85,9 @@ def check_regular(path: Path) -> None:
 
 
 def read_regular(path: Path, most: int = -1) -> bytes:
-    """Read a regular file; a pipe is not waited for.
+    """Read a regular file, at most `most` bytes of it; by default all.
 
-    Parameters
-    ----------
-    most : int
-        Bytes that are read at most; by default all.
-
-    Raises
-    ------
-    OSError
-        It cannot be read, or is something else.
+    Raise OSError where it cannot be read, or is something else: a pipe is not waited for.
     """
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
@@ -124,12 +101,7 @@ def read_regular(path: Path, most: int = -1) -> bytes:
 def refuse_special(mode: int, path: Path) -> None:
     """Raise OSError, whose `strerror` says so, where a mode is not that of a regular file.
 
-    Raises
-    ------
-    IsADirectoryError
-        It is that of a folder.
-    OSError
-        It is that of a pipe, a socket or a device.
+    For a folder it is IsADirectoryError.
     """
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))

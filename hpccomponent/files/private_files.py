@@ -17,13 +17,7 @@ _FILE, _FOLDER = 0o600, 0o700
 
 
 def make_private_folder(path: Path) -> None:
-    """Make a folder, and those above it that are missing, for their owner alone.
-
-    Raises
-    ------
-    OSError
-        It cannot be made.
-    """
+    """Make a folder, and missing ones above it, for their owner alone; OSError where that fails."""
     if path.is_dir():
         return
     if not path.parent.is_dir():
@@ -38,18 +32,7 @@ def make_private_folder(path: Path) -> None:
 
 
 def create_private(path: Path, buffering: int = -1) -> BinaryIO:
-    """Create a file for its owner alone, to be written.
-
-    Parameters
-    ----------
-    path : Path
-        Nothing may be there.
-
-    Raises
-    ------
-    OSError
-        It cannot be made, or something is there.
-    """
+    """Create a file for its owner alone, to be written; OSError where something is there."""
 
     def opener(name: str, flags: int) -> int:
         return os.open(name, flags | os.O_NOFOLLOW, _FILE)
@@ -78,15 +61,9 @@ def open_if_read(name: str, flags: int) -> int:
 
 
 def remove_path(path: Path) -> None:
-    """Take away whatever has a name: a file, a link, or a folder with all that is in it.
+    """Take away whatever has a name, if anything: a file, a link, or a folder with all in it.
 
-    Folders that their owner may not look into are no obstacle; what belongs to others is, and is
-    left without a word.
-
-    Parameters
-    ----------
-    path : Path
-        There may be nothing.
+    Folders that their owner may not look into are no obstacle; what is others' is left silently.
     """
 
     def try_again(remove: Callable[..., object], name: str, _error: object) -> None:

@@ -15,17 +15,8 @@ _BUFFER = 1 << 18  # bytes of small pieces that are written together
 def write_whole(path: Path, buffers: Iterable[bytes | bytearray | memoryview]) -> None:
     """Write a file that is there when all of it is, and never in part; only its owner can read it.
 
-    Others may read it meanwhile: a task may run twice, and who is late writes the same again.
-
-    Parameters
-    ----------
-    path : Path
-        What has been there is replaced.
-
-    Raises
-    ------
-    OSError
-        It cannot be written; nothing is left behind.
+    It replaces what has been there. Others may read it meanwhile: a task may run twice, and who is
+    late writes the same again. After an OSError nothing is left behind.
     """
     beside = path.with_name(f".{os.urandom(8).hex()}.tmp")
     try:

@@ -11,13 +11,7 @@ MAX_BLOBS = 500  # each keeps a file open
 
 
 class BlobCache:
-    """The blobs of one component, by least recent use.
-
-    Parameters
-    ----------
-    limit_bytes : int
-        How much is kept beside what batches need, in bytes.
-    """
+    """The blobs of one component by least recent use, `limit_bytes` beside what batches need."""
 
     def __init__(self, limit_bytes: int) -> None:
         self.worker_has: set[bytes] = set()
@@ -68,13 +62,7 @@ class BlobCache:
         return evicted
 
     def forget(self, keys: Iterable[bytes]) -> None:
-        """Note that nobody will name these blobs again: they are the next to go.
-
-        Parameters
-        ----------
-        keys : iterable of bytes
-            Those of blobs that are not here are passed over.
-        """
+        """Note that nobody will name these blobs again: those that are here are the next to go."""
         self._forgotten.update(key for key in keys if key in self._sizes)
 
     def _is_over(self) -> bool:

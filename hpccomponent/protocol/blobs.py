@@ -21,14 +21,8 @@ KEY_BYTES = 16
 class Blob:
     """A shared value: its key, and its encoding.
 
-    Parameters
-    ----------
-    key : bytes
-        BLAKE2b of 128 bits over the lengths of header and buffers, the header, and the buffers.
-    header : bytes
-        The header of the encoded value.
-    buffers : tuple of bytes-like
-        Its large parts; they must not change as long as the blob is used.
+    The key is BLAKE2b of 128 bits over the lengths of header and buffers, the header, and the
+    buffers, which must not change as long as the blob is used.
     """
 
     key: bytes
@@ -42,12 +36,7 @@ class Blob:
 
 
 def make_blob(header: bytes, buffers: Sequence[Buffer]) -> Blob:
-    """Name an encoded value by its content.
-
-    Parameters
-    ----------
-    buffers : sequence of buffer
-        Those of the value, which the blob refers to without a copy.
+    """Name an encoded value by its content; its buffers are referred to without a copy.
 
     Examples
     --------
@@ -63,13 +52,7 @@ def make_blob(header: bytes, buffers: Sequence[Buffer]) -> Blob:
 def check_blob(
     key: bytes, header: bytes, sizes: Sequence[int], pieces: Iterable[Sequence[Buffer]]
 ) -> None:
-    """Make sure that a received blob is what its key names.
-
-    Raises
-    ------
-    ProtocolError
-        If it is something else.
-    """
+    """Raise ProtocolError where a received blob is not what its key names."""
     if _key(header, sizes, (frame for frames in pieces for frame in frames)) != key:
         raise ProtocolError(f"blob {key.hex()} does not hold what its key names")
 

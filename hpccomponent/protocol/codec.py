@@ -87,26 +87,12 @@ class _Supply:
 
 
 def encode_values(values: tuple[object, ...]) -> tuple[bytes, list[Buffer]]:
-    """Encode a tuple of values.
+    """Encode a tuple of values, the arguments or the result of a task.
 
-    Parameters
-    ----------
-    values : tuple
-        The arguments or the result of a task; large contiguous arrays are not copied and must
-        not change until the buffers have been used.
-
-    Returns
-    -------
-    header : bytes
-        At most 4 MiB.
-    buffers : list of bytes-like
-        The large parts, little-endian, in the order in which the header names them.
-
-    Raises
-    ------
-    UsageError
-        If a value is of no type that may travel, is nested too deeply (or contains itself), or
-        if the header grows too large.
+    Return a header of at most 4 MiB, and the large parts, little-endian, in the order in which the
+    header names them. Large contiguous arrays are not copied and must not change until the buffers
+    have been used. Raise UsageError where a value is of no type that may travel, or nested too
+    deeply (or contains itself), or the header grows too large.
     """
     parts = _Parts()
     header = _encode_header(values, parts)
@@ -119,16 +105,9 @@ def encode_values(values: tuple[object, ...]) -> tuple[bytes, list[Buffer]]:
 
 
 def encode_arguments(values: tuple[object, ...]) -> tuple[bytes, list[Buffer], tuple[Blob, ...]]:
-    """Encode the arguments of a task, among which blobs may stand.
+    """Encode the arguments of a task, among which blobs may stand, as `encode_values` does.
 
-    Parameters and errors are those of `encode_values`.
-
-    Returns
-    -------
-    header, buffers : bytes, list of bytes-like
-        As `encode_values` has them.
-    blobs : tuple of Blob
-        What the header names by its key, each once.
+    Return the blobs, too: what the header names by its key, each once.
     """
     parts = _Parts()
     header = _encode_header(values, parts)
@@ -153,23 +132,9 @@ def decode_values(
 ) -> tuple[Any, ...]:
     """Decode what `encode_values` made; trusts neither the header nor the buffers.
 
-    Parameters
-    ----------
-    buffers : sequence of bytes-like
-        The buffers, each in one piece.
-    blobs : mapping of bytes to value
-        The decoded values of blobs, by their keys.
-
-    Returns
-    -------
-    tuple
-        The values. Arrays are aligned, C-contiguous and read-only; large ones are views of
-        their buffers.
-
-    Raises
-    ------
-    ProtocolError
-        If header and buffers do not describe such values.
+    Each buffer is in one piece; `blobs` are decoded values, by their keys. Arrays are aligned,
+    C-contiguous and read-only; large ones are views of their buffers. Raise ProtocolError where
+    header and buffers do not describe such values.
     """
     if len(header) > MAX_HEADER_BYTES:
         raise ProtocolError(f"a header of values has more than {MAX_HEADER_BYTES} bytes")

@@ -32,10 +32,7 @@ if TYPE_CHECKING:  # as in `declared_arrays`
 class Column:
     """An array in a record, whose dtype is in the annotation; parameters as those of `Array`.
 
-    Parameters
-    ----------
-    unit : str
-        Of its entries, for the reader.
+    `unit` is that of its entries, for the reader.
     """
 
     shape: tuple[int | str, ...]
@@ -63,14 +60,8 @@ class Column:
 class Bounds:
     """What the arguments of a task say of an array.
 
-    Parameters
-    ----------
-    low, high, total
-        As of `Array`; instead of the column's own.
-    agrees : callable, optional
-        Tells of an array that fits whether it is right.
-    rule : str
-        What that means, for the message.
+    `low`, `high` and `total`, as of `Array`, stand instead of the column's own. `agrees` tells of
+    an array that fits whether it is right; `rule` is what that means, for the message.
     """
 
     low: ArrayLike | None = None
@@ -80,15 +71,7 @@ class Bounds:
     rule: str = ""
 
     def of(self, form: Any, sizes: Mapping[str, int] | None = None) -> Declared:
-        """Return the pattern of an array.
-
-        Parameters
-        ----------
-        form : Annotated
-            The type of the array, and its `Column`.
-        sizes : mapping of str to int, optional
-            Extents that are known.
-        """
+        """Return the pattern of an array by its `Column`; `sizes` are extents that are known."""
         dtype, column = read_column(form)
         pattern = Array(
             dtype,
@@ -113,13 +96,7 @@ def _extent(extent: int | str, sizes: Mapping[str, int]) -> int | str:
 
 @cache
 def read_column(form: Any) -> tuple[str, Column]:
-    """Return the dtype of an array, as of `Array`, and its `Column`.
-
-    Raises
-    ------
-    TypeError
-        It has none.
-    """
+    """Return the dtype of an array, as of `Array`, and its `Column`; TypeError if it has none."""
     import numpy as np
 
     if get_origin(form) is not Annotated or not isinstance(form.__metadata__[0], Column):
@@ -137,21 +114,11 @@ def field_types(kind: type) -> dict[str, Any]:
 def pattern_of(
     kind: type, sizes: Mapping[str, int] | None = None, /, **given: Bounds | Declared
 ) -> Record:
-    """Return the pattern of a record.
+    """Return the pattern of a record whose fields are numbers, and arrays with a `Column`.
 
-    Parameters
-    ----------
-    kind : type
-        Its class, whose fields are numbers, and arrays with a `Column`.
-    sizes : mapping of str to int, optional
-        Extents that are known.
-    **given : Bounds or Declared
-        What the task knows of a field: bounds of an array, or a pattern instead of the field's.
-
-    Raises
-    ------
-    TypeError
-        The record has no such field, or a field that is something else.
+    `sizes` are extents that are known; `given` is what the task knows of a field: bounds of an
+    array, or a pattern instead of the field's. Raise TypeError where the record has no such field,
+    or a field that is something else.
     """
     forms = field_types(kind)
     if unknown := given.keys() - forms.keys():

@@ -17,18 +17,10 @@ KEYS = ("server_key", "public_key", "secret_key")
 
 @dataclass(frozen=True, slots=True)
 class Connection:
-    """Where the master listens, and the keys of one worker.
+    """Where the master listens, and the keys of one worker: CURVE, in Z85.
 
-    Parameters
-    ----------
-    endpoint : str
-        ZeroMQ endpoint of the master, ``tcp://HOST:PORT``.
-    server_key : str
-        The master's public CURVE key, Z85.
-    public_key, secret_key : str
-        The worker's own CURVE keys, Z85.
-    worker : str
-        The worker's name, unique within the job.
+    The endpoint is ZeroMQ's, ``tcp://HOST:PORT``; `server_key` is the master's public one; the
+    worker's name is unique within the job.
     """
 
     endpoint: str
@@ -40,24 +32,15 @@ class Connection:
 
 
 def write_connection(path: Path | str, connection: Connection) -> None:
-    """Write `connection` to `path` as JSON, readable by its owner only.
-
-    Raises
-    ------
-    OutputError
-        If the file cannot be written.
-    """
+    """Write a connection as JSON that only its owner can read; OutputError where that fails."""
     write_secret(Path(path), json.dumps(asdict(connection), indent=2) + "\n")
 
 
 def read_connection(path: Path | str) -> Connection:
     """Read a connection file, and trust it only if nobody else can read it.
 
-    Raises
-    ------
-    ConfigError
-        If the file is missing, is readable by group or others, or a key is missing, unknown or
-        not as it should be; the message names the file and the key.
+    Raise ConfigError, which names the file and the key, where the file is missing or readable by
+    group or others, or a key is missing, unknown or not as it should be.
     """
     expected = {item.name for item in fields(Connection)}
     entries = read_private_json(Path(path), CONNECTION_VERSION, expected)

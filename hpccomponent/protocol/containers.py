@@ -22,20 +22,11 @@ _MANY = {0xDC: 2, 0xDD: 4, 0xDE: 2, 0xDF: 4}  # arrays and maps, with their coun
 
 
 def check_containers(text: Buffer) -> None:
-    r"""Refuse a text that holds more than `MAX_CONTAINERS` arrays and maps.
+    r"""Raise ProtocolError for a text that holds more than `MAX_CONTAINERS` arrays and maps.
 
     Bytes that could begin one are counted first, which takes no time; only where these are too
-    many, as in a long list of random numbers, the text is walked through.
-
-    Parameters
-    ----------
-    text : bytes-like
-        MessagePack, or anything else: what is malformed is for the decoder to say.
-
-    Raises
-    ------
-    ProtocolError
-        If it does.
+    many, as in a long list of random numbers, the text is walked through. What is malformed as
+    MessagePack is for the decoder to say.
 
     Examples
     --------

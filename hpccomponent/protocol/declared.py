@@ -24,30 +24,15 @@ class Declared(Protocol):
     """A pattern of values."""
 
     def check(self, value: object, place: str, extents: Extents) -> None:
-        """Make sure that a value fits.
+        """Raise ProtocolError where a value that is decoded, or could be encoded, does not fit.
 
-        Parameters
-        ----------
-        value : object
-            What the codec has decoded, or could encode.
-        extents : dict of str to int
-            The extents that have been met, by their names; more are added.
-
-        Raises
-        ------
-        ProtocolError
-            If it does not.
+        `extents` are those that have been met, by their names; more are added.
         """
         ...
 
 
 def check_result(declared: Declared, value: object) -> None:
-    """Make sure that a result is what its task declares.
-
-    Raises
-    ------
-    ProtocolError
-        If it is not; the message says where.
+    """Raise ProtocolError, which says where, for a result that is not what its task declares.
 
     Examples
     --------
@@ -101,13 +86,7 @@ class Flag:
 
 @dataclass(frozen=True, slots=True)
 class Whole:
-    """An int.
-
-    Parameters
-    ----------
-    low, high : int
-        The least and the greatest; by default what an index can be.
-    """
+    """An int from `low` to `high`, by default what an index can be."""
 
     low: int = 0
     high: int = 2**62
@@ -123,13 +102,7 @@ class Whole:
 
 @dataclass(frozen=True, slots=True)
 class Number:
-    """A float, and not NaN.
-
-    Parameters
-    ----------
-    low, high : float
-        The least and the greatest; by default those that are finite.
-    """
+    """A float from `low` to `high`, by default any that is finite, and not NaN."""
 
     low: float = -sys.float_info.max
     high: float = sys.float_info.max
@@ -145,13 +118,7 @@ class Number:
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """A str.
-
-    Parameters
-    ----------
-    most : int
-        Characters.
-    """
+    """A str of at most `most` characters."""
 
     most: int = 1000
 
@@ -217,13 +184,7 @@ class Record:
 
 @dataclass(frozen=True, slots=True)
 class Each:
-    """A list of items of one kind; the names of extents are each item's own.
-
-    Parameters
-    ----------
-    count : int, optional
-        How many there are; any number by default.
-    """
+    """A list of items of one kind, `count` if given; the names of extents are each item's own."""
 
     item: Declared
     count: int | None = None
@@ -258,13 +219,7 @@ class EachOf:
 
 @dataclass(frozen=True, slots=True, init=False)
 class Either:
-    """One of several patterns.
-
-    Parameters
-    ----------
-    *choices : Declared
-        The first that fits counts.
-    """
+    """One of several patterns: the first that fits counts."""
 
     choices: tuple[Declared, ...]
 
@@ -290,12 +245,7 @@ class Either:
 class Where:
     """A pattern whose parts must also agree with one another.
 
-    Parameters
-    ----------
-    agrees : callable
-        Tells of a value that fits the pattern whether its parts agree.
-    rule : str
-        What they must agree in, for the message.
+    `agrees` tells of a value that fits whether they do; `rule`, for the message, in what.
     """
 
     pattern: Declared

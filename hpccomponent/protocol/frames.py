@@ -24,14 +24,7 @@ ALIGNMENT = 64
 
 
 def split_buffers(buffers: Sequence[Buffer], largest: int) -> list[memoryview]:
-    """Cut each buffer into frames of at most `largest` bytes, without copying.
-
-    An empty buffer gets no frame.
-
-    Parameters
-    ----------
-    largest : int
-        In bytes.
+    """Cut buffers, without copying, into frames of at most `largest` bytes; an empty one into none.
 
     Examples
     --------
@@ -46,14 +39,9 @@ def split_buffers(buffers: Sequence[Buffer], largest: int) -> list[memoryview]:
 
 
 def group_frames(frames: Sequence[Buffer], sizes: Sequence[int]) -> list[Sequence[Buffer]]:
-    """Find the frames of each buffer that `split_buffers` cut, without copying.
+    """Find the frames of each buffer that `split_buffers` cut, none of an empty one: no copies.
 
-    There is one group per buffer; none for an empty one.
-
-    Raises
-    ------
-    ProtocolError
-        If the frames do not add up to buffers of these sizes.
+    Raise ProtocolError where the frames do not add up to buffers of these sizes.
     """
     groups: list[Sequence[Buffer]] = []
     start = 0
@@ -74,7 +62,7 @@ def group_frames(frames: Sequence[Buffer], sizes: Sequence[int]) -> list[Sequenc
 def join_frames(frames: Sequence[Buffer], sizes: Sequence[int]) -> list[Buffer]:
     """Undo `split_buffers`: one buffer per entry of `sizes`, copied only if it came in pieces.
 
-    Parameters and errors are those of `group_frames`.
+    Errors are those of `group_frames`.
 
     Examples
     --------
@@ -91,30 +79,16 @@ def aligned(length: int) -> int:
 
 
 def check_payload(payload: memoryview, sizes: Sequence[int]) -> None:
-    """Check that a payload is as long as buffers of these sizes are.
-
-    Raises
-    ------
-    ProtocolError
-        If it is shorter or longer.
-    """
+    """Raise ProtocolError where a payload is shorter or longer than buffers of these sizes are."""
     expected = sum(map(aligned, sizes[:-1])) + sum(sizes[-1:])
     if payload.nbytes != expected:
         raise ProtocolError(f"{payload.nbytes} bytes came where {expected} were announced")
 
 
 def cut_payload(payload: memoryview, sizes: Iterable[int]) -> list[memoryview]:
-    """Cut a payload into buffers of these sizes, without copying.
+    """Cut a payload into buffers of these sizes, in bytes, without copying.
 
-    Parameters
-    ----------
-    sizes : iterable of int
-        In bytes.
-
-    Raises
-    ------
-    ProtocolError
-        If the payload is too short.
+    Raise ProtocolError where the payload is too short.
 
     Examples
     --------

@@ -24,15 +24,7 @@ Key = Annotated[str, Meta(pattern=rf"^[{re.escape(''.join(sorted(Z85)))}]{{{KEY_
 
 @dataclass(frozen=True, slots=True)
 class KeyPair:
-    """A CURVE key pair in Z85 text.
-
-    Parameters
-    ----------
-    public : str
-        40 characters, to be given away.
-    secret : str
-        40 characters, to be kept; left out of the representation.
-    """
+    """A CURVE key pair in Z85 text, 40 characters each; the secret is not in the representation."""
 
     public: Key
     secret: Key = field(repr=False)
@@ -56,17 +48,9 @@ def is_key(text: object) -> bool:
 
 
 def write_secret(path: Path, text: str) -> None:
-    """Write `text` to `path`, readable by its owner only, beside the old file and then over it.
+    """Write `text`, readable by its owner only, beside the old file and then over it as a whole.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        The file; an older one is replaced as a whole.
-
-    Raises
-    ------
-    OutputError
-        If the file cannot be written.
+    Raise OutputError where the file cannot be written.
     """
     beside = path.with_name(f".{path.name}.{os.getpid()}")
     try:

@@ -297,13 +297,7 @@ def encode_message(message: MasterMessage | ComponentMessage) -> bytes:
 
 
 def decode_master_message(frame: bytes | memoryview) -> MasterMessage:
-    """Decode what a master sent.
-
-    Raises
-    ------
-    ProtocolError
-        If the frame is not exactly such a message.
-    """
+    """Decode what a master sent; ProtocolError where the frame is not exactly such a message."""
     try:
         return _master_decoder.decode(frame)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
@@ -311,13 +305,7 @@ def decode_master_message(frame: bytes | memoryview) -> MasterMessage:
 
 
 def decode_component_message(frame: bytes | memoryview) -> ComponentMessage:
-    """Decode what a component sent.
-
-    Raises
-    ------
-    ProtocolError
-        If the frame is not exactly such a message.
-    """
+    """Decode what a component sent; ProtocolError where the frame is not exactly such a message."""
     try:
         return _component_decoder.decode(frame)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:

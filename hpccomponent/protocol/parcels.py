@@ -34,10 +34,7 @@ class _Parcel:
 class Parcels:
     """The results of one component that have not been released, by number, which count from 1.
 
-    Attributes
-    ----------
-    last, released : int
-        The number of the last results, and of the last that were released.
+    `last` and `released` are the numbers of the last results, and of the last that were released.
     """
 
     def __init__(self) -> None:
@@ -60,13 +57,7 @@ class Parcels:
         return self.last
 
     def keep(self, head: Buffer, payload: Buffer) -> int:
-        """Keep the content of a new parcel, and return its number.
-
-        Parameters
-        ----------
-        payload : buffer
-            Its buffers, laid out for `cut_payload`.
-        """
+        """Keep a new parcel, its buffers laid out for `cut_payload`, and return its number."""
         self.last += 1
         self._parcels[self.last] = _Parcel(memoryview(head), memoryview(payload))
         return self.last

@@ -19,17 +19,8 @@ ADVICE = "have the file written anew"
 def read_private_json(path: Path, version: int, keys: Collection[str]) -> dict[str, Any]:
     """Read a JSON object with exactly these keys, and trust it only if nobody else can read it.
 
-    Parameters
-    ----------
-    version : int
-        What its key ``version`` must be.
-    keys : collection of str
-        All keys, ``version`` among them.
-
-    Raises
-    ------
-    ConfigError
-        If the file is missing, is readable by group or others, or is not such an object.
+    ``version``, which `keys` has too, must be `version`. Raise ConfigError where the file is
+    missing, is readable by group or others, or is not such an object.
     """
     try:
         entries = decode(_read_private(path), dict[str, Any])
@@ -45,13 +36,7 @@ def read_private_json(path: Path, version: int, keys: Collection[str]) -> dict[s
 
 
 def check_keys(where: str, entries: dict[str, Any], keys: Collection[str]) -> None:
-    """Raise ConfigError for a key that is missing, or too many.
-
-    Parameters
-    ----------
-    where : str
-        What the message names first, such as the file.
-    """
+    """Raise ConfigError, which names the file (`where`) first, for a key missing or too many."""
     for key in sorted(set(keys) ^ entries.keys()):
         verdict = "is missing" if key in keys else "is not known"
         raise ConfigError(f"{where}: {key}: {verdict}", ADVICE)

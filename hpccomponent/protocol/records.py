@@ -30,24 +30,11 @@ _BY_KIND: dict[type, RecordType] = {}
 
 
 def record(name: str) -> Callable[[type[T]], type[T]]:
-    """Let a frozen dataclass travel.
+    """Let a frozen dataclass travel by a unique name, as ``surface.part``.
 
-    Parameters
-    ----------
-    name : str
-        By which it travels: unique, as ``surface.part``.
-
-    Returns
-    -------
-    callable
-        The decorator, to be put above that of the dataclass.
-
-    Raises
-    ------
-    TypeError
-        The class is no frozen dataclass, or does more than keep its fields when it is made.
-    ValueError
-        Another class has the name.
+    The decorator stands above that of the dataclass. Raise TypeError where the class is no frozen
+    dataclass, or does more when made than keep its fields, ValueError where another class has the
+    name.
 
     Examples
     --------
@@ -80,13 +67,7 @@ def find_record(kind: type) -> RecordType | None:
 
 
 def make_record(name: str, values: Mapping[str, object]) -> Any:
-    """Return the record of a name and its fields.
-
-    Raises
-    ------
-    ProtocolError
-        No class has the name here, or it has other fields.
-    """
+    """Return the record of a name and its fields; ProtocolError where no class here has both."""
     entry = _BY_NAME.get(name)
     if entry is None:
         raise ProtocolError(f"a record of the unknown name {name[:40]!r}")

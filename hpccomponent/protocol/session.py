@@ -144,15 +144,9 @@ class _HeldBatch:
 class WorkerSession:
     """One component's life with its master.
 
-    Parameters
-    ----------
-    register : Register
-        How the component introduces itself.
-    now : float
-        The present moment of a monotonic clock, in seconds, as in every event.
-    silence_s : float
-        How long to wait for a master that says nothing, in seconds, until the master names
-        its own figure.
+    `register` introduces the component. In seconds, `now` is the present moment of a monotonic
+    clock, as in every event, and `silence_s` how long to wait for a master that says nothing, until
+    the master names its own figure.
     """
 
     def __init__(self, register: Register, now: float, silence_s: float = 60.0) -> None:
@@ -235,10 +229,7 @@ class WorkerSession:
     ) -> list[Action]:
         """Take results of the worker, and pass them on, or announce them.
 
-        Parameters
-        ----------
-        payload : memoryview
-            Their buffers, laid out for `cut_payload`.
+        The payload holds their buffers, laid out for `cut_payload`.
         """
         self.progress += len(results.results)
         self._said = now
@@ -287,10 +278,7 @@ class WorkerSession:
     def worker_died(self, reason: str) -> list[Action]:
         """Take the news that the worker process is gone: its batches are lost.
 
-        Parameters
-        ----------
-        reason : str
-            For the master; its first 1000 characters are sent.
+        The first 1000 characters of the reason are sent to the master.
         """
         self._worker_is_up = False
         self._cache.worker_has.clear()
@@ -342,14 +330,9 @@ class WorkerSession:
         return min(self._said + interval, self._heard + self._silence_s + 0.001)
 
     def terminate(self, reason: str) -> list[Action]:
-        """Leave at once; the master gives unfinished batches to others, without blame.
+        """Leave at once, unless stopped; the master gives its batches to others, without blame.
 
-        There is nothing to do where the session has stopped.
-
-        Parameters
-        ----------
-        reason : str
-            For the master; its first 1000 characters are sent.
+        The first 1000 characters of the reason are sent to the master.
         """
         return self._depart(ExitCode.DONE, reason)
 

@@ -31,14 +31,9 @@ _WORDS = {
 
 
 def bound_socket(socket: zmq.Socket[bytes], largest_frame: int) -> None:
-    """Set the limits that keep one peer from hanging or filling the other.
+    """Set the limits that keep peers from hanging or filling a socket, not yet bound or connected.
 
-    Parameters
-    ----------
-    socket : zmq.Socket
-        Not yet bound or connected.
-    largest_frame : int
-        Longest buffer frame that the peer may send, in bytes; libzmq drops peers that send more.
+    libzmq drops peers that send frames of buffers of more than `largest_frame` bytes.
     """
     socket.setsockopt(zmq.LINGER, LINGER_MS)
     socket.setsockopt(zmq.SNDHWM, HIGH_WATER_MARK)
@@ -48,29 +43,18 @@ def bound_socket(socket: zmq.Socket[bytes], largest_frame: int) -> None:
 
 
 def accept_probes(socket: zmq.Socket[bytes]) -> None:
-    """Have a listening socket find out which peers have gone silent, without probes of its own.
+    """Have a socket that will listen find out which peers are silent, without probes of its own.
 
     A peer whose machine vanishes or is suspended is found by TCP, as the master's messages are not
     confirmed, and one that is frozen by the time to live that its last probe has named. Probes of
-    this end would add nothing but a danger: libzmq 4.3 aborts the process when it is to probe a
+    this end would be nothing but a danger: libzmq 4.3 aborts the process when it is to probe a
     connection that has broken while messages of the peer waited ("Assertion failed: !_io_error").
-
-    Parameters
-    ----------
-    socket : zmq.Socket
-        Not yet bound.
     """
     socket.setsockopt(zmq.TCP_MAXRT, SILENCE_MS)
 
 
 def send_probes(socket: zmq.Socket[bytes]) -> None:
-    """Have ZeroMQ probe a connection from this end; see `accept_probes` for the other.
-
-    Parameters
-    ----------
-    socket : zmq.Socket
-        Not yet connected.
-    """
+    """Have ZeroMQ probe a socket, not yet connected, from this end; see `accept_probes`."""
     socket.setsockopt(zmq.HEARTBEAT_IVL, PROBE_MS)
     socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, SILENCE_MS)
     socket.setsockopt(zmq.HEARTBEAT_TTL, SILENCE_MS)
@@ -80,18 +64,12 @@ def send_probes(socket: zmq.Socket[bytes]) -> None:
 def open_monitor(
     socket: zmq.Socket[bytes], tells_breaks: bool = False
 ) -> Iterator[zmq.Socket[bytes]]:
-    """Watch a socket's connections; give the socket whose messages `read_event` takes.
+    """Watch a socket, not yet bound or connected; give that whose messages `read_event` takes.
 
     libzmq's own thread waits for room where a monitor's queue is full or its reader is gone, and
-    everything else with it, the end too. So the queue has no bound, and the watch ends first.
-
-    Parameters
-    ----------
-    socket : zmq.Socket
-        Not yet bound or connected; closed after this.
-    tells_breaks : bool
-        Whether handshakes are reported that the peer breaks off. The end that listens does so where
-        a key is wrong; the end that connects does so only where it ends, or has lost patience.
+    everything else with it, the end too. So the queue has no bound, and the watch ends before the
+    watched socket is closed. With `tells_breaks` handshakes are reported that the peer breaks off:
+    one that listens where a key is wrong, one that connects only where it ends or loses patience.
     """
     breaks = zmq.Event.HANDSHAKE_FAILED_NO_DETAIL if tells_breaks else 0
     endpoint = f"inproc://monitor-{id(socket)}"
@@ -109,10 +87,7 @@ def open_monitor(
 def read_event(frames: Sequence[bytes]) -> tuple[zmq.Event, int]:
     """Return what a socket monitor reported, with its value: a connection's descriptor, mostly.
 
-    Parameters
-    ----------
-    frames : sequence of bytes
-        A message from a monitor socket: event and value, then the endpoint.
+    The frames are event and value, then the endpoint.
     """
     number, value = struct.unpack("=hi", frames[0])
     return zmq.Event(number), value

@@ -18,10 +18,7 @@ Result = TypeVar("Result")
 class Deferred(Generic[Result]):
     """A value that will be asked for, and may be found in the background before that.
 
-    Parameters
-    ----------
-    find : callable
-        Finds it, from nothing that changes. Is called once, unless it raises.
+    `find` finds it, from nothing that changes, and is called once, unless it raises.
     """
 
     def __init__(self, find: Callable[[], Result]) -> None:
@@ -36,12 +33,9 @@ class Deferred(Generic[Result]):
 
 
 class Background:
-    """Steps of work that wait for time, first come, first served.
+    """Steps of work that wait for time, first come, first served; none is kept unless enabled.
 
-    Parameters
-    ----------
-    is_enabled : bool
-        Whether this process ever waits; where it does not, nothing is kept.
+    It is enabled where this process ever waits.
     """
 
     def __init__(self, is_enabled: bool = False) -> None:
@@ -55,11 +49,7 @@ class Background:
     def add(self, step: Callable[[], bool]) -> None:
         """Leave some work; it must matter to nobody if it is never done, or fails half-way.
 
-        Parameters
-        ----------
-        step : callable
-            Does a short piece of it, and returns whether there is more: what comes meanwhile waits
-            for the piece.
+        `step` does a short piece, for which others wait, and returns whether there is more.
         """
         if self._is_enabled:
             self._steps.append(step)

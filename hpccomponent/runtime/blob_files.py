@@ -11,13 +11,7 @@ from hpccomponent.runtime.channel import Channel, MemoryFile
 
 
 def check_share(share: Share, frames: Sequence[Buffer]) -> None:
-    """Make sure that the frames are those of the blob that a message announces.
-
-    Raises
-    ------
-    ProtocolError
-        If they are not.
-    """
+    """Raise ProtocolError where the frames are not those of the blob that a message announces."""
     check_blob(share.key, share.header, share.sizes, group_frames(frames, share.sizes))
 
 
@@ -28,35 +22,17 @@ class BlobFiles:
         self._files: dict[bytes, MemoryFile] = {}
 
     def keep(self, share: Share, frames: Sequence[Buffer]) -> None:
-        """Copy a blob out of its frames, once for all tasks.
-
-        Raises
-        ------
-        OSError
-            If there is no memory for it.
-        """
+        """Copy a blob out of its frames, once for all tasks; OSError where there is no memory."""
         pieces = group_frames(frames, share.sizes)
         self._files[share.key] = MemoryFile(encode_message(share), pieces)
 
     def hand_over(self, keys: Iterable[bytes], channel: Channel) -> None:
-        """Let the worker process map these blobs.
-
-        Raises
-        ------
-        ChannelClosedError, OSError
-            As `Channel.send_file` says.
-        """
+        """Let the worker process map these blobs; errors are those of `Channel.send_file`."""
         for key in keys:
             channel.send_file(self._files[key])
 
     def discard(self, keys: Sequence[bytes], session: str, channel: Channel | None) -> None:
-        """Let blobs go, here and in the worker process.
-
-        Raises
-        ------
-        ChannelClosedError
-            If the worker process is gone.
-        """
+        """Let blobs go, here and in the worker process; ChannelClosedError where that is gone."""
         for key in keys:
             self._files.pop(key).close()
         if channel is not None:

@@ -37,10 +37,7 @@ class ChannelClosedError(ProtocolError):
 
 
 class MemoryFile:
-    """A message in a memory file, to be sent any number of times.
-
-    Parameters are those of `Channel.send`, and so is its OSError.
-    """
+    """A message in a memory file, to be sent any number of times; OSError as of `Channel.send`."""
 
     def __init__(self, control: Buffer, buffers: Sequence[Sequence[Buffer]]) -> None:
         pieces, total = _lay_out(control, buffers)
@@ -53,13 +50,7 @@ class MemoryFile:
 
 
 class Channel:
-    """One end of the channel.
-
-    Parameters
-    ----------
-    end : socket.socket
-        A connected AF_UNIX stream socket, blocking; the channel closes it.
-    """
+    """One end of the channel: a connected, blocking AF_UNIX stream socket, which it closes."""
 
     def __init__(self, end: socket.socket) -> None:
         self._end = end
@@ -75,12 +66,7 @@ class Channel:
     def send(self, control: Buffer, buffers: Sequence[Sequence[Buffer]]) -> None:
         """Send a message; each buffer may come in pieces, which are joined on the way.
 
-        Raises
-        ------
-        ChannelClosedError
-            If the other end is gone.
-        OSError
-            If there is no memory for a large message.
+        Raise ChannelClosedError where the other end is gone, OSError where memory is short for it.
         """
         pieces, total = _lay_out(control, buffers)
         if total > INLINE_BYTES:
@@ -95,10 +81,7 @@ class Channel:
     def send_file(self, file: MemoryFile) -> None:
         """Send a message that lies in a memory file, without copying it.
 
-        Raises
-        ------
-        ChannelClosedError
-            If the other end is gone.
+        Raise ChannelClosedError where the other end is gone.
         """
         try:
             socket.send_fds(self._end, [file.prefix], [file.descriptor])
@@ -114,10 +97,7 @@ class Channel:
     def receive(self) -> tuple[memoryview, memoryview]:
         """Wait for a message; return it, and its buffers, to be cut by `cut_payload`.
 
-        Raises
-        ------
-        ChannelClosedError
-            If the other end is gone.
+        Raise ChannelClosedError where the other end is gone.
         """
         try:
             prefix, descriptors, _, _ = socket.recv_fds(self._end, PREFIX.size, 1)

@@ -72,16 +72,9 @@ BLOB_SHARE = 4  # a quarter of the machine's memory keeps blobs
 class ComponentOptions:
     """What a component is started with.
 
-    Parameters
-    ----------
-    build : str
-        Name of the worker build in the loader's catalogue.
-    tasks : sequence of str
-        ``NAME=module:function`` of tasks that are not installed as entry points.
-    lifeline : int or None
-        Descriptor of a pipe; the component leaves when its other end closes.
-    silence_s : float
-        How long to wait for a master that has not answered yet, in seconds.
+    `build` names a worker build of the loader's catalogue; `tasks` are ``NAME=module:function`` of
+    those that are no entry points. The component leaves when the other end of the pipe `lifeline`
+    closes, or a master has not answered yet after `silence_s` seconds.
     """
 
     build: str = "portable"

@@ -13,20 +13,9 @@ PR_SET_PDEATHSIG = 1
 def die_with_parent(parent: int, with_signal: signal.Signals) -> bool:
     """Ask the kernel to send this process `with_signal` when its parent's thread ends.
 
-    Parameters
-    ----------
-    parent : int
-        Process id of the parent, as it was before the call.
-
-    Returns
-    -------
-    bool
-        False where the kernel knows no such thing; the end of a pipe must serve alone there.
-
-    Notes
-    -----
-    A parent that died before the call sends nothing any more; then this process sends the
-    signal to itself.
+    `parent` is its process id, as it was before the call: a parent that died before sends nothing
+    any more; then this process sends the signal to itself. Return False where the kernel knows no
+    such thing; the end of a pipe must serve alone there.
     """
     if not sys.platform.startswith("linux"):
         return False
@@ -42,10 +31,7 @@ def die_with_parent(parent: int, with_signal: signal.Signals) -> bool:
 def exit_at_end_of_pipe(descriptor: int, code: int) -> threading.Thread:
     """Start a thread that ends the process at once when the other end of a pipe closes.
 
-    Parameters
-    ----------
-    descriptor : int
-        Reading end of the pipe; nothing is ever written to the other.
+    Nothing is ever written to that end.
     """
 
     def watch() -> None:

@@ -9,24 +9,12 @@ KERNEL_GROUP = "hpc.kernels"
 
 
 def numerics_id(build: str | None = None) -> str:
-    """Return what decides a task's bits on this machine.
+    """Return what decides a task's bits on this machine; HpcError where its build does not load.
 
-    Parameters
-    ----------
-    build : str, optional
-        Name of the worker build in the loader's catalogue; by default what this process runs.
-
-    Returns
-    -------
-    str
-        The ids of the installed kernels, numpy's release and the architecture, for instance
-        ``native-4b1c9e0f2a77-numpy2.1.0-x86_64``; a master accepts workers of one id only. The
-        Python patch level has no part in it.
-
-    Raises
-    ------
-    HpcError
-        The build does not load on this machine.
+    It is the ids of the installed kernels, numpy's release and the architecture, for instance
+    ``native-4b1c9e0f2a77-numpy2.1.0-x86_64``, without Python's patch level; a master accepts
+    workers of one id only. The build is one of the loader's catalogue, by default that of this
+    process.
 
     Notes
     -----

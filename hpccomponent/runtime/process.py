@@ -21,12 +21,8 @@ KEPT_MEMORY = {"MALLOC_MMAP_MAX_": "0", "MALLOC_TRIM_THRESHOLD_": str(2**31 - 1)
 class WorkerProcess:
     """A running worker process, the channel to it, and the pipe whose end it dies of.
 
-    Parameters
-    ----------
-    tasks : sequence of str
-        ``NAME=module:function`` of tasks that are not installed as entry points.
-    build : str
-        Name of the worker build; kernels find it in the variable ``HPCAPP_BUILD``.
+    `tasks` are ``NAME=module:function`` of those that are no entry points; kernels find the worker
+    build in the variable ``HPCAPP_BUILD``.
     """
 
     def __init__(self, tasks: Sequence[str] = (), build: str = "") -> None:

@@ -121,15 +121,8 @@ def traits_of(task: Callable[..., object] | str) -> Traits:
 class TaskRegistry:
     """Tasks by name, imported when they are first called.
 
-    Parameters
-    ----------
-    extra : iterable of str
-        ``NAME=module:function`` entries, beside the installed ones and before them.
-
-    Raises
-    ------
-    UsageError
-        If an entry has another form, or names one task twice with different functions.
+    `extra` are ``NAME=module:function`` entries, beside the installed ones and before them. Raise
+    UsageError where one has another form, or names one task twice with different functions.
 
     Examples
     --------
@@ -165,18 +158,9 @@ class TaskRegistry:
         return self._installed | self._extra
 
     def resolve(self, name: str) -> Callable[..., object]:
-        """Import and return the task's function.
+        """Import and return the task's function; behind `EACH`, that for each item of its columns.
 
-        Parameters
-        ----------
-        name : str
-            With `EACH` before it: of a task that is run for each item of its columns.
-
-        Raises
-        ------
-        UsageError
-            If there is no task of this name, or its module cannot be imported, or holds no such
-            function.
+        Raise UsageError where there is no such task, or its module cannot be imported or lacks it.
         """
         if name.startswith(EACH):
             return _each(self.resolve(name.removeprefix(EACH)))
@@ -202,13 +186,7 @@ class TaskRegistry:
             yield name
 
     def name_of(self, task: Callable[..., object] | str) -> str:
-        """Return the name under which a function, or a name itself, is registered.
-
-        Raises
-        ------
-        UsageError
-            If it is not registered.
-        """
+        """Return the name under which a function, or a name, is registered; else UsageError."""
         if isinstance(task, str):
             reference, known = task, task in self._extra or task in self.references()
         else:

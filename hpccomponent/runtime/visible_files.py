@@ -10,13 +10,10 @@ from hpccomponent.runtime.tasks import declare
 
 @declare(result=Flag(), limit=4096, is_verified=False)
 def sees_files(*files: tuple[str, int]) -> bool:
-    """Tell whether some files are there (a task).
+    """Tell whether some files, of these paths and lengths in bytes, are there (a task).
 
-    Parameters
-    ----------
-    *files : tuple of (str, int)
-        Path and length in bytes of each. A name with a random part in it is found nowhere by
-        chance; a name that a user gave is, so let a random one be among them.
+    A name with a random part in it is found nowhere by chance; a name that a user gave is, so let a
+    random one be among them.
 
     Examples
     --------

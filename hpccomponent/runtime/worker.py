@@ -51,10 +51,7 @@ EXIT_SHORTAGE = 1
 class ShortageError(Exception):
     """The machine lacks what a task needs: no fault of the task, and another one may have it.
 
-    Parameters
-    ----------
-    reason : str
-        For the master, in one line.
+    Its text is for the master, in one line.
     """
 
 
@@ -64,19 +61,9 @@ def run_call(
     tasks: TaskRegistry,
     blobs: Mapping[bytes, object] = NO_BLOBS,
 ) -> tuple[Result, list[Buffer]]:
-    """Run one task.
+    """Run one task; return its encoded value, or what it raised, and the buffers of the value.
 
-    Returns
-    -------
-    result : Result
-        The encoded value, or what the task raised.
-    buffers : list of bytes-like
-        The buffers of the value.
-
-    Raises
-    ------
-    ShortageError
-        If this machine has run out of memory, disk or open files over it.
+    Raise ShortageError where this machine has run out of memory, disk or open files over it.
     """
     start = perf_counter()
     take_written()
@@ -101,12 +88,9 @@ def run_call(
 def _check(
     call: Call, value: object, size_bytes: int, traits: Traits, arguments: tuple[object, ...]
 ) -> None:
-    """Refuse a result that the master would refuse: here it is the task's mistake.
+    """Raise TaskError for a result that the master would refuse: here it is the task's mistake.
 
-    Raises
-    ------
-    TaskError
-        If it is not what the task declares, or larger.
+    It is not what the task declares, or larger.
     """
     if size_bytes > call.limit_bytes:
         raise errors.TaskError(
@@ -132,19 +116,9 @@ def run_batch(
 ) -> None:
     """Run the tasks of a batch and send results as they become ready, cheap ones together.
 
-    Parameters
-    ----------
-    payload : memoryview
-        That came with it; see `Channel.receive`.
-
-    Raises
-    ------
-    ChannelClosedError
-        The other end is gone.
-    ProtocolError
-        The payload is too short.
-    ShortageError
-        This machine lacks what a task needs; the results before it have been sent.
+    The payload came with it, by `Channel.receive`; raise ProtocolError where it is too short. Raise
+    ChannelClosedError where the other end is gone, and ShortageError where this machine lacks what
+    a task needs; the results before it have been sent.
     """
     buffers = iter(cut_payload(payload, [size for call in batch.calls for size in call.sizes]))
     ready = _Ready(batch, channel)

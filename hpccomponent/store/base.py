@@ -30,64 +30,32 @@ class Store(Protocol):
     """
 
     def put(self, name: str, value: Any, *, replaces: bool = True) -> None:
-        """Store a value.
+        """Store an ndarray, int, float, bool, str, bytes, None, or tuple, list, dict of these.
 
-        Parameters
-        ----------
-        value : ndarray, int, float, bool, str, bytes, None, or tuple, list, dict of these
-        replaces : bool
-            Whether it takes the place of what has that name; else that stays.
-
-        Raises
-        ------
-        UsageError
-            The name is none, or the value is of another type.
-        OutputError, CloudError
-            It cannot be written.
+        Without `replaces`, what has that name stays. Raise UsageError where the name is none, or
+        the value of another type, OutputError or CloudError where it cannot be written.
         """
 
     def get(self, name: str) -> Any:
         """Return a value; its large arrays are read-only.
 
-        Raises
-        ------
-        UsageError
-            The name is none.
-        JobError
-            It is not there, or not as it was stored.
-        CloudError
-            The bucket does not give it.
+        Raise UsageError where the name is none, JobError where it is not there, or not as it was
+        stored, and CloudError where the bucket does not give it.
         """
 
     def has(self, name: str) -> bool:
         """Tell whether there is a value of a name.
 
-        Raises
-        ------
-        UsageError
-            The name is none.
-        CloudError
-            The bucket does not answer.
+        Raise UsageError where the name is none, CloudError where the bucket does not answer.
         """
 
     def list(self, prefix: str = "") -> list[str]:
-        """Return the names that begin so, sorted.
-
-        Raises
-        ------
-        CloudError
-            The bucket does not answer.
-        """
+        """Return the names that begin so, sorted; CloudError where the bucket does not answer."""
 
     def delete(self, name: str) -> None:
         """Take a value away, if it is there.
 
-        Raises
-        ------
-        UsageError
-            The name is none.
-        OutputError, CloudError
-            It cannot be taken away.
+        Raise UsageError where the name is none, OutputError or CloudError where it stays.
         """
 
 
@@ -103,17 +71,8 @@ def check_name(name: str) -> None:
 class FolderStore:
     """Values as files, which only their owner can read; see `Store`.
 
-    Parameters
-    ----------
-    folder : Path
-        Is made where there is none, for its owner alone.
-    makes_folders : bool
-        Whether it and those in it are made; else what is put where there is none is refused.
-
-    Raises
-    ------
-    OutputError
-        It cannot be made.
+    The folder is made where there is none, for its owner alone, else OutputError. Without
+    `makes_folders` neither it nor those in it are: what is put where there is none is refused.
     """
 
     def __init__(self, folder: Path, *, makes_folders: bool = True) -> None:

@@ -16,24 +16,12 @@ from hpccomponent.store.base import FolderStore, Store
 
 
 def open_store(place: str, *, makes_folders: bool = True) -> Store:
-    """Open a store.
+    """Open a store: a folder, ``folder:PATH``, or ``s3://BUCKET/PREFIX``.
 
-    Parameters
-    ----------
-    place : str
-        A folder, ``folder:PATH``, or ``s3://BUCKET/PREFIX``. A folder is made where there is none;
-        a bucket is found by the usual variables (``AWS_ACCESS_KEY_ID``, ``AWS_ENDPOINT_URL``, ...).
-    makes_folders : bool
-        Of a folder: see `FolderStore`.
-
-    Raises
-    ------
-    UsageError
-        The place is of another kind.
-    OutputError
-        The folder cannot be made.
-    CloudError
-        The bucket is not there, or there are no credentials for it.
+    A folder is made where there is none (`makes_folders`: see `FolderStore`); a bucket is found by
+    the usual variables (``AWS_ACCESS_KEY_ID``, ``AWS_ENDPOINT_URL``, ...). Raise UsageError for a
+    place of another kind, OutputError where the folder cannot be made, and CloudError where the
+    bucket is not there, or there are no credentials for it.
     """
     scheme, colon, rest = place.partition(":")
     if scheme == "s3" and colon:

@@ -25,13 +25,7 @@ _CONNECT_S, _READ_S = 10.0, 60.0
 
 
 class S3Store:
-    """Values as objects; see `store.Store`.
-
-    Parameters
-    ----------
-    prefix : str
-        Of all names in it, without the ``/`` behind; may be empty.
-    """
+    """Values as objects (see `Store`) behind a prefix of names: no ``/`` at its end, or empty."""
 
     def __init__(self, client: Any, bucket: str, prefix: str) -> None:
         self._client = client
@@ -91,13 +85,7 @@ class S3Store:
             self._client.delete_object(**where)
 
     def check(self) -> None:
-        """Find out whether there is such a bucket for us.
-
-        Raises
-        ------
-        CloudError
-            There is none.
-        """
+        """Raise CloudError where there is no such bucket for us."""
         with self._translated():
             try:
                 self._client.head_bucket(Bucket=self._bucket)
@@ -138,12 +126,8 @@ class S3Store:
 def open_s3_store(url: str) -> S3Store:
     """Open a bucket as a store.
 
-    Raises
-    ------
-    UsageError
-        The address names no bucket.
-    CloudError
-        The bucket is not there, or there are no credentials for it.
+    Raise UsageError where the address names no bucket, CloudError where the bucket is not there, or
+    there are no credentials for it.
     """
     bucket, _, prefix = url.removeprefix("s3:").lstrip("/").partition("/")
     if not bucket:

@@ -37,10 +37,7 @@ class DamagedError(ValueError):
 def to_buffers(value: Any, name: str = "") -> list[Buffer]:
     """Encode a value as buffers, to be written in order; large arrays are not copied.
 
-    Raises
-    ------
-    UsageError
-        The value is of another type, or nested too deeply.
+    Raise UsageError where it is of another type than may be stored, or nested too deeply.
     """
     header, buffers = encode_values((value,))
     parts: list[Buffer] = [header, *buffers]
@@ -55,19 +52,10 @@ def to_buffers(value: Any, name: str = "") -> list[Buffer]:
 
 
 def from_bytes(content: memoryview, name: str = "", *, is_checked: bool = False) -> Any:
-    """Decode a value, and check it.
+    """Decode a value, and check it; DamagedError where these are other bytes.
 
-    Parameters
-    ----------
-    content : memoryview of bytes
-        All that `to_buffers` gave. Large arrays are views of it, read-only.
-    is_checked : bool
-        Whether the very same bytes were found whole before.
-
-    Raises
-    ------
-    DamagedError
-        These are other bytes.
+    The content is all that `to_buffers` gave; large arrays are views of it, read-only. With
+    `is_checked` the very same bytes were found whole before.
     """
     start = len(_MAGIC) + _CHECK_BYTES
     if content[: len(_MAGIC)] != _MAGIC:

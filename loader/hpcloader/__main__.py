@@ -27,17 +27,10 @@ _VECTOR_FLAGS = ("sse4", "avx", "fma", "asimd", "sve")  # the few of a hundred t
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one verb of the command line and return its exit code.
+    """Run one verb of the command line and return its exit code: 0 where all went well.
 
-    Returns
-    -------
-    int
-        0 where all went well; see `HpcError.exit_code` and `End.exit_code` for others.
-
-    Raises
-    ------
-    SystemExit
-        The arguments are wrong, or only ask for help.
+    Others are `HpcError.exit_code` and `End.exit_code`. Raise SystemExit where the arguments are
+    wrong, or only ask for help.
     """
     arguments = _parser().parse_args(argv)
     try:

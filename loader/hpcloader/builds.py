@@ -22,20 +22,9 @@ BUILD_VARIABLE = "HPCAPP_BUILD"
 class Requirements:
     """What a build asks of a machine; what is left out is not asked.
 
-    Parameters
-    ----------
-    architecture : tuple of str
-        One of these, as ``uname -m`` names them.
-    cpu_flags : tuple of str
-        All of these, as in ``/proc/cpuinfo``.
-    min_cores : int
-        So many cores.
-    min_memory : int
-        So many bytes.
-    gpu : str, optional
-        Part of a GPU's name, or ``any``.
-    module : str, optional
-        A module that this interpreter can find.
+    The architecture is one of these, as ``uname -m`` names them; the flags are all there, as in
+    ``/proc/cpuinfo``. `min_memory` is in bytes; `gpu` is part of a GPU's name, or ``any``; `module`
+    is one that this interpreter can find.
     """
 
     architecture: tuple[str, ...] = ()
@@ -66,19 +55,11 @@ class Requirements:
 
 @dataclass(frozen=True, slots=True)
 class Build:
-    """One way to run a worker.
+    """One way to run a worker; the component announces its name to the communicator.
 
-    Parameters
-    ----------
-    name : str
-        What the component announces to the communicator.
-    command : tuple of str
-        The component's command line, without what the loader adds; ``{python}`` stands for
-        the loader's own interpreter.
-    requires : Requirements
-        What it asks of a machine.
-    tasks : tuple of str
-        ``NAME=module:function`` of tasks that this build brings along.
+    `command` is the component's command line, without what the loader adds; ``{python}`` stands for
+    the loader's own interpreter. `tasks`, ``NAME=module:function``, are what this build brings
+    along.
     """
 
     name: str
@@ -102,34 +83,17 @@ BUILDS: tuple[Build, ...] = (
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """The build that fits, and why each better one does not.
-
-    Parameters
-    ----------
-    build : Build
-        The first that fits.
-    passed_over : tuple of (str, str)
-        Name and reason of each build before it.
-    """
+    """The first build that fits, and the name and reason of each build before it."""
 
     build: Build
     passed_over: tuple[tuple[str, str], ...]
 
 
 def choose_build(builds: Sequence[Build], machine: Machine, wanted: str = "") -> Choice:
-    """Choose the first build whose requirements `machine` meets.
+    """Choose the first build, of those listed best first, whose requirements `machine` meets.
 
-    Parameters
-    ----------
-    builds : sequence of Build
-        Best first.
-    wanted : str
-        Name of the only build to consider; by default all are.
-
-    Raises
-    ------
-    ConfigError
-        None fits; the message gives each one's reason.
+    With `wanted` only the build of that name is considered. Raise ConfigError, which gives each
+    one's reason, where none fits.
     """
     passed_over: list[tuple[str, str]] = []
     for build in builds:

@@ -61,10 +61,7 @@ class Component:
 class Daemon:
     """Runs one component until it is told to stop, its master is gone, or there is no sense in it.
 
-    Parameters
-    ----------
-    lifeline_fd : int, optional
-        The read end of the master's pipe.
+    `lifeline_fd` is the read end of the master's pipe.
     """
 
     def __init__(
@@ -84,13 +81,9 @@ class Daemon:
         self._selector = selectors.DefaultSelector()
 
     def run(self) -> int:
-        """Run until the end, in the main thread.
+        """Run until the end, in the main thread, and return the exit code.
 
-        Returns
-        -------
-        int
-            The exit code: 0 after a stop, 1 after giving up, 2 where the component's
-            configuration is wrong, 130 after an interrupt.
+        0 after a stop, 1 after giving up, 2 for a wrong configuration, 130 after an interrupt.
         """
         with ExitStack() as stack:
             stack.callback(self._abandon)

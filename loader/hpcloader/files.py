@@ -30,10 +30,7 @@ _RULE, _ASKED = RestartRule(), Requirements()
 def read_settings(path: Path) -> LoaderSettings:
     """Read ``loader.yaml``; its paths, relative to it, come back absolute.
 
-    Raises
-    ------
-    ConfigError
-        The file is not as it should be, or the connection file is not there.
+    Raise ConfigError where it is not as it should be, or the connection file is not there.
     """
     file = read_config(path, _LoaderFile)
     folder = path.absolute().parent
@@ -48,13 +45,7 @@ def read_settings(path: Path) -> LoaderSettings:
 
 
 def read_catalogue(path: Path) -> tuple[Build, ...]:
-    """Read a catalogue of worker builds.
-
-    Raises
-    ------
-    ConfigError
-        The file is not as it should be.
-    """
+    """Read a catalogue of worker builds; ConfigError where it is not as it should be."""
     return tuple(block.build() for block in read_config(path, _CatalogueFile).builds)
 
 

@@ -32,10 +32,8 @@ class Machine:
         How many this process may use: by affinity and by the quota of its control group.
     memory : int
         In bytes, the smaller of what is built in and what the control group allows.
-    gpus : tuple of str
-        Names of the GPUs.
     system, libc, python : str
-        Name and version of the operating system, the C library and the interpreter.
+        Name and version of each.
     """
 
     architecture: str
@@ -49,13 +47,7 @@ class Machine:
 
 
 def read_machine(root: Path = Path("/")) -> Machine:
-    """Read the facts of the machine this runs on.
-
-    Parameters
-    ----------
-    root : Path
-        Where ``proc`` and ``sys`` lie.
-    """
+    """Read the facts of the machine this runs on; ``proc`` and ``sys`` lie in `root`."""
     return Machine(
         architecture=platform.machine(),
         cpu_flags=_cpu_flags(root),

@@ -15,18 +15,8 @@ _RULE = RestartRule()
 class LoaderSettings:
     """What a loader is told.
 
-    Parameters
-    ----------
-    name : str
-        Of this machine, for the logs.
-    connection : Path
-        The connection file that the component reads.
-    tasks : tuple of str
-        ``NAME=module:function``, passed on to the component.
-    restart : RestartRule
-        How a component that has ended is started again.
-    builds : tuple of Build
-        The catalogue of worker builds, best first.
+    The name is that of this machine, for the logs. The component reads the connection file, and
+    gets the tasks, ``NAME=module:function``. The builds are the catalogue, best first.
     """
 
     name: str

@@ -52,14 +52,9 @@ class Kill:
 
 @dataclass(frozen=True, slots=True)
 class End:
-    """Leave; nothing runs any more.
+    """Leave, with this exit code; nothing runs any more.
 
-    Parameters
-    ----------
-    complaint : str
-        Why the supervisor gave up; empty after a stop that was asked for.
-    exit_code : int
-        What the loader leaves with.
+    `complaint` is why the supervisor gave up; empty after a stop that was asked for.
     """
 
     complaint: str = ""
@@ -71,20 +66,12 @@ Action = Start | Terminate | Kill | End
 
 @dataclass(frozen=True, slots=True)
 class RestartRule:
-    """How a component that has ended is started again.
+    """How a component that has ended is started again; times are in seconds.
 
-    Parameters
-    ----------
-    first_s : float
-        The delay after the first quick end, in seconds; it doubles with each further one.
-    cap_s : float
-        The longest delay, in seconds.
-    give_up_after : int
-        After so many quick failures in a row there is no further start.
-    quick_s : float
-        A run shorter than this, in seconds, was quick; a longer one clears the count.
-    grace_s : float
-        From the request to leave to the kill, in seconds.
+    The delay is `first_s` after the first quick end, and doubles with each further one up to
+    `cap_s`. A run shorter than `quick_s` was quick; a longer one clears the count. After
+    `give_up_after` quick failures in a row there is no further start. `grace_s` is from the request
+    to leave to the kill.
     """
 
     first_s: float = 0.5
@@ -102,15 +89,13 @@ class RestartRule:
 class Supervisor:
     """Watches over one component.
 
-    Every method takes the present moment in seconds and returns the actions to carry out, in
-    order. `deadline` says when `tick` wants to be called next.
+    Every method takes the present moment in seconds and returns the actions to carry out, in order.
+    `deadline` says when `tick` wants to be called next.
 
-    Notes
-    -----
     A clean exit (code 0: the master is done) is followed by a start as well, because the next
-    master may come; it slows the starts like any quick end but never makes the supervisor give
-    up. Exit code 2 (a wrong configuration, or a refusal by the master) does so at once, because
-    no restart changes that.
+    master may come; it slows the starts like any quick end but never makes the supervisor give up.
+    Exit code 2 (a wrong configuration, or a refusal by the master) does so at once, because no
+    restart changes that.
 
     Examples
     --------
@@ -138,10 +123,7 @@ class Supervisor:
     def exited(self, now: float, code: int) -> list[Action]:
         """Take note that the component has ended with exit code `code` (-N: by signal N).
 
-        Returns
-        -------
-        list of Action
-            `End`, or nothing: a further start comes by `tick`.
+        Return `End`, or nothing: a further start comes by `tick`.
         """
         if self.state in (ComponentState.STOPPING, ComponentState.KILLING):
             return self._end()
@@ -174,18 +156,10 @@ class Supervisor:
         return [Kill()]
 
     def stop(self, now: float, grace_s: float | None = None) -> list[Action]:
-        """Take note that the component is not wanted any more.
+        """Take note that the component is no longer wanted; return `Terminate`, `End`, or nothing.
 
-        Parameters
-        ----------
-        grace_s : float, optional
-            Time to leave by itself, in seconds, instead of the rule's; a later call may
-            shorten an earlier one's.
-
-        Returns
-        -------
-        list of Action
-            `Terminate`, `End`, or nothing.
+        `grace_s` is the time to leave by itself, in seconds, instead of the rule's; a later call
+        may shorten an earlier one's.
         """
         deadline = now + (self.rule.grace_s if grace_s is None else grace_s)
         if self.state is ComponentState.RUNNING:

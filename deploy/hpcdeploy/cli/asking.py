@@ -26,35 +26,23 @@ _NEWLINE_OF_OTHERS = re.compile(r"\n(?! {4})")
 def say(line: str) -> None:
     """Tell the user something that no script reads, and that is no error.
 
-    Parameters
-    ----------
-    line : str
-        May have a block of somebody else's words below it, see `write_block`. Any other newline
-        comes from a machine that would say a line of ours, right before a question perhaps: it is
-        written out.
+    A block of somebody else's words may stand below it, see `write_block`. Any other newline comes
+    from a machine that would say a line of ours, right before a question perhaps: it is written
+    out.
     """
     if not is_quiet():
         echo(_NEWLINE_OF_OTHERS.sub(r"\\n", line), err=True)
 
 
 def ask_to_go_on(cluster: Cluster) -> None:
-    """Ask whether to go on.
-
-    Raises
-    ------
-    UsageError
-        Nobody has answered with yes.
-    """
+    """Ask whether to go on; raise UsageError where nobody has answered with yes."""
     _ask(cluster, lambda: click.confirm("Go on?", abort=True, err=True), "run it with -y")
 
 
 def ask_name(cluster: Cluster, purpose: str, advice: str) -> None:
     """Let the user type the cluster's name, so that the right one is meant.
 
-    Parameters
-    ----------
-    purpose : str
-        What is done to it, as an infinitive: "take it away".
+    `purpose` is what is done to it, as an infinitive: "take it away".
     """
     question = f"Type the cluster's name to {purpose}"
     typed = _ask(cluster, lambda: str(click.prompt(question, err=True)), advice)
@@ -67,26 +55,12 @@ def name_foreign(
 ) -> Observed | None:
     """Let the user name a cluster that was made elsewhere; return what it was then.
 
-    Parameters
-    ----------
-    purpose : str
-        What is done to it, as an infinitive: "take it away".
-    is_asked : bool
-        Whether the user may be asked to type the name.
-    given : str
-        The name from the command line; empty where there is none.
+    None where it was made here. `purpose` is what is done to it, as an infinitive: "take it away";
+    `given` the name from the command line, empty where there is none. Only with `is_asked` may the
+    user be asked to type the name.
 
-    Returns
-    -------
-    Observed or None
-        None where it was not made elsewhere.
-
-    Raises
-    ------
-    CloudError
-        It was, and is not named: it says whose it is.
-    UsageError
-        Another cluster is named, or nobody has answered.
+    Raises CloudError where the cluster is not named, with whose it is; UsageError where another one
+    is named, or nobody has answered.
     """
     from hpcdeploy.reconcile.cluster import require_ours
 

@@ -81,13 +81,7 @@ def plan(file: Path, offline: bool, as_json: bool) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Ahead:
-    """A plan with what is said beside it.
-
-    Parameters
-    ----------
-    told : str
-        Why nothing was looked up; empty where the cloud was.
-    """
+    """A plan with what is said beside it; `told` is why the cloud was not asked, or empty."""
 
     path: Path
     spec: ClusterSpec

@@ -79,20 +79,9 @@ def set_up(
 ) -> list[Failure]:
     """Make these machines the cluster: what is in place already stays as it is.
 
-    Parameters
-    ----------
-    machines : sequence of MachineSeen
-        All that run, the head among them.
-
-    Returns
-    -------
-    list of Failure
-        The machines that do not work; the inventory on the head has all others.
-
-    Raises
-    ------
-    CloudError
-        There is no head, or no release for these machines.
+    `machines` are all that run, the head among them. The inventory on the head has all but those
+    that do not work, which are returned. Raises CloudError where there is no head, or no release
+    for these machines.
     """
     head = next((machine for machine in machines if machine.name.node == HEAD), None)
     if head is None:

@@ -31,10 +31,7 @@ def install(
 ) -> None:
     """Run the user's commands, upload the wheels, and make the environment from nothing.
 
-    Raises
-    ------
-    CloudError
-        A command failed; the message has its last words.
+    Raises CloudError with the last words of a command that failed.
     """
     prepare(shell, setup, report)
     _run(shell, f"cannot make {folder}", f"umask 077; mkdir -p {folder}/wheels")
@@ -47,13 +44,7 @@ def install(
 
 
 def prepare(shell: Shell, setup: tuple[str, ...], report: Callable[[str], None]) -> None:
-    """Run the user's commands.
-
-    Raises
-    ------
-    CloudError
-        One failed; the message has its last words.
-    """
+    """Run the user's commands; raise CloudError with the last words of one that failed."""
     for command in setup:
         report(f"{shell.node}: {command}")
         _run(shell, f"env.setup: {command}", command, SETUP_S)
@@ -70,12 +61,7 @@ def install_here(shell: Shell, folder: str) -> None:
 def write_text(shell: Shell, path: str, text: str, *, mode: str = "600") -> None:
     """Write a small file as a whole; what is in it shows in no command line.
 
-    Parameters
-    ----------
-    path : str
-        On the machine; its folder is made.
-    mode : str
-        As chmod takes it.
+    The folder of `path`, on the machine, is made; `mode` is as chmod takes it.
     """
     command = (
         f"umask 077; mkdir -p {shlex.quote(path.rpartition('/')[0] or '.')} && "

@@ -12,10 +12,7 @@ TIMEOUT_S = 60.0
 def end_jobs(head: Shell, cluster: str) -> None:
     """End all jobs of a cluster whose head stays when the cluster goes.
 
-    Raises
-    ------
-    CloudError
-        They do not end.
+    Raises CloudError where they do not end.
     """
     folder = machine_folder(cluster)
     done = head.run(

@@ -135,10 +135,7 @@ def start_loader(
 ) -> None:
     """Start the loader anew, and see to it that it stays.
 
-    Parameters
-    ----------
-    has_systemd : bool
-        Whether the loader is made a service of systemd; otherwise a process watches over it.
+    With `has_systemd` it is made a service of systemd; otherwise a process watches over it.
     """
     if has_systemd:
         unit = unit_name(cluster)

@@ -108,17 +108,9 @@ class Probed:
 def probe(
     shell: Shell, cluster: str, folder: str, python: str, timeout_s: float = PROBE_S
 ) -> Probed:
-    """Ask a machine what it is.
+    """Ask a machine what it is; `folder` is the cluster's on it.
 
-    Parameters
-    ----------
-    cluster, folder : str
-        The cluster's name, and its folder on the machine.
-
-    Raises
-    ------
-    CloudError
-        The machine does not answer as a POSIX system does.
+    Raises CloudError where the machine does not answer as a POSIX system does.
     """
     script = _SCRIPT.format(
         pythons=" ".join(_PYTHONS),

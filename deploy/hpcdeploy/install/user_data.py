@@ -29,12 +29,8 @@ echo "$text" | $write tee {limits} >/dev/null
 def user_data(spec: ClusterSpec, market: str, lease_until: datetime) -> str:
     """Return the script of a machine's first boot; it holds no secret.
 
-    Parameters
-    ----------
-    market : str
-        ``on_demand`` or ``spot``: a spot machine that is told of its end drains its worker.
-    lease_until : datetime
-        When the machine ends by itself.
+    The machine ends by itself at `lease_until`. `market` is ``on_demand`` or ``spot``: a spot
+    machine that is told of its end drains its worker.
     """
     values = {
         "LEASE_UNTIL": int(lease_until.timestamp()),
@@ -54,10 +50,7 @@ def user_data(spec: ClusterSpec, market: str, lease_until: datetime) -> str:
 def extend_lease(shell: Shell, lease_until: datetime) -> None:
     """Tell the guard of a machine a new end of the lease; where none runs, nothing happens.
 
-    Raises
-    ------
-    CloudError
-        The guard's file cannot be written.
+    Raises CloudError where the guard's file cannot be written.
     """
     script = _EXTEND.format(limits=_LIMITS, until=int(lease_until.timestamp()))
     done = shell.run(script)

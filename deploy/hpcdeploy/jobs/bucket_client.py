@@ -23,15 +23,8 @@ ATTEMPTS = 3
 def fetch_points(order: JobOrder, target: Path, say: Callable[[str], None]) -> None:
     """Fetch a job's points unless they are there; what is there in part goes on.
 
-    Parameters
-    ----------
-    target : pathlib.Path
-        Named by the SHA-256 of its content.
-
-    Raises
-    ------
-    CloudError
-        The bucket does not give them, or gives others.
+    The SHA-256 of its content names `target`. Raises CloudError where the bucket does not give
+    them, or gives others.
     """
     if target.exists():
         return

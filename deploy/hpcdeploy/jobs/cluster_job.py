@@ -48,25 +48,12 @@ def run_on_cluster(
 ) -> dict[str, object]:
     """Run a verb on a cluster: up if needed, submit, watch, fetch, and down if it was us.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        The cluster file.
-    typed : sequence of str
-        The command line, without the program's name.
+    `path` is the cluster file, `typed` the command line without the program's name. In the verb's
+    report, ``cost`` is what the cluster costs at most, in dollars an hour and for as long as the
+    job took from here, where it costs something and all prices are known.
 
-    Returns
-    -------
-    dict
-        The verb's report; ``cost`` in it is what the cluster costs at most, in dollars an hour and
-        for as long as the job took from here, where it costs something and all prices are known.
-
-    Raises
-    ------
-    HpcError
-        What the verb failed with; or the cluster cannot be had, reached or taken away.
-    KeyboardInterrupt
-        The user has detached: the job goes on.
+    Raises HpcError with what the verb failed with, or where the cluster cannot be had, reached or
+    taken away; KeyboardInterrupt where the user has detached: the job goes on.
     """
     with open_cluster(path) as cluster:
         cluster, is_ours = _bring_up_if_needed(cluster)
@@ -110,19 +97,10 @@ def _describe_cost(cluster: Cluster, seconds: float) -> dict[str, object]:
 def check_job(
     cluster: Cluster, verb: str, points: Path, target: Path, options: Sequence[str]
 ) -> Sequence[str]:
-    """Let whoever knows the verb look at a job before anything travels.
+    """Let whoever knows the verb look at a job before anything travels; return the head's options.
 
-    Returns
-    -------
-    sequence of str
-        The options for the head, which has no other files of this machine than the points.
-
-    Raises
-    ------
-    UsageError
-        The options are wrong, or nothing can be written to `target`.
-    InputError
-        The points will not do.
+    The head has no other files of this machine than the points. Raises UsageError where the options
+    are wrong or `target` cannot be written, InputError where the points will not do.
     """
     for entry in entry_points(group="hpc.checks", name=verb):
         options = entry.load()(cluster.path, points, target, options)
@@ -155,10 +133,7 @@ def _is_set_up(cluster: Cluster) -> bool:
 def make_request(cluster: Cluster, typed: Sequence[str]) -> Request:
     """Return what the head is to remember of a job: the command, and the cluster's price by now.
 
-    Parameters
-    ----------
-    typed : sequence of str
-        The command line, without the program's name.
+    `typed` is the command line without the program's name.
     """
     if cluster.spec.provider.cloud is not None:  # nothing else has a price
         cluster = as_desired(cluster, cluster.provider.observe(cluster.spec.cluster))
@@ -175,17 +150,8 @@ def submit(
 ) -> JobStatus:
     """Put a job into the queue, and show how its points travel.
 
-    Parameters
-    ----------
-    request : Request
-        See `make_request`.
-
-    Raises
-    ------
-    InputError
-        The input cannot be read.
-    CloudError
-        The head or the bucket cannot be reached, or does not take it.
+    Raises InputError where the input cannot be read, CloudError where the head or the bucket cannot
+    be reached, or does not take it.
     """
     with open_display(sys.stderr) as display:
         on_progress = partial(display.show_bytes, "send")
@@ -195,19 +161,10 @@ def submit(
 
 
 def fetch(jobs: Jobs, status: JobStatus, target: Path) -> dict[str, object]:
-    """Fetch a job's mesh, and show how it travels; return the report of its verb.
+    """Fetch a finished job's mesh, and show how it travels; return the report of its verb.
 
-    Parameters
-    ----------
-    status : JobStatus
-        Of a job that has ended.
-
-    Raises
-    ------
-    JobError
-        The job is not done; other errors by the exit code of its verb.
-    CloudError
-        The mesh does not come.
+    Raises JobError where the job is not done, other errors by the exit code of its verb, and
+    CloudError where the mesh does not come.
     """
     with open_display(sys.stderr) as display:
         return jobs.fetch(status, target, partial(display.show_bytes, "fetch"))
@@ -216,16 +173,9 @@ def fetch(jobs: Jobs, status: JobStatus, target: Path) -> dict[str, object]:
 def new_mesh_here(status: JobStatus) -> Path:
     """Return the place in the present folder for a job's mesh, by the name that its head tells.
 
-    Returns
-    -------
-    pathlib.Path
-        Of a new file, or a new folder, with the suffix of a mesh.
-
-    Raises
-    ------
-    OutputError
-        The name leads elsewhere, hides the file, is an option to other commands, holds what a
-        terminal would obey or is not that of a mesh; or something is there.
+    It is a new file or a new folder, with a mesh's suffix. Raises OutputError where the name leads
+    elsewhere, hides the file, is an option to other commands, holds what a terminal would obey or
+    is not that of a mesh; or where something is there.
     """
     name = status.mesh
     if not name or "/" in name or name[0] in ".-~" or visible_line(name) != name:
@@ -239,21 +189,10 @@ def new_mesh_here(status: JobStatus) -> Path:
 
 
 def watch(cluster: Cluster, jobs: Jobs, status: JobStatus, *, has_page: bool = False) -> JobStatus:
-    """Show a job from its beginning until it has ended; return how.
+    """Show a job from its beginning until it has ended, replacing lost workers; return how.
 
-    Parameters
-    ----------
-    cluster : Cluster
-        Its lost workers are replaced meanwhile.
-    has_page : bool
-        Whether to lead to its dashboard from here.
-
-    Raises
-    ------
-    CloudError
-        The head cannot be reached any more; the job may well go on.
-    KeyboardInterrupt
-        The user has seen enough; the job goes on.
+    `has_page` leads to its dashboard from here. The job goes on after KeyboardInterrupt, and may
+    well after CloudError, where the head cannot be reached any more.
     """
     with _replacing_lost(cluster) as replacements:
         ended = _follow(cluster, jobs, status, has_page=has_page)

@@ -30,16 +30,8 @@ _Address = Annotated[
 class JobEvent:
     """How far a job has come, or where its page is.
 
-    Parameters
-    ----------
-    stage : str
-        Printable ASCII.
-    done, total : int, optional
-        How much of the stage is done, of how much; `total` is 0 where that is not known.
-    is_bytes : bool
-        Whether that is bytes.
-    dashboard : str, optional
-        The address of the job's page on the head.
+    `done` of `total` are done of the stage, in bytes where `is_bytes`; `total` is 0 where that is
+    not known. `dashboard` is the address of the job's page on the head.
     """
 
     stage: Annotated[str, Meta(pattern=r"^[ -~]{0,80}\Z")] = ""
@@ -60,13 +52,7 @@ class JobDisplay:
         """Show how far a stage has come."""
 
     def show_bytes(self, stage: str, done: int, total: int) -> None:
-        """Show how much of a file has been sent or fetched.
-
-        Parameters
-        ----------
-        done, total : int
-            In bytes.
-        """
+        """Show how many bytes of a file have been sent or fetched."""
         self.show_event(JobEvent(stage, done, total, is_bytes=True))
 
 
@@ -81,10 +67,7 @@ class BarDisplay(JobDisplay):
     def show_event(self, event: JobEvent) -> None:
         """Move the bar; the next stage takes the place of the one that has ended.
 
-        Parameters
-        ----------
-        event : JobEvent
-            Without `done` the bar stays as it is.
+        Without `done` the bar stays as it is.
         """
         if event.done is None:
             return
@@ -99,10 +82,7 @@ class BarDisplay(JobDisplay):
 class ForwardingDisplay(JobDisplay):
     """Makes the job's page on the head one of this machine, beside another display.
 
-    Parameters
-    ----------
-    forward : callable
-        From a port on the head's loopback to one here that leads there.
+    `forward` leads from a port on the head's loopback to one here, which it returns.
     """
 
     def __init__(self, display: JobDisplay, forward: Callable[[int], int]) -> None:
@@ -127,13 +107,7 @@ class ForwardingDisplay(JobDisplay):
 
 @contextmanager
 def open_display(stream: TextIO) -> Iterator[JobDisplay]:
-    """Yield the display that fits `stream`.
-
-    Yields
-    ------
-    JobDisplay
-        With a bar where `stream` is a terminal.
-    """
+    """Yield the display that fits `stream`: one with a bar where it is a terminal."""
     if is_quiet() or not stream.isatty():
         yield JobDisplay()
         return

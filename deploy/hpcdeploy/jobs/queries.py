@@ -58,13 +58,7 @@ class _Summary:
 
 
 class Jobs:
-    """The jobs of a cluster.
-
-    Parameters
-    ----------
-    bucket : Bucket, optional
-        Where points and meshes go in place of the shell.
-    """
+    """The jobs of a cluster; points and meshes go by its bucket, or by the shell without one."""
 
     def __init__(self, head: Shell, cluster: str, bucket: Bucket | None = None) -> None:
         self._head = head
@@ -82,21 +76,8 @@ class Jobs:
     ) -> JobStatus:
         """Send the points, and put a job into the queue.
 
-        Parameters
-        ----------
-        verb : str
-            What `hpcapp` is to do.
-        points : pathlib.Path
-            The input; a cloud that is on the head already is not sent again.
-        request : Request
-            What was typed; the head remembers it for `JobStatus`.
-
-        Raises
-        ------
-        InputError
-            The input cannot be read.
-        CloudError
-            The head or the bucket cannot be reached, or does not take it.
+        A cloud on the head already is not sent again. Raises InputError where the input cannot be
+        read, CloudError where head or bucket cannot be reached, or does not take it.
         """
         try:
             digest = sha256_of(points)
@@ -118,13 +99,7 @@ class Jobs:
         return [_read_row(line) for line in self._ask("list")]
 
     def find(self, number: str | None) -> JobStatus:
-        """Return one job; the last where there is no number.
-
-        Raises
-        ------
-        UsageError
-            There is none.
-        """
+        """Return one job, the last without a number; raise UsageError where there is none."""
         jobs = self.all()
         if number is None and jobs:
             return jobs[-1]
@@ -144,15 +119,7 @@ class Jobs:
     def follow(self, number: str, display: JobDisplay) -> JobStatus:
         """Show a job from its beginning until it has ended; return how.
 
-        Parameters
-        ----------
-        display : JobDisplay
-            Shows its lines and its events.
-
-        Raises
-        ------
-        CloudError
-            The head stops answering before the job has ended.
+        Raises CloudError where the head stops answering before that.
         """
         ended: JobStatus | None = None
         rest: deque[str] = deque(maxlen=EXCERPT)
@@ -181,13 +148,7 @@ class Jobs:
         return ended
 
     def forward(self, port: int) -> int:
-        """Return a port of this machine that leads to one of the head's loopback.
-
-        Returns
-        -------
-        int
-            Open until the cluster is left.
-        """
+        """Return a port here that leads to one of the head's loopback until the cluster is left."""
         return self._head.forward("127.0.0.1", port)
 
     def cancel(self, number: str) -> JobStatus:
@@ -197,10 +158,7 @@ class Jobs:
     def report(self, status: JobStatus) -> dict[str, object]:
         """Return what the verb of a finished job reported; its `summary` is for people.
 
-        Raises
-        ------
-        CloudError
-            The head has none of use.
+        Raises CloudError where the head has none of use.
         """
         place = f"{self._folder}/jobs/{status.job}"
         lines = self._run(f"cat {shlex.quote(place)}/report.json")
@@ -222,17 +180,8 @@ class Jobs:
     ) -> dict[str, object]:
         """Fetch a finished job's mesh; return its report.
 
-        Parameters
-        ----------
-        on_progress : callable, optional
-            Told (bytes fetched, bytes in all); not where the mesh comes from a bucket.
-
-        Raises
-        ------
-        JobError
-            The job is not done; other errors by the exit code of its verb.
-        CloudError
-            The mesh does not come.
+        `on_progress` is told (bytes fetched, bytes in all), though not by a bucket. Raises as
+        `raise_failure` does, and CloudError where the mesh does not come.
         """
         raise_failure(status)
         report = self.report(status)
@@ -302,13 +251,7 @@ def open_jobs(cluster: Cluster) -> Jobs:
 
 
 def raise_damage(statuses: Sequence[JobStatus]) -> None:
-    """Raise CloudError where the status of a job cannot be read.
-
-    Raises
-    ------
-    CloudError
-        With the first reason.
-    """
+    """Raise CloudError with the first reason where the status of a job cannot be read."""
     damaged = [status for status in statuses if status.state is JobState.DAMAGED]
     if damaged:
         numbers = ", ".join(status.job for status in damaged)
@@ -321,12 +264,8 @@ def raise_damage(statuses: Sequence[JobStatus]) -> None:
 def raise_failure(status: JobStatus) -> None:
     """Raise what ended a job, as the verb itself would have; nothing where it is done.
 
-    Raises
-    ------
-    JobError
-        The job has not ended, was cancelled, or failed with a code of no other class.
-    UsageError, InputError, CloudError
-        By the exit code of its verb; CloudError also where its status cannot be read.
+    UsageError, InputError and CloudError go by the exit code of its verb; CloudError also where its
+    status cannot be read. Any other failure, no end yet, or a cancellation is a JobError.
     """
     if status.state is JobState.DONE:
         return

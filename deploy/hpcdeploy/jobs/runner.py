@@ -73,10 +73,7 @@ def start(folder: Path, order: JobOrder) -> JobStatus:
 def run(folder: Path, job: JobFolder, lock: int) -> None:
     """Wait for the job's turn, run its verb, and write down how it ended.
 
-    Parameters
-    ----------
-    lock : int
-        The descriptor that holds the job's lock; the verb inherits it.
+    `lock` is the descriptor that holds the job's lock; the verb inherits it.
     """
     signal.signal(signal.SIGTERM, _cancel)
     signal.signal(signal.SIGINT, _cancel)
@@ -219,13 +216,7 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Carry out one command; return the exit code.
-
-    Parameters
-    ----------
-    words : sequence of str, optional
-        By default those of the command line.
-    """
+    """Carry out one command, by default the command line's; return the exit code."""
     arguments = _arguments(words)
     try:
         for line in _answer(arguments):

@@ -76,12 +76,6 @@ class _Tail:
 
 
 def print_line(line: str) -> None:
-    """Write a line to whoever asked, at once.
-
-    Parameters
-    ----------
-    line : str
-        Without its end.
-    """
+    """Write a line, given without its end, to whoever asked, at once."""
     sys.stdout.write(line + "\n")
     sys.stdout.flush()

@@ -71,10 +71,7 @@ class Access:
     def public_key(self) -> str:
         """Return the public half of the cluster's SSH key, in OpenSSH's form; made on first use.
 
-        Raises
-        ------
-        CloudError
-            The key cannot be read or made, or has a passphrase and no agent holds it.
+        Raises CloudError where it cannot be read or made, or is locked and in no agent.
         """
         return public_key(self._key_file(is_made=True))
 
@@ -105,24 +102,12 @@ class Access:
         self._key = path
 
     def open(self, machine: MachineSeen, timeout_s: float | None = None) -> Shell:
-        """Open a shell on a machine.
+        """Open a shell on a machine; it is closed with this object at the latest.
 
-        Parameters
-        ----------
-        timeout_s : float, optional
-            How long a cloud's machine is waited for until it answers; by default `limits.boot`
-            from its launch, and `KNOWN_S` where that is over or it was set up before. A host is
-            there, so that for it this is the limit of one attempt.
-
-        Returns
-        -------
-        Shell
-            Closed with this object at the latest.
-
-        Raises
-        ------
-        ReachError
-            Why it does not let us in.
+        A cloud's machine is waited for `timeout_s` seconds until it answers; by default
+        `limits.boot` from its launch, and `KNOWN_S` where that is over or it was set up before. A
+        host is there, so that for it this is the limit of one attempt. Raises ReachError, with why
+        it does not let us in.
         """
         shell = self._open(machine, timeout_s)
         with self._lock:

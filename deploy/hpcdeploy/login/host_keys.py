@@ -21,18 +21,10 @@ _KEY = re.compile(r"\b(ssh-ed25519|ssh-rsa|ecdsa-sha2-nistp\d+) +(AAAA[\w+/]+={0
 
 
 def parse_console(text: str) -> list[tuple[str, str]]:
-    """Return the host keys that a machine has printed on its console.
+    """Return the host keys that a machine has printed on its console, each as its type and the key.
 
-    Parameters
-    ----------
-    text : str
-        What is between the marks that cloud-init uses counts; the kernel and the init system may
-        have put their own words before each line.
-
-    Returns
-    -------
-    list of (str, str)
-        Type and key, as in a ``known_hosts`` file.
+    They are as in a ``known_hosts`` file. What is between the marks that cloud-init uses counts;
+    the kernel and the init system may have put their own words before each line.
 
     Examples
     --------
@@ -49,13 +41,7 @@ def parse_console(text: str) -> list[tuple[str, str]]:
 
 
 class HostKeys:
-    """A ``known_hosts`` file of a cluster; safe to use from several threads.
-
-    Parameters
-    ----------
-    path : Path
-        It need not exist.
-    """
+    """A ``known_hosts`` file of a cluster, which need not exist; safe in several threads."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -64,15 +50,7 @@ class HostKeys:
     def find(self, machine_id: str) -> list[paramiko.PKey]:
         """Return the keys that are pinned for a machine.
 
-        Returns
-        -------
-        list of paramiko.PKey
-            Empty where none is pinned.
-
-        Raises
-        ------
-        CloudError
-            The file cannot be read.
+        Raises CloudError where the file cannot be read.
         """
         try:
             lines = self.path.read_text(encoding="utf-8").splitlines()
@@ -90,13 +68,7 @@ class HostKeys:
         ]
 
     def pin(self, machine_id: str, keys: list[tuple[str, str]]) -> None:
-        """Write down a machine's keys.
-
-        Parameters
-        ----------
-        keys : list of (str, str)
-            The kind of each key, and the key in base64.
-        """
+        """Write down a machine's keys, each as its kind and the key in base64."""
         lines = "".join(f"{machine_id} {kind} {key}\n" for kind, key in keys)
         with self._lock:
             self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)

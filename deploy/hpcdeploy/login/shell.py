@@ -16,13 +16,7 @@ MOST_REASON = 500
 
 @dataclass(frozen=True, slots=True)
 class Completed:
-    """A command that has ended.
-
-    Parameters
-    ----------
-    exit_code : int
-        As a shell says it; a signal is 128 and its number.
-    """
+    """A command that has ended; its `exit_code` is a shell's, 128 and its number for a signal."""
 
     exit_code: int
     output: str
@@ -45,33 +39,18 @@ class Shell(Protocol):
     node: str
 
     def run(self, command: str, *, stdin: bytes = b"", timeout_s: float = 60.0) -> Completed:
-        """Run a POSIX shell command to its end.
-
-        Parameters
-        ----------
-        timeout_s : float
-            In seconds; past it `CloudError` is raised.
-        """
+        """Run a POSIX shell command to its end; past `timeout_s` seconds raise CloudError."""
         ...
 
     def follow(self, command: str, on_line: Callable[[str], None]) -> int:
         """Run a command, hand over every line of its output as it comes, return its exit code.
 
-        Parameters
-        ----------
-        on_line : callable
-            Takes a line of output or errors, without its end.
+        `on_line` takes a line of output or errors, without its end.
         """
         ...
 
     def interact(self, command: str = "") -> int:
-        """Give the user's terminal to a command, or to a login shell; return its exit code.
-
-        Parameters
-        ----------
-        command : str
-            Empty for a login shell.
-        """
+        """Give the user's terminal to a command, a login shell if empty; return its exit code."""
         ...
 
     def put(
@@ -84,38 +63,20 @@ class Shell(Protocol):
     ) -> None:
         """Send a file: what is there already goes on, and the whole is checked by its SHA-256.
 
-        Parameters
-        ----------
-        source : Path
-            On this machine.
-        mode : int
-            Permission bits of the target.
-        on_progress : callable, optional
-            Told (bytes sent, bytes in all).
+        `mode` is the target's permission bits; `on_progress` is told (bytes sent, bytes in all).
         """
         ...
 
     def get(
         self, source: str, target: Path, *, on_progress: Callable[[int, int], None] | None = None
     ) -> None:
-        """Fetch a file, in the same manner.
-
-        Parameters
-        ----------
-        on_progress : callable, optional
-            Told (bytes fetched, bytes in all).
-        """
+        """Fetch a file, in the same manner; `on_progress` is told (bytes fetched, bytes in all)."""
         ...
 
     def forward(self, address: str, port: int) -> int:
         """Forward a local port on loopback to an address the machine reaches; return the port.
 
-        Parameters
-        ----------
-        address : str
-            As the machine names it.
-        port : int
-            At that address.
+        `address` is as the machine names it.
         """
         ...
 

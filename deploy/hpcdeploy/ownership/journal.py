@@ -83,10 +83,7 @@ class _Launch:
 class Attempt:
     """A launch that has come about, or may have: a cloud lists a new machine with a delay.
 
-    Parameters
-    ----------
-    lease_until : datetime
-        A repeated request must be the same in all its parts.
+    A repeated request must be the same in all its parts, hence `lease_until`.
     """
 
     choice: LaunchChoice
@@ -106,11 +103,6 @@ class Journal:
         """Write a whole command's intent, let it be carried out, write how it went.
 
         Once it is done, nothing that was begun before it is unfinished any more.
-
-        Parameters
-        ----------
-        what : str
-            As the user may read it.
         """
         return self.step(what, is_command=True)
 
@@ -118,12 +110,7 @@ class Journal:
     def step(self, what: str, **details: str | int) -> Iterator[None]:
         """Write an intent, let it be carried out, write how it went.
 
-        Parameters
-        ----------
-        what : str
-            What is about to be done, as the user may read it.
-        **details
-            What the next command needs to know about it.
+        The user may read `what`; `details` are what the next command needs to know about it.
         """
         about = cast(Entry, details)
         self._write({"intent": what, **about})
@@ -138,13 +125,7 @@ class Journal:
         self._write({"done": what, **about})
 
     def note_bad(self, machine_id: str, reason: str) -> None:
-        """Remember that a machine is of no use, so that the next `up` replaces it at once.
-
-        Parameters
-        ----------
-        reason : str
-            One line; the beginning of it is written.
-        """
+        """Remember a machine as useless, with a line of why: the next `up` replaces it at once."""
         self._write({"bad": machine_id, "why": reason[:MOST_WHY]})
 
     @property
@@ -153,13 +134,7 @@ class Journal:
         return frozenset(entry["bad"] for entry in self._entries if "bad" in entry)
 
     def note_set_up(self, machine_ids: Iterable[str], *, is_done: bool) -> None:
-        """Remember that the set-up of machines begins, or that they are set up.
-
-        Parameters
-        ----------
-        is_done : bool
-            Whether they are set up, or it only begins.
-        """
+        """Remember that the set-up of machines begins or, with `is_done`, that they are set up."""
         known = self.set_up if is_done else self._setting_up
         if new := sorted(set(machine_ids) - known):
             self._write({"set up": new} if is_done else {"setting up": new})
@@ -179,19 +154,10 @@ class Journal:
         return frozenset(i for entry in self._entries for i in entry.get("set up", ()))
 
     def launched(self, *, since_opened: bool = False) -> frozenset[Launched]:
-        """Return the machines that were asked for, whether or not there was an answer.
+        """Return incarnation and name of the machines that were asked for, answered or not.
 
-        Those of earlier releases, which did not write down what is set up, do not count.
-
-        Parameters
-        ----------
-        since_opened : bool
-            Whether only those asked for since the journal was opened.
-
-        Returns
-        -------
-        frozenset of (str, NodeName)
-            Incarnation and name of each.
+        Those of earlier releases, which did not write down what is set up, do not count; with
+        `since_opened`, only those do that were asked for since the journal was opened.
         """
         return frozenset(
             (entry["incarnation"], NodeName(entry["node"], entry["generation"]))
@@ -269,12 +235,8 @@ class Journal:
 def open_journal(cluster: str) -> Iterator[Journal]:
     """Open the journal of a cluster, for this process alone.
 
-    Raises
-    ------
-    CloudError
-        Another process has it open.
-    OutputError
-        The state folder cannot be written.
+    Raises CloudError where another process has it open, OutputError where its folder cannot be
+    written.
     """
     path = state_folder(cluster) / "journal.jsonl"
     try:
@@ -296,10 +258,7 @@ def open_journal(cluster: str) -> Iterator[Journal]:
 def peek_journal(cluster: str) -> Journal:
     """Return what the journal of a cluster says now, for who only reads; takes no lock.
 
-    Returns
-    -------
-    Journal
-        Nothing can be written to it. A line that another command has half written is left out.
+    Nothing can be written to it. A line that another command has half written is left out.
     """
     try:
         lines = (state_folder(cluster) / "journal.jsonl").read_bytes().splitlines()

@@ -17,19 +17,9 @@ from hpccomponent.protocol.keys import KeyPair, make_key_pair, write_secret
 
 
 class NodeKeys:
-    """The keys in a file of mode 0600.
+    """The keys in a file of mode 0600, which need not exist.
 
-    Parameters
-    ----------
-    path : Path
-        It need not exist.
-    machine_ids : iterable of str
-        Machines that must have keys; those that lack them get some now.
-
-    Raises
-    ------
-    CloudError
-        The file is damaged.
+    Those of `machine_ids` that lack keys get some now. Raises CloudError where the file is damaged.
     """
 
     SERVER = "server"
@@ -44,13 +34,7 @@ class NodeKeys:
 
     @classmethod
     def read(cls, path: Path) -> KeyPair | None:
-        """Return the master's, where there is one; nothing is made.
-
-        Raises
-        ------
-        CloudError
-            The file is damaged.
-        """
+        """Return the master's or None, and make nothing; raise CloudError for a damaged file."""
         return _read(path).get(cls.SERVER)
 
     @staticmethod

@@ -25,15 +25,9 @@ MAKING = timedelta(hours=1)
 class Ownership:
     """What this machine holds of a cluster.
 
-    Parameters
-    ----------
-    owner : Owner
-        Us; its key is empty where there is none yet.
-    pairs : frozenset of str
-        Fingerprints of that key in the forms of clouds.
-    lives : frozenset of str
-        Incarnations that our journal has begun. They tell what is ours while its tag is not
-        written yet, which not every cloud does in one step.
+    `owner` is us, its key empty where there is none yet; `pairs` are fingerprints of that key in
+    the forms of clouds. `lives` are incarnations that our journal has begun: they tell what is ours
+    while its tag is not written yet, which not every cloud does in one step.
     """
 
     owner: Owner
@@ -53,15 +47,10 @@ def fingerprint(public_key: str) -> str:
 
 
 def cloud_fingerprints(public_key: str) -> frozenset[str]:
-    """Return the fingerprints that clouds give of an imported public key.
+    """Return the fingerprints that clouds give of an imported public key; none where it is no key.
 
-    Amazon and Eucalyptus give the MD5 of the DER form of an RSA key; of an Ed25519 key Amazon
-    gives what OpenSSH gives.
-
-    Returns
-    -------
-    frozenset of str
-        Empty where it is no key.
+    Amazon and Eucalyptus give the MD5 of the DER form of an RSA key; of an Ed25519 key Amazon gives
+    what OpenSSH gives.
     """
     from cryptography.hazmat.primitives.serialization import (
         Encoding,

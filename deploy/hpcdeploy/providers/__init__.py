@@ -23,10 +23,7 @@ _OPENERS = {
 def open_provider(spec: ClusterSpec, base: Path) -> Provider:
     """Return the provider of a cluster; its module, and boto3 with it, is imported only now.
 
-    Raises
-    ------
-    CloudError
-        The cloud's keys are not to be found, or it cannot be reached.
+    Raises CloudError where the cloud's keys are not to be found, or it cannot be reached.
     """
     module, _, function = _OPENERS[spec.provider.type].partition(":")
     return cast(Provider, getattr(import_module(f"{__name__}.{module}"), function)(spec, base))

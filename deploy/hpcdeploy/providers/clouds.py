@@ -24,14 +24,9 @@ provider:
 
 
 class OpenCloud(NamedTuple):
-    """A cloud that can be asked.
+    """A cloud that can be asked; `place` is a name to print.
 
-    Parameters
-    ----------
-    place : str
-        A name to print.
-    spec : CloudSpec or None
-        Its block of a file, for prices; None where machines are there anyway.
+    `spec` is its block of a file, for prices; None where machines are there anyway.
     """
 
     place: str
@@ -40,19 +35,10 @@ class OpenCloud(NamedTuple):
 
 
 def places_of(spec: ClusterSpec, hosts: Collection[str] | None = None) -> tuple[str, ...]:
-    """Return in words where a cluster file's machines are.
+    """Return in words where a cluster file's machines are: one for a cloud, one for each host.
 
-    The account is told by the profile of the keys only: keys themselves come and go.
-
-    Parameters
-    ----------
-    hosts : collection of str, optional
-        The ids of some of the file's; by default all.
-
-    Returns
-    -------
-    tuple of str
-        One for a cloud, and one for each host. What is said before them is "in".
+    What is said before them is "in". The account is told by the profile of the keys only: keys
+    themselves come and go. `hosts` are ids of some of the file's; by default all.
     """
     cloud = spec.provider.cloud
     if spec.provider.is_here:
@@ -74,14 +60,8 @@ def places_of(spec: ClusterSpec, hosts: Collection[str] | None = None) -> tuple[
 def open_clouds(files: Sequence[Path]) -> list[OpenCloud]:
     """Return the clouds of some cluster files, each once.
 
-    Without a file, the AWS account and region of the environment.
-
-    Raises
-    ------
-    ConfigError
-        A file has mistakes.
-    CloudError
-        A cloud's keys are not to be found.
+    Without a file, the AWS account and region of the environment. Raises ConfigError where a file
+    has mistakes, CloudError where keys are not to be found.
     """
     if not files:
         from hpcdeploy.providers.ec2.login import default_region  # it imports boto3

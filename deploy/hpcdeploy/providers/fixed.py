@@ -33,10 +33,7 @@ CLAIM = "machine.json"
 class Claim:
     """What lies on a machine while it is one of a cluster; anybody there may have written it.
 
-    Parameters
-    ----------
-    owner : str
-        See `Owner`.
+    `owner` is the text of an `Owner`.
     """
 
     cluster: Annotated[str, Meta(pattern=NAME_PATTERN, max_length=40)]

@@ -56,10 +56,7 @@ class SshHosts(FixedMachines):
     def observe(self, cluster: str | None) -> Observed:
         """Return the hosts that hold our claim, and those that do not let us see whether they do.
 
-        Raises
-        ------
-        ReachError
-            We have no key that can be used: that says nothing of any host.
+        Raises ReachError where we have no key that can be used: that says nothing of any host.
         """
         if cluster not in (None, self._spec.cluster):
             return Observed()
@@ -75,13 +72,7 @@ class SshHosts(FixedMachines):
         return Observed(_without_usurpers(seen_by_node))
 
     def launch(self, launch: Launch) -> MachineSeen:
-        """Claim the host of a node.
-
-        Raises
-        ------
-        CloudError
-            It does not answer.
-        """
+        """Claim the host of a node; raise CloudError where it does not answer."""
         machine, claim = self._machine(launch.name.node), Claim.of(launch)
         with self._access.open(machine) as shell:
             write_text(shell, f"{self._folder}/{CLAIM}", claim.to_json())

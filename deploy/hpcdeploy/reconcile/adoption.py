@@ -51,24 +51,12 @@ class _OfMaster:
 def check_way_in(cluster: Cluster, key: Path | None) -> tuple[Observed, dict[str, KeyPair]]:
     """Log in to all machines of a cluster that run; nothing is changed there.
 
-    Parameters
-    ----------
-    key : Path, optional
-        The private key that its owner has handed over; by default what is held here.
+    Return what the cloud lists of the cluster, and the keys by which master and workers know one
+    another, as the machines have them. `key` is the private key that its owner has handed over; by
+    default what is held here.
 
-    Returns
-    -------
-    Observed
-        What the cloud lists of the cluster.
-    dict of str to KeyPair
-        The keys by which master and workers know one another, as the machines have them.
-
-    Raises
-    ------
-    CloudError
-        There is nothing to take over, or a machine does not let us in.
-    UsageError
-        A key is given where none is used, or another one than the cluster's.
+    Raises CloudError where there is nothing to take over, or a machine does not let us in;
+    UsageError where a key is given and none is used, or it is another one than the cluster's.
     """
     spec = cluster.spec
     observed = cluster.provider.observe(spec.cluster)
@@ -153,12 +141,8 @@ def take_over(
 ) -> None:
     """Keep a cluster's keys here, and write us down as its owner.
 
-    Raises
-    ------
-    OutdatedError
-        It is another cluster by now than `observed`; nothing was done.
-    CloudError
-        The cloud or a host refuses.
+    Raises OutdatedError where it is another cluster by now than `observed`, and nothing was done;
+    CloudError where the cloud or a host refuses.
     """
     name = cluster.spec.cluster
     require_same(cluster, observed, cluster.provider.observe(name))

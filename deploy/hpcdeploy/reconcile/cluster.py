@@ -42,20 +42,14 @@ class Cluster:
     def machines(self) -> tuple[MachineSeen, ...]:
         """Return the machines that run, from the cloud: the head first, then by number.
 
-        Raises
-        ------
-        CloudError
-            The cluster was made elsewhere.
+        Raises CloudError where the cluster was made elsewhere.
         """
         return tuple(m for m in self.present() if m.state is State.RUNNING)
 
     def present(self) -> tuple[MachineSeen, ...]:
         """Return the machines that are there, whether they run and show themselves or not.
 
-        Raises
-        ------
-        CloudError
-            The cluster was made elsewhere.
+        Raises CloudError where the cluster was made elsewhere.
         """
         observed = self.provider.observe(self.spec.cluster)
         require_ours(self, observed)
@@ -69,10 +63,7 @@ class Cluster:
     def head(self) -> MachineSeen:
         """Return the machine of the HPC App.
 
-        Raises
-        ------
-        CloudError
-            It does not run or cannot be looked at, or the cluster was made elsewhere.
+        Raises CloudError where none is seen to run, or the cluster was made elsewhere.
         """
         heads = [machine for machine in self.present() if machine.name.node == HEAD]
         for head in heads:
@@ -97,10 +88,7 @@ def as_desired(
 ) -> Cluster:
     """Return a cluster with the number of workers of the last `up` or `scale`, or of the file.
 
-    Parameters
-    ----------
-    report : callable, optional
-        Told where that is another number than before.
+    `report` is told where that is another number than before.
     """
     name, before = cluster.spec.cluster, cluster.spec.worker_count
     latest = observed.desired(name)
@@ -115,13 +103,7 @@ def as_desired(
 
 
 def node_order(machine: MachineSeen) -> tuple[bool, int, str, int]:
-    """Order machines as people count them: worker-2 comes before worker-10.
-
-    Returns
-    -------
-    tuple
-        The key to sort by: the head comes first.
-    """
+    """Return the key to sort machines by: the head first, worker-2 before worker-10."""
     node = machine.name.node
     return node != HEAD, len(node), node, machine.name.generation
 
@@ -131,11 +113,7 @@ def open_cluster(path: Path) -> Iterator[Cluster]:
     """Read a cluster file and open its provider; close the shells at the end.
 
     Where the cluster lives elsewhere besides, that is said first, whatever the provider answers.
-
-    Raises
-    ------
-    CloudError
-        The cloud's keys are not to be found.
+    Raises CloudError where the cloud's keys are not to be found.
     """
     from hpcdeploy.login.access import Access  # it imports paramiko, which is slow
     from hpcdeploy.providers import open_provider
@@ -156,15 +134,8 @@ def open_cluster(path: Path) -> Iterator[Cluster]:
 def require_ours(cluster: Cluster, observed: Observed, now: datetime | None = None) -> None:
     """Refuse a cluster that was made elsewhere; where there is nothing yet it is ours to make.
 
-    Parameters
-    ----------
-    now : datetime, optional
-        In UTC; the present by default.
-
-    Raises
-    ------
-    CloudError
-        It says by whom, and how to share the cluster or take it over.
+    `now` is in UTC, the present by default. Raises CloudError, which says by whom it was made, and
+    how to share it or take it over.
     """
     if not cluster.spec.provider.is_shared or not _is_any(observed):
         return
@@ -177,15 +148,8 @@ def require_ours(cluster: Cluster, observed: Observed, now: datetime | None = No
 def require_same(cluster: Cluster, before: Observed, now: Observed) -> None:
     """Refuse a cluster that is not the one which the user has agreed about.
 
-    Parameters
-    ----------
-    before, now : Observed
-        Of that cluster: when the user was asked, and when it is to be done.
-
-    Raises
-    ------
-    OutdatedError
-        Machines or groups have come, or have another owner. Those that are gone do not matter.
+    `before` is of when the user was asked, `now` of when it is to be done. Raises OutdatedError
+    where machines or groups have come, or have another owner; those that are gone do not matter.
     """
     if not _bearers(now) <= _bearers(before):
         raise OutdatedError(
@@ -206,10 +170,7 @@ def _bearers(observed: Observed) -> set[tuple[str, str, str]]:
 def describe_elsewhere(cluster: Cluster) -> str:
     """Say where a cluster lives besides, after its file was changed.
 
-    Returns
-    -------
-    str
-        As far as the journal of this machine tells; empty where it knows of no other place.
+    Only the journal of this machine tells; empty where it knows of no other place.
     """
     name, file = cluster.spec.cluster, cluster.path
     known = peek_journal(name).places
@@ -226,13 +187,7 @@ def describe_elsewhere(cluster: Cluster) -> str:
 
 
 def describe_foreign(name: str, owner: Owner, ownership: Ownership) -> str:
-    """Say whose a cluster is, and what is held here, in one line.
-
-    Parameters
-    ----------
-    ownership : Ownership
-        What this machine holds of it.
-    """
+    """Say whose a cluster is, and what this machine holds of it, in one line."""
     by = owner.user or "somebody"
     key = f"with the key {owner.key}" if owner.key else "without a trace of its key"
     here = (

@@ -41,10 +41,7 @@ if TYPE_CHECKING:
 def look_ahead(cluster: Cluster) -> Plan:
     """Return what `bring_up` would do now; nothing is changed.
 
-    Raises
-    ------
-    CloudError
-        The cluster was made elsewhere.
+    Raises CloudError where the cluster was made elsewhere.
     """
     journal = peek_journal(cluster.spec.cluster)
     return Reconciler(cluster, journal, lambda _: None, Polling()).plan()
@@ -60,12 +57,8 @@ def bring_up(
 ) -> None:
     """Make the cloud as the file says, and set the machines up; run again, it goes on.
 
-    Parameters
-    ----------
-    keep : bool
-        Leave what was made where the cluster cannot be made whole.
-    agreed : Plan, optional
-        What the user has agreed to; by default to whatever is planned.
+    With `keep`, what was made stays where the cluster cannot be made whole. `agreed` is what the
+    user has agreed to; by default whatever is planned.
 
     Raises
     ------
@@ -127,18 +120,10 @@ def replace_lost(
 
     Nothing else is changed, so that it may be called while a job runs; a worker that is not to be
     had is done without. How many there are to be says the last `up` or `scale`, not the file.
+    `seen` is the cluster as it was just now; by default it is looked at.
 
-    Parameters
-    ----------
-    seen : Observed, optional
-        The cluster as it was just now; by default it is looked at.
-
-    Raises
-    ------
-    CloudError
-        The head does not run, the cloud refuses, or another command is changing the cluster.
-    UsageError
-        So many workers may cost more than the file allows.
+    Raises CloudError where the head does not run, the cloud refuses, or another command is changing
+    the cluster; UsageError where so many workers may cost more than the file allows.
     """
     seen = seen or cluster.provider.observe(cluster.spec.cluster)
     cluster = as_desired(cluster, seen, report)
@@ -162,21 +147,12 @@ def take_down(
 ) -> None:
     """Take away all that the cloud lists of a cluster, whatever its file says by now.
 
-    Parameters
-    ----------
-    named : Observed, optional
-        The cluster as it was when the user named it, so that it goes although it was made
-        elsewhere.
+    `named` is the cluster as it was when the user named it, so that it goes although it was made
+    elsewhere.
 
-    Raises
-    ------
-    OutdatedError
-        It was named, and is another one by now; nothing was done.
-    LeftoverError
-        Something is left, here or where an earlier file made it.
-    CloudError
-        The cluster was made elsewhere and not named; or what its jobs have put into the bucket
-        cannot be taken away.
+    Raises OutdatedError where it is another one by now, and nothing was done; LeftoverError where
+    something is left, here or where an earlier file made it; CloudError where the cluster was made
+    elsewhere and not named, or what its jobs have put into the bucket cannot be taken away.
     """
     polling = polling or Polling()
     seen = cluster.provider.observe(cluster.spec.cluster)

@@ -15,19 +15,10 @@ from hpcdeploy.spec.provider import CloudSpec, Profile
 
 @dataclass(frozen=True, slots=True)
 class CostLine:
-    """Machines of one kind.
+    """Machines of one kind, ``head`` or ``workers``, of the dearest type of their profile.
 
-    Parameters
-    ----------
-    who : str
-        ``head`` or ``workers``.
-    profile, instance_type : str
-        Of the profile's types the dearest.
-    hourly : float, optional
-        Of one machine on demand, in dollars; None where no price is known. Spot machines cost
-        at most as much.
-    priced_by : str
-        Where the price comes from; empty where none is known.
+    `hourly` is of one machine on demand, in dollars; None where no price is known, and `priced_by`,
+    where it comes from, is empty then. Spot machines cost at most as much.
     """
 
     who: str
@@ -42,14 +33,8 @@ class CostLine:
 class Cost:
     """What a cluster costs at most, in dollars.
 
-    Parameters
-    ----------
-    lines : tuple of CostLine
-        None where machines are there anyway.
-    lease_s : float
-        How long they live at most, in seconds.
-    priced_as_of : str
-        Year and month of the table that ships.
+    There are no `lines` where machines are there anyway. `lease_s` is how long they live at most,
+    in seconds; `priced_as_of` year and month of the table that ships.
     """
 
     lines: tuple[CostLine, ...]
@@ -73,19 +58,11 @@ class Cost:
 
 
 def estimate_cost(spec: ClusterSpec, workers: int | None = None) -> Cost:
-    """Estimate what a cluster costs.
+    """Estimate what a cluster costs, by default with as many workers as the file says.
 
-    Parameters
-    ----------
-    workers : int, optional
-        How many, by default as the file says.
-
-    Returns
-    -------
-    Cost
-        By a profile's ``hourly_cost``, or by the table that ships where the cloud is Amazon's. A
-        Eucalyptus bills nobody by itself: what no ``hourly_cost`` is given for counts as nothing
-        there. Traffic and S3 are not counted.
+    It goes by a profile's ``hourly_cost``, or by the table that ships where the cloud is Amazon's.
+    A Eucalyptus bills nobody by itself: what no ``hourly_cost`` is given for counts as nothing
+    there. Traffic and S3 are not counted.
     """
     count = spec.worker_count if workers is None else workers
     cloud = spec.provider.cloud
@@ -112,19 +89,10 @@ def hourly_cost(spec: ClusterSpec) -> float | None:
 
 
 def price_machines(cloud: CloudSpec | None, machines: Iterable[MachineSeen]) -> float | None:
-    """Return what machines cost an hour at most, in dollars.
+    """Return what machines cost an hour at most, in dollars; None where a price is not known.
 
-    Parameters
-    ----------
-    cloud : CloudSpec, optional
-        Of their cluster's file, or of another one; None where machines are there anyway.
-    machines : iterable of MachineSeen
-        Spot machines cost at most as much as those on demand.
-
-    Returns
-    -------
-    float or None
-        None where a price is not known.
+    `cloud` is of their cluster's file, or of another one; None where machines are there anyway.
+    Spot machines cost at most as much as those on demand.
     """
     if cloud is None:
         return None
@@ -136,11 +104,8 @@ def price_machines(cloud: CloudSpec | None, machines: Iterable[MachineSeen]) -> 
 def check_limits(spec: ClusterSpec, cost: Cost) -> None:
     """Hold a cluster to the limits of its file.
 
-    Raises
-    ------
-    UsageError
-        It costs more than `max_hourly_cost` or `max_total_cost`, or perhaps does, because no
-        price is known.
+    Raises UsageError where it costs more than `max_hourly_cost` or `max_total_cost`, or perhaps
+    does, because no price is known.
     """
     limits = spec.limits
     if cost.unknown and (limits.max_hourly_cost is not None or limits.max_total_cost is not None):

@@ -22,10 +22,7 @@ _BY_DIGEST = ("image", "iam_instance_profile", "auth.ssh_user", "tags")
 def made_as(spec: ClusterSpec, node: str) -> str:
     """Return what a machine that is launched now is made by, beside what its cloud lists.
 
-    Returns
-    -------
-    str
-        ``KEY=VALUE`` with blanks between; empty where no machines are made.
+    It is ``KEY=VALUE`` with blanks between; empty where no machines are made.
     """
     profile = spec.profile(node)
     if profile is None:
@@ -45,13 +42,7 @@ def made_as(spec: ClusterSpec, node: str) -> str:
 
 
 def find_drift(spec: ClusterSpec, machine: MachineSeen) -> list[str]:
-    """Say in which keys a machine differs from the file.
-
-    Returns
-    -------
-    list of str
-        Empty where it is as the file says, as far as its cloud and its tag tell.
-    """
+    """Say in which keys a machine differs from the file, as far as its cloud and its tag tell."""
     listed = [
         f"{key} is {value}, not {' or '.join(wanted)}"
         for key, value, wanted in _listed(spec, machine)
@@ -61,17 +52,9 @@ def find_drift(spec: ClusterSpec, machine: MachineSeen) -> list[str]:
 
 
 def describe_drift(spec: ClusterSpec, machines: Sequence[MachineSeen], file: Path) -> list[str]:
-    """Say what of a cluster's machines differs from the file, and what to do.
+    """Say what of a cluster's machines, those that stay, differs from the file, and what to do.
 
-    Parameters
-    ----------
-    machines : sequence of MachineSeen
-        Those that stay.
-
-    Returns
-    -------
-    list of str
-        A line for all machines that differ in the same way, and one that says what to do.
+    There is a line for all that differ in the same way, and one that says what to do.
     """
     alike: dict[str, list[MachineSeen]] = {}
     for machine in machines:

@@ -28,10 +28,7 @@ MAX_SKEW_S = 30  # more, and a lease ends at another time than it says
 class Visit:
     """What has been seen on a machine.
 
-    Parameters
-    ----------
-    about : str
-        What it is, where that is known: its Python, its architecture, its room.
+    `about` is what it is, where that is known: its Python, its architecture, its room.
     """
 
     machine: MachineSeen
@@ -48,10 +45,7 @@ def examine(
 ) -> Iterator[Problem]:
     """Yield what is wrong; nothing is changed.
 
-    Parameters
-    ----------
-    wait_s, answer_s : float
-        How long a machine may take to let us in, and to answer.
+    A machine may take `wait_s` to let us in and `answer_s` to answer, in seconds.
     """
     yield from _told("state folder", list(_state_problems(cluster)), "", report)
     machines = cluster.provider.hosts()
@@ -78,10 +72,7 @@ def visit(
 ) -> list[Visit]:
     """Log in to machines, several at once, and look at each; nothing is changed.
 
-    Parameters
-    ----------
-    wait_s, answer_s : float
-        How long a machine may take to let us in, and to answer, in seconds.
+    A machine may take `wait_s` to let us in and `answer_s` to answer, in seconds.
     """
 
     def look(machine: MachineSeen) -> Visit:

@@ -134,10 +134,7 @@ def launch_nodes(
 ) -> tuple[list[MachineSeen], list[Shortage]]:
     """Start the machines of some nodes; without a head, no worker is started.
 
-    Returns
-    -------
-    list of Shortage
-        The nodes whose machine is not to be had, and why.
+    A shortage is a node whose machine is not to be had, and why.
     """
     request = _Request(spec, provider, journal, incarnation, owner, polling, report)
     workers = [action for action in actions if action.name.node != HEAD]

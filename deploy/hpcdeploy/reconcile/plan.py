@@ -23,15 +23,7 @@ LEASE_SLACK = 0.1
 
 @dataclass(frozen=True, slots=True)
 class LaunchNode:
-    """Start the machine of a node.
-
-    Parameters
-    ----------
-    choices : tuple of LaunchChoice
-        In the order in which they are tried.
-    desired : Desired, optional
-        For the head, which bears it.
-    """
+    """Start the machine of a node: `choices` are tried in their order; a head bears `desired`."""
 
     kind: ClassVar[str] = "LaunchNode"
 
@@ -115,20 +107,11 @@ Action = Step | Mark | SetWorkers | Terminate | Extend | LaunchNode
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What to do.
+    """What to do: actions in their order, none where nothing is to be done.
 
-    Parameters
-    ----------
-    actions : tuple of Action
-        In their order; empty where nothing is to be done.
-    kept : tuple of MachineSeen
-        Machines of the cluster that stay.
-    incarnation : str
-        The life of the cluster that new machines belong to.
-    hidden : tuple of MachineSeen
-        Those of which nothing can be said, and why: each counts as its node's, and stays.
-    desired : Desired, optional
-        How many workers there are to be once it is carried out.
+    Machines that are `kept` stay; new ones belong to the life `incarnation` of the cluster. Of
+    those that are `hidden` nothing can be said, and why: each counts as its node's, and stays.
+    `desired` is how many workers there are to be once it is carried out.
     """
 
     actions: tuple[Action, ...] = ()
@@ -138,14 +121,9 @@ class Plan:
     desired: Desired | None = None
 
     def beyond(self, agreed: Plan) -> list[str]:
-        """Say what would be done that another plan does not contain.
+        """Say what would be done that a plan the user has agreed to does not contain.
 
         The end of the lease does not count: each `up` begins it anew, whenever it comes to that.
-
-        Parameters
-        ----------
-        agreed : Plan
-            What the user has agreed to.
         """
         known = {step for action in agreed.actions for step in _steps(action)}
         return [str(action) for action in self.actions if not known.issuperset(_steps(action))]
@@ -173,22 +151,11 @@ def _steps(action: Action) -> set[tuple[str, ...]]:
 def launch_choices(
     profile: Profile | None, has_spot: bool = True, subnets: tuple[str, ...] = ()
 ) -> tuple[LaunchChoice, ...]:
-    """Return instance types, markets and places, in the order in which they are tried.
+    """Return instance types, markets and places, in the order in which they are tried; never none.
 
-    All places are tried for a type before the next type, and all types for a market before the
-    next market: what is cheapest first.
-
-    Parameters
-    ----------
-    has_spot : bool
-        Of the cloud; where it has none, a fallback is all there is.
-    subnets : tuple of str
-        Of the cluster file; each lies in a zone, so that several take the place of zones.
-
-    Returns
-    -------
-    tuple of LaunchChoice
-        Never empty.
+    All places are tried for a type before the next type, and all types for a market before the next
+    market: what is cheapest first. Without `has_spot` a fallback is all there is. Each of
+    `subnets`, of the cluster file, lies in a zone, so that several take the place of zones.
     """
     if profile is None:
         return (LaunchChoice("", "on_demand"),)
@@ -213,23 +180,13 @@ def make_plan(
     owner: Owner = NOBODY,
     known: Desired | None = None,
 ) -> Plan:
-    """Compare what is wanted with what is there.
+    """Compare what is wanted with what is there; what belongs to other clusters does not matter.
 
-    Parameters
-    ----------
-    observed : Observed
-        What belongs to other clusters does not matter.
-    incarnation : str
-        For a new life of the cluster, see `names.draw_incarnation`.
-    prepare : callable
-        Returns what must still be done for a life of the cluster before machines are launched;
-        see `Provider.prepare`.
-    known_bad : frozenset of str
-        Ids of machines that are to be replaced.
-    owner : Owner
-        Us, for what is ours and bears no key of an owner; without a key nothing is marked.
-    known : Desired, optional
-        The number of workers that was asked for last, where the cloud may not list it yet.
+    `incarnation` is for a new life of the cluster, see `names.draw_incarnation`. `prepare` returns
+    what must still be done for a life before machines are launched, see `Provider.prepare`.
+    Machines with an id in `known_bad` are to be replaced. `owner` is us, for what is ours and bears
+    no key of an owner; without a key nothing is marked. `known` is the number of workers that was
+    asked for last, where the cloud may not list it yet.
     """
     machines = [machine for machine in observed.machines if machine.cluster == spec.cluster]
     begun = (seen.incarnation for seen in observed.lives if seen.cluster == spec.cluster)

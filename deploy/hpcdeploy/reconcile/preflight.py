@@ -22,17 +22,9 @@ def check_ready(
 ) -> None:
     """Refuse to launch machines that could not be set up; nothing is changed.
 
-    Parameters
-    ----------
-    actions : sequence of Action
-        Planned; only where nodes are launched is anything looked at.
-    missing : sequence of Problem
-        In the wheelhouse, see `requirements.check_wheels`; said already.
-
-    Raises
-    ------
-    CloudError
-        `up` would fail; it says over what.
+    Only where `actions` launch nodes is anything looked at. What is `missing` in the wheelhouse,
+    see `requirements.check_wheels`, is said already. Raises CloudError where `up` would fail; it
+    says over what.
     """
     nodes = {action.name.node for action in actions if isinstance(action, LaunchNode)}
     if not nodes:

@@ -23,10 +23,7 @@ from hpcdeploy.spec.polling import Polling
 def reap(provider: Provider, report: Callable[[str], None], polling: Polling | None = None) -> None:
     """Remove what is overdue from a cloud, whoever made it.
 
-    Raises
-    ------
-    LeftoverError
-        Something could not be taken away.
+    Raises LeftoverError where something could not be taken away.
     """
     polling = polling or Polling()
 
@@ -43,21 +40,11 @@ def reap(provider: Provider, report: Callable[[str], None], polling: Polling | N
 
 
 def overdue(observed: Observed, now: datetime) -> Observed:
-    """Return what has expired or belongs to nobody; pure.
+    """Return what of all clusters is to go, as it has expired or belongs to nobody; pure.
 
     Machines go when their lease is over or when they have shut down: nothing else proves that
-    nobody uses them. A resource that bears a life goes with the last of its machines, the others
-    of that life with it, or alone past a certain age.
-
-    Parameters
-    ----------
-    observed : Observed
-        Of all clusters.
-
-    Returns
-    -------
-    Observed
-        What is to go.
+    nobody uses them. A resource that bears a life goes with the last of its machines, the others of
+    that life with it, or alone past a certain age.
     """
     alive = [machine for machine in observed.machines if machine.state is not State.GONE]
     going = [machine for machine in alive if is_overdue(machine, now)]

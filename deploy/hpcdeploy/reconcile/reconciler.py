@@ -142,10 +142,7 @@ class Reconciler:
     def undo(self, reason: str) -> None:
         """Take away the machines that this command has launched, and what is empty without them.
 
-        Parameters
-        ----------
-        reason : str
-            Why, in one line.
+        `reason` is one line.
         """
         if not self._has_begun:
             return

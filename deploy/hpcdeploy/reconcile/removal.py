@@ -27,18 +27,9 @@ def remove(
 ) -> None:
     """Take away what must go until the cloud lists none of it any more.
 
-    Parameters
-    ----------
-    doomed : callable
-        Looks at the cloud; returns what must go, and by which proof.
-    quiet_looks : int
-        How often in a row nothing must be found: more than once where a machine may just have
-        been asked for, which clouds list with a delay.
-
-    Raises
-    ------
-    LeftoverError
-        Something is left; it says what and why.
+    `doomed` looks at the cloud; returns what must go, and by which proof. Nothing must be found
+    `quiet_looks` times in a row: more than once where a machine may just have been asked for, which
+    clouds list with a delay. Raises LeftoverError, with what is left and why.
     """
     quiet, refusals, trouble = 0, 0, ""
     remains = Observed()

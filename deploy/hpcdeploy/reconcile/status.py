@@ -81,10 +81,7 @@ ANSWER_S = 10.0
 def describe_cluster(cluster: Cluster, ask_machines: bool = True) -> ClusterStatus:
     """Return what is known of a cluster, as JSON takes it.
 
-    Parameters
-    ----------
-    ask_machines : bool
-        Whether to ask every machine for its loader, over SSH.
+    With `ask_machines` every machine is asked for its loader, over SSH.
     """
     now = utc_now()
     seen = cluster.provider.observe(cluster.spec.cluster)
@@ -114,21 +111,10 @@ def describe_cluster(cluster: Cluster, ask_machines: bool = True) -> ClusterStat
 def list_clusters(
     where: str, observed: Observed, spec: CloudSpec | None = None
 ) -> list[ClusterLine]:
-    """Return a line for every cluster of a cloud.
+    """Return a line for every cluster of a cloud, sorted by the cluster's name.
 
-    Parameters
-    ----------
-    where : str
-        What the cloud is called in the lines.
-    observed : Observed
-        Of all clusters of the cloud.
-    spec : CloudSpec, optional
-        The cloud as a file has it, for its prices.
-
-    Returns
-    -------
-    list of dict
-        Sorted by the cluster's name.
+    The lines call the cloud `where`; `observed` is of all its clusters, and `spec`, the cloud as a
+    file has it, for its prices.
     """
     alive = [machine for machine in observed.machines if machine.state is not State.GONE]
     names = {m.cluster for m in alive} | {r.cluster for r in observed.resources}

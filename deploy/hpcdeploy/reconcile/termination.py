@@ -42,8 +42,7 @@ class Proof:
     ours : frozenset of str
         Ids of machines that bear our key, see `ownership.ours`.
     unused : frozenset of str
-        Ids of machines that our journal has launched in this life and that nobody has set
-        up.
+        Ids of machines that our journal has launched in this life and that nobody has set up.
     launched : frozenset of str
         Ids of machines that this very command has launched, and that nobody else sets up.
     lives : frozenset of str
@@ -90,10 +89,7 @@ def is_overdue(machine: MachineSeen, now: datetime) -> bool:
 def end(provider: Provider, machines: Sequence[MachineSeen], reason: Reason, proof: Proof) -> None:
     """Begin to end machines; nothing is ended where one of them may not be.
 
-    Raises
-    ------
-    CloudError
-        The proof does not suffice, or the cloud refuses.
+    Raises CloudError where the proof does not suffice, or the cloud refuses.
     """
     for machine in machines:
         if not may_terminate(machine, reason, proof):

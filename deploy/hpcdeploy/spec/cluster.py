@@ -23,17 +23,9 @@ from hpcdeploy.spec.provider import (
 
 
 def parse_network(text: str) -> str:
-    """Return a network as clouds write it; ``auto`` stays.
+    """Return a network as clouds write it, in CIDR form; ``auto`` stays.
 
-    Returns
-    -------
-    str
-        In CIDR form.
-
-    Raises
-    ------
-    ValueError
-        It is no IPv4 network.
+    Raises ValueError where it is no IPv4 network.
 
     Examples
     --------
@@ -51,13 +43,7 @@ def parse_network(text: str) -> str:
 
 
 def check_python(text: str) -> str:
-    """Return a requirement of Python that hpcapp can do with; raise ValueError for another.
-
-    Raises
-    ------
-    ValueError
-        It is not ``>=3.N`` with N of 11 or more.
-    """
+    """Return a requirement of Python; raise ValueError unless it is ``>=3.N``, N of 11 or more."""
     match = re.fullmatch(r">=3\.(\d{1,2})", text)
     if match is None or int(match[1]) < 11:
         raise ValueError('should be ">=3.11" or a later one, hpcapp needs 3.11')
@@ -67,10 +53,7 @@ def check_python(text: str) -> str:
 def check_tag(key: str) -> str:
     """Return the key of a user's own tag; raise ValueError where it is ours or the cloud's.
 
-    Raises
-    ------
-    ValueError
-        It begins with a reserved prefix, or is empty or longer than 127 characters.
+    Those begin with a reserved prefix. Nor may it be empty or longer than 127 characters.
     """
     if key.lower().startswith(("hpcapp:", "aws:", "euca:")) or not 0 < len(key) <= 127:
         raise ValueError("should be 1 to 127 characters and not begin with hpcapp:, aws: or euca:")
@@ -81,13 +64,7 @@ Duration = Annotated[float, BeforeValidator(parse_duration)]
 
 
 def check_jump(text: str) -> str:
-    """Return a machine on the way as it is; raise ValueError where it is none.
-
-    Raises
-    ------
-    ValueError
-        It is not ``[USER@]HOST[:PORT]``.
-    """
+    """Return a machine on the way as it is; raise ValueError unless ``[USER@]HOST[:PORT]``."""
     match = re.fullmatch(JUMP, text)
     if match is None or not 0 < int(match["port"] or 22) < 65536:
         raise ValueError("should be [USER@]HOST[:PORT], an IPv6 address in brackets")
@@ -296,10 +273,7 @@ class ClusterSpec(ConfigModel):
 def read_spec(path: Path) -> ClusterSpec:
     """Read a cluster file, check that its values fit together and its files are there.
 
-    Raises
-    ------
-    ConfigError
-        With a line for each mistake.
+    Raises ConfigError with a line for each mistake.
     """
     base = path.absolute().parent
     return read_config(path, ClusterSpec, lambda spec: find_misfits(spec, base), os.environ)

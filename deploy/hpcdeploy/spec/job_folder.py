@@ -75,14 +75,8 @@ class JobState(StrEnum):
 class Request:
     """What was typed for a job, and what its cluster costs.
 
-    Parameters
-    ----------
-    words : tuple of str
-        Of the command line, without the program's name.
-    folder : str
-        In which they were typed.
-    hourly_cost : float, optional
-        Of the cluster as it was then, at most, in dollars; None where it has no price.
+    `words` are without the program's name, and were typed in `folder`. `hourly_cost` is the
+    cluster's as it was then, at most, in dollars; None where it has no price.
     """
 
     words: tuple[Words, ...] = ()
@@ -92,12 +86,7 @@ class Request:
     def command(self, folder: str) -> str:
         """Return the command for a shell that stands in a folder, to be typed again.
 
-        Whatever words a head tells, it is one command, and `hpcapp`.
-
-        Returns
-        -------
-        str
-            Empty where nothing is known of it.
+        Empty where it is not known. Whatever words a head tells, it is one command, and `hpcapp`.
 
         Examples
         --------
@@ -126,19 +115,13 @@ class JobOrder:
     verb : str
         Of `hpcapp`: it reads `points`, writes ``-o`` `mesh` and knows ``--cluster``.
     points : str
-        The input, relative to the cluster's folder.
-    options : tuple of str
-        Further options of the verb.
-    title : str
-        What the user calls the input.
+        The input, relative to the cluster's folder; the user calls it `title`.
     points_url, mesh_url : str
         Presigned addresses in a bucket to fetch the input from and to send the output to.
     mesh_key : str
         What the output is called there.
     ca_bundle : str
         Certificates (PEM) by which the bucket's own is checked; the system's by default.
-    request : Request
-        What the user typed.
     """
 
     verb: str
@@ -164,20 +147,14 @@ class JobStatus:
 
     Parameters
     ----------
-    job : str
-        Its number.
-    title, mesh : str
-        What the user calls the input, and the output's name.
+    title : str
+        What the user calls the input.
     submitted, started, ended : str
         UTC, ISO 8601; empty while it has not happened.
-    reason : str
-        Why it failed.
     runner : int
         Process id, and id of the process group.
     mesh_key, mesh_sha256 : str
         Of a mesh that lies in the bucket as well.
-    request : Request
-        What the user typed.
     """
 
     job: Number
@@ -247,15 +224,7 @@ class JobFolder:
     def link_points(self, points: Path) -> str:
         """Give the job its points under the name that the user calls them; return that name.
 
-        Parameters
-        ----------
-        points : Path
-            The file, on the head.
-
-        Returns
-        -------
-        str
-            Of the link, in the job's folder.
+        `points` is a file on the head, to which a link in the job's folder leads.
         """
         order = self.read_order()
         name = order.title if order.title != order.mesh else f"points-{order.title}"
@@ -334,12 +303,9 @@ def _numbered(jobs: Path) -> Iterator[Path]:
 
 
 def create_job(folder: Path, order: JobOrder) -> tuple[JobFolder, int]:
-    """Give a job its number and its place in the queue.
+    """Give a job its number and its place in the queue; return it and the descriptor of its lock.
 
-    Returns
-    -------
-    lock : int
-        The descriptor that holds the job's lock. It was taken before any later job could look.
+    The lock was taken before any later job could look.
     """
     jobs = folder / "jobs"
     jobs.mkdir(parents=True, exist_ok=True, mode=0o700)

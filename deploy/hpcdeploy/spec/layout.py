@@ -44,10 +44,7 @@ def machine_folder(cluster: str) -> str:
 def clusters_folder() -> Path:
     """Return the folder of all clusters on the user's own machine; it need not exist.
 
-    Raises
-    ------
-    UsageError
-        The user has no home.
+    Raises UsageError where the user has no home.
     """
     named = os.environ.get("XDG_STATE_HOME", "")
     if not Path(named).is_absolute():  # to be ignored then, says whoever defined it

@@ -20,15 +20,7 @@ HEAD = "head"
 
 @dataclass(frozen=True, slots=True, order=True)
 class NodeName:
-    """A machine of a cluster.
-
-    Parameters
-    ----------
-    node : str
-        ``head`` or ``worker-1``, ``worker-2``, ...
-    generation : int
-        1, then 2 for its first replacement.
-    """
+    """A cluster's machine: ``head``, ``worker-1``, ...; its first replacement is generation 2."""
 
     node: str
     generation: int = 1
@@ -38,12 +30,8 @@ class NodeName:
 class Owner:
     """Whose a machine is.
 
-    Parameters
-    ----------
-    user : str
-        User and host that made it, or have taken it over.
-    key : str
-        Fingerprint of the public key that it lets in; empty where an older release made it.
+    `user` is user and host that made it, or have taken it over; `key` the fingerprint of the public
+    key that it lets in, empty where an older release made it.
 
     Examples
     --------
@@ -63,11 +51,8 @@ class Owner:
 class Desired:
     """How many workers a cluster is to have, by the last `up` or `scale`: its head bears it.
 
-    Parameters
-    ----------
-    revision : int
-        One more than that of the number before: of two numbers the later one counts, however late
-        a cloud lists it.
+    `revision` is one more than that of the number before: of two numbers the later one counts,
+    however late a cloud lists it.
 
     Examples
     --------
@@ -125,12 +110,7 @@ def this_user() -> str:
 
 
 def draw_incarnation(now: datetime) -> str:
-    """Draw the name of a new life of a cluster; it tells when that life began.
-
-    Returns
-    -------
-    str
-        12 hexadecimal digits.
+    """Draw the name of a new life of a cluster, 12 hexadecimal digits that tell when it began.
 
     Examples
     --------

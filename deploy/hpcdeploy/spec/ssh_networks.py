@@ -22,25 +22,11 @@ def _ask_public_address() -> str:
 def ssh_networks(
     spec: ClusterSpec, ask_public_address: Callable[[], str] = _ask_public_address
 ) -> frozenset[str]:
-    """Return the networks (CIDR) that may reach the SSH port of a cluster's machines.
+    """Return the networks (CIDR) that may reach a cluster's SSH port; none where there is no cloud.
 
-    ``auto`` is this machine's address as the cloud sees it: of the interface towards an endpoint
-    in a private network, and else the public one, which a service on the internet tells.
-
-    Parameters
-    ----------
-    ask_public_address : callable
-        Returns this machine's public IPv4 address.
-
-    Returns
-    -------
-    frozenset of str
-        Empty where there is no cloud.
-
-    Raises
-    ------
-    CloudError
-        The address is not to be found out.
+    ``auto`` is this machine's address as the cloud sees it: of the interface towards an endpoint in
+    a private network, and else the public IPv4 one, which a service on the internet tells. Raises
+    CloudError where it is not to be found out.
     """
     cloud = spec.provider.cloud
     if cloud is None:

@@ -52,22 +52,9 @@ class _Told:
 def open_remote_inventory(path: Path) -> Iterator[tuple[Path, Lead | None]]:
     """Yield the inventory of a cluster that is up, and what leads its workers to this machine.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        The cluster file.
-
-    Yields
-    ------
-    inventory : pathlib.Path
-        A copy that lasts as long as the block; the head's own where this is the head.
-    lead : callable or None
-        See `lead_workers`; None where there is no need, on the head.
-
-    Raises
-    ------
-    CloudError
-        The cluster is not up, or its head cannot be reached.
+    `path` is the cluster file. The inventory is a copy that lasts as long as the block. On the head
+    it is the head's own, and there is no need of `lead_workers`: None. Raises CloudError where the
+    cluster is not up, or its head cannot be reached.
     """
     from hpcdeploy.spec.cluster import read_spec
 
@@ -88,15 +75,8 @@ def open_remote_inventory(path: Path) -> Iterator[tuple[Path, Lead | None]]:
 def lead_workers(shell: Shell, folder: str, endpoint: str) -> Iterator[None]:
     """Lead a cluster's workers to a master on this machine.
 
-    Parameters
-    ----------
-    endpoint : str
-        ``tcp://127.0.0.1:PORT``, where the master listens.
-
-    Raises
-    ------
-    CloudError
-        The relay does not come up.
+    The master listens at `endpoint`, ``tcp://127.0.0.1:PORT``. Raises CloudError where the relay
+    does not come up.
     """
     lines: queue.SimpleQueue[str] = queue.SimpleQueue()
     is_heard = threading.Event()

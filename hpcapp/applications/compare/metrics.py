@@ -31,7 +31,7 @@ class Measures:
     l1 : float
         Mean of the two; the completeness where the truth is open.
     rms : float
-        Root of the mean square of both directions' distances together.
+        Of both directions' distances together.
     p95 : float
         95 of 100 of both directions' distances are smaller.
     hausdorff : float
@@ -43,8 +43,6 @@ class Measures:
         the truth has no normals.
     diagonal : float
         Of the truth's bounding box, in length units.
-    topology : Topology
-        Of the mesh.
     """
 
     accuracy: float
@@ -67,20 +65,10 @@ def measure_mesh(
     thresholds: Sequence[float] = F_THRESHOLDS,
     clock: StageClock | None = None,
 ) -> Measures:
-    """Compare a mesh with the truth.
+    """Compare a mesh of at least one face with the truth, in whose frame it is.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        In the frame of the truth, with at least one face.
-    samples : int
-        Points on either surface, spread evenly over its area.
-    seed : int
-        The same seed gives the same measures.
-    thresholds : sequence of float
-        Of the F-scores, in per cent of the diagonal.
-    clock : StageClock, optional
-        Announces and times the stages.
+    So many samples are spread evenly over the area of either surface, the same for the same seed.
+    Thresholds of the F-scores are in per cent of the diagonal.
     """
     clock = clock or StageClock(Progress())
     percent = 100.0 / (truth.diagonal or 1.0)

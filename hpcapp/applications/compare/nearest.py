@@ -14,12 +14,7 @@ ROUNDING = 1e-12
 
 
 class NearestFace:
-    """An index over the faces of a mesh.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        With at least one face.
+    """An index over the faces of a mesh, of which there is at least one.
 
     Notes
     -----
@@ -40,17 +35,7 @@ class NearestFace:
         ]
 
     def query(self, points: FloatArray) -> tuple[FloatArray, IntArray]:
-        """Return the distance to the nearest face and that face's number.
-
-        Parameters
-        ----------
-        points : ndarray of float64, shape (n, 3)
-
-        Returns
-        -------
-        distances : ndarray of float64, shape (n,)
-        faces : ndarray of int64, shape (n,)
-        """
+        """Return distances (n,) from points (n, 3) to the nearest face, and its numbers (n,)."""
         distances = np.full(len(points), np.inf)
         faces = np.zeros(len(points), dtype=np.int64)
         for size in self._classes:
@@ -136,8 +121,6 @@ def _class_sizes(sides: FloatArray) -> IntArray:
 def distance_to_triangles(points: FloatArray, triangles: FloatArray) -> FloatArray:
     """Return the distance from each point to its own triangle.
 
-    Notes
-    -----
     The foot is either inside the triangle or on one of its three sides.
     """
     # (3, m, 3): corner by corner; (m,): whether the foot can be inside: not without area

@@ -78,12 +78,7 @@ def make_comparison(
 ) -> str:
     """Return a page (HTML) with the mesh, coloured by its distance from the truth.
 
-    Parameters
-    ----------
-    truth_name : str
-        As the user typed it.
-    truth : Truth
-        In the mesh's frame.
+    Both are in one frame; the truth's name is as the user typed it.
     """
     thin = thin_mesh(mesh, _MOST_FACES)
     distances, sides = truth.distance(thin.vertices), truth.find_sides(thin.vertices)

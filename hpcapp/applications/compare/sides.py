@@ -17,15 +17,9 @@ _ON = 1e-9  # a weight so small is none
 
 
 def find_sides(mesh: Mesh, points: FloatArray, faces: IntArray) -> FloatArray:
-    """Return 1 for points in front of a mesh's faces, and -1 for those behind them.
+    """Return 1 for points (n, 3) in front of their nearest faces (n,), and -1 behind them.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Closed, its faces anticlockwise as seen from outside.
-    points : ndarray of float64, shape (n, 3)
-    faces : ndarray of int64, shape (n,)
-        The face that is nearest to each.
+    The mesh is closed, its faces anticlockwise as seen from outside.
     """
     corners = mesh.vertices[mesh.faces[faces]]  # (n, 3, 3)
     weights = _weigh_foot(points, corners)

@@ -52,26 +52,11 @@ class Truth(Protocol):
         ...
 
     def distance(self, points: FloatArray) -> FloatArray:
-        """Return each point's distance to it.
-
-        Parameters
-        ----------
-        points : ndarray of float64, shape (n, 3)
-
-        Returns
-        -------
-        ndarray of float64, shape (n,)
-            In length units.
-        """
+        """Return the distance of points (n, 3) to it, (n,), in length units."""
         ...
 
     def find_sides(self, points: FloatArray) -> FloatArray | None:
-        """Tell on which side of it points are: 1 outside, -1 inside; None where it has no sides.
-
-        Parameters
-        ----------
-        points : ndarray of float64, shape (n, 3)
-        """
+        """Return 1 for points (n, 3) outside of it, -1 inside; None where it has no sides."""
         ...
 
 
@@ -104,13 +89,7 @@ class ShapeTruth:
 
 
 class MeshTruth:
-    """A mesh as the truth; see `Truth`.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        With at least one face.
-    """
+    """A mesh with at least one face as the truth."""
 
     unit = ""
 
@@ -146,16 +125,9 @@ class MeshTruth:
 
 
 class PointTruth:
-    """Points as the truth; see `Truth`.
+    """Points as the truth: at least one, all finite; their unit is "" where it is not known.
 
     A distance to points is that to the nearest: at best as small as their spacing and noise.
-
-    Parameters
-    ----------
-    cloud : PointCloud
-        At least one point, all finite.
-    unit : str
-        Of length; nothing where it is not known.
     """
 
     is_closed = True  # what lies far from all points counts
@@ -191,10 +163,7 @@ class PointTruth:
 def sample_mesh(mesh: Mesh, count: int, seed: int = 0) -> PointCloud:
     """Return points spread evenly over the faces of a mesh, with the faces' normals.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        With at least one face of positive area.
+    At least one face has a positive area.
     """
     rng = np.random.default_rng(seed)
     # (f, 3, 3): the corners of every face; (f,): twice its area
@@ -214,21 +183,10 @@ def sample_mesh(mesh: Mesh, count: int, seed: int = 0) -> PointCloud:
 
 
 def open_truth(name: str, origin: FloatArray) -> Truth:
-    """Open what a user names as the truth.
+    """Open a mesh, points, or ``shape:NAME`` as the truth, in the frame of an origin (3,).
 
-    Parameters
-    ----------
-    name : str
-        A mesh, points, or ``shape:NAME``; a file that holds faces is a mesh.
-    origin : ndarray of float64, shape (3,)
-        Of the frame that the truth is wanted in.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or holds nothing that can be compared with.
-    UsageError
-        The suffix or the shape is unknown.
+    A file that holds faces is a mesh. Raise InputError where it cannot be read, or holds nothing to
+    compare with, and UsageError where the suffix or the shape is unknown.
     """
     if name.startswith(SHAPE):
         if origin.any():
@@ -245,17 +203,9 @@ def open_truth(name: str, origin: FloatArray) -> Truth:
 
 
 def read_mesh_at(path: Path, origin: FloatArray | None = None) -> Mesh:
-    """Read a mesh in a frame of choice.
+    """Read a mesh in the frame of an origin (3,) in the file's coordinates, by default zero.
 
-    Parameters
-    ----------
-    origin : ndarray of float64, shape (3,), optional
-        Of that frame, in the coordinates of the file; by default zero.
-
-    Raises
-    ------
-    InputError
-        It cannot be read, holds no faces, or has vertices that are not finite.
+    Raise InputError where it cannot be read, or `check_usable` refuses it.
     """
     mesh = read_mesh(path)
     check_usable(mesh, path)
@@ -266,10 +216,7 @@ def read_mesh_at(path: Path, origin: FloatArray | None = None) -> Mesh:
 def check_usable(mesh: Mesh, path: Path) -> None:
     """Refuse a mesh of which no distances can be taken.
 
-    Raises
-    ------
-    InputError
-        It has no faces, or a vertex of a face is not finite, or its squares would not be.
+    Raise InputError where it has no faces, or a face's vertex or its square is not finite.
     """
     if not len(mesh.faces):
         raise InputError(f"{path}: holds no faces", "give a mesh")

@@ -37,15 +37,7 @@ _POINTS, _HEIGHTS = "points.npy", "cloth.npy"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cloth:
-    """The ground as heights on a grid, in metres.
-
-    Parameters
-    ----------
-    corner : ndarray of float64, shape (2,)
-        Of the grid, x and y.
-    heights : ndarray of float64, shape (h, w)
-        A row for each y.
-    """
+    """The ground as heights (h, w), in metres: a row for each y from the corner x, y on."""
 
     corner: FloatArray
     heights: FloatArray
@@ -63,21 +55,9 @@ class Cloth:
 
 
 def drape(points: FloatArray, name: str) -> Cloth:
-    """Let a cloth fall on points.
+    """Let a cloth fall on points (n, 3), in metres; the lowest of each of its squares are enough.
 
-    Parameters
-    ----------
-    points : ndarray of float64, shape (n, 3)
-        In metres; the lowest of each square of the cloth are enough.
-    name : str
-        Of the scan.
-
-    Raises
-    ------
-    MissingLibraryError
-        The library is not installed.
-    InputError
-        The scan is too large.
+    Raise MissingLibraryError without the library, and InputError where the scan is too large.
     """
     if find_spec("CSF") is None:
         raise MissingLibraryError(

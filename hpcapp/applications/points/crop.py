@@ -36,15 +36,13 @@ class Crop:
     Parameters
     ----------
     box : tuple of float
-        x, y and z of two corners; none where no box is asked for.
+        x, y and z of two corners, or none.
     around : tuple of float
         x, y, z of a place and a distance from it, or none.
     polygon : str
         Polygons in WKT, of which all heights are meant, or none.
     classes : tuple of int
         The only ones; all where there are none.
-    not_classes : tuple of int
-        Those that are left out.
     ground : bool
         Whether only the bare ground is asked for.
     """
@@ -84,12 +82,7 @@ class Crop:
     def narrow(self, source: PointSource, margin: float = 0.0) -> PointSource:
         """Return the points of a source that are asked for by place and class.
 
-        Parameters
-        ----------
-        source : PointSource
-            Opened with the noise, if `keeps_noise`.
-        margin : float
-            See `PointSource.within`.
+        It is opened with the noise, if `keeps_noise`; the margin is that of `PointSource.within`.
         """
         if self.has_region:
             source = source.within(self.find_region(source.frame.height_scale), margin)
@@ -109,10 +102,7 @@ class Crop:
     def cut(self, mesh: Mesh, height_unit: float, name: str) -> Mesh:
         """Return what of a mesh, in the unit of its file, lies where only a place is asked for.
 
-        Raises
-        ------
-        InputError
-            There is nothing.
+        Raise InputError where there is nothing.
         """
         import numpy as np
 
@@ -147,12 +137,8 @@ def make_crop(
 ) -> Crop:
     """Return what numbers and a file of polygons ask for.
 
-    Raises
-    ------
-    UsageError
-        There are not as many as it takes, one is none, they hold nothing, or exclude each other.
-    InputError, MissingLibraryError
-        See `read_outline`.
+    Raise UsageError where there are not as many as it takes, one is none, they hold nothing, or
+    exclude each other, and what `read_outline` raises.
     """
     _refuse_two(classes=classes, not_classes=not_classes)
     _refuse_two(classes=classes, ground=ground or None)

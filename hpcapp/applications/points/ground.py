@@ -41,14 +41,9 @@ _ROWS_AT_ONCE = 1 << 18
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Ground:
-    """How the ground is told, once the points were gone through.
+    """How the ground is told, once the points were gone through: by a cloth, or by classes.
 
-    Parameters
-    ----------
-    cloth : Cloth or None
-        None where classes tell it.
-    axes : ndarray of float64, shape (3, 3)
-        Rows that make coordinates metres to the east, to the north and up.
+    The rows of its axes (3, 3) make coordinates metres to the east, to the north and up.
     """
 
     cloth: Cloth | None
@@ -74,23 +69,10 @@ class _Ground:
 def take_ground(source: PointSource, asked: Hashable = None) -> PointSource:
     """Return the points of a source that are the bare ground.
 
-    How they are told, and how many others are left out, is logged once.
-
-    Parameters
-    ----------
-    asked : hashable
-        Which part of a file the source is: another pass over the same need not look again.
-
-    Returns
-    -------
-    PointSource
-        An InputError comes with its parts where it has no ground, or is too large for a cloth
-        (`drape`); a MissingLibraryError where the library is.
-
-    Raises
-    ------
-    InputError
-        Coordinates are angles.
+    How they are told, and how many others are left out, is logged once; another pass over the same
+    part of a file, as asked, need not look again. Raise InputError where coordinates are angles;
+    with its parts, where there is no ground, or the scan is too large for a cloth (`drape`), and
+    MissingLibraryError where the library is missing.
     """
     if source.unit == "degree":
         raise InputError(

@@ -26,7 +26,7 @@ from hpccomponent.errors import InputError
 
 
 def describe_file(source: PointSource) -> tuple[dict[str, object], Findings, PointCloud]:
-    """Read a file's points, and tell what it holds.
+    """Read a file's points, and tell what it holds; raise InputError where it is damaged.
 
     Returns
     -------
@@ -41,14 +41,8 @@ def describe_file(source: PointSource) -> tuple[dict[str, object], Findings, Poi
         it is stated of that alone; ``up``: which way that is, and why; ``dropped``: points that
         are no part of the cloud, by reason; ``warnings``; and all that `describe` and
         `measure_spacing` tell.
-
     cloud : PointCloud
         The points, z in the unit of x and y.
-
-    Raises
-    ------
-    InputError
-        The file is damaged.
     """
     cloud = read_whole(source)
     upright = scale_heights(cloud, source.frame.height_scale)
@@ -120,22 +114,12 @@ def _count_dropped(source: PointSource, cloud: PointCloud) -> dict[str, int]:
 
 
 def describe(cloud: PointCloud) -> dict[str, object]:
-    """Count and measure a point cloud.
+    """Count and measure a point cloud as it was read, unusable points included, in JSON values.
 
-    Parameters
-    ----------
-    cloud : PointCloud
-        As it was read, unusable points included.
-
-    Returns
-    -------
-    dict
-        JSON values. ``points``: how many; ``has_normals``, ``has_colours``; ``bounds`` (lowest
-        and highest corner, in the input's coordinates), ``extent`` (per axis) and ``diagonal``, in
-        length units of the input, over finite points and None where there are none;
-        ``origin``: what was subtracted on reading; ``non_finite_points`` and
-        ``non_finite_normals``: rows with NaN or infinity; ``zero_normals``; ``duplicates``:
-        finite points at the place of another, the first at each place not counted.
+    ``bounds`` (lowest and highest corner, in the input's coordinates), ``extent`` (per axis) and
+    ``diagonal`` are over finite points and None where there are none; ``origin`` was subtracted on
+    reading; ``non_finite_points`` and ``non_finite_normals`` count rows with NaN or infinity;
+    ``duplicates`` finite points at the place of another, the first at each place not counted.
     """
     finite = cloud.positions[np.isfinite(cloud.positions).all(axis=1)]
     return {
@@ -171,20 +155,12 @@ def _count_normals(normals: FloatArray | None) -> dict[str, int]:
 
 
 def measure_spacing(cloud: PointCloud) -> dict[str, object]:
-    """Measure how far apart points are, as a job does.
+    """Measure how far apart points are, as a job does; z is in the unit of x and y.
 
-    Parameters
-    ----------
-    cloud : PointCloud
-        As it was read, z in the unit of x and y.
-
-    Returns
-    -------
-    dict
-        JSON values, None where a job would refuse the points. ``spacing``, and ``spacing_range``
-        from place to place, of the points that a job takes; ``scan_lines``: their ``gap``, the
-        ``step`` along them, and how many points they ``spared``, or None where there are none;
-        ``noise`` and ``noise_range``: standard deviations along the normals.
+    Values are for JSON, None where a job would refuse the points. ``spacing``, and
+    ``spacing_range`` from place to place, are those of the points that a job takes; ``scan_lines``
+    has their ``gap``, the ``step`` along them, and how many points they ``spared``, or is None
+    without any; ``noise`` and ``noise_range`` are standard deviations along the normals.
     """
     try:
         usable, _ = drop_unusable(cloud, "the cloud")

@@ -17,19 +17,9 @@ from hpcapp.geometry.points import PointCloud
 
 
 def find_noise(cloud: PointCloud, scale: LocalScale) -> LocalNoise:
-    """Find how far points lie off their surface, from place to place.
+    """Find how far the points that a job takes lie off their surface, from place to place.
 
-    Parameters
-    ----------
-    cloud : PointCloud
-        The points that a job takes. Those without normals get some, in the sample.
-    scale : LocalScale
-        Of these.
-
-    Raises
-    ------
-    InputError
-        The points have no surface.
+    Those without normals get some, in the sample. Raise InputError where they have no surface.
     """
     edge = SAMPLED_BOX * scale.spacing
     corner = lay_lattice(bound_points(cloud.positions)[0], edge)

@@ -15,12 +15,9 @@ _COLOURS = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), 
 
 
 def colour_by_spacing(cloud: PointCloud) -> PointCloud:
-    """Return the finite points of a cloud, each in the colour of the spacing around it.
+    """Return the finite points, each in the colour of the spacing around it.
 
-    Raises
-    ------
-    InputError
-        All points are the same.
+    Raise InputError where all points are the same.
     """
     finite = _take_finite(cloud)
     scale = find_scale(finite.positions)
@@ -28,12 +25,9 @@ def colour_by_spacing(cloud: PointCloud) -> PointCloud:
 
 
 def colour_by_noise(cloud: PointCloud) -> PointCloud:
-    """Return the finite points of a cloud, each in the colour of the noise around it.
+    """Return the finite points, each in the colour of the noise around it.
 
-    Raises
-    ------
-    InputError
-        The points have no surface.
+    Raise InputError where the points have no surface.
     """
     finite = _take_finite(cloud)
     noise = find_noise(finite, find_scale(finite.positions))

@@ -21,16 +21,7 @@ from hpcapp.io import drop_unusable
 def take_rejected(cloud: PointCloud, source: str) -> tuple[PointCloud, Cleaned]:
     """Return the outliers, the strays and the lone lines of a cloud, and how many they are.
 
-    Parameters
-    ----------
-    cloud : PointCloud
-    source : str
-        Where it comes from, for the messages.
-
-    Raises
-    ------
-    InputError
-        There are fewer than ten usable points, or all are the same.
+    Raise InputError where fewer than ten points are usable, or all are the same.
     """
     usable, _ = drop_unusable(cloud, source)
     is_rejected, cleaned, _ = reject_points(usable)
@@ -38,27 +29,11 @@ def take_rejected(cloud: PointCloud, source: str) -> tuple[PointCloud, Cleaned]:
 
 
 def reject_points(usable: PointCloud) -> tuple[BoolArray, Cleaned, LocalScale]:
-    """Find the outliers, strays and lone lines of a cloud as a job does; normals are not asked.
+    """Find the outliers, strays and lone lines of finite points as a job does.
 
-    Points that scan lines can spare are none of them.
-
-    Parameters
-    ----------
-    usable : PointCloud
-        Finite; z in the unit of x and y.
-
-    Returns
-    -------
-    is_rejected : ndarray of bool, shape (n,)
-    cleaned : Cleaned
-        How many they are.
-    scale : LocalScale
-        Of the points that the job takes.
-
-    Raises
-    ------
-    InputError
-        All points are the same.
+    Return which they are (n,), how many, and the scale of those that the job takes. Points that
+    scan lines can spare are none of them; z is in the unit of x and y; normals are not asked. Raise
+    InputError where all points are the same.
     """
     rows = {"row": np.arange(len(usable))}
     near = drop_far(PointCloud(usable.positions, attributes=rows))

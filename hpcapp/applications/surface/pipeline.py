@@ -48,14 +48,8 @@ from hpccomponent.runtime.background import Deferred
 def load(settings: JobSettings, clock: StageClock, folder: PointFolder | None = None) -> Loaded:
     """Read a job's points, and make of them what its method takes.
 
-    Parameters
-    ----------
-    settings : JobSettings
-    clock : StageClock
-        Times and announces the stages.
-    folder : PointFolder, optional
-        Where the points are put; into memory by default. They are the same, bit for bit. With
-        `resume`, what is in the folder is taken, if it is whole.
+    They are put into the folder, or into memory: they are the same, bit for bit. With `resume`,
+    what is in the folder is taken, if it is whole.
     """
     whole = open_whole(settings)
     source, described = take_asked(settings, whole), describe_input(settings, whole)
@@ -70,10 +64,7 @@ def load(settings: JobSettings, clock: StageClock, folder: PointFolder | None = 
 def prepare(settings: Settings, scan: Scan, clock: StageClock) -> Loaded:
     """Clean points that were read, give them normals, and measure their scale.
 
-    Raises
-    ------
-    InputError
-        They are too few, or have no normals and lie on no surface.
+    Raises InputError where they are too few, or have no normals and lie on no surface.
     """
     method, has_normals = settings.method, scan.has_normals
     with clock.stage("clean") if method.cleans else nullcontext():
@@ -105,10 +96,7 @@ def reconstruct_cloud(
 ) -> Iterator[Outcome]:
     """Turn a cloud into a surface.
 
-    Parameters
-    ----------
-    open_site : callable
-        Opens where it runs, for a grid of so many cells along the longest side.
+    `open_site` opens where it runs, for a grid of so many cells along the longest side.
     """
     grid = find_grid(settings, loaded.cloud)
     with open_site(grid) as site:
@@ -136,12 +124,8 @@ def make_surface(
 ) -> Reconstruction:
     """Take the paper's steps: cut a cloud, fit quadrics, blend them and extract the surface.
 
-    Parameters
-    ----------
-    cloud : ArrangedCloud
-        Finite positions and unit normals.
-    background : callable, optional
-        Left for `Workforce.defer` once the cloud is cut: short passes before would wait for it.
+    The cloud has finite positions and unit normals. `background` is left for `Workforce.defer` once
+    the cloud is cut: short passes before would wait for it.
     """
     advance = clock.progress.advance
     with clock.stage("partition"):

@@ -35,12 +35,8 @@ from hpcapp.pages.thin import thin_mesh
 def read_shown(path: Path, crop: Crop = EVERYTHING) -> Mesh | PointCloud:
     """Read a file as a mesh where it holds faces, and as finite points otherwise; a part of it.
 
-    Raises
-    ------
-    InputError
-        It cannot be read, or holds nothing that can be shown.
-    UsageError
-        The suffix is unknown.
+    Raise InputError where it cannot be read, or holds nothing that can be shown, and UsageError
+    where the suffix is unknown.
     """
     if holds_faces(path):
         return crop.cut(read_mesh(path), find_mesh_crs(path).height_scale, str(path))
@@ -68,23 +64,10 @@ def make_page(
     up: str = "z",
     crop: Crop = EVERYTHING,
 ) -> str:
-    """Return the page of a file, as HTML.
+    """Return the page of a file, as HTML, with its name for a title.
 
-    Parameters
-    ----------
-    path : Path
-        Its name is the title.
-    points : Path, optional
-        Shown beside a mesh.
-    report : Path, optional
-        Of the job that made the mesh, as JSON.
-    crop : Crop, optional
-        The part that is shown.
-
-    Raises
-    ------
-    InputError
-        `points` or `report` cannot be used.
+    Points are shown beside a mesh; the report is that of its job, as JSON. Raise InputError where
+    one of these cannot be used.
     """
     facts = {} if report is None else read_report(report)
     sections = [] if report is None else describe_job(facts, has_mesh=False)

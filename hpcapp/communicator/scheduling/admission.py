@@ -19,8 +19,7 @@ class Admission:
     package : str
         The release; another could give other results.
     numerics : str or None
-        The numerics id; None until the first worker has set it. A job uses one, so that every
-        worker gives the same bits.
+        The numerics id, so that every worker gives the same bits; None until the first has set it.
     banned : mapping of str to str
         Names of workers that have been turned away, and why.
     names : mapping of str to str or None
@@ -34,13 +33,7 @@ class Admission:
     names: Mapping[str, str] | None
 
     def objection(self, register: Register, key: str, workers: Collection[Worker]) -> str | None:
-        """Return why a component cannot join `workers`, or None if it can.
-
-        Parameters
-        ----------
-        key : str
-            The public key (Z85) that it came under.
-        """
+        """Return why a component, by its public key (Z85), cannot join; None if it can."""
         if self.names is not None and self.names.get(key) != register.worker:
             return f"its key is not that of {register.worker!r}"
         if register.worker in self.banned:

@@ -41,19 +41,10 @@ class Assignments:
     def most_bytes(
         self, worker: Worker, batch: int, numbers: Iterable[int], waiting: Container[int]
     ) -> list[int]:
-        """Return how large each answer to tasks of a batch may be.
+        """Return how many bytes each answer to a batch may have; 0 where nobody waits any more.
 
-        In bytes; 0 where nobody waits for it any more.
-
-        Parameters
-        ----------
-        waiting : container of int
-            All tasks that have no answer yet.
-
-        Raises
-        ------
-        ProtocolError
-            If it was not given this batch, or one of them is not in it.
+        `waiting` are all tasks that have no answer yet. Raise ProtocolError where the worker was
+        not given this batch, or a task is not in it.
         """
         if not 0 < batch <= self.last or self._owners[batch - 1] != worker.identity:
             raise ProtocolError(f"it answers batch {batch}, which it was not given")

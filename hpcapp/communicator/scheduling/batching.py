@@ -21,10 +21,7 @@ AFFINITY_WINDOW = 64  # how far from the front a task may be that suits a worker
 class BatchCutter:
     """Takes tasks that may share a batch off a queue.
 
-    Parameters
-    ----------
-    claim : callable
-        Called with a task's number right before it first leaves; False if it was cancelled.
+    `claim` gets a task's number right before it first leaves; it returns False if it was cancelled.
     """
 
     def __init__(self, claim: Callable[[int], bool], forecast: Forecast) -> None:
@@ -35,15 +32,9 @@ class BatchCutter:
         """Take at most `limit` tasks off the front of `source`, for `worker`.
 
         Near the front those come first of whose blobs the worker lacks least: no worker waits for a
-        better task, and none gets a blob while it could work without. Return claimed tasks, in
-        order: those that turned out to be cancelled are left out.
-
-        Parameters
-        ----------
-        source : OrderedDict of int to Task
-            The queue; what is returned is no longer in it.
-        worker : Worker
-            Who gets them; a blob counts as long as it is not there.
+        better task, and none gets a blob while it could work without. A blob counts as long as it
+        is not there. Return claimed tasks, in order: those that turned out to be cancelled are left
+        out.
         """
         batch: list[Task] = []
         size, seconds = 0, 0.0
@@ -73,10 +64,7 @@ def find_closest(
 ) -> Task:
     """Return the task near the front of which the fewest bytes are missing on a worker.
 
-    Parameters
-    ----------
-    added : container of bytes, optional
-        Keys of blobs that will be there before it.
+    `added` are keys of blobs that will be there before it.
     """
     best, least = None, -1
     for task in islice(source.values(), AFFINITY_WINDOW):

@@ -32,19 +32,9 @@ CREDIT = 2  # batches in flight per worker
 class Dispatcher:
     """Holds the tasks that wait, and places them.
 
-    Parameters
-    ----------
-    claim : callable
-        Called with a task's number right before it first leaves; False if it was cancelled.
-    split : callable
-        Called with the number of a task that can be split; returns those that replace it, if any.
-
-    Attributes
-    ----------
-    queue : OrderedDict of int to Task
-        What any worker may have, in order.
-    lost : OrderedDict of int to Task
-        What was lost with a worker, or is to be answered by another one: not for every one.
+    `claim` is that of `BatchCutter`; `split` gets the number of a task that can be split, and
+    returns those that replace it, if any. In order, `queue` holds what any worker may have, and
+    `lost` what was lost with a worker, or is to be answered by another one: not for every one.
     """
 
     def __init__(
@@ -66,13 +56,7 @@ class Dispatcher:
         self._cutter = BatchCutter(claim, self.forecast)
 
     def requeue(self, tasks: Iterable[Task]) -> None:
-        """Have tasks that had left wait again, before all others.
-
-        Parameters
-        ----------
-        tasks : iterable of Task
-            In order; no worker has them any more.
-        """
+        """Have tasks, in order, that no worker has any more wait again, before all others."""
         for task in reversed(list(tasks)):
             task.holders.clear()
             if task.losses or task.answers:

@@ -56,10 +56,7 @@ class Forecast:
         self._spent_s.pop(worker, None)
 
     def unit_s(self, worker: bytes, name: str) -> float:
-        """Return how long a unit of work of a task is expected to take on a worker.
-
-        In seconds; infinite where no worker has run such a task.
-        """
+        """Return the seconds expected for a unit of work; infinite where no worker has run it."""
         unit_times = self._unit_s.get(name)
         if not unit_times:
             return math.inf
@@ -91,10 +88,7 @@ class Forecast:
         return self._transit_s.get(name, 0.0)
 
     def expect(self, worker: bytes, task: Task) -> float:
-        """Return how long a task is expected to take on a worker.
-
-        In seconds; infinite where no worker has run such a task.
-        """
+        """Return the seconds expected for a task; infinite where no worker has run its like."""
         return self.unit_s(worker, task.name) * task.work
 
     def remaining_s(self, worker: Worker, now: float) -> float:
@@ -115,13 +109,7 @@ class Forecast:
         return max(0.0, total - min(elapsed, expected)) + (elapsed if elapsed > expected else 0.0)
 
     def estimate(self, worker: Worker, name: str, now: float) -> None:
-        """Tell a worker what a policy is to see of it, where tasks of a name come next.
-
-        Parameters
-        ----------
-        worker : Worker
-            Its `remaining_s`, `next_s` and `slowness` are set.
-        """
+        """Set a worker's `remaining_s`, `next_s` (by a task's name), `slowness`: for policies."""
         worker.remaining_s = self.remaining_s(worker, now)
         worker.next_s = self.unit_s(worker.identity, name)
         worker.slowness = self.slowness(worker.identity)

@@ -113,10 +113,7 @@ class Losses:
         )
 
     def describe(self, machines: Iterable[str] | None = None) -> str:
-        """Say what some machines have lost, and why; by default all that have lost anything.
-
-        One line; empty where they have lost nothing.
-        """
+        """Say in a line what these machines, or all, have lost, and why; empty for nothing."""
         clauses = []
         for machine in self._records if machines is None else machines:
             record = self._records[machine]

@@ -50,11 +50,8 @@ class Load(Protocol):
 class Placement:
     """The policy's choice.
 
-    Parameters
-    ----------
-    is_fixed : bool
-        Whether all of them wait for this worker, even where its credit window is full;
-        otherwise one batch of them leaves now, and what does not fit stays with the others.
+    With `is_fixed` all of the tasks wait for this worker, even where its credit window is full;
+    else one batch of them leaves now, and what does not fit stays with the others.
     """
 
     worker: int
@@ -102,13 +99,9 @@ class EqualPolicy:
 class PullPolicy:
     """Workers are given work as they finish it, in levelled queues.
 
-    Every worker gets one batch before any gets a second: filling one worker's queue first puts
-    all large batches there. Batches shrink as the queue does (guided self-scheduling).
-
-    Parameters
-    ----------
-    depth : int
-        Batches that a worker holds at most: one runs, the others hide the way.
+    Every worker gets one batch before any gets a second: filling one worker's queue first puts all
+    large batches there. Batches shrink as the queue does (guided self-scheduling). A worker holds
+    at most `depth` batches: one runs, the others hide the way.
     """
 
     is_speculative = False

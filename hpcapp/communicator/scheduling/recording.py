@@ -25,14 +25,8 @@ class Recording:
     ) -> None:
         """Record an answer.
 
-        Parameters
-        ----------
-        open_batch : OpenBatch
-            The batch that the task is of; an empty one if the worker has it no more.
-        task : Task
-            Which it answers; one that is done was answered before.
-        later_s : float
-            How long the tasks took, in seconds, whose answers came with it and after it.
+        The batch is empty if the worker has it no more; a task that is done was answered before.
+        `later_s` is how long the tasks took, in seconds, whose answers came with it and after it.
         """
         if self.timeline is None:
             return
@@ -50,10 +44,7 @@ class Recording:
     def taken_back(self, worker: Worker, open_batch: OpenBatch, at_work_s: float) -> None:
         """Record the tasks of a batch that its worker has not answered.
 
-        Parameters
-        ----------
-        at_work_s : float
-            How long the first of them has been at work, in seconds; the others had not begun.
+        The first has been at work for `at_work_s`; the others had not begun.
         """
         if self.timeline is None:
             return
@@ -76,10 +67,7 @@ class Recording:
 def list_workers(workers: Mapping[bytes, Worker]) -> list[WorkerState]:
     """Return what each worker does at the moment, for any thread to ask.
 
-    Parameters
-    ----------
-    workers : mapping of bytes to Worker
-        The scheduler's own; copied in one step each, since it changes meanwhile.
+    The scheduler's own are copied in one step each, since they change meanwhile.
     """
     states = []
     for worker in list(workers.values()):

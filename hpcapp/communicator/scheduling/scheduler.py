@@ -61,24 +61,10 @@ class _Answer:
 class Scheduler:
     """Decides who gets which task, and what becomes of tasks whose worker is lost.
 
-    Parameters
-    ----------
-    package : str
-        The release that components must have.
-    claim : callable
-        Called with a task's number right before it first leaves; False if it was cancelled.
-    split : callable, optional
-        Called with the number of a task that can be split; returns those that replace it, if any.
-    verification : Verification, optional
-        What the job knows of the honesty of machines; by default nothing is asked for again.
-    names : mapping of str to str, optional
-        The name of each key that may come; by default they are not looked at.
-    numerics : str, optional
-        Numerics id that components must have; by default that of the first one.
-    liveness_s : float
-        A worker that has been silent for so long is lost, in seconds.
-    worker_wait_s : float
-        How long tasks wait for a worker when there is none, in seconds.
+    `claim` and `split` are those of `Dispatcher`. Components must have the release `package`, the
+    numerics id, by default that of the first one, and a key in `names`; by default they are not
+    looked at. Without a verification nothing is asked for again. In seconds, a worker that has been
+    silent for `liveness_s` is lost, and tasks wait for `worker_wait_s` when there is none.
     """
 
     def __init__(

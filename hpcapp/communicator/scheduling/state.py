@@ -198,10 +198,7 @@ class Forgotten:
 
 @dataclass(frozen=True, slots=True)
 class Deliver:
-    """Hand the first result of a task to whoever waits for it.
-
-    `index` is its place among the results that arrived together.
-    """
+    """Hand the first result of a task, at `index` of those that came together, to who waits."""
 
     task: int
     index: int

@@ -124,15 +124,9 @@ class Verification:
     ) -> tuple[Verdict, list[str]]:
         """Judge an answer, and name the machines that have lied.
 
-        These have given another answer than two others, or three where four machines can answer,
-        or than themselves before.
-
-        Parameters
-        ----------
-        others : collection of str
-            Machines that have not answered the task and could.
-        digest : callable
-            Returns what tells this answer from another one: see `digest_answer`.
+        These have given another answer than two others, or three where four machines can answer, or
+        than themselves before. `others` have not answered the task and could; `digest` returns what
+        `digest_answer` makes of the answer.
         """
         is_first = not task.answers
         # Whoever failed at it is none of the others, and has an opinion.
@@ -169,13 +163,7 @@ class Verification:
         return machines >= LEAST_MACHINES and self.draw() < share
 
     def accuse(self, machine: str, reason: str, tasks: Iterable[Task] = ()) -> None:
-        """Note that a machine has lied.
-
-        Parameters
-        ----------
-        tasks : iterable of Task
-            All that are open: its answers to them count no more.
-        """
+        """Note that a machine has lied; its answers to `tasks`, all open ones, count no more."""
         for task in tasks:
             if task.answers.pop(machine, None) is not None:
                 self.note_written([machine] * task.has_written)
@@ -247,10 +235,7 @@ def attempt(
 ) -> Iterator[None]:
     """Raise a `DistrustError` in place of what may come of a lie, and of a result that does.
 
-    Parameters
-    ----------
-    is_callers : callable, optional
-        Tells of an error whether the caller has raised it, so that it is no lie.
+    `is_callers` tells of an error whether the caller has raised it, so that it is no lie.
     """
     try:
         yield
@@ -266,12 +251,8 @@ def attempt(
 def repeat_until_trusted(verification: Verification, run: Callable[[bool], Outcome]) -> Outcome:
     """Run work from its start until no machine has lied in it.
 
-    Each repetition has a liar less, or is the one in which every answer is verified.
-
-    Parameters
-    ----------
-    run : callable
-        Told whether it is the first time; does its work within `attempt`.
+    Each repetition has a liar less, or is the one in which every answer is verified. `run` is told
+    whether it is the first time, and does its work within `attempt`.
     """
     verification.begin_job()
     while True:

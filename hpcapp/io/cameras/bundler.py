@@ -19,10 +19,7 @@ _LONGEST_LINE = 1 << 16
 def read_bundle(path: Path, encoding: str) -> FloatArray:
     """Read the cameras, those left out that were not registered: their numbers are all zero.
 
-    Raises
-    ------
-    ValueError
-        The file is cut, or has words where numbers belong.
+    Raise ValueError where the file is cut, or has words where numbers belong.
     """
     with path.open(encoding=encoding, errors="replace") as file:
         title = file.readline(_LONGEST_LINE).split()

@@ -42,10 +42,7 @@ def find_colmap_part(head: str) -> str | None:
 def read_images_text(path: Path, encoding: str) -> FloatArray:
     """Read the cameras of images.txt: a line for an image, then one for its points, or empty.
 
-    Raises
-    ------
-    ValueError
-        A line is neither.
+    Raise ValueError where a line is neither.
     """
     numbers: list[list[float]] = []
     with path.open(encoding=encoding, errors="replace") as file:
@@ -66,13 +63,7 @@ def read_images_text(path: Path, encoding: str) -> FloatArray:
 
 
 def read_images_binary(path: Path) -> FloatArray:
-    """Read the cameras of images.bin.
-
-    Raises
-    ------
-    ValueError
-        It is cut, or something else.
-    """
+    """Read the cameras of images.bin; raise ValueError where it is cut, or something else."""
     size, place = path.stat().st_size, _COUNT.size
     numbers: list[tuple[float, ...]] = []
     with path.open("rb") as file:

@@ -44,14 +44,7 @@ _IN_FOLDER = ("images.bin", "images.txt")  # of a model of COLMAP; the first is 
 class Content:
     """What is known of a file before it is read.
 
-    Parameters
-    ----------
-    encoding : str
-        Of a text; empty where it is none.
-    head : str
-        How the text begins.
-    objects : tuple of JsonObject
-        Of JSON.
+    That is the encoding and the head of a text, empty where it is none, or JSON's objects.
     """
 
     path: Path
@@ -136,10 +129,7 @@ FORMATS = (
 def find_camera_file(path: Path) -> Path:
     """Return the file of cameras that a path means: itself, or the one of a folder of COLMAP.
 
-    Raises
-    ------
-    InputError
-        A folder has none.
+    Raise InputError where a folder has none.
     """
     if not path.is_dir():
         return path
@@ -155,16 +145,9 @@ def find_camera_file(path: Path) -> Path:
 def read_cameras(path: Path) -> FloatArray | None:
     """Read where photographs were taken from, whatever the file is named.
 
-    Returns
-    -------
-    ndarray of float64, shape (n, 6), or None
-        The centre and the direction of at most 64 cameras, far from each other, in the
-        coordinates of the file; None where a text is no camera file: it may be a trajectory.
-
-    Raises
-    ------
-    InputError
-        It is a damaged camera file, or a file that no text is and no camera file either.
+    Return the centre and the direction (n, 6) of at most 64 cameras, far from each other, in the
+    file's coordinates; None where a text is no camera file: it may be a trajectory. Raise
+    InputError where it is damaged, or neither a camera file nor a text.
     """
     with translated(path):
         content = _open(path)

@@ -45,10 +45,8 @@ class _Chunk:
 def read_metashape(path: Path) -> FloatArray:
     """Read the cameras that were aligned; the others have no transform.
 
-    Raises
-    ------
-    ValueError
-        The XML is not sound, declares a document type, or has words where numbers belong.
+    Raise ValueError where the XML is not sound, declares a document type, or has words where
+    numbers belong.
     """
     parser = _Parser()
     with path.open("rb") as file:

@@ -16,26 +16,11 @@ _INACCURATE = 0.01  # of the entries of a rotation: files have six digits, what 
 
 
 def world_to_camera(rotations: ArrayLike, translations: ArrayLike, looks: float) -> FloatArray:
-    """Return the cameras of poses that take the world's coordinates to a camera's.
+    """Return the cameras of poses that take the world's coordinates to a camera's, (n, 6).
 
-    Parameters
-    ----------
-    rotations : array_like, shape (n, 3, 3)
-        R of x_camera = R x_world + t.
-    translations : array_like, shape (n, 3)
-        t.
-    looks : float
-        `FORWARDS` or `BACKWARDS`.
-
-    Returns
-    -------
-    ndarray of float64, shape (n, 6)
-        The centre -R^T t, and the direction.
-
-    Raises
-    ------
-    ValueError
-        A matrix is no rotation.
+    They are the centre -R^T t and the direction for rotations R (n, 3, 3) and translations t (n, 3)
+    in x_camera = R x_world + t, and `FORWARDS` or `BACKWARDS`. Raise ValueError where a matrix is
+    no rotation.
     """
     turned = np.asarray(rotations, np.float64).reshape(-1, 3, 3)
     moved = np.asarray(translations, np.float64).reshape(-1, 3)
@@ -46,24 +31,10 @@ def world_to_camera(rotations: ArrayLike, translations: ArrayLike, looks: float)
 
 
 def camera_to_world(poses: Sequence[ArrayLike], looks: float) -> FloatArray:
-    """Return the cameras of poses that take a camera's coordinates to the world's.
+    """Return the cameras of poses that take a camera's coordinates to the world's, (n, 6).
 
-    Parameters
-    ----------
-    poses : sequence of array_like, shape (3, 4) or (4, 4)
-        [R c], with (0, 0, 0, 1) below it or without; R may scale.
-    looks : float
-        `FORWARDS` or `BACKWARDS`.
-
-    Returns
-    -------
-    ndarray of float64, shape (n, 6)
-        The centre c, and the direction.
-
-    Raises
-    ------
-    ValueError
-        A matrix is no pose.
+    They are the centre c and the direction for [R c], with (0, 0, 0, 1) below it or without, and
+    `FORWARDS` or `BACKWARDS`; R may scale. Raise ValueError where a matrix is no pose.
     """
     cameras = np.empty((len(poses), 6))
     for camera, pose in zip(cameras, poses, strict=True):
@@ -77,12 +48,9 @@ def camera_to_world(poses: Sequence[ArrayLike], looks: float) -> FloatArray:
 
 
 def quaternion_matrices(quaternions: ArrayLike) -> FloatArray:
-    """Return the rotations of quaternions (w, x, y, z), as an array of shape (n, 3, 3).
+    """Return the rotations (n, 3, 3) of quaternions (w, x, y, z).
 
-    Raises
-    ------
-    ValueError
-        One is not of length 1.
+    Raise ValueError where one is not of length 1.
     """
     rows = np.asarray(quaternions, np.float64).reshape(-1, 4)
     with np.errstate(over="ignore", invalid="ignore"):

@@ -68,10 +68,7 @@ class Element:
 def read_document(path: Path) -> Element:
     """Read the XML section of a file, and return its root.
 
-    Raises
-    ------
-    InputError
-        It is no E57 file, is cut, or its XML is not sound.
+    Raise InputError where it is no E57 file, is cut, or its XML is not sound.
     """
     with path.open("rb") as file:
         place, length = _find_xml(file, path)

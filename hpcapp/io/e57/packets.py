@@ -20,12 +20,8 @@ _FLUSHED = 64  # bits that an encoder may add at the end of a stream
 def hold_more(path: Path, place: int, bits: Sequence[int], points: int) -> bool:
     """Tell whether the packets of a scan surely hold more than so many points.
 
-    Parameters
-    ----------
-    place : int
-        Of the section, in bytes from the start of the file.
-    bits : sequence of int
-        That a value of each field takes; 0 where all values are the same, or it is not known.
+    The place is that of the section, in bytes from the start of the file; bits are those of a value
+    of each field, 0 where all values are the same, or it is not known.
     """
     with path.open("rb") as file:
         head = _read(file, _held(place), _SECTION.size)

@@ -46,22 +46,13 @@ class _Columns:
 
 
 def open_e57(path: Path) -> PointSource:
-    """Open the points of all scans of an E57 file.
+    """Open the points of all scans of an E57 file, their poses applied.
 
     Points that the file says are invalid are left out and counted. Columns that a scan lacks and
-    another has are NaN, white for colours and zero for normals; normals are left out where not
-    even half of the points have them.
-
-    Returns
-    -------
-    PointSource
-        Poses applied; a scan without one has the identity, and its scanner at the origin.
-        Colours are of 8 bits where all scans say so, else of 16, or floats as in the file.
-
-    Raises
-    ------
-    InputError
-        The file is damaged, or holds no scan or no points.
+    another has are NaN, white for colours and zero for normals; normals are left out where not even
+    half of the points have them. A scan without a pose has the identity, and its scanner at the
+    origin. Colours are of 8 bits where all scans say so, else of 16, or floats as in the file.
+    Raise InputError where the file is damaged, or holds no scan or no points.
     """
     if find_spec("pye57") is None:
         raise MissingLibraryError(f"{path}: E57 needs the package pye57", how_to_install("e57"))

@@ -57,8 +57,7 @@ class E57Scan:
         Its other fields, by the names of our columns.
     colour_limit : float or None
         What white is; None where that is not stated.
-    rotation : ndarray of float64, shape (3, 3)
-    translation : ndarray of float64, shape (3,)
+    rotation, translation : ndarray of float64, shape (3, 3) and (3,)
         The pose: a point of the file is rotated and then moved. The scanner stood at
         `translation`.
     corner : tuple of int
@@ -102,10 +101,7 @@ class E57Scan:
 def describe_scan(node: Element, index: int, path: Path) -> E57Scan:
     """Find out what a scan holds, its grid set aside.
 
-    Raises
-    ------
-    InputError
-        It has no coordinates, or the file has no room for its points.
+    Raise InputError where it has no coordinates, or the file has no room for its points.
     """
     points, prototype = node.find("points"), node.find("points", "prototype")
     if points is None or prototype is None:
@@ -188,15 +184,8 @@ def read_fields(
 ) -> Iterator[dict[str, FloatArray]]:
     """Yield fields of a scan's points, by their names, so many points at a time.
 
-    Yields
-    ------
-    dict of str to ndarray of float64, shape (n,)
-        The arrays are used again for the next part.
-
-    Raises
-    ------
-    InputError
-        The file is damaged, or has not as many points as it declares.
+    The arrays (n,) are used again for the next part. Raise InputError where the file is damaged, or
+    has not as many points as it declares.
     """
     rows = min(rows, scan.points)
     if not rows:
@@ -218,10 +207,7 @@ def read_fields(
 def bound_grids(scans: Sequence[E57Scan], path: Path) -> list[E57Scan]:
     """Find the grids of scans that have rows and columns; leave out those that make no grid.
 
-    Raises
-    ------
-    InputError
-        As `read_fields` does.
+    Errors are those of `read_fields`.
     """
     if not any(scan.points and scan.has(GRID) for scan in scans):
         return [replace(scan, columns=_without_grid(scan)) for scan in scans]

@@ -26,20 +26,10 @@ _ROWS_AT_ONCE = 1 << 18
 
 
 def write_e57(path: Path, cloud: PointCloud, crs: str | None = None) -> None:
-    """Write a point cloud as an E57 file of one scan without a pose.
+    """Write a point cloud as an E57 file of one scan without a pose, taken to be in metres.
 
-    Parameters
-    ----------
-    cloud : PointCloud
-        Written in the input's frame, which the format takes to be in metres. Of the attributes,
-        ``intensity`` is kept.
-    crs : str or None
-        Coordinate reference system, as WKT: others are left out.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written, or no point has finite coordinates.
+    It is in the input's frame. Of the attributes, ``intensity`` is kept; of reference systems, WKT.
+    Raise OutputError where the file cannot be written, or no point has finite coordinates.
     """
     library = _load_library(path)
     cloud = drop_non_finite(cloud, path)

@@ -31,15 +31,7 @@ _A_PAGE = -1  # as a number of points
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """Points that are compressed together: of one node.
-
-    Parameters
-    ----------
-    at, size : int
-        In bytes of the file.
-    points : int
-        How many.
-    """
+    """Points of one node, compressed together; place and size are in bytes of the file."""
 
     at: int
     size: int
@@ -54,10 +46,7 @@ def has_octree(header: LasHeader) -> bool:
 def find_chunks(path: Path, header: LasHeader, area: Area) -> list[Chunk]:
     """Return the chunks of the nodes that reach into a part of space, in the order of the file.
 
-    Raises
-    ------
-    InputError
-        The octree is damaged.
+    Raise InputError where the octree is damaged.
     """
     entries = np.concatenate(list(_read_pages(path, header, area)))
     entries = np.sort(entries[entries["points"] > 0], order="at")

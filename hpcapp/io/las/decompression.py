@@ -29,12 +29,8 @@ TakeChunks = Callable[[Sequence[Chunk]], ByteArray]
 def find_library(header: LasHeader, path: Path) -> str:
     """Choose the library that decompresses the points of a file.
 
-    Raises
-    ------
-    InputError
-        What the compressor makes are no points of the length that the header says.
-    MissingLibraryError
-        None that could is installed.
+    Raise InputError where what the compressor makes are no points of the header's length, and
+    MissingLibraryError where none that could is installed.
     """
     record = _find_record(header)
     if sum(size for _, size, _ in read_items(record)) != header.record_length:
@@ -56,17 +52,9 @@ def open_decompressor(
 ) -> Iterator[Take]:
     """Open the compressed points of a file, of which so many rows are taken at once at most.
 
-    There is a warning, after the last, where the file holds more than its header announces.
-
-    Yields
-    ------
-    callable
-        Raises an InputError where the points cannot be decompressed.
-
-    Raises
-    ------
-    InputError, UsageError
-        See `find_library`.
+    There is a warning, after the last, where the file holds more than its header announces. What is
+    yielded raises InputError where points cannot be decompressed; other errors are those of
+    `find_library`.
     """
     library = find_library(header, path)
     arguments = [library, str(header.points_start), str(header.count), _find_record(header).hex()]
@@ -98,10 +86,7 @@ def open_decompressor(
 def open_chunks(path: Path, header: LasHeader, rows: int) -> Iterator[TakeChunks]:
     """Open the chunks of a COPC file, of which so many points are taken at once at most.
 
-    Yields
-    ------
-    callable
-        Raises an InputError where the points cannot be decompressed.
+    What is yielded raises InputError where the points cannot be decompressed.
     """
     arguments = ["lazrs", str(header.points_start), str(header.count), _find_record(header).hex()]
 

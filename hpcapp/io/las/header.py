@@ -89,10 +89,7 @@ class LasHeader:
 def read_header(file: BinaryIO, path: Path, findings: Findings) -> LasHeader:
     """Read the header of a LAS file; warn where there are fewer records than announced.
 
-    Raises
-    ------
-    InputError
-        This is no LAS file, or its header contradicts the file's size.
+    Raise InputError where this is no LAS file, or its header contradicts the file's size.
     """
     start = file.read(_EXTENDED_SIZE)
     if start[:4] != b"LASF":

@@ -74,16 +74,9 @@ class _Extra:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LasLayout:
-    """How a file's points are decoded.
+    """How a file's points, structured, are decoded.
 
-    Parameters
-    ----------
-    dtype : dtype
-        Of a point, structured.
-    scales, offsets : ndarray of float64, shape (3,)
-        Of the coordinates.
-    extras : tuple
-        Columns in the extra bytes.
+    Scales and offsets (3,) are those of the coordinates; extras are columns in the extra bytes.
     """
 
     point_format: int
@@ -113,13 +106,7 @@ class LasLayout:
         return tuple(names)
 
     def select(self, points: NDArray[np.void]) -> tuple[BoolArray, BoolArray]:
-        """Tell which points, of `dtype`, the file itself says are none.
-
-        Returns
-        -------
-        withheld, noise : ndarray of bool, shape (n,)
-            Flagged as withheld; others, of a class of noise.
-        """
+        """Tell which points are flagged as withheld, (n,), and which others are noise by class."""
         if self.point_format < 6:
             withheld = points["classification"] & 0x80 != 0
             noise = points["classification"] & 31 == NOISE[0]
@@ -177,10 +164,7 @@ def _scaled(values: Numbers, extra: _Extra) -> Numbers:
 def find_layout(header: LasHeader, path: Path) -> LasLayout:
     """Find out how the points of a file are decoded.
 
-    Raises
-    ------
-    InputError
-        The point format is unknown, or its points do not fit into the records.
+    Raise InputError where their format is unknown, or they do not fit into the records.
     """
     point_format = header.point_format
     if point_format >= len(SIZES):

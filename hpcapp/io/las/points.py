@@ -32,18 +32,10 @@ def open_las(path: Path, *, keeps_noise: bool = False) -> PointSource:
 
     Points that are flagged as withheld, and those of the classes for noise unless these are kept,
     are left out and counted. Waveforms are passed over. COPC is read in the order of the file,
-    which is that of its octree; of a part of space, the nodes that reach into it.
-
-    Returns
-    -------
-    PointSource
-        Colours are of 16 bits: the values of the file, whatever their range. Normals come from
-        extra bytes with names as ``NormalX``.
-
-    Raises
-    ------
-    InputError
-        The file is cut, its header is damaged, or it holds no points.
+    which is that of its octree; of a part of space, the nodes that reach into it. Colours are of 16
+    bits: the values of the file, whatever their range. Normals come from extra bytes with names as
+    ``NormalX``. Raise InputError where the file is cut, its header is damaged, or it holds no
+    points.
     """
     findings = Findings()
     with path.open("rb") as file:

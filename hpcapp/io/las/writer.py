@@ -50,31 +50,17 @@ def write_las(
     unit: str | None = None,
     height_unit: str | None = None,
 ) -> None:
-    """Write a point cloud as LAS, or as LAZ where the suffix says so.
+    """Write a point cloud as LAS, or as LAZ where the suffix says so, in the input's frame.
 
-    Parameters
-    ----------
-    cloud : PointCloud
-        Written in the input's frame. Colours of 8 bits become 16. Normals become extra bytes
-        ``NormalX``, ``NormalY``, ``NormalZ``; so do attributes that no field of the format holds,
-        or whose values it cannot hold: these get ``_raw`` behind their name. Intensities that
-        are no whole numbers of 16 bits are in both places: scaled, and as they are.
-    crs : str or None
-        Coordinate reference system, as WKT or an EPSG code; a mere name is not kept.
-    unit : str or None
-        Of the coordinates, as `UNIT_CODES` names it; WKT states it by itself.
-    height_unit : str or None
-        Of the heights, likewise.
+    Colours of 8 bits become 16. Normals become extra bytes ``NormalX``, ``NormalY``, ``NormalZ``;
+    so do attributes that no field of the format holds, or whose values it cannot hold: these get
+    ``_raw`` behind their name. Intensities that are no whole numbers of 16 bits are in both places:
+    scaled, and as they are. The crs is WKT or an EPSG code, a mere name is not kept; units are
+    named as by `UNIT_CODES`, but WKT states its own.
 
-    Raises
-    ------
-    OutputError
-        The file cannot be written, or no point has finite coordinates.
-
-    Notes
-    -----
     Coordinates are rounded to a millionth of the unit or, if that is less, of the extent; to more
-    where 32 bits do not suffice, above an extent of 4,000 units.
+    where 32 bits do not suffice, above an extent of 4,000 units. Raise OutputError where the file
+    cannot be written, or no point has finite coordinates.
     """
     laspy = _load_laspy(path)
     cloud = drop_non_finite(cloud, path)
@@ -117,19 +103,10 @@ def _translated(laspy: _Foreign, path: Path) -> Iterator[None]:
 
 
 def choose_grid(low: FloatArray, high: FloatArray) -> tuple[float, FloatArray]:
-    """Choose the grid to which coordinates are rounded.
+    """Choose the grid to which coordinates in a box between two corners, (3,), are rounded.
 
-    Parameters
-    ----------
-    low, high : ndarray of float64, shape (3,)
-        Corners of the box around the points.
-
-    Returns
-    -------
-    scale : float
-        Width of a cell, a power of ten.
-    offset : ndarray of float64, shape (3,)
-        A point of the grid near the middle, a round number.
+    Return the width of a cell, a power of ten, and a point of the grid near the middle, (3,), of
+    round numbers.
 
     Examples
     --------

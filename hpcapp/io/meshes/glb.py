@@ -54,20 +54,13 @@ class _Array:
 def write_glb(path: Path, mesh: Mesh | MeshStream) -> None:
     """Write a triangle mesh as GLB.
 
-    Parameters
-    ----------
-    mesh : Mesh or MeshStream
-        Vertices are written in single precision, in the local frame; the matrix of the node turns
-        what is up into the y of glTF, and adds what is left of the origin. Colours become
-        light, attributes become ``float`` under their names in capitals, after an underscore; NaN,
-        which glTF forbids, becomes zero. From those that lie far from zero, as the times of GPS do,
-        a number in the extras of the mesh is subtracted. What the input's coordinates mean is in
-        the extras of the asset. A texture is in the file.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written, or would have more than 4 GB.
+    Vertices are written in single precision, in the local frame; the matrix of the node turns what
+    is up into the y of glTF, and adds what is left of the origin. Colours become light, attributes
+    become ``float`` under their names in capitals, after an underscore; NaN, which glTF forbids,
+    becomes zero. From those that lie far from zero, as the times of GPS do, a number in the extras
+    of the mesh is subtracted. What the input's coordinates mean is in the extras of the asset. A
+    texture is in the file. Raise OutputError where it cannot be written, or would have more than 4
+    GB.
     """
     stream = as_stream(mesh)
     names = _name_attributes(stream.layout)

@@ -51,12 +51,8 @@ def read_glb(path: Path) -> Mesh:
     Nodes are where their matrices put them, but for the turn to y up of `write_glb`; colours are
     kept where all primitives have some, attributes (semantics with an underscore, under the name
     that `write_glb` gave them) where there is one primitive. Vertices that a texture has cut apart,
-    to lie in several charts, are one again.
-
-    Raises
-    ------
-    InputError
-        The file is damaged, has no triangles, needs an extension, or claims too much memory.
+    to lie in several charts, are one again. Raise InputError where the file is damaged, has no
+    triangles, needs an extension, or claims too much memory.
     """
     with _translated(path):
         file = _open(path)
@@ -78,12 +74,7 @@ def read_glb(path: Path) -> Mesh:
 def find_glb_up(path: Path) -> str:
     """Return the axis that points up in the coordinates that `read_glb` gives: y, as glTF has it.
 
-    Of a file of `write_glb` it is the one that was up before.
-
-    Raises
-    ------
-    InputError
-        See `read_glb`.
+    Of a file of `write_glb` it is the one that was up before. Errors are those of `read_glb`.
     """
     with _translated(path):
         file = _open(path)

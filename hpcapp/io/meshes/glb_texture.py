@@ -24,10 +24,7 @@ _QUALITY = 90
 def add_texture(document: dict[str, Any], texture: Texture) -> list[bytes]:
     """Add a texture to the JSON of a GLB with one mesh.
 
-    Returns
-    -------
-    list of bytes
-        What comes behind the body of the mesh; each is a multiple of 4 bytes.
+    Return what comes behind the body of the mesh; each is a multiple of 4 bytes.
     """
     body: list[bytes] = []
     (primitive,) = document["meshes"][0]["primitives"]

@@ -45,9 +45,7 @@ class MeshStream:
     shift : ndarray of float64, shape (3,)
         What was subtracted from the input's coordinates, to be written elsewhere.
     up : str
-        The axis that points up, of `axis_names.AXES`.
-    texture : Texture, optional
-        What is laid on the faces.
+        Of `axis_names.AXES`.
     """
 
     vertex_count: int

@@ -39,22 +39,9 @@ def _write_out(letter: str) -> str:
 
 
 def write_material(path: Path, texture: Texture) -> list[bytes]:
-    """Write the material of an OBJ beside it.
+    """Write the material of an OBJ beside it, and return the lines of the OBJ that name it.
 
-    Parameters
-    ----------
-    path : Path
-        Of the OBJ.
-
-    Returns
-    -------
-    list of bytes
-        The lines of the OBJ that name it.
-
-    Raises
-    ------
-    OutputError
-        A file cannot be written.
+    Raise OutputError where a file cannot be written.
     """
     material, colours, normals = name_texture_files(path)
     lines = [f"newmtl {_NAME}", "Ka 0 0 0", "Kd 1 1 1", "Ks 0 0 0", "illum 1"]

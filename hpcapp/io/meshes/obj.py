@@ -23,12 +23,8 @@ from hpccomponent.errors import InputError
 def read_obj(path: Path) -> Mesh:
     """Read an OBJ file as a triangle mesh; polygons become triangle fans.
 
-    It has colours where each vertex has its own behind its coordinates, from 0 to 1.
-
-    Raises
-    ------
-    InputError
-        A line is wrong, or there are no faces.
+    It has colours where each vertex has its own behind its coordinates, from 0 to 1. Raise
+    InputError where a line is wrong, or there are no faces.
     """
     vertex_lines: list[Line] = []
     colour_lines: list[Line] = []

@@ -30,12 +30,8 @@ from hpccomponent.errors import InputError
 def read_off(path: Path) -> Mesh:
     """Read an OFF file as a triangle mesh; polygons become triangle fans.
 
-    ``#`` starts a comment; numbers after a face's corners are passed over.
-
-    Raises
-    ------
-    InputError
-        A line is wrong, or the file is shorter or longer than its counts say.
+    ``#`` starts a comment; numbers after a face's corners are passed over. Raise InputError where a
+    line is wrong, or the file is shorter or longer than its counts say.
     """
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         lines = numbered(line.partition("#")[0] for line in file)

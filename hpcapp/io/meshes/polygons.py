@@ -14,19 +14,10 @@ from hpccomponent.errors import InputError
 
 
 def mesh_of_polygons(vertices: FloatArray, polygons: Ragged, path: Path) -> Mesh:
-    """Cut polygons into triangle fans and bring the vertices into a local frame.
+    """Cut polygons, with indices from 0, into triangle fans; bring vertices into a local frame.
 
-    Parameters
-    ----------
-    vertices : ndarray of float64, shape (v, 3)
-        In the file's coordinates.
-    polygons : Ragged
-        Vertex indices, counted from 0.
-
-    Raises
-    ------
-    InputError
-        A polygon has fewer than three corners or names a vertex that does not exist.
+    They are (v, 3) in the file's coordinates. Raise InputError where a polygon has fewer than three
+    corners or names a vertex that does not exist.
     """
     lengths, corners = polygons.lengths, polygons.values
     if len(lengths) and not 0 <= lengths.max() <= len(corners) == lengths.sum():

@@ -23,24 +23,10 @@ _BESIDE = np.array(sorted(product((-1, 0, 1), repeat=3), key=np.count_nonzero)[1
 
 
 def round_corners(path: Path, mesh: MeshStream) -> Iterator[tuple[FloatArray, Float32Array]]:
-    """Yield blocks of the faces' corners, shape (n, 3, 3), and the same in single precision.
+    """Yield blocks of faces' corners (n, 3, 3), local, and with the origin in single precision.
 
-    Parameters
-    ----------
-    path : Path
-        Of the file, for messages.
-
-    Yields
-    ------
-    corners : ndarray of float64, shape (n, 3, 3)
-        In the local frame.
-    rounded : ndarray of float32, shape (n, 3, 3)
-        With the origin.
-
-    Raises
-    ------
-    OutputError
-        Vertices fall on one another, and no place beside them is free.
+    Messages name the path. Raise OutputError where vertices fall on one another, and no place
+    beside them is free.
     """
     moved, places = _move_apart(path, mesh)
     if not len(moved):

@@ -23,10 +23,7 @@ _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attrib
 def read_stl(path: Path) -> Mesh:
     """Read an STL file, ascii or binary; corners at the same place become one vertex.
 
-    Raises
-    ------
-    InputError
-        The file is shorter or longer than it says, or a line is wrong.
+    Raise InputError where it is shorter or longer than it says, or a line is wrong.
     """
     corners = _binary_corners(path)
     if corners is None:

@@ -17,14 +17,9 @@ def write_tile(path: Path, mesh: MeshStream) -> None:
 
 
 def write_tiles(path: Path, tiles: Iterable[tuple[int, MeshStream]]) -> None:
-    """Write tiles as ``tile-0000.ply``, ``tile-0001.ply`` and so on into a new folder.
+    """Write numbered tiles as ``tile-0000.ply``, ``tile-0001.ply`` and so on into a new folder.
 
-    Parameters
-    ----------
-    path : Path
-        The folder; it appears with all tiles, or not at all.
-    tiles : iterable of (int, MeshStream)
-        Their numbers and meshes; a vertex that several have is written alike in each.
+    It appears with all or not at all. A vertex that several have is written alike in each.
     """
     with shared_tiles(path) as file_of:
         for index, tile in tiles:
@@ -35,8 +30,7 @@ def write_tiles(path: Path, tiles: Iterable[tuple[int, MeshStream]]) -> None:
 def shared_tiles(path: Path) -> Iterator[Callable[[int], Path]]:
     """Open a new folder for many to write tiles into, as `replacing_folder` does.
 
-    Yields what returns the file of a tile, by its number, under the name that it has while it is
-    written.
+    Yield what gives a tile's file, by its number, under its name while it is written.
     """
     with replacing_folder(path) as folder:
         yield lambda index: folder / f"tile-{index:04d}.ply"

@@ -39,13 +39,9 @@ TILE_FACES = 1 << 16
 def write_tileset(path: Path, mesh: Mesh | MeshStream, tile_faces: int = TILE_FACES) -> None:
     """Write a triangle mesh as a folder of 3D Tiles, with ``tileset.json`` and GLB files.
 
-    Parameters
-    ----------
-    mesh : Mesh or MeshStream
-        Is brought into memory as a whole. The tiles are in the local frame, in single precision;
-        the transform of the root adds the origin, and turns what is up to z.
-    tile_faces : int
-        Most triangles of a tile.
+    The mesh is brought into memory as a whole. The tiles, of so many triangles at most, are in the
+    local frame, in single precision; the root's transform adds the origin, and turns what is up to
+    z.
     """
     stream = as_stream(mesh)
     whole = _collect(stream)
@@ -76,12 +72,8 @@ def _collect(stream: MeshStream) -> Mesh:
 class _Tile:
     """A tile that is written.
 
-    Parameters
-    ----------
-    centre, half_sides : ndarray of float64, shape (3,)
-        Of the box around it and all below it.
-    error : float
-        How far the mesh is from it, at most, in length units.
+    Its box, of centre and half sides (3,), is around it and all below it; `error` is how far the
+    mesh is from it, at most.
     """
 
     name: str

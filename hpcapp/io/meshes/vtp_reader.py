@@ -39,12 +39,8 @@ def read_vtp(path: Path) -> Mesh:
     """Read a VTP file of one piece, compressed by zlib or not at all, as a triangle mesh.
 
     Polygons become triangle fans. An array ``RGB`` of bytes becomes the colours, ``Normals`` the
-    normals, and every other array of one number for each vertex an attribute.
-
-    Raises
-    ------
-    InputError
-        The file is damaged, has no polygons, or is compressed in another way.
+    normals, and every other array of one number for each vertex an attribute. Raise InputError
+    where the file is damaged, has no polygons, or is compressed in another way.
     """
     try:
         file = _open(path)

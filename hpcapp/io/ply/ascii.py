@@ -25,11 +25,8 @@ def scan_ascii(
 ) -> Iterator[tuple[str, Rows]]:
     """Read elements of an ascii file in parts, one line per row; see `scan_body`.
 
-    Parameters
-    ----------
-    warn : callable, optional
-        Is told of more rows than the header says, where these are of the last element, which is
-        wanted and has no lists; without it they are refused.
+    `warn` is told of more rows than the header says, where these are of the last element, which is
+    wanted and has no lists; without it they are refused.
     """
     with path.open("rb") as file, io.TextIOWrapper(file, "latin-1") as text:
         file.seek(header.body_start)

@@ -77,19 +77,11 @@ def _is_more_of(size: int, element: Element) -> bool:
 
 
 def find_records(path: Path, header: Header, name: str) -> tuple[int, np.dtype[np.void]] | None:
-    """Find an element whose rows are all of one length.
+    """Find an element whose rows are all of one length; None where they are not.
 
-    Returns
-    -------
-    start : int
-        Of the first row, in bytes from the start of the file.
-    dtype : dtype
-        Of a row: its value i is ``v<i>``. None instead of both where rows are of different lengths.
-
-    Raises
-    ------
-    InputError
-        The body ends before the element does, or holds an impossible list.
+    Return the byte of the file at which the first row starts, and the dtype of a row, whose value i
+    is ``v<i>``. Raise InputError where the body ends before the element does, or holds an
+    impossible list.
     """
     body = np.memmap(path, np.uint8, "r")
     at = header.body_start
@@ -184,11 +176,7 @@ def _walk(
 ) -> tuple[IntArray, int]:
     """Measure rows of uneven lists one by one.
 
-    Returns
-    -------
-    lengths : ndarray of int64, shape (rows, lists)
-    end : int
-        Where the rows end, in bytes.
+    Return the lengths (rows, lists), and where the rows end, in bytes.
     """
     steps = []  # for each list: bytes in front, how to read its length, bytes per value
     gap = 0

@@ -24,30 +24,12 @@ def scan_body(
     at_once: int,
     warn: Callable[[str], None] | None = None,
 ) -> Iterator[tuple[str, Rows]]:
-    """Read elements in parts.
+    """Read wanted elements in parts of so many rows at most, by name, in the order of the file.
 
-    Parameters
-    ----------
-    wanted : container of str
-        The names of the elements to read.
-    at_once : int
-        Rows in a part, at most.
-    warn : callable, optional
-        Told of more points than the header announces; without it they are refused.
-
-    Yields
-    ------
-    name : str
-        Of the element, in the order of the file.
-    rows : Rows
-        Its next rows: of a binary file views, whose memory is given back when the next are asked
-        for; of an ascii file decimal numbers as float64.
-
-    Raises
-    ------
-    InputError
-        The body is shorter or longer than the header says, or a row is none; what follows after
-        the last row is looked at in the end.
+    Rows of a binary file are views, whose memory is given back when the next are asked for; decimal
+    numbers of an ascii file are float64. `warn` is told of more points than the header announces;
+    without it they are refused. Raise InputError where the body is shorter or longer than the
+    header says, or a row is none; what follows after the last row is looked at in the end.
     """
     if header.byte_order:
         return scan_binary(path, header, wanted, at_once, warn)

@@ -21,12 +21,8 @@ _TAKEN = ("x", "y", "z", *NORMALS, *COLOURS)
 class VertexProperties:
     """The properties that follow on the coordinates.
 
-    Parameters
-    ----------
-    names : tuple of str
-        As PLY spells them: without blanks, in ASCII, each once.
-    types : tuple of str
-        Of numpy, little-endian.
+    Names are as PLY spells them: without blanks, in ASCII, each once; types are numpy's,
+    little-endian.
     """
 
     names: tuple[str, ...]

@@ -29,24 +29,10 @@ def find_polygons(header: Header) -> str | None:
 def vertex_normals(
     positions: FloatArray, polygons: Iterable[Ragged], path: Path
 ) -> tuple[FloatArray, BoolArray]:
-    """Add up the area vectors of the polygons at each vertex.
+    """Add up the area vectors of polygons, some at a time with indices from 0, at each vertex.
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-    polygons : iterable of Ragged
-        Vertex indices, counted from 0; some polygons at a time.
-
-    Returns
-    -------
-    normals : ndarray of float64, shape (n, 3)
-        Of any length: larger polygons weigh more.
-    has_face : ndarray of bool, shape (n,)
-
-    Raises
-    ------
-    InputError
-        A polygon names a vertex that does not exist.
+    Return normals (n, 3) of any length, as larger polygons weigh more, and which vertices have a
+    face, (n,). Raise InputError where a polygon names a vertex that does not exist.
     """
     normals, has_face = np.zeros_like(positions), np.zeros(len(positions), np.bool_)
     for part in polygons:

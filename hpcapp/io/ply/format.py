@@ -62,12 +62,8 @@ def find_ply_crs(path: Path) -> Crs:
 def read_ply_mesh(path: Path) -> Mesh:
     """Read a PLY file, ascii or binary in either byte order; polygons become triangle fans.
 
-    Normals, colours of one byte and attributes are those of the vertices.
-
-    Raises
-    ------
-    InputError
-        The file is damaged, has no faces, or a face names a vertex that is not there.
+    Normals, colours of one byte and attributes are those of the vertices. Raise InputError where
+    the file is damaged, has no faces, or a face names a vertex that is not there.
     """
     header = read_header(path)
     _, plan = plan_vertex(header, path)
@@ -141,22 +137,9 @@ def shared_ply(
 ) -> Iterator[SharedPly]:
     """Open a mesh's PLY file for many to write: the file that `write_ply_mesh` would write.
 
-    Parameters
-    ----------
-    path : Path
-        Appears when the block ends well; else nothing is left of it.
-    counts : tuple of int
-        Vertices and faces.
-    origin, box : ndarray of float64, shape (3,) and (2, 3)
-        See `MeshStream`.
-    crs : Crs
-        What the coordinates mean.
-
-    Yields
-    ------
-    SharedPly
-        Where `write_part` and `write_kept` of the surface's `stitching.shared_ply` are to write,
-        until the block ends.
+    The file appears when the block ends well; else nothing is left of it. Counts are of vertices
+    and faces; origin and box are those of a `MeshStream`. Yield where `write_part` and `write_kept`
+    of the surface's `stitching.shared_ply` are to write, until the block ends.
     """
     is_double = needs_double(box, origin)
     header = _mesh_header(counts, is_double, crs=crs)

@@ -123,10 +123,7 @@ class Header:
 def read_header(path: Path) -> Header:
     """Read the header of a PLY file.
 
-    Raises
-    ------
-    InputError
-        The file is empty, is no PLY file, or a line of its header is wrong.
+    Raise InputError where the file is empty, is no PLY, or a line of its header is wrong.
     """
     with path.open("rb") as file:
         head = file.read(_LONGEST_HEADER)

@@ -35,19 +35,10 @@ def write_joined(
 
     Memory is bounded where all sources stream. Coordinates are written as ``double``, in those of
     the sources; normals as ``float``. Points of sources without colours are white where others have
-    some; other columns that only some have are left out, with a warning.
-
-    Parameters
-    ----------
-    choose : callable, optional
-        Takes all of them as one source, and returns those of its points that are written.
-    sampled : int
-        How many of them were taken on the faces of meshes, unasked: who reads the file is told.
-
-    Raises
-    ------
-    InputError
-        A source is damaged, or one has another unit or coordinate reference system.
+    some; other columns that only some have are left out, with a warning. `choose` takes all of them
+    as one source, and returns those of its points that are written; readers are told how many were
+    sampled on the faces of meshes, unasked. Raise InputError where a source is damaged, or has
+    another unit or coordinate reference system.
     """
     _refuse_mixed(sources)
     layout = _find_common(sources)

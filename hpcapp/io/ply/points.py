@@ -47,11 +47,7 @@ def open_ply(path: Path) -> PointSource:
 
     Normals and colours are as in the file. Where a mesh has no normals, they come from its faces.
     The shortest axes of splats are taken for their normals, and floaters are left out and counted.
-
-    Raises
-    ------
-    InputError
-        The file has no vertices with coordinates, or is cut before their end.
+    Raise InputError where there are no vertices with coordinates, or it is cut before their end.
     """
     header = read_header(path)
     findings = Findings(list(header.warnings))
@@ -104,10 +100,7 @@ def _choose_vertices(path: Path, header: Header, findings: Findings) -> _Vertice
 def plan_vertex(header: Header, path: Path) -> tuple[Element, ColumnPlan]:
     """Find the element ``vertex`` of a header, and what its scalars are.
 
-    Raises
-    ------
-    InputError
-        There is no such element, or it lacks coordinates or some components of normals.
+    Raise InputError where it is missing, or lacks coordinates or some components of normals.
     """
     vertex = header.find("vertex")
     if vertex is None:

@@ -38,17 +38,9 @@ def find_range_grid(header: Header) -> tuple[int, int] | None:
 
 
 def find_cells(lists: Iterable[Ragged], vertices: int, path: Path) -> IntArray:
-    """Find the cell of each vertex, numbered row by row; -1 for none.
+    """Find the cell of each vertex, numbered row by row, -1 for none, from lists of the cells.
 
-    Parameters
-    ----------
-    lists : iterable of Ragged
-        Of the cells, some at a time.
-
-    Raises
-    ------
-    InputError
-        A cell names a vertex that does not exist.
+    These come some at a time. Raise InputError where one names a vertex that does not exist.
     """
     Claims(path).add(vertices * np.int64().nbytes, f"{vertices} vertices in a grid")
     cells = np.full(vertices, -1)

@@ -65,12 +65,9 @@ _MOST = 0.9  # share of the rows that decide: a file may have some bad ones
 def find_role(name: str) -> str:
     """Return the name of a column as we call it.
 
-    Returns
-    -------
-    str
-        ``x``, ``y``, ``z``, ``nx``, ``ny``, ``nz``, ``red``, ``green``, ``blue``, ``alpha``,
-        ``intensity``, ``classification``, ``row`` or ``column``; another name as the
-        file has it, without quotes and blanks around it.
+    It is ``x``, ``y``, ``z``, ``nx``, ``ny``, ``nz``, ``red``, ``green``, ``blue``, ``alpha``,
+    ``intensity``, ``classification``, ``row``, ``column``, or as the file has it, without quotes
+    and blanks around it.
 
     Examples
     --------
@@ -133,8 +130,8 @@ def name_some(names: Sequence[str]) -> str:
 def judge_colours(values: Numbers) -> ColourScale | None:
     """Tell which colours the columns of all rows, or of a sample, can hold.
 
-    None where a value is negative, NaN, or too large for any of them. All zeros are 8 bit; zeros
-    and ones alone are 8 bit where they are whole numbers by their type.
+    None where a value is negative, NaN, or too large for any of them. Zeros are 8 bit; zeros and
+    ones alone are 8 bit where they are whole numbers by their type.
     """
     if not len(values) or not np.isfinite(values).all() or values.min() < 0:
         return None

@@ -67,6 +67,9 @@ def gather_points(
 ) -> Iterator[Path]:
     """Yield one file with all points that a user has named.
 
+    It is the file itself where it is one that is read as it is; else one in a temporary folder,
+    which goes when the block ends.
+
     Parameters
     ----------
     names : sequence of str
@@ -78,17 +81,9 @@ def gather_points(
         warning of what is yielded says so.
     goes_elsewhere : bool
         Another machine reads what is yielded: files that need a library become PLYs.
-    keeps_noise : bool
-        As of `open_points`.
     choose : callable, optional
         Which of the points are asked for, and are written where a file is written; where the file
         itself is yielded, it has them all.
-
-    Yields
-    ------
-    Path
-        The file itself where it is one that is read as it is; else one in a temporary folder,
-        which goes when the block ends.
 
     Raises
     ------
@@ -141,12 +136,8 @@ def gather_points(
 def find_files(names: Sequence[str]) -> list[str]:
     """Return the files that a user has named, patterns replaced by the files that fit, sorted.
 
-    Raises
-    ------
-    InputError
-        Nothing fits a pattern.
-    UsageError
-        The standard input is named beside other files.
+    Raise InputError where nothing fits a pattern, and UsageError where the standard input is named
+    beside other files.
     """
     files: list[str] = []
     for named in names:

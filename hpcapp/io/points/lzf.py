@@ -12,12 +12,7 @@ MOST_EXPANSION = 88
 
 
 def expand_lzf(packed: bytes, size: int) -> bytearray:
-    """Expand a block of LZF that holds `size` bytes.
-
-    Raises
-    ------
-    ValueError
-        The block is damaged, or holds less or more.
+    """Expand a block of LZF that holds `size` bytes; raise ValueError where it is damaged.
 
     Notes
     -----

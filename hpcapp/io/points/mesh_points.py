@@ -46,12 +46,8 @@ def open_obj(path: Path) -> PointSource:
     """Open the vertices of an OBJ file as points, with faces or without.
 
     Colours behind the coordinates of ``v`` are read; ``vn`` are the normals where there are no
-    faces and as many of them as vertices.
-
-    Raises
-    ------
-    InputError
-        A line is wrong, or there are no vertices.
+    faces and as many of them as vertices. Raise InputError where a line is wrong, or there are no
+    vertices.
     """
     vertex_lines: list[Line] = []
     normal_lines: list[Line] = []

@@ -43,13 +43,8 @@ def are_vertices_few(mesh: Mesh) -> bool:
 def sample_faces(mesh: Mesh, points: int) -> PointCloud:
     """Sample points evenly on the faces of a mesh, with the faces' normals.
 
-    They are in the mesh's own coordinates (its origin is added). The same mesh and number give the
-    same points.
-
-    Raises
-    ------
-    InputError
-        The mesh has no area.
+    They are in its own coordinates (its origin is added); the same mesh and number give the same
+    points. Raise InputError where the mesh has no area.
     """
     a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
     normals = np.cross(b - a, c - a)

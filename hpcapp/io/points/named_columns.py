@@ -26,12 +26,8 @@ Number = TypeVar("Number", bound=np.generic)
 class ColumnPlan:
     """What the columns of a file are to be, by their names in the file.
 
-    Parameters
-    ----------
-    positions, normals, colours : tuple of str
-        Three each; the last two none where the file has none.
-    attributes : tuple of (str, str)
-        The other columns: our name of each, and the file's.
+    Positions, normals and colours are three names each, the last two none where the file has none;
+    attributes are the other columns: our name of each, and the file's.
     """
 
     positions: tuple[str, ...]
@@ -44,13 +40,8 @@ def plan_columns(names: Sequence[str], place: str) -> ColumnPlan:
     """Tell what columns are by their names; messages say in what `place` they are.
 
     Where two have one role, it goes to the one that is spelled like it, else to the first; the
-    other is an attribute.
-
-    Raises
-    ------
-    InputError
-        A coordinate is missing, or one or two components of the normals are; or the columns are
-        more than `MOST_COLUMNS`.
+    other is an attribute. Raise InputError where a coordinate, or a component of normals beside
+    others, is missing, or there are more columns than `MOST_COLUMNS`.
 
     Examples
     --------
@@ -139,10 +130,7 @@ def _stack(
 def add_grid(cloud: PointCloud, cells: IntArray, width: int) -> PointCloud:
     """Give the points of an organised scan attributes ``row`` and ``column``.
 
-    Parameters
-    ----------
-    cells : ndarray of int64, shape (n,)
-        Numbers of their cells, row by row; -1 of points that are in none, as are row and column.
+    Their cells (n,) are numbered row by row; those in none have -1, as are row and column.
     """
     row, column = np.divmod(cells, width)
     column[cells < 0] = -1

@@ -42,19 +42,8 @@ def find_no_data(
 ) -> tuple[FloatArray, list[str]]:
     """Find what stands for no measurement in a file.
 
-    Parameters
-    ----------
-    cloud : PointCloud
-        Finite points from all over it; from its start, if it `goes_on`.
-    unit, crs : str, optional
-        As of a `PointSource`.
-
-    Returns
-    -------
-    places : ndarray of float64, shape (k, 3)
-        NaN where a coordinate may be anything.
-    doubts : list of str
-        Warnings of what is kept, and may be no data.
+    Finite points come from all over it; from its start, if it `goes_on`. Return the places (k, 3),
+    NaN where a coordinate may be anything, and warnings of what is kept, and may be no data.
     """
     places = list(_find_places(cloud.positions))
     numbers = _find_numbers(leave_out(cloud, places), unit, crs)

@@ -63,10 +63,7 @@ _EXPORT = "save points as (n, 3) numbers, or as records with fields x, y and z"
 def open_npy(path: Path) -> PointSource:
     """Open a NumPy file: NPY, which is read in parts, or NPZ, which is read whole.
 
-    Raises
-    ------
-    InputError
-        The file is damaged, is a pickle, or holds no points.
+    Raise InputError where it is damaged, is a pickle, or holds no points.
     """
     findings = Findings()
     mapped = None if is_archive(path) else map_array(path)

@@ -43,10 +43,7 @@ def is_archive(path: Path) -> bool:
 def map_array(path: Path) -> Numbers:
     """Map the array of an NPY file, of numbers or of records, into memory.
 
-    Raises
-    ------
-    InputError
-        The file is damaged, or its array is of objects.
+    Raise InputError where the file is damaged, or its array is of objects.
     """
     size = path.stat().st_size
     if not size:
@@ -61,10 +58,7 @@ def map_array(path: Path) -> Numbers:
 def read_archive(path: Path, findings: Findings) -> dict[str, Numbers]:
     """Read the arrays of an NPZ file; warn where something follows after one.
 
-    Raises
-    ------
-    InputError
-        The file is damaged, or has arrays of objects.
+    Raise InputError where the file is damaged, or has arrays of objects.
     """
     arrays: dict[str, Numbers] = {}
     claims = Claims(path)

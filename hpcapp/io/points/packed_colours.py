@@ -18,12 +18,9 @@ def unpack_words(words: Numbers, byte: int) -> ByteArray:
 
 
 def unpack_float_text(numbers: FloatArray, byte: int) -> ByteArray:
-    """Return one byte, counted from the lowest, of each packed number that stood in a text.
+    """Return one byte, counted from the lowest, of packed numbers (n,) that stood in a text.
 
-    Parameters
-    ----------
-    numbers : ndarray of float64, shape (n,)
-        The float32 as it is, or the whole number that its bits make.
+    Each is the float32 as it is, or the whole number that its bits make.
     """
     is_whole = (numbers >= 1) & (numbers < 2**32) & (numbers == np.rint(numbers))
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):

@@ -43,12 +43,8 @@ def open_pcd(path: Path) -> PointSource:
     """Open a PCD file: ascii, binary or binary_compressed.
 
     Coordinates stay as they are in the file: its viewpoint is where the scanner stood. The points
-    of an organised cloud have the attributes ``row`` and ``column``.
-
-    Raises
-    ------
-    InputError
-        There is no header, no field x, y or z, or the file is cut.
+    of an organised cloud have the attributes ``row`` and ``column``. Raise InputError where there
+    is no header, no field x, y or z, or the file is cut.
     """
     header = read_pcd_header(path)
     findings = Findings(list(header.warnings))

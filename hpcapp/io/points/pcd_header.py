@@ -27,16 +27,9 @@ _EXPORT_AGAIN = "export the file again"
 
 @dataclass(frozen=True, slots=True)
 class PcdField:
-    """A field of the points.
+    """A field of the points, by the name that the file spells.
 
-    Parameters
-    ----------
-    name : str
-        As the file spells it.
-    dtype : str
-        Of its numbers, as numpy names it: ``<f4``.
-    count : int
-        How many numbers a point has of it, from 0.
+    Its numbers are of a dtype as numpy names it: ``<f4``; a point has `count` of them, from 0.
     """
 
     name: str
@@ -81,10 +74,7 @@ class PcdHeader:
 def read_pcd_header(path: Path) -> PcdHeader:
     """Read the header of a PCD file, of any version.
 
-    Raises
-    ------
-    InputError
-        The file is empty, has no header, or a line of it is wrong.
+    Raise InputError where the file is empty, has no header, or a line of it is wrong.
     """
     with path.open("rb") as file:
         head = file.read(_LONGEST_HEADER)

@@ -64,13 +64,8 @@ class Scan:
 class Octree:
     """What a file knows of where its points are, so that it need not be read to its end.
 
-    Parameters
-    ----------
-    low, high : ndarray of float64, shape (3,)
-        Between which all points lie, as the file says.
-    read : callable
-        Given a part of space, returns what yields the points of those nodes that reach into it, in
-        the order of the file.
+    All points lie between low and high, (3,), as the file says. `read` takes a part of space, and
+    returns what yields the points of the nodes that reach into it, in the file's order.
     """
 
     low: FloatArray
@@ -86,12 +81,8 @@ class Octree:
 class Findings:
     """What a reader has to say; complete when all points were read.
 
-    Parameters
-    ----------
-    warnings : list of str
-        One line each, without the file's name: what is odd, and what was done about it.
-    dropped : dict of str to int
-        Points that the reader left out, by reason.
+    Warnings are of one line, without the file's name: what is odd, and what was done about it.
+    `dropped` counts the points that the reader left out, by reason.
     """
 
     warnings: list[str] = field(default_factory=list)
@@ -145,8 +136,6 @@ class PointSource:
         Coordinate reference system, as WKT or an EPSG code.
     unit : str or None
         Of the coordinates: ``m``, ``ft``, ``US ft``, ``mm``, ``degree``.
-    findings : Findings
-        What is odd about the file.
     normals_from : {"file", "faces"}
         Whether normals, where there are some, are the file's or those of a mesh's faces.
     oriented : bool
@@ -208,17 +197,10 @@ class PointSource:
         return "z (projected coordinates)" if self.is_projected else "unknown"
 
     def chunks(self, rows: int) -> Iterator[PointCloud]:
-        """Yield the points in parts of so many at most, to which memory is proportional.
+        """Yield every point in parts of so many at most, to which memory is proportional.
 
-        Yields
-        ------
-        PointCloud
-            Every point of the file, NaN and zero normals included; its origin is zero.
-
-        Raises
-        ------
-        InputError
-            The file is damaged, as `read_points` would say it; after the last part at the latest.
+        NaN and zero normals are included, the origin is zero. Raise InputError where the file is
+        damaged, as `read_points` would say it; after the last part at the latest.
         """
         with translated(self.path):
             yield from self.scan(rows)
@@ -253,18 +235,8 @@ class PointSource:
     def within(self, region: Area, margin: float = 0.0) -> PointSource:
         """Return the points in a region, and those around it that shape the surface at its edge.
 
-        Parameters
-        ----------
-        region : Area
-            In the file's coordinates.
-        margin : float
-            How far around it, in `Area.longest`.
-
-        Returns
-        -------
-        PointSource
-            Where there are no points, an InputError comes after its parts, with the extent of the
-            file.
+        It is in the file's coordinates; the margin around it in `Area.longest`. Where there are no
+        points, an InputError comes after the parts, with the extent of the file.
         """
         wide = region.widen(margin * region.longest)
 
@@ -278,10 +250,7 @@ class PointSource:
     def of_classes(self, wanted: Sequence[int], unwanted: Sequence[int] = ()) -> PointSource:
         """Return the points of some classes; where none are wanted, of all but others.
 
-        Returns
-        -------
-        PointSource
-            Where its points have no classes, or none is left, an InputError comes with its parts.
+        Where points have no classes, or none is left, an InputError comes with the parts.
         """
 
         def scan(rows: int) -> Iterator[PointCloud]:

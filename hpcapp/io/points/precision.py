@@ -29,12 +29,7 @@ _INNER = (0.01, 0.99)  # quantiles: outliers make no cloud wide
 def find_lost_digits(positions: FloatArray, points: int) -> str | None:
     """Say that coordinates have lost their digits, if they have, and what to do.
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        Some of the points, in the file's coordinates.
-    points : int
-        That there are where these come from.
+    Positions (n, 3) are in the file's coordinates, of some of so many points.
     """
     if len(positions) < _FEWEST:
         return None

@@ -88,12 +88,8 @@ _ENCODED = {"encoded": 1.0, "encoded bytes": 255.0}  # what stands for 1 in (n +
 class _Decisions:
     """What is done to each part of a file.
 
-    Parameters
-    ----------
-    colours : ColourScale or None
-        How colours are scaled; None where there are none.
-    missing : ndarray of float64, shape (k, 3)
-        Places of missing returns and of no data, as of `find_no_data`.
+    Colours are scaled, where there are some; missing (k, 3) are the places of missing returns and
+    of no data, as of `find_no_data`.
     """
 
     colours: ColourScale | None
@@ -124,23 +120,12 @@ class _Decisions:
 def recognise(source: PointSource) -> PointSource:
     """Find out what the columns of a file hold.
 
-    Parameters
-    ----------
-    source : PointSource
-        As a reader made it: colours of any type, normals as they are named.
+    The reader gave colours of any type, and normals as they are named; in the parts that are
+    returned colours are uint8, and normals are some. There are `records` only where a point is what
+    they say. What is odd is in the findings; what is dropped is counted anew by each pass.
 
-    Returns
-    -------
-    PointSource
-        Colours of its parts are uint8, normals are some. It has `records` only where a point is
-        what they say. What is odd is in its findings; what is dropped is counted anew by each
-        pass.
-
-    Notes
-    -----
-    Of a file that is read from any row on, 64 runs of rows spread over it are looked at. Others
-    are read from their start: so far as is certain, 131,072 rows or all at least, 4 million at
-    most.
+    Of a file that is read from any row on, 64 runs of rows spread over it are looked at. Others are
+    read from their start: so far as is certain, 131,072 rows or all at least, 4 million at most.
     """
     findings, counted = source.findings, dict(source.findings.dropped)
     with translated(source.path):

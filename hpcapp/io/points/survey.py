@@ -35,12 +35,7 @@ _UNEVEN = 0.02  # share of the points in such cells
 def is_flown_over(points: PointCloud, unit: str | None = None, crs: str | None = None) -> bool:
     """Tell whether points were measured from above.
 
-    Parameters
-    ----------
-    points : PointCloud
-        Finite ones, with those of the attributes `EVIDENCE` that there are.
-    unit, crs : str, optional
-        As of a `PointSource`.
+    They are finite, and have what there is of the attributes `EVIDENCE`.
     """
     if len(points) < 2 * _A_CELL or unit == "degree":
         return False

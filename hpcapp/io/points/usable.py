@@ -35,16 +35,8 @@ _FLATTEST = 1e-6
 def drop_unusable(cloud: PointCloud, source: str = "the point cloud") -> tuple[PointCloud, Dropped]:
     """Drop points without a finite position, or without a normal where others have one.
 
-    Returns
-    -------
-    usable : PointCloud
-        In the order of `cloud`; its colours and origin are kept, its normals have unit length.
-
-    Raises
-    ------
-    InputError
-        Fewer than `FEWEST_POINTS` points are left, or all of them lie in one place, on one line or
-        too far from zero.
+    The others keep order, colours and origin; their normals get unit length. Raise InputError where
+    fewer than `FEWEST_POINTS` are left, or all lie in one place, on one line or too far from zero.
     """
     if not len(cloud):
         raise InputError(f"{source} holds no points", "check that the right file was exported")
@@ -61,10 +53,7 @@ def drop_unusable(cloud: PointCloud, source: str = "the point cloud") -> tuple[P
 def drop_non_finite(cloud: PointCloud, path: Path) -> PointCloud:
     """Drop points with NaN or infinite coordinates, with a warning, for a format that holds none.
 
-    Raises
-    ------
-    OutputError
-        No point is left.
+    Raise OutputError where no point is left.
     """
     columns = [np.isfinite(column) for column in cloud.positions.T]
     is_finite: BoolArray = np.logical_and.reduce(columns)
@@ -98,13 +87,10 @@ def refuse_too_few(points: int, dropped: Dropped, source: str) -> None:
 
 
 def refuse_degenerate(low: FloatArray, high: FloatArray, points: int, source: str) -> None:
-    """Refuse a cloud by the box around it, in length units of the input.
+    """Refuse a cloud by the box around it.
 
-    Raises
-    ------
-    InputError
-        The largest coordinate is above 1e35, or below 1e-35 and not zero; all lie beyond
-        `FARTHEST`, far from zero for their extent; or the box has no extent.
+    Raise InputError where the largest coordinate is above 1e35, or below 1e-35 and not zero; all
+    lie beyond `FARTHEST`, far from zero for their extent; or the box has no extent.
     """
     largest = float(np.abs([low, high]).max())
     if largest > _LARGEST or 0 < largest < _SMALLEST:
@@ -123,16 +109,8 @@ def refuse_degenerate(low: FloatArray, high: FloatArray, points: int, source: st
 def refuse_line(sample: Parts, every: Parts, points: int, source: str) -> None:
     """Refuse a cloud whose points lie on one line.
 
-    Parameters
-    ----------
-    sample, every : callable
-        Return iterables of positions: those of a few points, which tell enough of most clouds,
-        and all of them, which are asked for where they do not.
-
-    Raises
-    ------
-    InputError
-        They do: their second extent is less than a millionth of the first.
+    Few positions, which tell enough of most clouds, are asked for first; then every one. Raise
+    InputError where the second extent is less than a millionth of the first.
     """
     if _is_line(sample) and _is_line(every):
         raise InputError(
@@ -161,10 +139,7 @@ def _is_line(parts: Parts) -> bool:
 def take_finite(cloud: PointCloud, source: str) -> PointCloud:
     """Leave out the points that have no place: for what is looked at and not reconstructed.
 
-    Raises
-    ------
-    InputError
-        There is no other.
+    Raise InputError where there is no other.
     """
     finite = np.logical_and.reduce(np.isfinite(cloud.positions), axis=1)
     if not finite.any():

@@ -44,12 +44,8 @@ Column = Numbers
 def open_vtk(path: Path) -> PointSource:
     """Open the points of a legacy VTK file: polydata, an unstructured or a structured grid.
 
-    Scalars of a point are attributes by their names; cells are passed over.
-
-    Raises
-    ------
-    InputError
-        The file is damaged, or no such data set.
+    Scalars of a point are attributes by their names; cells are passed over. Raise InputError where
+    the file is damaged, or no such data set.
     """
     reader = _Reader(path)
     reader.read()

@@ -51,12 +51,7 @@ _DOUBTS: dict[_Kind | None, str] = {
 class Columns:
     """Which columns of a table are what.
 
-    Parameters
-    ----------
-    roles : tuple of str
-        Of each column, as `find_role` names them; no two are the same.
-    scale : ColourScale or None
-        Of the colours, by a sample.
+    Roles are named as by `find_role`, no two the same; colours have a scale by a sample, or None.
     """
 
     roles: tuple[str, ...]
@@ -73,23 +68,10 @@ class Columns:
         return set(COLOURS) <= set(self.roles)
 
     def make_cloud(self, table: FloatArray, first: int, notes: RowNotes) -> PointCloud:
-        """Make points of rows; note those without a colour.
+        """Make points of rows (n, columns), the first of that number; note those without a colour.
 
-        Parameters
-        ----------
-        table : ndarray of float64, shape (n, columns)
-        first : int
-            The number of the first of these points in the file, for messages.
-
-        Returns
-        -------
-        PointCloud
-            Normals as they are; colours of 8 or 16 bit, or as they are.
-
-        Raises
-        ------
-        InputError
-            A colour is none of the scale of the others.
+        Normals stay as they are; colours are of 8 or 16 bit, or stay. Raise InputError where a
+        colour is none of the scale of the others.
         """
         normals = self._take(table, NORMALS) if self.has_normals else None
         colours: Numbers | None = None
@@ -158,21 +140,9 @@ def assign_by_value(
 ) -> Columns:
     """Say what columns without names are; the file's suffix may promise some.
 
-    Parameters
-    ----------
-    sample : ndarray of float64, shape (n, columns)
-        Rows from all over the file.
-    numbers : tuple of int
-        Of these columns in the file, from 0.
-    findings : Findings
-        Is told what was guessed against the usual, and what could not be told.
-    width : int
-        Columns of the file, words too.
-
-    Raises
-    ------
-    InputError
-        There are fewer columns than the suffix promises.
+    Samples (n, columns) come from all over the file; numbers are those of the columns in it, from
+    0; the width counts words, too. Findings are told what was guessed against the usual, and what
+    could not be told. Raise InputError where there are fewer columns than the suffix promises.
     """
     suffix = path.suffix.lower()
     roles = dict(enumerate(_find_first(path, sample, numbers, findings, width)))

@@ -81,15 +81,8 @@ class _Head:
 def find_layout(path: Path, findings: Findings) -> tuple[Layout, FloatArray]:
     """Find out how a text file is made; warn of what is odd, and of columns that are passed over.
 
-    Returns
-    -------
-    sample : ndarray of float64, shape (n, len(layout.rows.wanted))
-        Rows from all over the file, those that are as they should be.
-
-    Raises
-    ------
-    InputError
-        Names the line that is neither numbers nor names, or says which columns are missing.
+    Return sound rows from all over the file, too, (n, len(layout.rows.wanted)). Raise InputError,
+    which names the line that is neither numbers nor names, or says which columns are missing.
     """
     encoding = find_encoding(path)
     number, text = next(read_blocks(path, encoding), (1, ""))

@@ -36,10 +36,7 @@ Indiana, 900 km at their middle), or begin at 1.2e7 (Michigan); a northing of UT
 def are_point_numbers(sample: FloatArray) -> bool:
     """Tell whether the first column numbers the points whose coordinates follow.
 
-    Parameters
-    ----------
-    sample : ndarray of float64, shape (n, columns)
-        Rows in the order of the file.
+    The sample (n, columns) is of rows in the order of the file.
     """
     sample = sample[are_finite(sample[:, :4])]
     if sample.shape[1] < 4 or not len(sample) or _has_fractions(sample[:, 0]):

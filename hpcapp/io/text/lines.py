@@ -22,10 +22,7 @@ _BYTE_ORDER_MARK = "\ufeff"
 def find_encoding(path: Path) -> str:
     """Tell ``utf-8`` from ``utf-16-le`` and ``utf-16-be``, by the mark or by zeros.
 
-    Raises
-    ------
-    InputError
-        There are zeros as no text has them.
+    Raise InputError where there are zeros as no text has them.
     """
     with path.open("rb") as file:
         head = file.read(_HEAD_BYTES)
@@ -43,22 +40,10 @@ def find_encoding(path: Path) -> str:
 
 
 def read_blocks(path: Path, encoding: str) -> Iterator[Block]:
-    """Read a file, about a million characters at a time.
+    """Read a file, about a million characters at a time, without the byte order mark.
 
-    Parameters
-    ----------
-    encoding : str
-        From `find_encoding`; what does not decode becomes U+FFFD.
-
-    Yields
-    ------
-    (int, str)
-        Lines that ended in CR or CR LF end in LF; the last may have no end. No byte order mark.
-
-    Raises
-    ------
-    InputError
-        A line is longer than a million characters.
+    What does not decode becomes U+FFFD. Lines that ended in CR or CR LF end in LF; the last may
+    have no end. Raise InputError where a line is longer than a million characters.
     """
     number = 1
     with path.open(encoding=encoding, errors="replace") as file:

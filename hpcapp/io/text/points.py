@@ -28,12 +28,8 @@ _LEAST_BYTES = 6  # of a row
 def open_text(path: Path) -> PointSource:
     """Open lines of numbers as a point cloud: its first lines, and samples, tell its columns.
 
-    Coordinates, normals and colours are as in the file; what other columns hold are attributes.
-
-    Raises
-    ------
-    InputError
-        Names the first line that does not fit.
+    Coordinates, normals and colours are as in the file; other columns become attributes. Raise
+    InputError, which names the first line that does not fit.
     """
     findings = Findings()
     layout, sample = find_layout(path, findings)

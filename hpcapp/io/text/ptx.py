@@ -50,9 +50,8 @@ class _Header:
     ----------
     grid : tuple of int
         Columns and rows.
-    scanner : ndarray of float64, shape (3,)
     pose : ndarray of float64, shape (4, 3)
-        What it makes of x, y and z, and what it adds.
+        What it makes of x, y and z, and what it adds; the scanner is at (3,).
     """
 
     line: int
@@ -68,12 +67,8 @@ class _Header:
 def open_ptx(path: Path) -> PointSource:
     """Open the scans of a PTX file as one point cloud; it is read to its end to find them.
 
-    Poses are applied, missing returns are left out and counted.
-
-    Raises
-    ------
-    InputError
-        Names the first line that does not fit, or the scan that is cut.
+    Poses are applied, missing returns are left out and counted. Raise InputError, which names the
+    first line that does not fit, or the scan that is cut.
     """
     encoding = find_encoding(path)
     points = 0

@@ -113,17 +113,10 @@ def is_missing(word: str) -> bool:
 
 
 def parse_block(block: Block, rows: RowFormat, notes: RowNotes) -> FloatArray:
-    """Parse lines of numbers; note missing and surplus ones.
+    """Parse lines of numbers, (n, len(rows.wanted)); note missing and surplus ones.
 
-    Returns
-    -------
-    ndarray of float64, shape (n, len(rows.wanted))
-        NaN where a field is empty or says that it holds no number.
-
-    Raises
-    ------
-    InputError
-        Names the first line that does not fit, and why.
+    NaN is where a field is empty or says that it holds no number. Raise InputError, which names the
+    first line that does not fit, and why.
     """
     number, text = block
     lines = rows.clean(text).split("\n")

@@ -23,21 +23,11 @@ _POSE = 12  # numbers of three rows of a rotation and a place
 
 
 def read_trajectory(path: Path) -> FloatArray:
-    """Read where a sensor came along.
+    """Read where a sensor came along: at most 64 places (n, 3), at even distances along the path.
 
     Columns are told by their names. Without names they are x, y, z where there are three; twelve
     that are a rotation and a place, row by row, are poses of KITTI; else the time comes first.
-    Separators are those of point clouds.
-
-    Returns
-    -------
-    ndarray of float64, shape (n, 3)
-        At most 64 places, at even distances along the path.
-
-    Raises
-    ------
-    InputError
-        The file has no such rows.
+    Separators are those of point clouds. Raise InputError where the file has no such rows.
     """
     with translated(path):
         layout, sample = find_layout(path, Findings())

@@ -33,17 +33,7 @@ MAX_INTERVALS = 1_000_000
 
 @dataclass(frozen=True, slots=True)
 class Integral:
-    """An integral, and how well it is known.
-
-    Parameters
-    ----------
-    value : float
-        The integral.
-    error : float
-        Estimate of its absolute error.
-    intervals : int
-        How many intervals it took.
-    """
+    """An integral, the estimate of its absolute error, and how many intervals it took."""
 
     value: float
     error: float
@@ -53,10 +43,7 @@ class Integral:
 def estimated(integrand: str, left: FloatArray, right: FloatArray) -> Declared:
     """Return what `estimate` may return: no integral is larger than its box, or negative.
 
-    Returns
-    -------
-    Declared
-        Not a number is what comes of ends beyond the range of numbers.
+    NaN is what comes of ends beyond the range of numbers.
     """
     farthest = np.maximum(np.abs(left), np.abs(right))
     greatest = {"peak": np.full(len(left), 1e4), "root": np.sqrt(farthest)}
@@ -107,16 +94,7 @@ def integrate(
 ) -> Integral:
     """Integrate adaptively: halve the intervals whose error is too large, until none is.
 
-    Parameters
-    ----------
-    integrand : str
-        A name in `INTEGRANDS`.
-    left, right : float
-        Ends of the range.
-    tolerance : float
-        Largest absolute error to accept.
-    workforce : Workforce
-        Where the intervals are estimated.
+    The integrand is named in `INTEGRANDS`; the tolerance is the largest absolute error to accept.
 
     Raises
     ------

@@ -94,15 +94,9 @@ def _make_steps(points: PointCloud, clock: StageClock) -> Iterator[tuple[str, Me
 
 
 def build_discs(points: PointCloud, colours: ByteArray, size: float = 1.0) -> Mesh:
-    """Return a small square across the normal of each point, seen from both sides.
+    """Return a square across each point's normal, seen from both sides, in colours (n or 1, 3).
 
-    Parameters
-    ----------
-    points : PointCloud
-        n points with unit normals.
-    colours : ndarray of uint8, shape (n, 3) or (1, 3)
-    size : float
-        Half of a square's diagonal, in point spacings.
+    Normals have unit length; the size is half of a square's diagonal, in point spacings.
     """
     assert points.normals is not None  # noqa: S101 - a subject has them
     distances, _ = cKDTree(points.positions).query(points.positions, k=_NEIGHBOURS + 1)
@@ -123,17 +117,11 @@ def build_discs(points: PointCloud, colours: ByteArray, size: float = 1.0) -> Me
 
 
 def project_points(partition: PaperPartition, quadrics: FloatArray) -> PointCloud:
-    """Return every point moved onto its patch's quadric, with the quadric's normal there.
+    """Return every point moved onto its patch's quadric (p, 10), with the quadric's normal there.
 
-    Parameters
-    ----------
-    quadrics : ndarray of float64, shape (p, 10)
-        In patch coordinates.
-
-    Notes
-    -----
-    Newton's steps along the gradient; a point stays within its box's size, because the gradient
-    vanishes between the two sheets of a fit that is nearly the square of a plane.
+    Newton's steps go along the gradient, in patch coordinates; a point stays within its box's size,
+    because the gradient vanishes between the two sheets of a fit that is nearly the square of a
+    plane.
     """
     patches, points = partition.patches, partition.points
     owner = np.repeat(np.arange(len(patches)), np.diff(patches.offsets))

@@ -54,19 +54,10 @@ def write_local_cluster(path: Path) -> None:
 def make_table_1(
     subject: Subject, cluster: Path, grid: int, up: str, clock: StageClock, *, is_emulated: bool
 ) -> tuple[Finding, NDArray[np.uint8]]:
-    """Deploy the machines, have them run the paper's method, and take them away.
+    """Deploy the machines of a cluster file, have them run the paper's method, and take them away.
 
-    Parameters
-    ----------
-    cluster : Path
-        The cluster file; machines that are up already stay up.
-    is_emulated : bool
-        Whether the file is that of `write_local_cluster`.
-
-    Raises
-    ------
-    HpcError
-        The cluster cannot be had, or the job has failed there.
+    Machines that are up already stay up. The cluster is emulated where `write_local_cluster` wrote
+    the file. Raise HpcError where it cannot be had, or the job has failed there.
     """
     run = load_cluster_function("run")
     target = subject.path.with_name("mesh.ply")

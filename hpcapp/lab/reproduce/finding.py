@@ -28,12 +28,7 @@ class Finding:
     picture: str
 
     def to_markdown(self, picture: str) -> str:
-        """Return the page of this figure.
-
-        Parameters
-        ----------
-        picture : str
-            The name of the picture's file, beside the page.
+        """Return the page of this figure, beside which the picture's file of that name is.
 
         Examples
         --------

@@ -36,14 +36,9 @@ def check_plots() -> None:
 
 
 def draw_panels(panels: Sequence[tuple[str, Picture]], columns: int) -> Picture:
-    """Return pictures row by row, each with its label above it.
+    """Return pictures, at least one, row by row in so many columns, each with its label above it.
 
-    Parameters
-    ----------
-    panels : sequence of (str, ndarray of uint8, shape (PANEL, PANEL, 3))
-        The label and the picture of each; at least one.
-    columns : int
-        Panels beside each other.
+    Each is of (PANEL, PANEL, 3).
     """
     from matplotlib.figure import Figure  # optional and heavy
 

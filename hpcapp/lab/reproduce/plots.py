@@ -35,18 +35,9 @@ _STEP_1 = (
 
 
 def make_figure_7(runs: Sequence[Run], subject: str, cores: int, file: BinaryIO) -> Finding:
-    """Draw time against the number of workers.
+    """Draw the time of runs of all ways, from 0 workers, against the number of workers, as a PNG.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-        Of all ways, from 0 workers.
-    subject : str
-        What was reconstructed, at which grid.
-    cores : int
-        What the workers and the master share.
-    file : binary file
-        Receives the PNG.
+    The subject says what was reconstructed, at which grid; workers and master share the cores.
     """
     ways = _by_way(runs)
     figure, axes = _open_axes(ways, cores)

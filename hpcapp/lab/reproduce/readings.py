@@ -28,15 +28,7 @@ _NAMES = {
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """One way to read the rule.
-
-    Parameters
-    ----------
-    cone, root : str
-        See `SplitRule` and `partition_by_rule`.
-    max_points : int, optional
-        The most points of a patch.
-    """
+    """One way to read the rule, for `SplitRule` and `partition_by_rule`."""
 
     cone: str
     root: str = "cube"

@@ -41,7 +41,7 @@ WAYS: dict[str, MethodSettings] = {
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One job with some number of workers.
+    """One job with some number of workers; times are in seconds.
 
     Parameters
     ----------
@@ -50,11 +50,11 @@ class Run:
     workers : int
         0: the master does all by itself.
     start_s : float
-        Until all workers have registered, in seconds; 0 without workers.
+        Until all workers have registered; 0 without workers.
     first_fit_s : float
-        The stage ``fit`` of the first job of these workers: they still load the code. Seconds.
+        The stage ``fit`` of the first job of these workers: they still load the code.
     fit_s, job_s : float
-        The stage ``fit``, and everything from reading to writing, with warm workers; seconds.
+        The stage ``fit``, and everything from reading to writing, with warm workers.
     bytes_sent : int
         By the master for one job.
     """
@@ -104,14 +104,9 @@ class Spread:
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """All runs of one way with one number of workers.
+    """All runs of one way with one number of workers; times are those of `Run`.
 
-    Parameters
-    ----------
-    start_s, first_fit_s, fit_s, job_s : Spread
-        In seconds; see `Run`.
-    fit_speedup, job_speedup : Spread
-        Time of the master alone by time with workers, within each round; dimensionless.
+    Speed-ups are the time of the master alone by that with workers, within each round.
     """
 
     workers: int
@@ -132,22 +127,11 @@ def measure(
     backend: str = "zmq",
     done: Callable[[int, int], object] = lambda _done, _total: None,
 ) -> Iterator[Run]:
-    """Yield the runs of all rounds as they finish.
+    """Yield the runs of an oriented point cloud, of all rounds, as they finish.
 
-    Parameters
-    ----------
-    cloud : Path
-        An oriented point cloud.
-    grid : int
-        Cells along the longest side.
-    rounds : int
-        How many runs each way gets with each number of workers.
-    most_workers : int
-        The numbers are 0 to this.
-    backend : str
-        What stands behind 1 and more workers.
-    done : callable
-        Told (n, total) whenever n of the total of openings of workers are measured.
+    Each way runs once a round with each number of workers, 0 to the most; the grid is of so many
+    cells along the longest side. `done` is told (n, total) whenever n of the total of openings of
+    workers are measured.
     """
     total = rounds * (most_workers + 1)
     for number in range(rounds):
@@ -182,11 +166,8 @@ def _run(
 def summarise(runs: Sequence[Run]) -> list[Summary]:
     """Return what the runs of one way say, by number of workers.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-        With a run without workers in every round: speed-ups compare within a round, so that
-        what slows a whole round cancels.
+    Every round has a run without workers: speed-ups compare within a round, so that what slows a
+    whole round cancels.
     """
     alone = {run.round: run for run in runs if run.workers == 0}
     if not {run.round for run in runs} <= set(alone):
@@ -213,12 +194,7 @@ def summarise(runs: Sequence[Run]) -> list[Summary]:
 def limit_of_fits(share: float, workers: int) -> float:
     """Return the speed-up of a job whose fits cost nothing to hand out (Amdahl's law).
 
-    Parameters
-    ----------
-    share : float
-        Of the fits in the time of the job without workers, 0 to 1.
-    workers : int
-        0 means the master alone.
+    The share is that of the fits in the time without workers, 0 to 1; 0 means the master alone.
 
     Examples
     --------

@@ -31,14 +31,9 @@ PAPER_BUNNY = 35_947
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Subject:
-    """A cloud with unit normals.
+    """A cloud with unit normals, and its name for people.
 
-    Parameters
-    ----------
-    name : str
-        For people.
-    path : Path
-        The same points as a PLY, in a temporary folder.
+    The same points are a PLY in a temporary folder.
     """
 
     name: str
@@ -57,17 +52,9 @@ class Subject:
 
 @contextmanager
 def open_subject(points: Path | None) -> Iterator[Subject]:
-    """Yield the cloud to make a figure of.
+    """Yield the cloud to make a figure of: the user's, or of a knot, simulated anew.
 
-    Parameters
-    ----------
-    points : Path or None
-        What the user named; None is a scan of a knot, simulated anew.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or holds nothing that can be used.
+    Raise InputError where it cannot be read, or holds nothing that can be used.
     """
     with temporary_folder() as folder:
         path = folder / "points.ply"

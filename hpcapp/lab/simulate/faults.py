@@ -15,21 +15,11 @@ _WAVES = 64
 def draw_drift(
     positions: FloatArray, view: IntArray, length: float, rng: np.random.Generator
 ) -> FloatArray:
-    """Return errors that are smooth along the surface, of standard deviation 1.
+    """Return errors (n,) that are smooth along the surface, of standard deviation 1.
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        Points of the surface.
-    view : ndarray of int64, shape (n,)
-        The view of each, ascending; the errors of one view say nothing of another's.
-    length : float
-        The correlation length, in length units.
-
-    Notes
-    -----
-    A sum of 64 plane waves with normally distributed wave vectors is nearly a Gaussian process
-    with the covariance exp(-r^2 / (2 length^2)) (Rahimi and Recht 2007).
+    Positions (n, 3) ascend by their view (n,): the errors of one view say nothing of another's. A
+    sum of 64 plane waves with normally distributed wave vectors is nearly a Gaussian process with
+    the covariance exp(-r^2 / (2 length^2)) (Rahimi and Recht 2007).
     """
     drift = np.empty(len(positions))
     for number in range(int(view.max(initial=0)) + 1):
@@ -42,14 +32,9 @@ def draw_drift(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Moves:
-    """Small motions of the views.
+    """Small motions of the views: shifts (v, 3), in length units, and turns (v, 3).
 
-    Parameters
-    ----------
-    shifts : ndarray of float64, shape (v, 3)
-        In length units.
-    turns : ndarray of float64, shape (v, 3)
-        Axes as long as twice the tangent of half the angle.
+    These are axes as long as twice the tangent of half the angle.
     """
 
     shifts: FloatArray
@@ -58,16 +43,7 @@ class Moves:
     def apply(
         self, positions: FloatArray, normals: FloatArray, view: IntArray, middle: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Move points and their normals with their views.
-
-        Parameters
-        ----------
-        positions, normals : ndarray of float64, shape (n, 3)
-        view : ndarray of int64, shape (n,)
-            Of each point.
-        middle : ndarray of float64, shape (3,)
-            What the views turn about.
-        """
+        """Move points (n, 3) and their normals with the view of each; views turn about a middle."""
         turn = self.turns[view]
         moved = middle + _rotate(positions - middle, turn) + self.shifts[view]
         return moved, _rotate(normals, turn)
@@ -76,13 +52,8 @@ class Moves:
 def draw_moves(views: int, error: float, diagonal: float, rng: np.random.Generator) -> Moves:
     """Return a small shift and a small rotation for each view.
 
-    Parameters
-    ----------
-    error : float
-        Standard deviation of the shift along each axis, in length units; the rotation moves what
-        is half a diagonal away as far.
-    diagonal : float
-        In length units.
+    The error is the standard deviation of the shift along each axis; the rotation moves what is
+    half a diagonal away as far.
     """
     shifts = error * rng.standard_normal((views, 3))
     return Moves(shifts, 2.0 * error / diagonal * rng.standard_normal((views, 3)))
@@ -91,19 +62,10 @@ def draw_moves(views: int, error: float, diagonal: float, rng: np.random.Generat
 def strew_outliers(
     shape: Shape, share: float, positions: FloatArray, rays: FloatArray, rng: np.random.Generator
 ) -> tuple[FloatArray, BoolArray]:
-    """Replace some points by outliers.
+    """Replace a share of points (n, 3) by outliers; tell which these are.
 
-    Parameters
-    ----------
-    share : float
-        Of the points. Half of the outliers lie 2 to 10 % of the diagonal away along their rays,
-        half anywhere in twice the bounding box.
-    positions, rays : ndarray of float64, shape (n, 3)
-
-    Returns
-    -------
-    positions : ndarray of float64, shape (n, 3)
-    is_outlier : ndarray of bool, shape (n,)
+    Half of them lie 2 to 10 % of the diagonal away along their rays (n, 3), half anywhere in twice
+    the bounding box.
     """
     low, high = shape.bounds
     chosen = rng.permutation(len(positions))[: round(share * len(positions))]

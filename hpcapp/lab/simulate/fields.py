@@ -24,15 +24,10 @@ Function = Callable[[FloatArray], FloatArray]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Field:
-    """A function of positions and its gradient.
+    """A function of positions (n, 3) and its gradient.
 
-    Parameters
-    ----------
-    value : callable
-        Maps positions of shape (n, 3) to values of shape (n,), in length units.
-    gradient : callable
-        Maps positions of shape (n, 3) to gradients of shape (n, 3). On an edge, that of one of
-        its sides; zero where no direction is right, as at a centre.
+    The value (n,) is in length units. The gradient (n, 3) is on an edge that of one of its sides;
+    zero where no direction is right, as at a centre.
     """
 
     value: Function
@@ -86,15 +81,9 @@ def mirror(octant: Field) -> Field:
 def smooth_unite(fillet: float, *fields: Field) -> Field:
     """Return the union of solids with rounded joints, which are smooth to the second derivative.
 
-    Parameters
-    ----------
-    fillet : float
-        Where two values differ by less, in length units, the joint is filled.
-
-    Notes
-    -----
-    min(a, b) - fillet h^3 / 6 with h = max(1 - |a - b| / fillet, 0). Its gradient is a mean of
-    the two gradients with weights that add to one, which keeps the Lipschitz constant.
+    Where two values differ by less than the fillet, the joint is filled: min(a, b) - fillet h^3 / 6
+    with h = max(1 - |a - b| / fillet, 0). Its gradient is a mean of the two gradients with weights
+    that add to one, which keeps the Lipschitz constant.
     """
 
     def join(first: Field, second: Field) -> Field:

@@ -32,17 +32,10 @@ def disc(center: Sequence[float], radius: float) -> Field:
 
 
 def polygon(corners: Sequence[Sequence[float]]) -> Field:
-    """Return a polygon, as a field of plane positions of shape (n, 2).
+    """Return a polygon, as a field of plane positions (n, 2), of counter-clockwise corners.
 
-    Parameters
-    ----------
-    corners : sequence of (x, y)
-        Counter-clockwise; the sides do not meet elsewhere.
-
-    Notes
-    -----
-    The nearest side gives the distance; a ray to the left that crosses an odd number of sides
-    tells the inside.
+    Sides do not meet elsewhere. The nearest side gives the distance; a ray to the left that crosses
+    an odd number of sides tells the inside.
     """
     starts = np.asarray(corners, dtype=np.float64)
     sides = np.roll(starts, -1, axis=0) - starts
@@ -87,15 +80,7 @@ def polygon(corners: Sequence[Sequence[float]]) -> Field:
 
 
 def extrude(outline: Field, half: float) -> Field:
-    """Return what an outline in the plane of x and y sweeps along z.
-
-    Parameters
-    ----------
-    outline : Field
-        Of plane positions, shape (n, 2).
-    half : float
-        Half the length along z; the middle is at z = 0.
-    """
+    """Return what an outline in the plane of x and y sweeps along z, from -half to half."""
 
     def value(points: FloatArray) -> FloatArray:
         return corner_distance(outline.value(points[:, :2]), np.abs(points[:, 2]) - half)
@@ -112,10 +97,7 @@ def extrude(outline: Field, half: float) -> Field:
 def revolve(outline: Field) -> Field:
     """Return what an outline sweeps when it is turned about the z axis.
 
-    Parameters
-    ----------
-    outline : Field
-        Of positions (distance from the axis, z), shape (n, 2); it does not reach below zero.
+    It is of positions (distance from the axis, z), (n, 2), and does not reach below zero.
     """
 
     def halve(points: FloatArray) -> tuple[FloatArray, FloatArray]:

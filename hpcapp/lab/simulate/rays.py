@@ -22,48 +22,25 @@ Result = TypeVar("Result")
 def cross_rays(
     shape: Shape, origins: FloatArray, directions: FloatArray, reach: float, first_only: bool
 ) -> tuple[IntArray, FloatArray]:
-    """Return where rays cross the surface of `shape`.
+    """Return which rays cross the surface of `shape`, (m,), and how far from their origin, (m,).
 
-    Parameters
-    ----------
-    origins, directions : ndarray of float64, shape (n, 3)
-        Rays; the directions have unit length, the origins lie outside the shape.
-    reach : float
-        Length of the rays, in length units of the shape.
-    first_only : bool
-        Stop at the first crossing, as light does; else go on to the last.
+    Directions (n, 3) have unit length, origins (n, 3) lie outside the shape. Rays stop at the first
+    crossing, as light does, or go on to the last as far as they reach. They ascend, and distances
+    go outwards within a ray, exact to 1e-12 of the diagonal.
 
-    Returns
-    -------
-    rays : ndarray of int64, shape (m,)
-        The ray of each crossing; ascending, and from its origin outwards within a ray.
-    distances : ndarray of float64, shape (m,)
-        From the ray's origin, exact to 1e-12 of the diagonal.
-
-    Notes
-    -----
-    Sphere tracing with a shortest step, so that a ray passes through the surface; then the
-    Illinois variant of regula falsi between the two last steps. A ray that grazes the surface
-    may overlook a chord shorter than 5e-4 of the diagonal.
+    Sphere tracing with a shortest step, so that a ray passes through the surface; then the Illinois
+    variant of regula falsi between the two last steps. A ray that grazes the surface may overlook a
+    chord shorter than 5e-4 of the diagonal.
     """
     tracer = Tracer(shape, len(origins))
     return _cross(tracer, origins, directions, reach, first_only)
 
 
 def run_in_blocks(function: Callable[[slice], Result], count: int) -> list[Result]:
-    """Call a function for one block of rows after another, on all cores.
+    """Call a function for one block of rows after another, on all cores; results are in order.
 
-    Parameters
-    ----------
-    function : callable
-        Takes the rows and works in numpy, which lets other threads run.
-    count : int
-        Of all rows. What the blocks are depends on nothing else.
-
-    Returns
-    -------
-    list
-        At least one result, in order.
+    It works in numpy, which lets other threads run. There is at least one block, even of no rows;
+    what the blocks are depends on the count alone.
     """
     blocks = [slice(at, min(at + _BLOCK, count)) for at in range(0, max(count, 1), _BLOCK)]
     return run_batches(function, blocks, available_cores())
@@ -74,10 +51,8 @@ def sample_lines(
 ) -> FloatArray:
     """Return the points in which `count` random lines cross the surface, shape (m, 3).
 
-    Notes
-    -----
-    Lines of uniform direction and offset cross every patch of a surface in proportion to its
-    area (Crofton's formula), so that the points are spread evenly whatever the shape.
+    Lines of uniform direction and offset cross every patch of a surface in proportion to its area
+    (Crofton's formula), so that the points are spread evenly whatever the shape.
     """
     low, high = shape.bounds
     radius = 0.5 * diagonal_of(shape) * 1.001
@@ -97,26 +72,14 @@ def sample_lines(
 def closest_points(
     shape: Shape, points: FloatArray, guesses: FloatArray, rounds: int = 6
 ) -> FloatArray:
-    """Return a point of the surface near each of `points`: the nearest one, as a rule.
+    """Return a point of the surface near each of `points` (n, 3): the nearest one, as a rule.
 
-    Parameters
-    ----------
-    points, guesses : ndarray of float64, shape (n, 3)
-        `guesses` are points of the surface to start from, as the nearest of an even sample.
-    rounds : int
-        How often the foot is moved along its tangent plane.
-
-    Returns
-    -------
-    ndarray of float64, shape (n, 3)
-        On the surface, and never farther away than the guess.
-
-    Notes
-    -----
-    The foot moves in its tangent plane below the point and falls back on the surface by Newton
-    steps; it is kept where that brought it nearer. Where it has fallen on a face that meets the
-    first at an edge, the point of both tangent planes that is nearest is tried too, and with a
-    third face that of all three, so that feet find edges and corners.
+    It is never farther away than the guess (n, 3), a point of the surface to start from, as the
+    nearest of an even sample. So many rounds move the foot in its tangent plane below the point; it
+    falls back on the surface by Newton steps, and is kept where that brought it nearer. Where it
+    has fallen on a face that meets the first at an edge, the point of both tangent planes that is
+    nearest is tried too, and with a third face that of all three, so that feet find edges and
+    corners.
     """
     # (n, 3): the nearest surface point so far; (n,): its distance
     best, least = guesses.copy(), _lengths(points - guesses)
@@ -161,13 +124,9 @@ def _nearest_on_planes(points: FloatArray, feet: FloatArray, normals: FloatArray
 
 
 def fall(shape: Shape, points: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Move points along their normals onto the surface; tell which ones arrived.
+    """Move points along their normals onto the surface; tell which ones arrived, (n,).
 
-    Returns
-    -------
-    feet : ndarray of float64, shape (n, 3)
-        Within 1e-12 of the diagonal of the surface, where they arrived.
-    landed : ndarray of bool, shape (n,)
+    These are within 1e-12 of the diagonal of the surface.
     """
     tolerance = 1e-12 * diagonal_of(shape)
     feet = points.copy()

@@ -16,16 +16,10 @@ from hpccomponent.dataclass import dataclass
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Relief:
-    """A height at every position.
+    """A height at every position, outwards, with its gradient.
 
-    Parameters
-    ----------
-    height : Field
-        In length units, outwards; and its gradient.
-    highest : float
-        The largest absolute height, in length units.
-    steepest : float
-        The largest length of the gradient as far as `reach` from the undisplaced surface.
+    The highest is the largest absolute height; the steepest the largest length of the gradient as
+    far as `reach` from the undisplaced surface.
     """
 
     height: Field
@@ -41,8 +35,6 @@ class Relief:
 def displace(solid: Field, relief: Relief) -> Field:
     """Return a solid with a relief on its surface.
 
-    Notes
-    -----
     solid - height changes by up to 1 + steepest, and is divided by it. No surface is nearer than
     |solid| - highest either: the larger of the two is taken, which changes no faster than the
     distance and needs no height away from the surface.
@@ -74,17 +66,9 @@ def displace(solid: Field, relief: Relief) -> Field:
 def lumps(octaves: Sequence[tuple[float, float]], seed: int) -> Relief:
     """Return lumps of several sizes, as if the solid were cut out of a lumpy block.
 
-    Parameters
-    ----------
-    octaves : sequence of (float, float)
-        Wavelength and height of each size, in length units.
-    seed : int
-        Turns and shifts them.
-
-    Notes
-    -----
-    Each size is height sin(k u) sin(k v) sin(k w) in a frame (u, v, w) of its own, with
-    k = 2 pi / wavelength. Its gradient is never longer than height k.
+    Octaves are the wavelength and height of each size; the seed turns and shifts them. Each is
+    height sin(k u) sin(k v) sin(k w) in a frame (u, v, w) of its own, with k = 2 pi / wavelength.
+    Its gradient is never longer than height k.
     """
     rng = np.random.default_rng(seed)
     waves = []
@@ -113,21 +97,11 @@ def lumps(octaves: Sequence[tuple[float, float]], seed: int) -> Relief:
 
 
 def studs(major: float, minor: float, around: tuple[int, int], height: float) -> Relief:
-    """Return rows of studs and pits on a torus about the z axis.
+    """Return rows of studs and pits on a torus of two radii about the z axis.
 
-    Parameters
-    ----------
-    major, minor : float
-        Radii of the torus.
-    around : (int, int)
-        Studs along the circle and about the tube.
-    height : float
-        In length units.
-
-    Notes
-    -----
-    height cos(m u) cos(n v) in the two angles of the torus. Its gradient grows towards the tube's
-    circle; the bound holds for two fifths of the way there.
+    `around` counts the studs along the circle and about the tube: height cos(m u) cos(n v) in the
+    two angles. The gradient grows towards the tube's circle; the bound holds for two fifths of the
+    way.
     """
     m, n = around
     inner = 0.6 * minor

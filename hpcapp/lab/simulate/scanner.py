@@ -56,12 +56,7 @@ class _Hits:
 
 
 def simulate_scan(shape: Shape, settings: ScanSettings | None = None) -> PointCloud:
-    """Scan an analytic shape.
-
-    Returns
-    -------
-    PointCloud
-        Exactly ``settings.points`` points with unit normals, view by view.
+    """Scan an analytic shape: exactly ``settings.points`` with unit normals, view by view.
 
     Raises
     ------
@@ -245,8 +240,6 @@ def _shoot(
 def _disc(number: IntArray, shift: FloatArray) -> FloatArray:
     """Return points of the unit disc, shape (n, 2), evenly spread for any run of numbers.
 
-    Notes
-    -----
     The additive recurrence of the plastic number (M. Roberts, 2018, sequence R2).
     """
     plastic = 1.32471795724474602596

@@ -19,10 +19,7 @@ _TINY = 1e-300  # keeps 0/0 out of gradients at centres, where no direction is r
 def ellipsoid(semi_axes: Sequence[float], center: Sequence[float] = (0.0, 0.0, 0.0)) -> Field:
     """Return an ellipsoid, min(a) (|p / a| - 1).
 
-    Parameters
-    ----------
-    semi_axes : sequence of 3 floats
-        Along x, y and z; three equal ones make a sphere and the exact distance.
+    Three equal semi-axes make a sphere and the exact distance.
     """
     axes = np.asarray(semi_axes, dtype=np.float64)
     middle = np.asarray(center, dtype=np.float64)
@@ -56,14 +53,9 @@ def torus(major: float, minor: float) -> Field:
 def cone(
     start: Sequence[float], end: Sequence[float], start_radius: float, end_radius: float
 ) -> Field:
-    """Return a limb: the hull of two balls, exact distance.
+    """Return a limb: the hull of two balls, neither of which contains the other, exact distance.
 
-    Parameters
-    ----------
-    start, end : sequence of 3 floats
-        Centres of the balls; neither ball may contain the other.
-    start_radius, end_radius : float
-        Equal radii make a capsule.
+    Equal radii make a capsule.
     """
     origin = np.asarray(start, dtype=np.float64)
     axis = np.asarray(end, dtype=np.float64) - origin
@@ -86,21 +78,12 @@ def cone(
 def tube(curve: Curve, radius: float, samples: int = 512) -> Field:
     """Return a tube about a closed curve: the exact distance to the curve, less `radius`.
 
-    Parameters
-    ----------
-    curve : callable
-        Maps parameters t of shape (n,), of period 2 pi, to the curve and its first two
-        derivatives, shape (3, 3, n): derivative, axis, point.
-    radius : float
-        Smaller than the curve's radius of curvature everywhere.
-    samples : int
-        How many points of the curve seed the search for the nearest one.
+    The curve maps parameters t (n,), of period 2 pi, to itself and its first two derivatives, (3,
+    3, n): derivative, axis, point. Its radius of curvature is everywhere larger than `radius`.
 
-    Notes
-    -----
-    Two Newton steps from the nearest sample square the error of half a sample's spacing twice,
-    and that of the distance is its square: below rounding for any smooth curve. The gradient,
-    which follows the foot, takes a third.
+    So many samples seed the search for the nearest point. Two Newton steps from there square the
+    error of half a sample's spacing twice, and that of the distance is its square: below rounding
+    for any smooth curve. The gradient, which follows the foot, takes a third.
     """
     seeds = np.linspace(0.0, 2.0 * np.pi, samples, endpoint=False)
     tree = KDTree(curve(seeds)[0].T, leafsize=16)
@@ -144,12 +127,7 @@ def box(center: Sequence[float], half: Sequence[float]) -> Field:
 def cylinder(center: Sequence[float], axis: int, radius: float, half: float = np.inf) -> Field:
     """Return a cylinder along a coordinate axis, exact distance.
 
-    Parameters
-    ----------
-    axis : int
-        0, 1 or 2.
-    half : float
-        Half its length; infinite for a drill.
+    `half` is half its length; infinite for a drill.
     """
     middle = np.asarray(center, dtype=np.float64)
     first, second = (k for k in range(3) if k != axis)
@@ -175,12 +153,7 @@ def cylinder(center: Sequence[float], axis: int, radius: float, half: float = np
 def half_space(normal: Sequence[float], offset: float) -> Field:
     """Return all points below a plane, exact distance.
 
-    Parameters
-    ----------
-    normal : sequence of 3 floats
-        Out of the solid; of any length.
-    offset : float
-        Distance of the plane from the origin along the normal.
+    The normal points out of the solid, of any length; the offset along it is from the origin.
     """
     up = np.asarray(normal, dtype=np.float64)
     up = up / np.linalg.norm(up)
@@ -188,17 +161,10 @@ def half_space(normal: Sequence[float], offset: float) -> Field:
 
 
 def corner_distance(*excess: FloatArray) -> FloatArray:
-    """Return the distance to the corner where every `excess` is negative.
+    """Return the distance (n,) to the corner where every `excess` is negative.
 
-    Parameters
-    ----------
-    *excess : ndarray of float64, shape (n,)
-        Distances to surfaces at right angles to each other, negative inside.
-
-    Returns
-    -------
-    ndarray of float64, shape (n,)
-        Exact where they are.
+    Each is the distance (n,) to a surface at right angles to the others, negative inside. The
+    result is exact where they are.
     """
     deepest, square = excess[0], np.maximum(excess[0], 0.0) ** 2
     for other in excess[1:]:

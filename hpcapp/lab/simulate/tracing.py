@@ -64,20 +64,13 @@ class _Flight:
 
 
 class Tracer:
-    """Finds where rays cross a shape.
+    """Finds where about so many rays cross a shape: a finer grid costs more and saves more.
 
-    Parameters
-    ----------
-    rays : int
-        About how many rays will be traced: a finer grid costs more and saves more.
-
-    Notes
-    -----
     The function changes no faster than the distance. A cell's value, less a point's distance from
-    the cell's middle, therefore bounds the function there: away from the surface rays need not
-    ask for it. A step may go farther than is safe if the function is expected to grow (enhanced
-    sphere tracing, Balint and Valasek 2018): it is taken back if the balls about its two ends,
-    which hold no surface, leave more than the shortest step between them.
+    the cell's middle, therefore bounds the function there: away from the surface rays need not ask
+    for it. A step may go farther than is safe if the function is expected to grow (enhanced sphere
+    tracing, Balint and Valasek 2018): it is taken back if the balls about its two ends, which hold
+    no surface, leave more than the shortest step between them.
     """
 
     def __init__(self, shape: Shape, rays: int) -> None:

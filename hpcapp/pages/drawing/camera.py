@@ -59,14 +59,9 @@ class Camera:
 
 
 def look_along(azimuth: float, elevation: float, up: str) -> FloatArray:
-    """Return the axes of a camera.
+    """Return the axes (3, 3) of a camera whose eye is at these angles, in degrees.
 
-    Parameters
-    ----------
-    azimuth, elevation : float
-        Where the eye is, in degrees.
-    up : str
-        The axis that points up, of `axis_names.AXES`.
+    `up` is the axis of the world that points up, of `axis_names.AXES`.
     """
     az, el = np.radians([azimuth, elevation])
     eye = np.array([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)])
@@ -85,16 +80,9 @@ def turn_upright(positions: FloatArray, up: str) -> FloatArray:
 def aim(
     axes: FloatArray, low: FloatArray, high: FloatArray, width: int, height: int, fill: float
 ) -> Camera:
-    """Return the camera that shows a box.
+    """Return the camera that shows a box between two corners along `axes`, in so many pixels.
 
-    Parameters
-    ----------
-    low, high : ndarray of float64, shape (3,)
-        Corners of the box along `axes`.
-    width, height : int
-        Of the picture, in pixels.
-    fill : float
-        Share of the picture that the box takes, along the side where it is longest.
+    `fill` is the share of the picture that it takes, along the side where it is longest.
     """
     extent = np.maximum((high - low)[:2], 1e-300)
     scale = fill * SAMPLES * float((np.array([width, height]) / extent).min())

@@ -18,10 +18,7 @@ def add_caption(
 ) -> NDArray[np.uint8]:
     """Return a picture with lines of text in its upper left corner.
 
-    Parameters
-    ----------
-    lines : sequence of (colour, str)
-        A patch of the colour stands before the text; None is no patch.
+    A patch of its colour stands before the text; None is no patch.
     """
     from PIL import Image, ImageDraw, ImageFont
 

@@ -38,16 +38,10 @@ def find_rows(screen: Screen, faces: IntArray) -> NDArray[np.int16]:
 
 
 class DepthBuffer:
-    """The nearest item of each sample in a band of rows.
+    """The nearest item of each sample in a band of rows, from the first to before the last one.
 
-    Parameters
-    ----------
-    rows : tuple of int
-        The first and the last one, exclusively.
-    width : int
-        Samples of a row.
-    nearness : tuple of float
-        Of the farthest and of the nearest thing to be drawn, in samples.
+    The width is samples of a row; nearness is that of the farthest and of the nearest thing to be
+    drawn, in samples.
     """
 
     def __init__(self, rows: tuple[int, int], width: int, nearness: tuple[float, float]) -> None:
@@ -59,14 +53,7 @@ class DepthBuffer:
         self._keys = np.zeros((rows[1] - rows[0]) * width, np.uint64)
 
     def draw_faces(self, screen: Screen, faces: IntArray, numbers: IntArray) -> None:
-        """Draw faces.
-
-        Parameters
-        ----------
-        faces : ndarray of int64, shape (f, 3)
-        numbers : ndarray of int64, shape (n,)
-            Which of them.
-        """
+        """Draw the faces (f, 3) of these numbers (n,)."""
         limits = np.array([[0, self.rows[0]], [self.width, self.rows[1]]])
         for begin in range(0, len(numbers), _FACES):
             part = numbers[begin : begin + _FACES]
@@ -118,12 +105,7 @@ class DepthBuffer:
     def draw_discs(self, screen: Screen, numbers: IntArray, radius: float) -> None:
         """Draw items as discs whose middle is nearest, so that they part half-way.
 
-        Parameters
-        ----------
-        numbers : ndarray of int64, shape (n,)
-            Which rows of `screen`.
-        radius : float
-            In samples; below 0.75 one sample is drawn.
+        Numbers are rows of `screen`; a radius is in samples, below 0.75 one sample is drawn.
         """
         reach = int(radius) if radius >= 0.75 else 0
         around = np.arange(-reach, reach + 1)

@@ -20,14 +20,9 @@ Any = TypeVar("Any", bound=np.generic)
 
 
 def light_normals(normals: Floats, *, is_coloured: bool) -> Floats:
-    """Return the light on surfaces.
+    """Return the light on surfaces of unit normals (n, 3): to the right, upwards, to the eye.
 
-    Parameters
-    ----------
-    normals : ndarray of float32, shape (n, 3)
-        Of unit length, as seen: to the right, upwards, towards the eye.
-    is_coloured : bool
-        Colours have seen a light of their own already: they get a softer one.
+    Colours have seen a light of their own already: they get a softer one.
     """
     key, fill = np.maximum(normals @ _KEY, 0.0), np.maximum(normals @ _FILL, 0.0)
     light: Floats = 0.20 + 0.74 * key + 0.24 * fill
@@ -40,21 +35,10 @@ def reach_of_hollows(size: int) -> int:
 
 
 def darken_hollows(nearness: Floats, size: int) -> Floats:
-    """Return the share of the light that reaches each pixel.
+    """Return the share (h, w) of the light that reaches each pixel of a picture this long.
 
-    What lies behind the mean of two opposite neighbours is in a hollow; a slope is not.
-
-    Parameters
-    ----------
-    nearness : ndarray of float32, shape (h, w)
-        In pixels; -inf where nothing is.
-    size : int
-        The longer side of the whole picture.
-
-    Returns
-    -------
-    ndarray of float32, shape (h, w)
-        From 0 to 1.
+    What lies behind the mean of two opposite neighbours is in a hollow; a slope is not. Nearness
+    (h, w) is in pixels; -inf where nothing is.
     """
     is_drawn = np.isfinite(nearness)
     depth = np.where(is_drawn, nearness, 0.0).astype(np.float32)

@@ -30,18 +30,9 @@ class Drawn(Protocol):
 def paint(
     camera: Camera, drawn: Drawn, nearness: tuple[float, float], shadow: GroundShadow | None
 ) -> NDArray[np.uint8]:
-    """Return a picture on white ground.
+    """Return a picture (h, w, 3) on white ground, behind it the shadow, if there is one.
 
-    Parameters
-    ----------
-    nearness : tuple of float
-        Of the farthest and of the nearest thing, in samples.
-    shadow : GroundShadow or None
-        Behind what is drawn.
-
-    Returns
-    -------
-    ndarray of uint8, shape (h, w, 3)
+    Nearness is that of the farthest and of the nearest thing, in samples.
     """
     size = max(camera.width, camera.height)
     beside = reach_of_hollows(size)

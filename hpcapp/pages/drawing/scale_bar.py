@@ -30,12 +30,7 @@ def choose_length(pixels_per_unit: float, width: int) -> float:
 
 
 def name_length(length: float, unit: str | None) -> str:
-    """Return a length as people say it.
-
-    Parameters
-    ----------
-    unit : str or None
-        Of the coordinates; None where it is not known.
+    """Return a length as people say it, in a unit that may not be known.
 
     Examples
     --------

@@ -21,18 +21,9 @@ _LOWEST = 3.0  # degrees above the ground, from where it is seen at all
 
 
 class GroundShadow:
-    """A map of the ground, and how dark it is.
+    """A map (c, c) of the ground at a level, and how dark it is, from 0 to 1.
 
-    Parameters
-    ----------
-    camera : Camera
-        That sees it.
-    below : Camera
-        From below, by which the map was drawn.
-    map_ : ndarray of float64, shape (c, c)
-        Darkness from 0 to 1.
-    level : float
-        Height of the ground.
+    The map was drawn by the camera below; the other one sees it.
     """
 
     def __init__(self, camera: Camera, below: Camera, map_: FloatArray, level: float) -> None:
@@ -59,14 +50,8 @@ def cast_shadow(
 ) -> GroundShadow | None:
     """Return the shadow on the ground below what `draw` draws; None where it cannot be seen.
 
-    Parameters
-    ----------
-    up : str
-        The axis of `axis_names.AXES` that points up.
-    bounds : ndarray of float64, shape (2, 3)
-        The box around all that casts it.
-    draw : callable
-        Draws into a depth buffer, as a camera sees it.
+    Bounds (2, 3) are around all that casts it; `draw` draws into a depth buffer, as a camera sees
+    it.
     """
     axes = turn_upright(camera.axes, up)
     if axes[2, 2] < np.sin(np.radians(_LOWEST)):

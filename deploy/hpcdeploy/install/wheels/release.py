@@ -25,24 +25,10 @@ _BUILD_TAG = re.compile(r"^Tag: (\w+)-(\w+)-linux_(\w+)$", re.M)
 
 
 def pack_release(folder: Path, *, is_native: bool) -> Path | None:
-    """Pack the running installation into a wheel.
+    """Pack the running installation into a wheel; the same content makes the same bytes.
 
-    Parameters
-    ----------
-    folder : Path
-        Where the wheel is put; the same content makes the same bytes.
-    is_native : bool
-        Whether the compiled extension is wanted.
-
-    Returns
-    -------
-    Path or None
-        None where a native wheel is wanted of an installation that has no extension.
-
-    Raises
-    ------
-    CloudError
-        The installation's files cannot be read.
+    The wheel is put into `folder`. With `is_native` it has the compiled extension, and is None
+    where the installation has none. Raises CloudError where its files cannot be read.
     """
     installed = distribution(DISTRIBUTION)
     try:

@@ -31,16 +31,9 @@ WORKER_NEEDS = ("msgspec", "numpy", "pydantic", "pyyaml", "pyzmq")
 class Needs:
     """What one machine needs.
 
-    Parameters
-    ----------
-    files : tuple of Path
-        Wheels that are uploaded.
-    requirements : tuple of str
-        What is installed with what it requires: a wheel's name where it is among the files.
-    release : str
-        The package itself, which is installed without: a worker does not need all of that.
-    is_offline : bool
-        Whether all of it is among the files.
+    `files` are wheels that are uploaded; with `is_offline`, all of it is among them. `requirements`
+    are installed with what they require, by a wheel's name where it is among the files. The
+    `release`, the package itself, is installed without: a worker does not need all of that.
     """
 
     files: tuple[Path, ...]
@@ -50,18 +43,10 @@ class Needs:
 
 
 def choose_release(spec: ClusterSpec, base: Path, kinds: list[Kind]) -> Path | str:
-    """Return the package that all machines get: a wheel, or a requirement.
+    """Return the package that all machines get: a wheel's file, or a requirement.
 
-    Parameters
-    ----------
-    kinds : list of Kind
-        Of all machines: the native build is taken only where it fits all of them, because a job's
-        machines must compute the same bits.
-
-    Returns
-    -------
-    Path or str
-        A wheel's file, or a requirement.
+    The native build is taken only where it fits the `kinds` of all machines, because a job's
+    machines must compute the same bits.
     """
     if spec.env.package != "auto":
         path = base / expand_home(spec.env.package)
@@ -78,17 +63,9 @@ def choose_release(spec: ClusterSpec, base: Path, kinds: list[Kind]) -> Path | s
 def needs_of(
     spec: ClusterSpec, base: Path, package: Path | str, kind: Kind, *, is_head: bool
 ) -> tuple[Needs, tuple[str, ...]]:
-    """Return what a machine needs, and what of it is missing in the wheelhouse.
+    """Return what a machine needs, and the requirements that no wheel of the wheelhouse fulfils.
 
-    Parameters
-    ----------
-    is_head : bool
-        A worker gets only what a component and a loader import.
-
-    Returns
-    -------
-    missing : tuple of str
-        Requirements that no wheel of the wheelhouse fulfils; empty without one.
+    Without a wheelhouse none is missing. A worker gets only what a component and a loader import.
     """
     local = [path for text in spec.env.packages if (path := base / text).is_file()]
     named = [text for text in spec.env.packages if not (base / text).is_file()]
@@ -144,13 +121,7 @@ def check_wheels(spec: ClusterSpec, base: Path) -> list[Problem]:
 
 
 def missing_wheels(spec: ClusterSpec, base: Path, kind: Kind, *, is_head: bool) -> tuple[str, ...]:
-    """Return what the wheelhouse lacks for a machine of a kind; nothing where there is none.
-
-    Parameters
-    ----------
-    is_head : bool
-        A worker needs only what a component and a loader import.
-    """
+    """Return what the wheelhouse lacks for a machine of a kind; nothing where there is none."""
     package = spec.env.package if spec.env.package != "auto" else Path(f"{DISTRIBUTION}.whl")
     return needs_of(spec, base, package, kind, is_head=is_head)[1]
 

@@ -24,14 +24,7 @@ _NEWEST = 99
 class Kind:
     """What decides which wheels run on a machine.
 
-    Parameters
-    ----------
-    architecture : str
-        As ``uname -m`` names it.
-    libc : str
-        ``glibc`` or ``musl``.
-    libc_version, python : tuple of int
-        Major and minor.
+    `architecture` is as ``uname -m`` names it, `libc` ``glibc`` or ``musl``; versions major, minor.
     """
 
     architecture: str
@@ -84,33 +77,17 @@ def _platforms(kind: Kind) -> Iterator[str]:
 
 
 def fits(wheel: Path, kind: Kind) -> bool:
-    """Tell whether a wheel runs on machines of a kind.
-
-    Parameters
-    ----------
-    wheel : Path
-        Only its name is read.
-    """
+    """Tell by its name whether a wheel runs on machines of a kind."""
     return not _ranks(kind).keys().isdisjoint(_tags_of(wheel))
 
 
 def select_wheels(
     places: Sequence[Path], requirements: Sequence[str], kind: Kind, *, is_deep: bool = True
 ) -> tuple[tuple[Path, ...], tuple[str, ...]]:
-    """Choose the newest fitting wheel for each requirement, and for what these require.
+    """Choose the newest fitting wheel of each requirement, and if `is_deep` of what these require.
 
-    Parameters
-    ----------
-    places : sequence of Path
-        Folders of wheels, or wheels.
-    is_deep : bool
-        Whether what the wheels require is needed too.
-
-    Returns
-    -------
-    wheels : tuple of Path
-    missing : tuple of str
-        Requirements that no wheel there meets, with who asks for them.
+    `places` are folders of wheels, or wheels. Requirements that no wheel there meets are returned
+    as well, with who asks for them.
     """
     folders = [[place] if place.is_file() else place.glob("*.whl") for place in places]
     offered = [path for folder in folders for path in folder if fits(path, kind)]

@@ -29,12 +29,8 @@ _LOOK = "check that it runs, its address and port, and the firewall or security 
 def connect(target: Target, closer: ExitStack, timeouts: Timeouts | None = None) -> Connection:
     """Log in, over the machines on the way.
 
-    Raises
-    ------
-    ReachError
-        Why it cannot be, and the command that mends it.
-    CloudError
-        What is wrong is here: a file that is no key, no descriptor that is free.
+    Raises ReachError with why it cannot be, and the command that mends it; CloudError where what is
+    wrong is here: a file that is no key, no descriptor that is free.
     """
     timeouts = timeouts or Timeouts()
     deadline = time.monotonic() + timeouts.login_s

@@ -35,14 +35,9 @@ _LOG = "hpcapp.ssh"
 class Timeouts:
     """How long a connection is waited for, in seconds.
 
-    Parameters
-    ----------
-    login_s : float
-        For all from the name's look-up to the login, over all machines on the way.
-    beat_s : float
-        How often the other end is asked whether it is there.
-    silence_s : float
-        With no byte for so long the connection is given up.
+    `login_s` is for all from the name's look-up to the login, over all machines on the way. The
+    other end is asked every `beat_s` whether it is there; with no byte for `silence_s` the
+    connection is given up.
     """
 
     login_s: float = 30.0
@@ -75,10 +70,7 @@ class BoundedSocket:
     def recv(self, size: int) -> bytes:
         """Read some bytes; TimeoutError where there are none yet.
 
-        Raises
-        ------
-        OSError
-            The connection is lost, silent for too long, or says more than any login needs.
+        Raises OSError where the connection is lost, silent too long, or says more than logins need.
         """
         try:
             chunk = self._socket.recv(min(size, _CHUNK))
@@ -93,12 +85,9 @@ class BoundedSocket:
         return chunk
 
     def send(self, content: bytes) -> int:
-        """Write some bytes.
+        """Write some bytes; TimeoutError where nothing can be written yet.
 
-        Raises
-        ------
-        OSError
-            The connection is lost; TimeoutError where nothing can be written yet.
+        Raises OSError where the connection is lost.
         """
         try:
             return self._socket.send(content)
@@ -108,13 +97,7 @@ class BoundedSocket:
             raise _numbered(error) from error
 
     def settimeout(self, timeout_s: float | None) -> None:
-        """Set how long one call may take.
-
-        Parameters
-        ----------
-        timeout_s : float or None
-            In seconds; None for any time.
-        """
+        """Set how long one call may take, in seconds; None for any time."""
         self._socket.settimeout(timeout_s)
 
     def close(self) -> None:
@@ -175,13 +158,7 @@ class Connection(paramiko.Transport):
                 event.set()
 
     def keep_alive(self, beat_s: float, closer: ExitStack) -> None:
-        """Ask the other end from time to time for an answer, whichever, until `closer` closes.
-
-        Parameters
-        ----------
-        beat_s : float
-            Between two questions, in seconds.
-        """
+        """Ask the other end each `beat_s` seconds for any answer, until `closer` closes."""
         is_over = threading.Event()
         closer.callback(is_over.set)
         threading.Thread(

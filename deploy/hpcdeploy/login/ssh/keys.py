@@ -39,12 +39,8 @@ class Identity:
 class Identities:
     """What a login may be tried with.
 
-    Parameters
-    ----------
-    usable : tuple of Identity
-        In the order in which they are offered.
-    unusable : tuple of CloudError
-        Why further keys are not offered, those with a passphrase first.
+    `usable` are in the order in which they are offered; `unusable` say why further keys are not,
+    those with a passphrase first.
     """
 
     usable: tuple[Identity, ...]
@@ -54,12 +50,7 @@ class Identities:
 def read_key(path: Path) -> paramiko.PKey:
     """Read a private key that has no passphrase.
 
-    Raises
-    ------
-    ReachError
-        It has one.
-    CloudError
-        It is not there, or is no key.
+    Raises ReachError where it has one, CloudError where it is not there, or is no key.
     """
     try:
         stat = path.stat()
@@ -96,10 +87,7 @@ def _parse(path: Path, stamp: tuple[int, int, int]) -> paramiko.PKey:
 def public_key(path: Path) -> str:
     """Return the public half of a private key that we can log in with, in OpenSSH's form.
 
-    Parameters
-    ----------
-    path : Path
-        With a passphrase, the agent must hold it.
+    Where it has a passphrase, the agent must hold it.
     """
     with ExitStack() as closer:
         try:
@@ -115,19 +103,10 @@ def public_key(path: Path) -> str:
 def find_identities(files: Sequence[str], *, are_own: bool, closer: ExitStack) -> Identities:
     """Return the keys to log in with, without asking the machine.
 
-    Parameters
-    ----------
-    files : sequence of str
-        Private keys. Those that have a passphrase are taken from the agent.
-    are_own : bool
-        Whether all keys of the agent are offered too and, without `files`, those in ``~/.ssh``.
-    closer : ExitStack
-        Closes the agent, which signs as long as it is open.
-
-    Raises
-    ------
-    ReachError, CloudError
-        There is none that can be used.
+    `files` are private keys; those that have a passphrase are taken from the agent. With `are_own`
+    all keys of the agent are offered too and, without `files`, those in ``~/.ssh``. `closer` closes
+    the agent, which signs as long as it is open. Raises ReachError or CloudError where there is
+    none of use.
     """
     agent_keys = _agent_keys(closer) if are_own else []
     usable: list[Identity] = []

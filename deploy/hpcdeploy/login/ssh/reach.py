@@ -25,19 +25,7 @@ class Reach(StrEnum):
 
 
 class ReachError(CloudError):
-    """A machine that cannot be logged in to.
-
-    Parameters
-    ----------
-    problem : str
-        What is wrong, and where.
-    advice : str
-        The command that mends it.
-    reach : Reach
-        The cause.
-    excerpt : str
-        See `HpcError`.
-    """
+    """A machine that cannot be logged in to, with the cause and the command that mends it."""
 
     def __init__(
         self,

@@ -87,12 +87,8 @@ def host_address(host: Host) -> str:
 def host_target(host: Host, auth: Auth, key_files: tuple[str, ...]) -> Target:
     """Return how a host of the cluster file is reached, following ``~/.ssh/config``.
 
-    Parameters
-    ----------
-    auth : Auth
-        Its user and port are used where neither the host nor the configuration has one.
-    key_files : tuple of str
-        The file's own; by default the configuration's.
+    The user and port of `auth` are used where neither the host nor the configuration has one.
+    `key_files` are the file's own; by default the configuration's.
     """
     config = _read_config()
     target = _resolve(config, host.address, host.user or "", host.port, auth, key_files)
@@ -109,13 +105,8 @@ def host_target(host: Host, auth: Auth, key_files: tuple[str, ...]) -> Target:
 def jump_targets(auth: Auth, key_files: tuple[str, ...] = ()) -> tuple[Target, ...]:
     """Return the machines on the way that the cluster file names, the nearest first.
 
-    They are the user's own: their host keys are in the user's ``known_hosts``, and the user's
-    keys let in, as ``~/.ssh/config`` says.
-
-    Parameters
-    ----------
-    key_files : tuple of str
-        Tried first.
+    They are the user's own: their host keys are in the user's ``known_hosts``, and the user's keys
+    let in, as ``~/.ssh/config`` says; `key_files` are tried first.
     """
     if not auth.proxy_jumps:
         return ()

@@ -19,17 +19,9 @@ _CHUNK = 1 << 14
 def give_terminal(channel: paramiko.Channel, command: str) -> None:
     """Run a command, or a login shell, on this process's stdin, stdout and stderr, to its end.
 
-    Parameters
-    ----------
-    channel : paramiko.Channel
-        A fresh session.
-    command : str
-        Empty for a login shell.
-
-    Notes
-    -----
-    With a terminal on stdin there is one on the other side too, of the same size, and every key
-    goes there; without one, bytes go through as they are.
+    `channel` is a fresh session; an empty `command` is a login shell. With a terminal on stdin
+    there is one on the other side too, of the same size, and every key goes there; without one,
+    bytes go through as they are.
     """
     is_terminal = os.isatty(0)
     if is_terminal:

@@ -47,16 +47,9 @@ def send_file(
 ) -> None:
     """Send a file; see `Shell.put`.
 
-    Parameters
-    ----------
-    feed : callable
-        Runs a command on what it is given piece by piece; takes so many seconds for each piece,
-        and for the command's end.
-
-    Raises
-    ------
-    CloudError
-        The file cannot be read or written, or does not arrive as it was sent.
+    `feed` runs a command on what it is given piece by piece; its seconds are for each piece, and
+    for the command's end. Raises CloudError where the file cannot be read or written, or does not
+    arrive as it was sent.
     """
     place = f"{source} -> {target}"
     names = {
@@ -87,15 +80,8 @@ def send_file(
 def fetch_file(shell: Shell, read: Read, source: str, target: Path, on_progress: Progress) -> None:
     """Fetch a file; see `Shell.get`.
 
-    Parameters
-    ----------
-    read : callable
-        Yields what a command writes; takes so many seconds for each piece.
-
-    Raises
-    ------
-    CloudError
-        The file cannot be read or written, or does not arrive as it was sent.
+    `read` yields what a command writes; its seconds are for each piece. Raises CloudError where the
+    file cannot be read or written, or does not arrive as it was sent.
     """
     place, part, file = f"{source} -> {target}", part_of(target), shlex.quote(source)
     counted = shell.run(f'size=$(wc -c <{file}) && echo "size=$size"')

@@ -105,10 +105,7 @@ class KeyPairs:
     def find(self, cluster: str | None, groups: Iterable[GroupSeen]) -> list[KeyPairSeen]:
         """Return those of a cluster, or of every one where None.
 
-        Parameters
-        ----------
-        groups : iterable of GroupSeen
-            Our groups: where a cloud has no tags for key pairs, theirs alone are ours.
+        `groups` are ours: where a cloud has no tags for key pairs, theirs alone are ours.
         """
         clusters = {key_pair_name(g.cluster, g.incarnation): g.cluster for g in groups}
         described = self._calls.call(
@@ -125,10 +122,7 @@ class KeyPairs:
     def create(self, cluster: str, incarnation: str, public_key: str) -> KeyPairSeen:
         """Import a public key; a pair of this name is from an earlier try of the same life.
 
-        Returns
-        -------
-        KeyPairSeen
-            Without a fingerprint.
+        What is returned has no fingerprint.
         """
         name = key_pair_name(cluster, incarnation)
         parameters: Parameters = {"KeyName": name, "PublicKeyMaterial": public_key.encode()}
@@ -156,10 +150,7 @@ class KeyPairs:
 class SecurityGroups:
     """The security groups of an account that are ours, and their rules.
 
-    Parameters
-    ----------
-    subnets : tuple of str
-        Ids of subnets of one VPC, in which a group is made; none for the default.
+    A group is made in `subnets`, ids of subnets of one VPC; in the default without any.
     """
 
     def __init__(
@@ -184,17 +175,8 @@ class SecurityGroups:
     def create(self, cluster: str, incarnation: str, owner: Owner) -> GroupSeen:
         """Make a group without rules, or return the one that is there.
 
-        Where tags cannot be set at once its owner is empty.
-
-        Parameters
-        ----------
-        incarnation : str
-            Written into the description of a new group.
-
-        Raises
-        ------
-        CloudError
-            A group of this name is not hpcapp's, or the cloud refuses.
+        The description of a new one has the incarnation; where tags cannot be set at once its owner
+        is empty. Raises CloudError where one of this name is not hpcapp's, or the cloud refuses.
         """
         name = group_name(cluster)
         parameters: Parameters = {

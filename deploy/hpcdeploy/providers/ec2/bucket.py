@@ -31,18 +31,10 @@ Progress = Callable[[int, int], None]
 
 
 class S3Bucket:
-    """A place in a bucket.
+    """A place in a bucket, ``s3://bucket/prefix``; objects lie below ``prefix/cluster/``.
 
-    Parameters
-    ----------
-    url : str
-        ``s3://bucket/prefix``.
-    cluster : str
-        Its objects lie below ``prefix/cluster/``.
-    valid_s : float
-        How long addresses are valid, in seconds.
-    ca_bundle : str
-        Certificates (PEM) by which the head checks the bucket's own.
+    Addresses are valid for `valid_s` seconds. By the certificates in `ca_bundle` (PEM) the head
+    checks the bucket's own.
     """
 
     def __init__(
@@ -59,10 +51,7 @@ class S3Bucket:
     ) -> JobOrder:
         """Send a job's points unless they are there; return the order with its addresses.
 
-        Raises
-        ------
-        CloudError
-            The bucket does not take them.
+        Raises CloudError where the bucket does not take them.
         """
         source = f"{self._prefix}/points/{digest}{points.suffix}"
         target = f"{self._prefix}/meshes/{secrets.token_hex(8)}-{visible_line(order.mesh)}"
@@ -79,16 +68,8 @@ class S3Bucket:
     def fetch(self, status: JobStatus, target: Path) -> None:
         """Fetch a job's mesh, check it, and take it out of the bucket.
 
-        Parameters
-        ----------
-        status : JobStatus
-            Of the job, with the mesh's key and SHA-256.
-
-        Raises
-        ------
-        CloudError
-            The bucket does not give it, or gives another; or the head names an object that is no
-            mesh of this name.
+        `status` has the mesh's key and SHA-256. Raises CloudError where the bucket does not give
+        it, or gives another; or where the head names an object that is no mesh of this name.
         """
         self._check_key(status)
         part = part_of(target)
@@ -119,10 +100,7 @@ class S3Bucket:
     def clear(self) -> None:
         """Take away all that the cluster's jobs have put there, and uploads that were cut short.
 
-        Raises
-        ------
-        CloudError
-            The bucket does not let us.
+        Raises CloudError where the bucket does not let us.
         """
         where = {"Bucket": self._bucket, "Prefix": f"{self._prefix}/"}
         with self._translated():
@@ -229,10 +207,7 @@ class S3Bucket:
 
 
 def open_bucket(spec: ClusterSpec, base: Path) -> S3Bucket | None:
-    """Return the bucket that a cluster file names in ``data.s3``.
-
-    None where it names none.
-    """
+    """Return the bucket that a cluster file names in ``data.s3``; None where it names none."""
     cloud = spec.provider.cloud
     if cloud is None or spec.data.s3 is None:
         return None

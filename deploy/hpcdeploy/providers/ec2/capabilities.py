@@ -28,15 +28,11 @@ class Capabilities:
         ``TagSpecifications`` of ImportKeyPair and CreateSecurityGroup.
     tags_on_groups : bool
         Whether CreateTags takes security groups.
-    network_interfaces : bool
-        ``NetworkInterfaces`` of RunInstances.
-    spot : bool
-        ``InstanceMarketOptions``.
+    network_interfaces, spot, imds_v2 : bool
+        ``NetworkInterfaces``, ``InstanceMarketOptions``, ``MetadataOptions`` of RunInstances.
     ends_when_shut_down : bool
         Whether ``InstanceInitiatedShutdownBehavior`` is heeded: a Eucalyptus accepts and ignores
         it, so that a machine that switches itself off still exists.
-    imds_v2 : bool
-        ``MetadataOptions``.
     instance_types : bool
         Whether DescribeInstanceTypes answers as Amazon does.
     """

@@ -17,15 +17,10 @@ from hpcdeploy.spec.provider import CloudSpec, Profile
 def check_cloud(
     calls: Calls, cloud: CloudSpec, capabilities: Capabilities, images: Images
 ) -> list[Problem]:
-    """Look at credentials, images, types, zones, subnet and rights.
+    """Look at credentials, images, types, zones, subnet and rights, as far as `capabilities` go.
 
     A cloud that cannot be reached, or does not let us in, is the only problem named: all others
     follow from it.
-
-    Parameters
-    ----------
-    capabilities : Capabilities
-        Of the cloud: what it lacks is not looked at.
     """
     try:
         zones = calls.call("describe_availability_zones", "list the zones")["AvailabilityZones"]

@@ -47,13 +47,7 @@ def cloud_name(cloud: CloudSpec) -> str:
 def open_client(
     service: str, cloud: CloudSpec, base: Path, timeouts: Timeouts | None = None
 ) -> Client:
-    """Return a client of boto3 for a cloud.
-
-    Parameters
-    ----------
-    service : str
-        ``ec2``, ``s3`` or ``ssm``.
-    """
+    """Return a client of boto3 for a cloud's service ``ec2``, ``s3`` or ``ssm``."""
     clients = _Clients(cloud, base, timeouts or Timeouts())
     return clients.client(service, clients.timeouts.act_s)
 
@@ -82,10 +76,7 @@ def open_calls(
 def read_parameter(cloud: CloudSpec, base: Path, name: str) -> str:
     """Return the value of a parameter in the parameter store (SSM).
 
-    Raises
-    ------
-    CloudError
-        There is none, or it must not be read.
+    Raises CloudError where there is none, or it must not be read.
     """
     client = open_client("ssm", cloud, base)
     try:
@@ -160,10 +151,7 @@ class _Clients:
 def _certificates(named: str | None, base: Path) -> str | None:
     """Return the file of certificates to check the cloud's by; None for the system's own.
 
-    Raises
-    ------
-    CloudError
-        It is not there, be it boto3's own.
+    Raises CloudError where it is not there, be it boto3's own.
     """
     path = base / expand_home(named) if named else None
     name = next((n for n in ("AWS_CA_BUNDLE", "REQUESTS_CA_BUNDLE") if os.environ.get(n)), "")
@@ -194,19 +182,12 @@ def _config(service: str, connect_s: float, read_s: float) -> Config:
 class Calls:
     """Calls of EC2, repeated with growing waits, their errors translated.
 
-    Repeating is safe for each call that we make: launches carry a token, and what is there or
-    gone already is taken as done by the callers.
+    Repeating is safe for each call that we make: launches carry a token, and what is there or gone
+    already is taken as done by the callers.
 
-    Parameters
-    ----------
-    sleep : callable
-        Replaced in tests.
-    acting : callable, optional
-        Returns the client for changes, which waits longer for its answers.
-    renew : callable, optional
-        Returns another client, with the keys that are there by now.
-    first_s : float
-        Until the cloud has answered once, it is not asked again after that time.
+    `acting` returns the client for changes, which waits longer for its answers; `renew` another
+    client, with the keys that are there by now. Until the cloud has answered once, it is not asked
+    again after `first_s` seconds.
     """
 
     def __init__(
@@ -235,19 +216,10 @@ class Calls:
         not_yet: Collection[str] = (),
         **parameters: Any,
     ) -> Described:
-        """Make a call.
+        """Make a call; `operation` is in boto3's spelling: ``run_instances``.
 
-        Parameters
-        ----------
-        operation : str
-            In boto3's spelling: ``run_instances``.
-        not_yet : collection of str
-            Codes that a cloud gives until it has noticed its own last change: waited out.
-
-        Raises
-        ------
-        CloudError
-            `code_of` tells the cloud's own code.
+        Codes in `not_yet`, which a cloud gives until it has noticed its own last change, are waited
+        out. Raises CloudError, of which `code_of` tells the cloud's own code.
         """
         is_renewed = False
         deadline = time.monotonic() + self._first_s
@@ -287,13 +259,7 @@ class Calls:
         yield True
 
     def all_of(self, operation: str, key: str, doing: str, **parameters: Any) -> list[Described]:
-        """Return all entries of a list, page by page.
-
-        Parameters
-        ----------
-        key : str
-            Of the list in each reply.
-        """
+        """Return all entries of a list, page by page; `key` names the list in each reply."""
         entries: list[Described] = []
         tokens: set[str] = set()
         while True:

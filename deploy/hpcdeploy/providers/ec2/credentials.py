@@ -19,14 +19,9 @@ from hpcdeploy.spec.provider import CloudSpec
 class CloudKeys:
     """How to get into a cloud.
 
-    Parameters
-    ----------
-    access_key, secret_key, token : str, optional
-        None leaves it to AWS's own chain: environment, ``~/.aws``, the machine's role.
-    profile : str, optional
-        Of ``~/.aws``.
-    ec2_url, s3_url, ca_bundle : str, optional
-        Where the keys' own file names them; the cluster file overrules.
+    Keys and token are None for AWS's own chain: environment, ``~/.aws``, the machine's role.
+    `profile` is of ``~/.aws``; addresses and `ca_bundle` are what the keys' own file names: the
+    cluster file overrules.
     """
 
     access_key: str | None = None
@@ -39,22 +34,10 @@ class CloudKeys:
 
 
 def find_keys(cloud: CloudSpec, base: Path, environment: Mapping[str, str]) -> CloudKeys:
-    """Return the keys that a cluster file asks for.
+    """Return the keys that a cluster file asks for; empty where boto3 is to find them by itself.
 
-    Parameters
-    ----------
-    environment : mapping of str to str
-        Looked into where the file names no place.
-
-    Returns
-    -------
-    CloudKeys
-        Empty where boto3 is to find them by itself.
-
-    Raises
-    ------
-    CloudError
-        A file cannot be read, or names no keys.
+    `environment` is looked into where the file names no place. Raises CloudError where a file
+    cannot be read, or names no keys.
     """
     named = cloud.credentials
     if named.profile is not None:

@@ -116,19 +116,10 @@ def is_lost_answer(error: Exception) -> bool:
 
 
 def translate(error: Exception, doing: str, place: str) -> CloudError:
-    """Return the one line that a user reads.
+    """Return an error of boto3 as the one line that a user reads.
 
-    Parameters
-    ----------
-    error : Exception
-        boto3's.
-    doing : str
-        What was asked for: "launch worker-2 (m5.large, spot)".
-
-    Returns
-    -------
-    CloudError
-        A `CapacityError` where another type, market or zone may still be had.
+    `doing` is what was asked for: "launch worker-2 (m5.large, spot)". A `CapacityError` is returned
+    where another type, market or zone may still be had.
     """
     if isinstance(error, ResponseParserError):
         return CloudError(f"{place}: cannot {doing}: the answer is no EC2 answer", _advise(error))

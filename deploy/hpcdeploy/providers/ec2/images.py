@@ -17,10 +17,7 @@ from hpcdeploy.spec.provider import CloudSpec, Image
 class Images:
     """Finds images, each once; safe to use from several threads.
 
-    Parameters
-    ----------
-    read_parameter : callable
-        Returns the value of a parameter in the cloud's parameter store (SSM), by its name.
+    `read_parameter` returns a value in the cloud's parameter store (SSM), by its name.
     """
 
     def __init__(self, calls: Calls, read_parameter: Callable[[str], str]) -> None:
@@ -32,10 +29,7 @@ class Images:
     def find(self, image: Image) -> Described:
         """Return an image as the cloud describes it.
 
-        Raises
-        ------
-        CloudError
-            There is none, or it cannot be used yet.
+        Raises CloudError where there is none, or it cannot be used yet.
         """
         with self._lock:
             if image not in self._images:
@@ -43,13 +37,7 @@ class Images:
             return self._images[image]
 
     def decided(self, cloud: CloudSpec) -> tuple[str, ...]:
-        """Say which images were found for profiles that name none by its id.
-
-        Returns
-        -------
-        tuple of str
-            One line for each profile.
-        """
+        """Say which images were found for profiles that name none by its id, in a line each."""
         return tuple(
             f"image of profile {name}: {described['ImageId']} "
             f"({described.get('Name', 'without a name')}), "

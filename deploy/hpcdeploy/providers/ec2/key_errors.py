@@ -28,12 +28,8 @@ class NoKeysError(Exception):
 class Source:
     """Where keys come from.
 
-    Parameters
-    ----------
-    profile : str, optional
-        The one that was asked for; None for the environment, and what it falls back to.
-    profiles : mapping
-        All profiles of AWS's files, and what each says.
+    `profile` is the one that was asked for; None for the environment, and what it falls back to.
+    `profiles` are all of AWS's files, and what each says.
     """
 
     profile: str | None
@@ -41,13 +37,7 @@ class Source:
 
     @classmethod
     def of(cls, session: Any, named: str | None) -> Source:
-        """Return what a session of botocore has read.
-
-        Parameters
-        ----------
-        named : str, optional
-            The profile that the cluster file names.
-        """
+        """Return what a session of botocore has read; `named` is the cluster file's profile."""
         profile = named or os.environ.get("AWS_PROFILE") or os.environ.get("AWS_DEFAULT_PROFILE")
         return cls(profile, session.full_config.get("profiles", {}))
 
@@ -82,13 +72,7 @@ class Source:
 
 
 def explain_keys(error: Exception, source: Source, place: str) -> CloudError:
-    """Return the one line that a user reads.
-
-    Parameters
-    ----------
-    error : Exception
-        Whatever the chain raised.
-    """
+    """Return whatever the chain of keys raised as the one line that a user reads."""
     if isinstance(error, CloudError):
         return error
     what, advice = _explain(error, source)

@@ -31,13 +31,7 @@ def attempt_of(launch: Launch) -> str:
 
 
 def profile_of(cloud: CloudSpec, name: str) -> Profile:
-    """Return a profile of the cluster file.
-
-    Raises
-    ------
-    CloudError
-        There is none of this name.
-    """
+    """Return a profile of the cluster file; raise CloudError where none has this name."""
     try:
         return cloud.profiles[name]
     except KeyError:
@@ -64,13 +58,7 @@ def launch_parameters(
     group_id: str,
     image: Described,
 ) -> Parameters:
-    """Return what RunInstances is asked for.
-
-    Raises
-    ------
-    CloudError
-        The cloud cannot have such a machine.
-    """
+    """Return what RunInstances is asked for; raise CloudError where the cloud cannot have it."""
     if launch.market == "spot" and not capabilities.spot:
         raise CloudError(
             f"{cloud.type} has no spot market", "set the profile's market to on_demand"
@@ -165,17 +153,8 @@ def _where_known(capabilities: Capabilities, launch: Launch) -> Parameters:
 def root_disk(image: Described, disk_gb: int | None) -> dict[str, object] | None:
     """Return how the root disk is to differ from the image's; None where it need not.
 
-    A disk that outlives its machine would be left behind, so none does.
-
-    Parameters
-    ----------
-    disk_gb : int, optional
-        The size that is wanted, 10^9 bytes; by default the image's own.
-
-    Raises
-    ------
-    CloudError
-        The image has no root volume.
+    A disk that outlives its machine would be left behind, so none does. `disk_gb` is in 10^9 bytes;
+    by default the image's own. Raises CloudError where the image has no root volume.
     """
     root = image.get("RootDeviceName")
     volumes = {m.get("DeviceName"): m.get("Ebs", {}) for m in image.get("BlockDeviceMappings", [])}

@@ -64,15 +64,8 @@ class Timeouts:
 class Login:
     """A session of boto3, and the keys of its profile.
 
-    Parameters
-    ----------
-    region : str
-        Where a role is assumed, if its profile does not say it.
-
-    Raises
-    ------
-    CloudError
-        The profile does not exist, or its file cannot be read.
+    A role is assumed in `region`, if its profile does not say where. Raises CloudError where the
+    profile does not exist, or its file cannot be read.
     """
 
     def __init__(self, keys: CloudKeys, region: str, place: str, timeouts: Timeouts) -> None:
@@ -102,10 +95,7 @@ class Login:
     def check(self) -> None:
         """Have the keys at hand, and renew those that are about to expire.
 
-        Raises
-        ------
-        CloudError
-            There are none; it says whose, why and which command mends it.
+        Raises CloudError where there are none; it says whose, why and which command mends it.
         """
         if self._keys.access_key is not None:
             return
@@ -152,10 +142,7 @@ class Login:
 def default_region() -> str:
     """Return the region of the environment, or of its profile; empty where neither says it.
 
-    Raises
-    ------
-    CloudError
-        AWS's files cannot be read, or do not have the profile.
+    Raises CloudError where AWS's files cannot be read, or do not have the profile.
     """
     core = botocore.session.Session()
     try:

@@ -40,19 +40,13 @@ def key_pair_name(cluster: str, incarnation: str) -> str:
 def client_token(cluster: str, incarnation: str, name: NodeName, attempt: str = "") -> str:
     """Return the token by which the cloud recognises a repeated request to launch a node.
 
-    Parameters
-    ----------
-    incarnation : str
-        Drawn once for each life of the cluster, from the first `up` to `down`: a cloud remembers
-        a token after its machine is gone (see `GroupSeen`). Small letters and digits.
-    attempt : str
-        What is asked for when an earlier choice was not to be had: instance type and market.
+    `incarnation`, small letters and digits, is drawn once for each life of the cluster, from the
+    first `up` to `down`: a cloud remembers a token after its machine is gone (see `GroupSeen`).
+    `attempt` is what is asked for when an earlier choice was not to be had: instance type and
+    market.
 
-    Returns
-    -------
-    str
-        At most 64 characters; `read_client_token` reads it. A long cluster's name is cut, which
-        leaves the token unique by its incarnation.
+    It has at most 64 characters: a long cluster's name is cut, which leaves the token unique by its
+    incarnation. `read_client_token` reads it.
 
     Examples
     --------

@@ -49,12 +49,8 @@ _DESCRIPTION = re.compile(r"hpcapp cluster ([a-z][a-z0-9-]*) life ([0-9a-z]+)")
 class GroupSeen(Resource):
     """A security group of ours; its description holds the incarnation.
 
-    Parameters
-    ----------
-    ssh_from : frozenset of str
-        Networks (CIDR) that reach the SSH port.
-    internal_ports : frozenset of int
-        Ports that machines of the group reach on one another.
+    Networks (CIDR) in `ssh_from` reach the SSH port, and the group's machines the `internal_ports`
+    of one another.
     """
 
     ssh_from: frozenset[str] = frozenset()
@@ -155,10 +151,7 @@ def _read_lease(text: str) -> datetime | None:
 def read_group(described: Described, ssh_port: int) -> GroupSeen | None:
     """Return a security group as one of ours, or None where it is none.
 
-    Parameters
-    ----------
-    ssh_port : int
-        The port whose networks are `ssh_from`.
+    Its `ssh_from` are the networks that reach `ssh_port`.
     """
     match = _DESCRIPTION.fullmatch(described.get("Description", ""))
     if match is None or described["GroupName"] != PREFIX + match[1]:
@@ -187,11 +180,7 @@ def read_group(described: Described, ssh_port: int) -> GroupSeen | None:
 def ingress_rules(described: Described) -> set[Rule]:
     """Return the rules of a group, one for each source.
 
-    Returns
-    -------
-    set of tuple
-        Protocol, first and last port, kind of source (``cidr``, ``group`` or ``prefix_list``),
-        source.
+    Each is protocol, first and last port, kind (``cidr``, ``group``, ``prefix_list``) and source.
     """
     rules = set()
     for permission in described.get("IpPermissions", []):
@@ -214,10 +203,7 @@ def ingress_rules(described: Described) -> set[Rule]:
 def read_key_pair(described: Described, cluster: str | None) -> KeyPairSeen | None:
     """Return a key pair as one of ours, or None where it is none.
 
-    Parameters
-    ----------
-    cluster : str, optional
-        Whose it is known to be by its name, empty where nobody's; None where its tags tell.
+    `cluster` is whose it is by its name, empty where nobody's; None where its tags tell.
     """
     name = str(described["KeyName"])
     if cluster is None:

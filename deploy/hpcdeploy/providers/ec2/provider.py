@@ -91,12 +91,7 @@ def _no_parameters(name: str) -> str:
 class Ec2Provider(Provider):
     """A `Provider` over EC2's interface; safe to use from several threads.
 
-    Parameters
-    ----------
-    ssh_port : int
-        That `allow` opens.
-    read_parameter : callable
-        Returns the value of a parameter of the cloud's parameter store.
+    `allow` opens `ssh_port`; `read_parameter` returns a value of the cloud's parameter store.
     """
 
     makes_machines = True

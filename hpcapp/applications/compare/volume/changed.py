@@ -24,15 +24,9 @@ _TOUCHING = np.ones((3, 3), dtype=int)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rise:
-    """How much higher the cells are, shape (rows, columns) each; zero where nothing is common.
+    """How much higher cells are, (rows, columns) each; zero where nothing is common.
 
-    Parameters
-    ----------
-    volumes : ndarray of float64
-        Of the common part of each cell.
-    variances : ndarray of float64
-        Of the volumes.
-    is_common : ndarray of bool
+    Volumes and their variances are those of the common part of each cell.
     """
 
     volumes: FloatArray

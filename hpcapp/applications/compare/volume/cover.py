@@ -22,13 +22,9 @@ _AT_ONCE = 4_000_000  # of which distances are told at once
 
 
 def cover_cells(points: FloatArray, spacing: float, lattice: Lattice) -> FloatArray:
-    """Return the share of each cell that a scan covers, shape (rows, columns).
+    """Return the share of each cell that points (n, 3) cover, (rows, columns).
 
-    Parameters
-    ----------
-    points : ndarray of float64, shape (n, 3)
-    spacing : float
-        Where they are sparse.
+    The spacing is that where they are sparse.
     """
     fine = round(min(max(2.0 * lattice.step / spacing, 1.0), _FINEST))
     square = lattice.step / fine

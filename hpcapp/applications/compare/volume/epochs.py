@@ -57,13 +57,7 @@ FEW_LAYERS = 0.01
 class Epoch:
     """One of two scans of a place.
 
-    Parameters
-    ----------
-    name : str
-        For errors.
-    surface : Mesh or PointCloud
-        With heights as long as the other coordinates.
-    crs : Crs
+    Errors call it by its name; its heights are in the unit of x and y.
     """
 
     name: str
@@ -80,10 +74,7 @@ class Epoch:
     def turn(self, up: str, origin: FloatArray) -> Epoch:
         """Return the epoch in a frame with this origin, with z up.
 
-        Raises
-        ------
-        InputError
-            Its coordinates are from the centre of the earth: see `refuse_geocentric`.
+        Raise InputError where coordinates are from the earth's centre (`refuse_geocentric`).
         """
         low, high = (corner + self.surface.origin for corner in bound_points(self.positions))
         refuse_geocentric(self.name, low, high, self.crs)
@@ -112,10 +103,7 @@ class Epoch:
     def find_spacing(self) -> float:
         """Return the spacing of its points or vertices, seen from above, where they are sparse.
 
-        Raises
-        ------
-        InputError
-            All of it is over one place.
+        Raise InputError where all of it is over one place.
         """
         places = self.positions[:, :2]
         every = -(-len(places) // _TOLD)
@@ -140,16 +128,10 @@ class Epoch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measured:
-    """What changed, and how to show it.
+    """What changed, and how to show it; the unit of length is "" where it is not known.
 
-    Parameters
-    ----------
-    change : Change or SolidChange
-    unit : str
-        Of length; nothing where it is not known.
-    show : callable
-        Returns the new surface in the frame of the input, and how far each vertex is in front of
-        the old one, shape (v,): NaN where that is not there.
+    `show` returns the new surface in the frame of the input, and how far each vertex is in front of
+    the old one, (v,): NaN where that is not there.
     """
 
     change: Change | SolidChange
@@ -160,12 +142,8 @@ class Measured:
 def open_epoch(name: str) -> Epoch:
     """Read a mesh, or points.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, or has nothing in it.
-    UsageError
-        It is a shape, or its suffix is unknown.
+    Raise InputError where the file cannot be read or is empty, and UsageError where it is a shape,
+    or its suffix is unknown.
     """
     if name.startswith(SHAPE):
         raise UsageError(f"{name} is no scan", "give two meshes or two clouds of one place")
@@ -195,12 +173,10 @@ def measure_epochs(
 
     Parameters
     ----------
-    up : {"x", "y", "z"}
-        The axis that points up.
     step : float, optional
         Width of a cell of terrain; by default as wide as the sparser epoch needs.
     registration : float, optional
-        See `find_registration`.
+        What `find_registration` takes as vouched.
 
     Raises
     ------

@@ -75,7 +75,7 @@ def find_registration(
     Parameters
     ----------
     change : ndarray of float64, shape (n,)
-        How far the new surface is in front of the old one, in length units.
+        How far the new surface is in front of the old one.
     effect : ndarray of float64, shape (n, e)
         What a unit of each part of a shift adds.
     deviation : ndarray of float64, shape (n,)
@@ -83,8 +83,8 @@ def find_registration(
     farthest : ndarray of float64, shape (e,)
         Shifts beyond these are none that differences can tell.
     vouched : float, optional
-        Standard deviation of the shift along each axis, in length units, as control points tell
-        it; by default what is measured.
+        Standard deviation of the shift along each axis, as control points tell it; by default
+        what is measured.
     """
     least = _ROUNDING * float(np.ptp(change)) + np.finfo(np.float64).tiny
     deviation = np.maximum(deviation, least)

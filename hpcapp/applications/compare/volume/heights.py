@@ -24,19 +24,19 @@ _PAIRS = 2_000_000  # of a face and a line, that are tried at once
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Heights:
-    """The heights of one epoch.
+    """The heights of one epoch, (rows, columns) each.
 
     Parameters
     ----------
-    values : ndarray of float64, shape (rows, columns)
+    values : ndarray of float64
         Means over the cells; NaN where the epoch has no support.
-    variances : ndarray of float64, shape (rows, columns)
+    variances : ndarray of float64
         Of the values, as the scatter of points tells it; zero where nothing tells it.
-    planes : ndarray of float64, shape (rows, columns)
-        The same, smoothed over three by three cells: less noise, less relief.
-    cover : ndarray of float64, shape (rows, columns)
+    planes : ndarray of float64
+        The values, smoothed over three by three cells: less noise, less relief.
+    cover : ndarray of float64
         The share of each cell that the epoch covers.
-    is_layered : ndarray of bool, shape (rows, columns)
+    is_layered : ndarray of bool
         Where there are heights that differ by more than the width of a cell: a tree, a wall.
     """
 
@@ -50,14 +50,9 @@ class Heights:
 def fit_heights(points: FloatArray, lattice: Lattice, spacing: float) -> Heights:
     """Return the mean height of each cell: of its points, each taken along a slope to the middle.
 
-    The slope is that of the plane through the points of three by three cells. Where a cell holds no
-    point, its height is the plane's, if the mean of the points around is no farther than a cell.
-
-    Parameters
-    ----------
-    points : ndarray of float64, shape (n, 3)
-    spacing : float
-        Of the points, where they are sparse.
+    The slope is that of the plane through the points (n, 3) of three by three cells. Where a cell
+    has none, its height is the plane's, if the mean of the points around is no farther than a cell.
+    The spacing is that of the points where they are sparse.
     """
     places = lattice.in_cells(points)
     cells = np.rint(places).astype(np.int64)
@@ -128,10 +123,7 @@ def _gather(own: FloatArray) -> FloatArray:
 def drop_heights(mesh: Mesh, lattice: Lattice, is_solid: BoolArray | None = None) -> Heights:
     """Return the height of the highest face above the middle of each cell.
 
-    Parameters
-    ----------
-    is_solid : ndarray of bool, shape (f,), optional
-        The faces that count; by default all of them.
+    Only the solid faces (f,) count, by default all of them.
     """
     heights = np.full(lattice.count, -np.inf)
     lowest = np.full(lattice.count, np.inf)
@@ -151,12 +143,7 @@ def drop_heights(mesh: Mesh, lattice: Lattice, is_solid: BoolArray | None = None
 def cross_faces(mesh: Mesh, lattice: Lattice) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
     """Yield where the upright lines through the middles of cells meet faces.
 
-    Yields
-    ------
-    cells : ndarray of int64, shape (m,)
-    heights : ndarray of float64, shape (m,)
-    facing : ndarray of float64, shape (m,)
-        1 where a face looks up, -1 where it looks down.
+    That is m cells, the heights (m,), and 1 where the face looks up, -1 where down, (m,).
     """
     places = lattice.in_cells(mesh.vertices)
     corners = places[mesh.faces]  # (f, 3, 2)

@@ -16,14 +16,7 @@ whose coordinates are round."""
 class Lattice:
     """Cells seen from above, row by row.
 
-    Parameters
-    ----------
-    low : tuple of float
-        The corner of the first cell.
-    step : float
-        Width of a cell.
-    shape : tuple of int
-        Rows (along y) and columns (along x).
+    `low` is the corner of the first cell; its shape is rows (along y) and columns (along x).
     """
 
     low: tuple[float, float]

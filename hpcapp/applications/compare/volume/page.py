@@ -117,10 +117,7 @@ def make_page(new: str, old: str, measured: Measured, up: str) -> str:
 def write_picture(path: Path, measured: Measured, up: str) -> None:
     """Draw the new surface, coloured by what changed, with the volumes.
 
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
+    Raise OutputError where the file cannot be written.
     """
     mesh, values = measured.show()
     shown = replace(mesh, colours=_colour(values, _find_end(measured.change, values)))

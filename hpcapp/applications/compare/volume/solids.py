@@ -25,11 +25,6 @@ def measure_solids(new: Mesh, old: Mesh, registration: float | None) -> SolidCha
 
     Where one of them lies does not matter to what it encloses, but how finely it was meshed does,
     and how far all of its surface lies outside of the other one where nothing changed.
-
-    Parameters
-    ----------
-    registration : float, optional
-        See `find_registration`.
     """
     volumes = [
         Volume(signed_volume(mesh), find_resolution(mesh), 0.0, surface_area(mesh))
@@ -78,12 +73,7 @@ def find_resolution(mesh: Mesh) -> float:
 def _find_deviation(residual: FloatArray, places: FloatArray, area: float) -> float:
     """Return the standard deviation of the volume of noise: of blocks of the width that shows most.
 
-    Parameters
-    ----------
-    residual : ndarray of float64, shape (n,)
-    places : ndarray of float64, shape (n, 3)
-    area : float
-        Of the surface.
+    Residuals (n,) are at places (n, 3) of a surface of this area.
     """
     most, width = 0.0, float(np.sqrt(area / _SAMPLES))
     while len(residual):

@@ -37,15 +37,7 @@ of a twenty-fifth of the ground a change is told from four deviations of that pa
 def measure_terrain(
     new: Heights, old: Heights, border: float, lattice: Lattice, registration: float | None
 ) -> Change:
-    """Measure what changed between two grids of heights.
-
-    Parameters
-    ----------
-    border : float
-        Length units within which the border of both is known.
-    registration : float, optional
-        See `find_registration`.
-    """
+    """Measure what changed between two grids of heights, whose border is known within so much."""
     cover = _find_common(new.cover, old.cover)
     is_common = (cover > 0.0) & np.isfinite(new.values + old.values)
     area = lattice.step**2

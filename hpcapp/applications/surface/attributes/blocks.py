@@ -42,16 +42,9 @@ class _Part:
 
 @dataclass(slots=True, eq=False)
 class ColumnBlocks:
-    """The colours and attributes of a cloud in a folder.
+    """The colours and attributes of a cloud in a folder, which exists.
 
-    Parameters
-    ----------
-    folder : Path
-        Exists.
-    cloud : ArrangedCloud
-        Whose points they belong to.
-    layout : PointCloud
-        Without points: which colours and attributes the file has.
+    `layout`, without points, tells which colours and attributes the file has.
     """
 
     folder: Path
@@ -60,17 +53,9 @@ class ColumnBlocks:
     _parts: list[_Part] = field(default_factory=list)
 
     def add(self, points: PointCloud) -> None:
-        """Write the next points of the input.
+        """Write the next points of the input, in the cloud's frame and with the layout's columns.
 
-        Parameters
-        ----------
-        points : PointCloud
-            In the order of the input, in the frame of the cloud, with the columns of the layout.
-
-        Raises
-        ------
-        OutputError
-            The disk is full, or the folder cannot be written.
+        Raises OutputError where the disk is full, or the folder cannot be written.
         """
         cloud = self.cloud
         snapped = snap_points(cloud.arrangement, points.positions)
@@ -100,22 +85,10 @@ class ColumnBlocks:
         self._parts.append(_Part(path, keys, starts))
 
     def take_blocks(self, keys: IntArray) -> PointCloud:
-        """Return the points in some blocks, with their columns and those beside the cloud.
+        """Return the points in blocks of sorted, unique keys (k,), in the order of the cloud.
 
-        Parameters
-        ----------
-        keys : ndarray of int64, shape (k,)
-            Sorted, unique.
-
-        Returns
-        -------
-        PointCloud
-            In the order of the cloud.
-
-        Raises
-        ------
-        JobError
-            The folder is not whole, or the input was not the same when it was read again.
+        They have their columns and those beside the cloud. Raises JobError where the folder is not
+        whole, or the input was not the same when it was read again.
         """
         points, (records, blocks) = self.cloud.take_columns(keys), self._read(keys)
         counts = np.append(self.cloud.counts, 0)[find_keys(self.cloud.keys, keys)]

@@ -46,15 +46,9 @@ class Carried:
 class AttributeField:
     """The colours and attributes of a cloud, as functions of the place.
 
-    Parameters
-    ----------
-    points : PointCloud
-        With colours, attributes or none; at least one point. Of several clouds that hold the
-        same points in the same order, and others farther away, each gives the same bits.
-    labels : collection of str
-        Attributes of which no mean is taken.
-    threads : int
-        The values do not depend on it.
+    It has at least one point, and may have neither colours nor attributes. Of several clouds that
+    hold the same points in the same order, and others farther away, each gives the same bits. Of
+    `labels` no mean is taken.
     """
 
     def __init__(self, points: PointCloud, labels: Collection[str], threads: int = 1) -> None:
@@ -65,13 +59,7 @@ class AttributeField:
         self._tree = cKDTree(points.positions, compact_nodes=False, balanced_tree=False)
 
     def evaluate(self, places: FloatArray) -> Carried:
-        """Return what places take from the points near them.
-
-        Parameters
-        ----------
-        places : ndarray of float64, shape (n, 3)
-            In the frame of the points.
-        """
+        """Return what places (n, 3), in the frame of the points, take from the points near them."""
         points, count = self._points, len(places)
         colours = None if points.colours is None else np.empty((count, 3), points.colours.dtype)
         attributes = {
@@ -115,21 +103,10 @@ class AttributeField:
 def carry_attributes(
     vertices: FloatArray, points: PointCloud, labels: Collection[str] = ()
 ) -> PointCloud:
-    """Return vertices with the colours and attributes of the points near them.
+    """Return vertices (n, 3), without normals, with colours and attributes of points near them.
 
-    Parameters
-    ----------
-    vertices : ndarray of float64, shape (n, 3)
-        In the frame of the points.
-    points : PointCloud
-        At least one.
-    labels : collection of str
-        Attributes that are taken from the nearest point.
-
-    Returns
-    -------
-    PointCloud
-        The vertices, and no normals.
+    They are in the frame of the points, of which there is at least one. Attributes in `labels` are
+    taken from the nearest point.
 
     Examples
     --------

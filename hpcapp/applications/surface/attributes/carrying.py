@@ -42,9 +42,7 @@ class Carrying:
     evaluate : Evaluate or None
         None where nothing is taken from the points.
     spacing : float or None
-        Of the points, in length units of the input, where the support is asked for.
-    has_normals : bool
-        Whether the vertices get normals.
+        Of the points, where the support is asked for.
     crs : Crs
         What the input's coordinates mean. Heights of another unit than x and y, which were scaled
         for the surface, get their own again.
@@ -84,10 +82,7 @@ class Carrying:
     def to_stream(self, stream: MeshStream) -> MeshStream:
         """Return a mesh whose vertices carry it, in the input's coordinates.
 
-        Returns
-        -------
-        MeshStream
-            Vertices are looked up as they are asked for.
+        Vertices are looked up as they are asked for.
         """
         known = replace(stream, crs=self.crs)
         if not self.is_something:
@@ -103,13 +98,7 @@ class Carrying:
         return replace(self, has_normals=False).to_stream(tile)
 
     def to_mesh(self, mesh: Mesh) -> Mesh:
-        """Return a mesh in memory whose vertices carry it.
-
-        Returns
-        -------
-        Mesh
-            The same vertices and faces, in the input's coordinates.
-        """
+        """Return a mesh in memory whose vertices carry it, in the input's coordinates."""
         if not self.is_something:
             return mesh
         stream = self.to_stream(as_stream(mesh))

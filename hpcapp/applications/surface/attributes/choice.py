@@ -35,10 +35,8 @@ class AttributeChoice:
         columns.
     names : tuple of str
         Columns by name; ``colours`` are three.
-    has_normals : bool
-        Normals of the vertices.
-    has_support : bool
-        Distances of the nearest points.
+    has_normals, has_support : bool
+        Normals of the vertices, and distances of the nearest points.
     has_confidence : bool
         How sure the sides of the normals are, where they are estimated or mended.
     is_picture : bool
@@ -55,10 +53,7 @@ class AttributeChoice:
     def for_texture(self) -> AttributeChoice:
         """Return what of it a texture holds, in place of the vertices.
 
-        Raises
-        ------
-        UsageError
-            Something else is asked for by its name.
+        Raises UsageError where something else is asked for by its name.
         """
         is_plain = not (self.has_normals or self.has_support or self.has_confidence)
         if not is_plain or set(self.names) - {_COLOURS[0]}:
@@ -71,32 +66,16 @@ class AttributeChoice:
     def name_confidence(self, layout: PointCloud) -> str | None:
         """Return by which name points keep how sure their sides are; None where they need not.
 
-        Parameters
-        ----------
-        layout : PointCloud
-            What the input has already.
+        `layout` is what the input has already.
         """
         is_needed = self.has_confidence and CONFIDENCE not in layout.attributes
         return CONFIDENCE if is_needed else None
 
     def select(self, cloud: PointCloud, source: str) -> PointCloud:
-        """Leave out the columns that are not asked for.
+        """Leave out the columns that are not asked for; positions and normals stay.
 
-        Parameters
-        ----------
-        cloud : PointCloud
-        source : str
-            The file it came from, for messages.
-
-        Returns
-        -------
-        PointCloud
-            With the same positions and normals.
-
-        Raises
-        ------
-        UsageError
-            A column that is asked for is not there; the message names those that are.
+        Raises UsageError where a column that is asked for is not there: it names `source`, the
+        file, and those that are.
         """
         known = list(cloud.attributes)
         if cloud.colours is not None:
@@ -121,19 +100,11 @@ class AttributeChoice:
 
 
 def parse_attributes(text: str) -> AttributeChoice:
-    """Return what ``--attributes`` asks for.
+    """Return what ``--attributes`` asks for: ``none``, or names with commas between them.
 
-    Parameters
-    ----------
-    text : str
-        ``none``, or names with commas between them, of which ``auto`` means all columns,
-        ``normals`` and ``support`` what is made for the vertices, and ``confidence`` what is
-        found with the points' normals.
-
-    Raises
-    ------
-    UsageError
-        A name is empty, or stands beside ``none``.
+    Of these ``auto`` means all columns, ``normals`` and ``support`` what is made for the vertices,
+    and ``confidence`` what is found with the points' normals. Raises UsageError where a name is
+    empty, or stands beside ``none``.
 
     Examples
     --------

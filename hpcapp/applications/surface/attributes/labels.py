@@ -44,13 +44,7 @@ class LabelSearch:
         return frozenset(self._named.union(few))
 
     def add(self, attributes: Mapping[str, NDArray[Any]]) -> None:
-        """Look through the next points of the cloud.
-
-        Parameters
-        ----------
-        attributes : dict of str to ndarray, shape (n,)
-            Columns by name; NaN does not count.
-        """
+        """Look through the next points of the cloud: columns (n,) by name; NaN does not count."""
         for name, column in attributes.items():
             if column.dtype.kind == "b" or _NAMES.search(name.lower()):
                 self._named.add(name)
@@ -63,12 +57,7 @@ class LabelSearch:
 
 
 def find_labels(attributes: Mapping[str, NDArray[Any]]) -> frozenset[str]:
-    """Return the columns of a cloud that hold labels; see `LabelSearch`.
-
-    Parameters
-    ----------
-    attributes : dict of str to ndarray, shape (n,)
-    """
+    """Return the columns of a cloud that hold labels; see `LabelSearch`."""
     search = LabelSearch()
     search.add(attributes)
     return search.labels

@@ -89,27 +89,12 @@ def evaluate_blocks(
     threads: int = 1,
     points: int = 1 << 20,
 ) -> Carried:
-    """Return what places take from the points of a cloud that is not in memory.
+    """Return what places (n, 3) take from the points of a cloud that is not in memory.
 
-    Parameters
-    ----------
-    cloud : ArrangedCloud
-    take : callable
-        Given sorted keys of blocks, returns their points with the columns (see `ColumnBlocks`).
-    labels : collection of str
-        Attributes of which no mean is taken.
-    spacing : float
-        Of the points, in length units of the input; decides about time, not about values.
-    places : ndarray of float64, shape (n, 3)
-        In the frame of the cloud.
-    threads : int
-    points : int
-        So many are in memory at once, about, with some hundred bytes each.
-
-    Returns
-    -------
-    Carried
-        That of `AttributeField.evaluate` of all points at once, but for `farthest`.
+    `take`, given sorted keys of blocks, returns their points with the columns (see `ColumnBlocks`);
+    of `labels` no mean is taken; places are in the frame of the cloud. `spacing` decides about
+    time, not about values. So many `points` are in memory at once, about, with some hundred bytes
+    each. The result is that of `AttributeField.evaluate` of all at once, but for `farthest`.
     """
     search = _Search(cloud, take, labels, threads, points)
     order, parts = [np.empty(0, np.int64)], []

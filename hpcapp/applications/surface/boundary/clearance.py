@@ -51,14 +51,8 @@ _PLACES_AT_ONCE = 1 << 17  # with eight ways of 24 bytes each; no result depends
 class SupportRule:
     """How far the points support the surface.
 
-    Parameters
-    ----------
-    least : float
-        The radius of a point, in length units of the input.
-    spacings : float
-        The radius in spacings, where that is more.
-    scale : LocalScale
-        Of the points.
+    The radius of a point is `least`, in length units of the input, or so many spacings of the
+    points there, where that is more.
     """
 
     least: float
@@ -92,19 +86,10 @@ class SupportRule:
     def own_radii(
         self, tree: cKDTree, rows: IntArray, radii: FloatArray, threads: int
     ) -> FloatArray:
-        """Return the radii of some points by their own neighbours.
+        """Return the radii (k,) of some rows of the tree, which has all points around.
 
-        They lie between those by the spacing around and by that of the whole cloud: few points in
-        a corner that is hardly seen make no sparse surface.
-
-        Parameters
-        ----------
-        tree : cKDTree
-            Of all points around.
-        rows : ndarray of int64, shape (k,)
-            Of these.
-        radii : ndarray of float64, shape (k,)
-            By the spacing around.
+        They lie between those by the spacing around, `radii` (k,), and by that of the whole cloud:
+        few points in a corner that is hardly seen make no sparse surface.
         """
         if not self.spacings:
             return radii
@@ -128,19 +113,10 @@ class SupportRule:
 def measure_clearance(
     places: FloatArray, cloud: PointCloud, rule: SupportRule, threads: int = 1
 ) -> Float32Array:
-    """Tell how far some places on a surface are from the points that support them.
+    """Tell how far places (v, 3) on a surface are from the points that support them, (v,).
 
-    Parameters
-    ----------
-    places : ndarray of float64, shape (v, 3)
-        In length units of the input.
-    cloud : PointCloud
-        With normals; all points within `rule.reach` of a place, in any order.
-
-    Returns
-    -------
-    ndarray of float32, shape (v,)
-        In radii of the points: below 1 where points support the surface. Clamped to 0.85 and 1.5.
+    It is in radii of the points: below 1 where points support the surface, clamped to 0.85 and 1.5.
+    The cloud has normals, and all points within `rule.reach` of a place, in any order.
     """
     if not len(places) or not len(cloud):
         return np.full(len(places), _MOST, np.float32)

@@ -23,11 +23,7 @@ SURE = 0.9
 def weigh_open(reading: Reading, unsupported: float) -> float:
     """Return the probability that a scan is open, 0 to 1.
 
-    Parameters
-    ----------
-    reading : Reading
-    unsupported : float
-        Share of the closed surface that no point supports, 0 to 1.
+    `unsupported` is the share of the closed surface that no point supports, 0 to 1.
     """
     share = reading.share_going_on
     ends, goes_on = (

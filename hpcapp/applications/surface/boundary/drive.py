@@ -64,12 +64,7 @@ _STEPS_OF_PART = 3  # it is judged, surveyed and cut, or less
 class OpeningSettings:
     """What a user asks of the borders of the surface.
 
-    Parameters
-    ----------
-    close : str
-        ``auto``, ``yes`` or ``no``.
-    trim, fill_holes : Length or None
-        None where they are to be chosen.
+    `close` is ``auto``, ``yes`` or ``no``; a length is None where it is to be chosen.
     """
 
     close: str = "yes"
@@ -88,8 +83,6 @@ class Closure:
 
     Parameters
     ----------
-    is_open : bool
-    reason : str
     trim, fill_holes : float
         In length units of the input; 0 where nothing was cut.
     holes, crumbs : int
@@ -134,16 +127,7 @@ class Closure:
 class _Parts:
     """The parts of a closed surface, and where their tasks run.
 
-    Parameters
-    ----------
-    surface : Surface
-    cloud : ArrangedCloud
-    plan : Plan
-    workforce : Workforce
-    shared : Checkpoint or None
-        Where workers see both the parts and the points; None where tasks run here.
-    threads : int
-        Of a task.
+    `shared` is where workers see both the parts and the points; None where tasks run here.
     """
 
     surface: Surface
@@ -172,15 +156,7 @@ class _Parts:
         return self.surface.load(index)
 
     def near(self, bricks: IntArray, reach: float) -> Near:
-        """Return the points within reach of what a part gives in some of its bricks.
-
-        Parameters
-        ----------
-        bricks : ndarray of int64, shape (k,)
-            Keys.
-        reach : float
-            In length units of the input.
-        """
+        """Return the points within reach of what a part gives in bricks of some keys (k,)."""
         blocks, keys, edge = self.cloud.arrangement, self.cloud.keys, BRICK * self.plan.step
         if not len(bricks):
             return Near(self.cloud.place, keys[:0], np.zeros((2, 3)))
@@ -225,25 +201,10 @@ def close_surface(
 ) -> tuple[Surface, Closure]:
     """Leave a closed surface as it is, or cut it open where no point supports it.
 
-    Parameters
-    ----------
-    surface : Surface
-        Closed. The parts that it holds in memory are let go where it is cut.
-    cloud : ArrangedCloud
-    plan : Plan
-    asked : OpeningSettings
-    workforce : Workforce
-    shared : Checkpoint or None
-        Where workers see both the parts and the points; None where this process does the work.
-    threads : int
-        The result does not depend on it.
-    advance : callable
-        Told (steps done, steps in all): each part is judged, surveyed and cut, or less.
-
-    Raises
-    ------
-    InputError
-        Nothing is left.
+    The parts that it holds in memory are let go where it is cut. `shared` is where workers see both
+    the parts and the points; None where this process does the work. `advance` is told (steps done,
+    steps in all): each part is judged, surveyed and cut, or less. Raises InputError where nothing
+    is left.
     """
     if asked.close == "yes":
         return surface, Closure(False, "closed, as asked")

@@ -10,38 +10,16 @@ from hpccomponent.ranges import is_number
 
 @dataclass(frozen=True, slots=True)
 class Length:
-    """A length that stands for itself or for so many spacings.
-
-    Parameters
-    ----------
-    value : float
-    in_spacings : bool
-        Else in length units of the input.
-    """
+    """A length in units of the input, or in spacings of the points."""
 
     value: float
     in_spacings: bool
 
 
 def parse_length(name: str, text: str) -> Length | None:
-    """Return what an option says.
+    """Return what an option says: ``auto`` (None), ``0.05``, or ``3s`` for three spacings.
 
-    Parameters
-    ----------
-    name : str
-        Of the option, for messages.
-    text : str
-        ``auto``, ``0.05``, or ``3s`` for three spacings.
-
-    Returns
-    -------
-    Length or None
-        None for ``auto``.
-
-    Raises
-    ------
-    UsageError
-        It is none of these, negative, or beyond `is_number`.
+    Raises UsageError where it is none of these, negative, or beyond `is_number`.
 
     Examples
     --------

@@ -104,19 +104,8 @@ def drop_copies(
 ) -> tuple[MeshPart, FloatArray]:
     """Leave out the bricks that another part gives; what faces use of them becomes foreign.
 
-    Parameters
-    ----------
-    taken : ndarray of bool, shape (b,)
-        Which of its bricks the part gives.
-    places : ndarray of float64, shape (g, 3)
-        Where its foreign vertices are.
-
-    Returns
-    -------
-    part : MeshPart
-        Without guests.
-    places : ndarray of float64
-        Where the foreign vertices of that are.
+    `taken` (b,) tells which bricks the part gives, `places` (g, 3) where its foreign vertices are.
+    Returns the part, without guests, and where the foreign vertices of that are.
     """
     if taken.all():
         return replace(part, guests=np.zeros(len(taken), np.bool_)), places
@@ -157,18 +146,11 @@ def drop_copies(
 def survey_opening(
     part: MeshPart, places: FloatArray, clearances: Float32Array, rim: IntArray
 ) -> tuple[OpeningSurvey, OpeningSeams]:
-    """Find the bare patches of a part, and what the line around them cuts.
+    """Find the bare patches of a part without guests, and what the line around them cuts.
 
-    Parameters
-    ----------
-    part : MeshPart
-        Without guests.
-    places : ndarray of float64, shape (g, 3)
-        Where its foreign vertices are.
-    clearances : ndarray of float32, shape (v + g,)
-        Of its vertices and then the foreign ones.
-    rim : ndarray of int64, shape (r,)
-        Rows of vertices that other parts may name; -1 for those that another part has.
+    `places` (g, 3) are where its foreign vertices are, and `clearances` (v + g,) those of its
+    vertices and then the foreign ones. `rim` (r,) has rows of vertices that other parts may name;
+    -1 for those that another part has.
     """
     own, bare = len(part.vertices), clearances >= 1.0
     # (3 f,): both ends of each side of a face, as nodes.
@@ -207,18 +189,11 @@ def cut_opening(
     foreign_numbers: IntArray,
     seam_cuts: IntArray,
 ) -> MeshPart:
-    """Leave out the bare patches of a part.
+    """Leave out the bare patches of a part without guests, but for holes that are filled.
 
-    Parameters
-    ----------
-    part : MeshPart
-        Without guests.
-    stays : ndarray of bool, shape (c,)
-        The bare patches that stay: holes that are filled.
-    foreign_numbers : ndarray of int64, shape (g,)
-        Of the foreign vertices, in their bricks of the open mesh.
-    seam_cuts : ndarray of int64, shape (m, 2)
-        Brick and number of the cuts through the edges of `OpeningSeams.edges`.
+    These are the patches that `stays` (c,). `foreign_numbers` (g,) are those of the foreign
+    vertices in their bricks of the open mesh, `seam_cuts` (m, 2) brick and number of the cuts
+    through the edges of `OpeningSeams.edges`.
     """
     numbers = _Numbers(part, survey)
     stays_there = np.append(stays, True)[survey.labels]  # label -1 is the last one

@@ -38,15 +38,7 @@ def opened_bytes(taken: TakenBricks, keep: tuple[str, str] | None) -> int:
 
 
 def open_surface(taken: TakenBricks, keep: tuple[str, str] | None) -> Declared:
-    """Return the pattern of what `tasks.open_part` returns, or keeps.
-
-    Parameters
-    ----------
-    taken : TakenBricks
-        What the part gives.
-    keep : tuple of str or None
-        A store and a name, where it is kept.
-    """
+    """Return the pattern of what `tasks.open_part` returns, or keeps in a store by a name."""
     bricks = Bounds(agrees=taken.holds, rule="bricks are the part's own")
     most = _CUT_VERTICES, _CUT_FACES
     return part_surface(bricks, Bounds().of(Exits, {"exits": 0}), taken.box, most, keep)

@@ -25,16 +25,7 @@ from hpccomponent.errors import JobError
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatchedSeams:
-    """What is decided for each part; see `opening.cut_opening`.
-
-    Parameters
-    ----------
-    stays : list of ndarray of bool
-    foreign_numbers : list of ndarray of int64
-    seam_cuts : list of ndarray of int64
-    holes : int
-        Patches of the whole surface that stay.
-    """
+    """What is decided for each part (see `cut_opening`); `holes` of the whole surface stay."""
 
     stays: list[BoolArray]
     foreign_numbers: list[IntArray]
@@ -83,13 +74,10 @@ def _refuse_unknown() -> JobError:
 
 
 def place_foreign(plan: StitchingPlan) -> list[FloatArray]:
-    """Return where the foreign vertices of each part are.
+    """Return where the foreign vertices of each part are, (g, 3).
 
-    Returns
-    -------
-    list of ndarray of float64, shape (g, 3)
-        NaN where only guest bricks that another part gives use the vertex: inside of that part it
-        may be no part of the rim.
+    NaN where only guest bricks that another part gives use the vertex: inside of that part it may
+    be no part of the rim.
     """
     rims = _Rims(plan)
     places = np.concatenate([summary.rim_places for summary in plan.summaries])
@@ -103,17 +91,10 @@ def place_foreign(plan: StitchingPlan) -> list[FloatArray]:
 def match_seams(
     plan: StitchingPlan, seams: Sequence[OpeningSeams], fill: Callable[[FloatArray], FloatArray]
 ) -> MatchedSeams:
-    """Join the bare patches of all parts, and match what they cut along their seams.
+    """Join the bare patches of all closed parts, and match what they cut along their seams.
 
-    Parameters
-    ----------
-    plan : StitchingPlan
-        Of the closed parts.
-    seams : sequence of OpeningSeams
-        Of the parts.
-    fill : callable
-        Given places, returns how large patches there may be that stay, in length units of the
-        input: the diagonal of the box around one.
+    `fill`, given places, returns how large patches there may be that stay, in length units of the
+    input: the diagonal of the box around one.
     """
     rims = _Rims(plan)
     label_starts = starts_of(np.array([len(some.extents) for some in seams], np.int64))

@@ -36,14 +36,9 @@ class Support:
 def measure_support(
     share: float, places: FloatArray, cloud: ArrangedCloud, rule: SupportRule
 ) -> Support:
-    """Tell how far the unsupported places of a surface are from the points.
+    """Tell how far the unsupported places (k, 3) of a surface are from the points.
 
-    Parameters
-    ----------
-    share : float
-        Of the surface that points support.
-    places : ndarray of float64, shape (k, 3)
-        On the rest, in the frame of the cloud; of very many an even sample is measured.
+    Points support a `share`. Places are in the cloud's frame; of very many an even sample counts.
     """
     few = places[:: max(1, -(-len(places) // _MEASURED))]
     return Support(share, find_farthest(few, cloud), rule.most)
@@ -52,11 +47,9 @@ def measure_support(
 def find_farthest(places: FloatArray, cloud: ArrangedCloud) -> float:
     """Return the largest distance of places from the point nearest to each; 0 without places.
 
-    Notes
-    -----
-    A block of points bounds a place's distance from both sides. Places are looked at by their
-    upper bounds, until these are below what was found, and points are read of those blocks only
-    that may hold the nearest: a few, wherever they are.
+    A block of points bounds a place's distance from both sides. Places are looked at by their upper
+    bounds, until these are below what was found, and points are read of those blocks only that may
+    hold the nearest: a few, wherever they are.
     """
     edge = cloud.arrangement.edge
     middles = cloud.arrangement.origin + edge * (unpack_keys(cloud.keys) + 0.5)  # (b, 3)

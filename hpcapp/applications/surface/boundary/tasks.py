@@ -78,23 +78,8 @@ def judge_support(
 ) -> tuple[int, int, BarePlaces]:
     """Tell how much of a part no point supports, by a vertex of some of its bricks (a task).
 
-    Parameters
-    ----------
-    part : MeshPart or tuple of str
-    taken : TakenBricks
-    near : Near
-        All points within the rule's reach of them.
-    rule : SupportRule
-    one_in : int
-        So many bricks make one that is looked at.
-    threads : int
-        The result does not depend on it.
-
-    Returns
-    -------
-    bare, whole : int
-        Areas, see `TakenBricks`.
-    places : BarePlaces
+    One in so many bricks is looked at; `near` has all points within the rule's reach of them.
+    Returns the areas without support and of all (see `TakenBricks.areas`), and the bare places.
     """
     held = _hold(part)
     areas = np.zeros(len(held.vertex_counts), np.int64)
@@ -117,26 +102,9 @@ def survey_support(
 ) -> tuple[OpeningSurvey | None, OpeningSeams]:
     """Find where the points' support of a part ends (a task).
 
-    Parameters
-    ----------
-    part : MeshPart or tuple of str
-        The survey of one that is kept is put beside it.
-    taken : TakenBricks
-    places : ndarray of float64, shape (g, 3)
-        Where its foreign vertices are.
-    rim : ndarray of int32, shape (r,)
-        Rows of its vertices that other parts may name.
-    near : Near
-        All points within the rule's reach of the vertices.
-    rule : SupportRule
-    threads : int
-        The result does not depend on it.
-
-    Returns
-    -------
-    survey : OpeningSurvey or None
-        None where it is kept.
-    seams : OpeningSeams
+    `places` (g, 3) are where its foreign vertices are, `rim` (r,) rows of its vertices that other
+    parts may name, and `near` has all points within the rule's reach of the vertices. The survey of
+    a part that is kept is put beside it; it is None here.
     """
     held = _hold(part)
     is_taken = taken.mark(held)
@@ -165,24 +133,11 @@ def open_part(
     decided: tuple[BoolArray, IntArray, IntArray],
     keep: tuple[str, str] | None = None,
 ) -> tuple[MeshPart | None, PartSummary, Exits]:
-    """Cut a part open (a task).
+    """Cut a part open (a task); it is returned as `mesh_tile` does, without exits.
 
-    Parameters
-    ----------
-    part : MeshPart or tuple of str
-    taken : TakenBricks
-    survey : OpeningSurvey or None
-        None where it is kept beside the part.
-    decided : tuple
-        Which patches stay, the numbers of foreign vertices, and the names of the cuts through
-        edges with one face (see `cut_opening`).
-    keep : tuple of str, optional
-        A store and a name, under which the result is put there.
-
-    Returns
-    -------
-    part, summary, exits
-        As those of `mesh_tile`; there are no exits.
+    The survey is None where it is kept beside the part. `decided` are which patches stay, numbers
+    of foreign vertices, and names of the cuts through edges with one face (see `cut_opening`). With
+    `keep`, a store and a name, the result is put there.
     """
     if survey is None:
         assert not isinstance(part, MeshPart)  # noqa: S101 - its survey would be at hand

@@ -38,10 +38,8 @@ class Cleaned:
 
     Parameters
     ----------
-    outliers : int
-        Points that were dropped because they lie far from every surface.
-    strays : int
-        Points that were dropped although they lie near one.
+    outliers, strays : int
+        Points that were dropped because they lie far from every surface, or although near one.
     flipped : int
         Normals that were turned round.
     repeated : int
@@ -79,10 +77,7 @@ class Cleaned:
 
 
 def drop_repeated(cloud_pass: PassT) -> tuple[PassT, int]:
-    """Drop the points at the place of another, and return how many they were.
-
-    The first point of each place stays.
-    """
+    """Drop the points at the place of one before them, and return how many they were."""
     cloud_pass, counts = cloud_pass.rewrite(tasks.drop_repeated)
     return cloud_pass, sum(count for (count,) in counts)
 
@@ -92,29 +87,10 @@ def clean(
 ) -> tuple[PassT, Cleaned, LocalScale]:
     """Drop the points that are not needed, or that belong to no surface, and find the scale.
 
-    Parameters
-    ----------
-    cloud_pass : CloudPass
-        Through ten points or more. Far ones must have been dropped: see `drop_far`.
-    drops : bool
-        Otherwise all points stay.
-    in_cells : bool
-        Whether the cloud lies in blocks, in whose cells its spacing is told.
-    has_normals : bool
-        What has none must lie on a surface.
-
-    Returns
-    -------
-    cloud_pass : CloudPass
-        Through the points that remain, in their order.
-    cleaned : Cleaned
-    scale : LocalScale
-        Of these.
-
-    Raises
-    ------
-    InputError
-        Points without normals lie on no surface.
+    There must be ten points or more, without far ones (see `drop_far`). Unless it `drops`, all
+    stay. `in_cells` says that the cloud lies in blocks, in whose cells its spacing is told. Returns
+    a pass through the points that remain, in their order, and their scale. Raises InputError where
+    points without normals lie on no surface.
     """
     cleaned = Cleaned()
     if drops:
@@ -132,10 +108,7 @@ def clean(
 
 
 def thin_lines(cloud_pass: PassT) -> tuple[PassT, Cleaned, LocalScale]:
-    """Drop the points along scan lines that are closer than the lines' gap asks for.
-
-    What is returned is as of `clean`.
-    """
+    """Drop the points along scan lines that are closer than the lines' gap asks for."""
     scale, boxes = measure_lines(cloud_pass)
     if len(boxes.keys):
         boxes = keep_lines(boxes, cloud_pass.each(tasks.count_lines, boxes))
@@ -151,18 +124,8 @@ def thin_lines(cloud_pass: PassT) -> tuple[PassT, Cleaned, LocalScale]:
 def drop_strays(cloud_pass: PassT, scale: LocalScale) -> tuple[PassT, Cleaned, LocalScale]:
     """Drop the points that belong to no surface; normals are not asked.
 
-    Where some are gone, fewer are left that could vouch for the others: these are asked again.
-
-    Parameters
-    ----------
-    cloud_pass : CloudPass
-        Through ten points or more. Far ones must have been dropped: see `drop_far`.
-    scale : LocalScale
-        Of these.
-
-    Notes
-    -----
-    What is returned is as of `clean`.
+    Where some are gone, fewer are left that could vouch for the others: these are asked again. What
+    is given and returned is as of `clean`.
     """
     spacing, margin = scale.spacing, MARGIN * scale.spacing
     outliers = strays = 0
@@ -197,15 +160,7 @@ def _drop_lone_lines(cloud_pass: PassT, spacing: float) -> tuple[PassT, int]:
 
 
 def mend_normals(cloud_pass: PassT, spacing: float) -> tuple[PassT, int]:
-    """Turn round the normals that their neighbours contradict, and return how many they were.
-
-    Parameters
-    ----------
-    cloud_pass : CloudPass
-        Through points with unit normals.
-    spacing : float
-        Of its points, in length units of the input.
-    """
+    """Turn round unit normals that their neighbours contradict, and return how many they were."""
     margin = consistency.MARGIN * spacing
     given = lay_lattice(cloud_pass.cloud.low, spacing), spacing
     cloud_pass, counts = cloud_pass.rewrite(tasks.mend_region, *given, margin=margin)

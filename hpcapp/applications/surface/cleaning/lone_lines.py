@@ -41,23 +41,10 @@ MOST = 0.5
 def find_lone_lines(
     positions: FloatArray, own: BoolArray, low: FloatArray, spacing: float
 ) -> BoolArray:
-    """Tell which points of a region lie along lone lines.
+    """Tell which own points (m,) of a region lie along lone lines.
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        All points of the cloud in a region and within `MARGIN` spacings of it.
-    own : ndarray of bool, shape (n,)
-        Which of them lie in the region.
-    low : ndarray of float64, shape (3,)
-        The least coordinates of the cloud.
-    spacing : float
-        Of the cloud.
-
-    Returns
-    -------
-    ndarray of bool, shape (m,)
-        Of its own points.
+    `positions` (n, 3) are all of the cloud in the region and within `MARGIN` spacings of it, `own`
+    (n,) tells which lie in it, and `low` (3,) are the least coordinates of the cloud.
     """
     lines = _Lines(positions, low, spacing)
     rows = np.flatnonzero(lines.may_be())
@@ -103,12 +90,7 @@ class _Lines:
         return kernels.sort_points(self._positions, lay_lattice(self._low, edge), edge)
 
     def look(self, rows: IntArray) -> tuple[BoolArray, FloatArray, IntArray]:
-        """Tell whether points lie along a line, and how far and who the first neighbours are.
-
-        Parameters
-        ----------
-        rows : ndarray of int64, shape (m,)
-        """
+        """Tell whether points lie along a line, and how far and who the first neighbours are."""
         limit = _FARTHEST * self._spacing
         squares, nearest = kernels.find_nearest(
             self._positions, *self._cells, self._edge, rows, _COUNTS[-1], limit

@@ -122,18 +122,9 @@ class DroppedCells:
 def rank_region(
     positions: FloatArray, own: BoolArray, low: FloatArray, spacing: float
 ) -> RegionRanks:
-    """Rank the points of a region.
+    """Rank the points (n, 3) of the cloud in a region and within `MARGIN` spacings of it.
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        All points of the cloud in a region and within `MARGIN` spacings of it.
-    own : ndarray of bool, shape (n,)
-        Which of them lie in the region.
-    low : ndarray of float64, shape (3,)
-        The least coordinates of the cloud.
-    spacing : float
-        Of the cloud, in length units of the input.
+    `own` (n,) tells which lie in the region; `low` (3,) are the least coordinates of the cloud.
     """
     keys, held_by, cell_of = kernels.count_cells(positions, low, EDGE * spacing)
     levels = coarsen(keys, held_by, LOCAL_RANK + 1)
@@ -158,13 +149,7 @@ def rank_region(
 
 
 def judge_sparse(regions: list[RegionRanks]) -> Judgement:
-    """Judge the cells of high ranks, and the islands, and tell the strays of low ones.
-
-    Parameters
-    ----------
-    regions : list
-        What `rank_region` returned for each.
-    """
+    """Judge the cells of high ranks, and the islands, and tell the strays of low ones."""
 
     def all_of(name: str) -> IntArray:
         return np.concatenate([getattr(ranks, name) for ranks in regions])

@@ -48,19 +48,9 @@ class Level:
 
 
 def coarsen(keys: IntArray, counts: IntArray, wanted: int | None = None) -> list[Level]:
-    """Return the finest cells and their parents.
+    """Return the finest occupied cells, by sorted keys and points in each (c,), and their parents.
 
-    Parameters
-    ----------
-    keys, counts : ndarray of int64, shape (c,)
-        Of the finest occupied cells, sorted, and the points in each.
-    wanted : int, optional
-        So many levels; by default up to one where a single cell holds all.
-
-    Returns
-    -------
-    list of Level
-        From the finest.
+    There are `wanted` levels, the finest first; by default up to one where a single cell holds all.
     """
     levels = [Level(keys, counts, np.arange(len(keys)))]
     # Cells on both sides of 0 never merge: there are none, unless the cloud's box is not its own.
@@ -78,18 +68,10 @@ def _sum_rows(rows: IntArray, values: IntArray, length: int) -> IntArray:
 
 
 def rank_cells(levels: list[Level], rank: IntArray) -> IntArray:
-    """Return the level of each finest cell: the first with enough points around it.
+    """Return the level of each finest cell, (c,): the first with enough points around it.
 
-    Parameters
-    ----------
-    levels : list of Level
-    rank : ndarray of int64, shape (c,)
-        What is known: those of the largest rank are looked at from that level on.
-
-    Returns
-    -------
-    ndarray of int64, shape (c,)
-        The number of levels where there are not enough on any.
+    `rank` (c,) is what is known: those of the largest are looked at from that level on. It is the
+    number of levels where there are not enough on any.
     """
     rank = rank.copy()
     first = int(rank.max(initial=0))
@@ -118,32 +100,16 @@ def _distinct(rows: IntArray, length: int) -> IntArray:
 
 
 def find_base(points_by_rank: IntArray) -> int:
-    """Return the rank of most points, the median.
-
-    Parameters
-    ----------
-    points_by_rank : ndarray of int64, shape (r,)
-    """
+    """Return the rank of most points, the median, by the points of each rank (r,)."""
     summed = np.cumsum(points_by_rank)
     return int(np.searchsorted(summed, 0.5 * summed[-1]))
 
 
 def find_strays(levels: list[Level], rank: IntArray, base: int, numbers: range) -> BoolArray:
-    """Find the finest cells whose points are too few and far from others; see the module.
+    """Find the finest cells whose points are too few and far from others, (c,); see the module.
 
-    Parameters
-    ----------
-    levels : list of Level
-        The finest cells may be some of all: those whose ranks are `numbers`, and what they are
-        judged by, all of rank above the base and of one below the first of these numbers.
-    rank : ndarray of int64, shape (c,)
-    base : int
-    numbers : range
-        The ranks to be judged.
-
-    Returns
-    -------
-    ndarray of bool, shape (c,)
+    Cells of ranks in `numbers` are judged. The finest cells may be some of all: these, and what
+    they are judged by, all of rank above the base and of one below the first of these numbers.
     """
     counts = levels[0].counts
     stray = np.zeros(len(rank), np.bool_)
@@ -218,17 +184,9 @@ def _lie_on_surface(
 
 
 def find_islands(levels: list[Level]) -> BoolArray:
-    """Find the cells on small pieces far from larger ones; see the module.
+    """Find the cells on small pieces far from larger ones, (c,) of the first level; see the module.
 
-    Parameters
-    ----------
-    levels : list of Level
-        From that of `ISLAND_LEVEL` upward, whose cells are the finest here.
-
-    Returns
-    -------
-    ndarray of bool, shape (c,)
-        Of the first level's cells.
+    Levels are those from `ISLAND_LEVEL` upward, whose cells are the finest here.
     """
     total = int(levels[0].counts.sum())
     for number in range(len(levels)):

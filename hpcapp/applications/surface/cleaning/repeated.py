@@ -17,22 +17,11 @@ _HALF = np.uint64(32)
 
 
 def find_repeated(positions: FloatArray) -> BoolArray:
-    """Tell which points are at the place of one before them.
+    """Tell which finite points (n, 3) are at the place of one before them, (n,).
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        Finite; in length units of the input.
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
-        The first at each place is not marked, whatever normals they have.
-
-    Notes
-    -----
-    Points whose hashes differ are at different places. Few others have to be compared, so that
-    it costs hardly more than sorting n integers.
+    The first at each place is not marked, whatever normals they have. Points whose hashes differ
+    are at different places. Few others have to be compared, so that it costs hardly more than
+    sorting n integers.
     """
     hashes = _hash(positions)
     ordered = np.sort(hashes)

@@ -39,25 +39,10 @@ ROUNDS = 2
 def find_strays(
     positions: FloatArray, own: BoolArray, low: FloatArray, scale: LocalScale, threads: int = 1
 ) -> BoolArray:
-    """Tell which points of a region are strays.
+    """Tell which own points (m,) of a region are strays.
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        All points of the cloud in a region and within `MARGIN` spacings of it.
-    own : ndarray of bool, shape (n,)
-        Which of them lie in the region.
-    low : ndarray of float64, shape (3,)
-        The least coordinates of the cloud.
-    scale : LocalScale
-        Of the cloud.
-    threads : int
-        The result does not depend on it.
-
-    Returns
-    -------
-    ndarray of bool, shape (m,)
-        Of its own points.
+    `positions` (n, 3) are all of the cloud in the region and within `MARGIN` spacings of it, `own`
+    (n,) tells which lie in it, and `low` (3,) are the least coordinates of the cloud.
     """
     edge = _CROWDED * scale.spacing
     corner = lay_lattice(low, edge)

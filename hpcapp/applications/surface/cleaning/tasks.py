@@ -63,15 +63,7 @@ def thin_lines(points: RegionPoints, boxes: GapBoxes) -> tuple[Replaced | None, 
 
 @declare(result=ranked_region, limit=region_bytes(72))
 def rank_region(points: RegionPoints, low: FloatArray, spacing: float) -> RegionRanks:
-    """Rank the points of a region (a task).
-
-    Parameters
-    ----------
-    points : RegionPoints
-        With a margin of `outlier_regions.MARGIN` spacings.
-    low, spacing
-        As for `outlier_regions.rank_region`, whose result this is.
-    """
+    """Rank the points of a region with a margin of `outlier_regions.MARGIN` spacings (a task)."""
     region = points.take()
     return outliers.rank_region(region.positions, region.own, low, spacing)
 
@@ -88,15 +80,7 @@ def drop_cells(points: RegionPoints, cells: DroppedCells) -> tuple[Replaced | No
 def drop_strays(
     points: RegionPoints, low: FloatArray, scale: LocalScale
 ) -> tuple[Replaced | None, int]:
-    """Drop the strays of a region (a task); return how many, too.
-
-    Parameters
-    ----------
-    points : RegionPoints
-        With a margin of `strays.MARGIN` spacings.
-    low, scale
-        As for `find_strays`.
-    """
+    """Drop the strays of a region with `strays.MARGIN` around it (a task); return how many, too."""
     region = points.take()
     dropped = find_strays(region.positions, region.own, low, scale, region.threads)
     return region.drop(dropped), int(np.count_nonzero(dropped))
@@ -106,15 +90,7 @@ def drop_strays(
 def drop_lone_lines(
     points: RegionPoints, low: FloatArray, spacing: float
 ) -> tuple[Replaced | None, int]:
-    """Drop the points of a region along lone lines (a task); return how many, too.
-
-    Parameters
-    ----------
-    points : RegionPoints
-        With a margin of `lone_lines.MARGIN` spacings.
-    low, spacing
-        As for `find_lone_lines`.
-    """
+    """Drop points on lone lines, with `lone_lines.MARGIN` around (a task); return how many, too."""
     region = points.take()
     dropped = find_lone_lines(region.positions, region.own, low, spacing)
     return region.drop(dropped), int(np.count_nonzero(dropped))
@@ -126,12 +102,7 @@ def mend_region(
 ) -> tuple[Replaced | None, int]:
     """Turn round the inconsistent normals of a region (a task); return how many, too.
 
-    Parameters
-    ----------
-    points : RegionPoints
-        With a margin of `consistency.MARGIN` spacings.
-    low, spacing
-        As for `consistency.find_flipped`.
+    It has a margin of `consistency.MARGIN` spacings.
     """
     region = points.take()
     given = region.positions, region.normals, low, spacing, region.threads

@@ -122,20 +122,7 @@ class GridSize(click.ParamType[int | None]):
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
     ) -> int | None:
-        """Return the number, None for ``auto``.
-
-        Parameters
-        ----------
-        value : object
-            As typed.
-        param : click.Parameter or None
-        ctx : click.Context or None
-
-        Raises
-        ------
-        click.BadParameter
-            It is neither.
-        """
+        """Return the number, None for ``auto``; click.BadParameter where it is neither."""
         if value == "auto":
             return None
         try:
@@ -148,18 +135,7 @@ class GridSize(click.ParamType[int | None]):
 
 
 def check_flags(ctx: click.Context) -> None:
-    """Raise UsageError where flags contradict each other.
-
-    Parameters
-    ----------
-    ctx : click.Context
-        Of `reconstruct`.
-
-    Raises
-    ------
-    UsageError
-        They do, or one of them has a value that cannot be used.
-    """
+    """Raise UsageError where flags contradict each other, or have values that cannot be used."""
     chosen = [name for name in ("grid", "depth", "voxel_size") if ctx.params[name] is not None]
     if len(chosen) > 1:
         flags = " and ".join(map(_flag, chosen))
@@ -459,12 +435,7 @@ def reconstruct(ctx: click.Context, /, **options: Any) -> None:
 class Watching:
     """How the user wants to watch a job, beside the bars.
 
-    Parameters
-    ----------
-    events, trace : Path or None
-        Files that are written.
-    dashboard : str or None
-        Where the page is served, as ``HOST:PORT``.
+    The files of events and trace are written; the dashboard is served at ``HOST:PORT``.
     """
 
     events: Path | None
@@ -477,12 +448,7 @@ class Watching:
     ) -> Iterator[tuple[Progress, Callable[[str], None]]]:
         """Open all of it, for one job, which fills the timeline.
 
-        Yields
-        ------
-        progress : Progress
-            Where the job's stages are announced.
-        say : callable
-            Shows a line to who watches on a page.
+        Yields where the job's stages are announced, and what shows a line to who watches on a page.
         """
         from hpcapp.progress_display import open_events, open_progress
         from hpcapp.trace import open_trace

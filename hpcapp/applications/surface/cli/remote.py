@@ -40,18 +40,7 @@ _FILES = {
 
 
 def check_file(output: str) -> None:
-    """Refuse an output that is a folder: one file is fetched from a cluster.
-
-    Parameters
-    ----------
-    output : str
-        What the user typed.
-
-    Raises
-    ------
-    UsageError
-        It is.
-    """
+    """Raise UsageError where an output is a folder: one file is fetched from a cluster."""
     if Path(output).suffix.lower() in FOLDER_SUFFIXES:
         raise UsageError(
             f"{output}: is a folder, and one file comes from a cluster",
@@ -62,19 +51,7 @@ def check_file(output: str) -> None:
 def check_points(points: Path, sample: int | None = None) -> None:
     """Read the points as the job will; InputError where it could not use them.
 
-    Parameters
-    ----------
-    points : Path
-        The file.
-    sample : int, optional
-        It is a mesh: so many points on its faces are taken.
-
-    Raises
-    ------
-    UsageError
-        Its suffix is unknown.
-    InputError
-        It cannot be read, or its points cannot be used.
+    Of a mesh so many points on its faces are taken. Raises UsageError where the suffix is unknown.
     """
     with gather_points([str(points)], sample, for_surface=True) as path:
         drop_unusable(read_points(path), str(path))
@@ -83,12 +60,7 @@ def check_points(points: Path, sample: int | None = None) -> None:
 def type_for_head(ctx: click.Context, without: Collection[str]) -> list[str]:
     """Return the options that were typed, with what is in the files that they name.
 
-    Parameters
-    ----------
-    ctx : click.Context
-        Of `reconstruct`.
-    without : collection of str
-        Names of parameters that are left out.
+    Those whose parameters are named in `without` are left out.
     """
     words = typed_options(ctx, (*without, "viewpoint", "polygon"))
     crop = parse_crop(*(ctx.params[name] for name in CROPPED))
@@ -100,20 +72,7 @@ def type_for_head(ctx: click.Context, without: Collection[str]) -> list[str]:
 def run_on_cluster(ctx: click.Context) -> dict[str, Any]:
     """Have a cluster's head run the job with the options that were typed, and fetch the mesh.
 
-    Parameters
-    ----------
-    ctx : click.Context
-        Of `reconstruct`.
-
-    Returns
-    -------
-    dict
-        The job's report.
-
-    Raises
-    ------
-    HpcError
-        Whatever went wrong, here or there.
+    Returns the job's report. Raises HpcError, whatever went wrong, here or there.
     """
     names, cluster = ctx.params["points"], ctx.params["cluster"]
     for name, instead in _FILES.items():

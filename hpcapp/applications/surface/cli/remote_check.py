@@ -25,26 +25,10 @@ from hpccomponent.files.outputs import check_files
 def check_job(cluster: Path, points: Path, output: Path, options: Sequence[str]) -> list[str]:
     """Find out whether a cluster could do a job, and how its head is told of it.
 
-    Parameters
-    ----------
-    cluster : pathlib.Path
-        The cluster file.
-    points, output : pathlib.Path
-        What the job reads and writes, on this machine.
-    options : sequence of str
-        Of `reconstruct`, as they were typed.
-
-    Returns
-    -------
-    list of str
-        The same for the head, which has no other files of this machine than the points.
-
-    Raises
-    ------
-    UsageError
-        The options are wrong, or nothing can be written there.
-    InputError
-        The points are no point cloud that can be reconstructed.
+    Files are on this machine; options are those of `reconstruct`, as they were typed. Returns the
+    same for the head, which has no other files of this machine than the points. Raises UsageError
+    where the options are wrong or nothing can be written there, InputError where the points are no
+    point cloud that can be reconstructed.
     """
     words = ["-o", str(output), "--cluster", str(cluster), str(points.absolute()), *options]
     try:

@@ -55,28 +55,11 @@ def run_job(
     machines: LocalMachines | None = None,
     timeline: Timeline | None = None,
 ) -> dict[str, Any]:
-    """Reconstruct a mesh from file to file.
+    """Reconstruct a mesh from file to file, and return the job's report.
 
-    Parameters
-    ----------
-    settings : JobSettings
-        What the user asked for.
-    progress : Progress
-        Where stages are announced.
-    machines : LocalMachines, optional
-        What `selection.start_early` has started for the job.
-    timeline : Timeline, optional
-        Of the job, for others to look at; filled here.
-
-    Returns
-    -------
-    dict
-        The job's report: JSON values; its keys are in ``docs/reference/reconstruct.md``.
-
-    Raises
-    ------
-    HpcError
-        Whatever went wrong; no output is left half written.
+    `machines` are what `selection.start_early` has started; the timeline is filled here, for others
+    to look at. The report's values are JSON, its keys in ``docs/reference/reconstruct.md``. Raises
+    HpcError, whatever went wrong; no output is left half written.
     """
     verification = Verification(settings.verify)
 
@@ -143,11 +126,7 @@ def load_stored(
 ) -> Iterator[tuple[Loaded, Callable[[int], AbstractContextManager[Site]]]]:
     """Load the points of a job to where it has room for them; see `open_site` for the others.
 
-    Yields
-    ------
-    loaded : Loaded
-    site : callable
-        Opens where it runs, as `reconstruct_cloud` asks for.
+    Yields these, and what opens where the job runs, as `reconstruct_cloud` asks for.
     """
     checkpoint = storage.checkpoint
     with ExitStack() as stack:

@@ -41,13 +41,7 @@ _ENDLESS = Arrangement(np.zeros(3), np.inf)
 class Measured:
     """What a method asks of a cloud before it chooses its cells.
 
-    Parameters
-    ----------
-    scale : LocalScale
-    sample : PointCloud
-        Points by which the noise is judged, in the cloud's order.
-    reading : Reading
-        What the scan is of.
+    The noise is judged by `sample`, in the cloud's order; `reading` tells what the scan is of.
     """
 
     scale: LocalScale
@@ -63,21 +57,11 @@ class Measured:
 class ArrangedCloud(Protocol):
     """Points with normals, snapped and sorted as an arrangement says.
 
-    Parameters
-    ----------
-    arrangement : Arrangement
-    origin : ndarray of float64, shape (3,)
-        What was subtracted from the input's coordinates.
-    keys, counts : ndarray of int64, shape (b,)
-        Of the occupied blocks, sorted, and how many points each holds.
-    low, high : ndarray of float64, shape (3,)
-        Corners of the box around all points.
-    is_here : bool
-        Whether the points are in this process's memory.
-    place : Place
-        From where tasks can read it, see `disk.open_place`.
-    measured : Measured
-        What `measure.measure_cloud` has noted.
+    Of the occupied blocks there are the sorted `keys` (b,) and the `counts` (b,) of points; `low`
+    and `high` (3,) are the corners of the box around all points, and `origin` (3,) was subtracted
+    from the input's coordinates. Tasks read the cloud from its `place` (see `disk.open_place`);
+    `is_here` says whether it is in this process's memory, `measured` what `measure.measure_cloud`
+    has noted.
     """
 
     @property
@@ -110,28 +94,13 @@ class ArrangedCloud(Protocol):
     def __len__(self) -> int: ...
 
     def take_blocks(self, keys: IntArray) -> Points:
-        """Return the points in some blocks, block after block, each in the order of the input.
+        """Return the points in some blocks, (m, 3), block after block, each in the input's order.
 
-        Parameters
-        ----------
-        keys : ndarray of int64, shape (k,)
-            Sorted, unique; those of blocks without points are passed over.
-
-        Returns
-        -------
-        positions, normals : ndarray of float64, shape (m, 3)
-            See `Points`.
+        The keys (k,) are sorted and unique; those of blocks without points are passed over.
         """
 
     def take_within(self, keys: IntArray, low: FloatArray, high: FloatArray) -> Points:
-        """Return the same points as `take_blocks`; those outside of a box may be missing.
-
-        Parameters
-        ----------
-        keys : ndarray of int64, shape (k,)
-        low, high : ndarray of float64, shape (3,)
-            Corners of the box, in length units of the input.
-        """
+        """Return the same points as `take_blocks`; those outside of a box may be missing."""
 
     def take_columns(self, keys: IntArray) -> PointCloud:
         """Return the same points as `take_blocks`, with the attributes that lie beside them."""
@@ -145,31 +114,13 @@ class ArrangedCloud(Protocol):
     def count_cells(
         self, keys: IntArray, origin: FloatArray, size: float
     ) -> tuple[IntArray, IntArray]:
-        """Count the points of some blocks in the occupied cells of a lattice.
+        """Count the points of some blocks, one point or more, in the occupied cells of a lattice.
 
-        Parameters
-        ----------
-        keys : ndarray of int64, shape (k,)
-            As for `take_blocks`, of one point or more.
-        origin : ndarray of float64, shape (3,)
-            Corner of a cell.
-        size : float
-            Of a cell, in length units of the input.
-
-        Returns
-        -------
-        keys, counts : ndarray of int64, shape (c,)
-            Sorted by key.
+        `origin` (3,) is a corner of a cell; keys and counts (c,) of cells come sorted by key.
         """
 
     def sample(self, points: int) -> PointCloud:
-        """Return points evenly from all of the cloud.
-
-        Parameters
-        ----------
-        points : int
-            About so many, where there are; all of them where that costs nothing.
-        """
+        """Return about so many points, evenly from all of it; all where that costs nothing."""
 
 
 Place = str | ArrangedCloud
@@ -180,18 +131,7 @@ Place = str | ArrangedCloud
 class MemoryCloud:
     """An arranged cloud in memory; see `ArrangedCloud`.
 
-    Parameters
-    ----------
-    points : PointCloud
-        With normals; arranged.
-    arrangement : Arrangement
-    keys : ndarray of int64, shape (b,)
-    offsets : ndarray of int64, shape (b + 1,)
-        Block i holds the points offsets[i] to offsets[i + 1].
-    low, high : ndarray of float64, shape (3,)
-        Corners of the box around all points.
-    noted : Measured or None
-        What was measured of it.
+    The points have normals; block i holds those from offsets[i] to offsets[i + 1], shape (b + 1,).
     """
 
     points: PointCloud
@@ -204,18 +144,7 @@ class MemoryCloud:
 
     @classmethod
     def as_they_are(cls, points: PointCloud) -> MemoryCloud:
-        """Hold points in one endless block, neither rounded nor sorted.
-
-        Parameters
-        ----------
-        points : PointCloud
-            One or more.
-
-        Returns
-        -------
-        MemoryCloud
-            For a method that cuts the cloud up by itself.
-        """
+        """Hold one point or more as they are in one endless block: the method cuts it up itself."""
         box = bound_points(points.positions)
         return cls(points, _ENDLESS, np.zeros(1, np.int64), np.array([0, len(points)]), *box)
 
@@ -299,18 +228,7 @@ class MemoryCloud:
         return self.points
 
     def select(self, kept: BoolArray) -> MemoryCloud:
-        """Return the points that a mask names, in the same blocks.
-
-        Parameters
-        ----------
-        kept : ndarray of bool, shape (n,)
-            One point or more.
-
-        Returns
-        -------
-        MemoryCloud
-            Without the blocks that are left empty.
-        """
+        """Return the points (one or more) that a mask (n,) names, without blocks left empty."""
         # (b,): the points of each block that stay; blocks stand side by side, none of them empty.
         counts = np.add.reduceat(kept, self.offsets[:-1], dtype=np.int64)
         offsets = np.append(0, np.cumsum(counts[counts > 0]))
@@ -320,18 +238,7 @@ class MemoryCloud:
 
 
 def arrange_cloud(cloud: PointCloud) -> MemoryCloud:
-    """Snap a cloud's points and sort them by blocks.
-
-    Parameters
-    ----------
-    cloud : PointCloud
-        Finite positions.
-
-    Raises
-    ------
-    InputError
-        All points are the same.
-    """
+    """Snap a cloud's finite points and sort them by blocks; InputError where all are the same."""
     box = bound_points(cloud.positions)
     arrangement = choose_arrangement(*box)
     snapped = snap_points(arrangement, cloud.positions)
@@ -359,12 +266,7 @@ def _take_singles(vectors: FloatArray, rows: NDArray[np.uint32]) -> FloatArray:
 
 
 def find_runs(rows: IntArray) -> list[slice]:
-    """Return the runs of consecutive numbers among rising ones.
-
-    Parameters
-    ----------
-    rows : ndarray of int64, shape (k,)
-    """
+    """Return the runs of consecutive numbers among rising ones (k,)."""
     if not len(rows):
         return []
     breaks = np.flatnonzero(np.diff(rows) != 1) + 1

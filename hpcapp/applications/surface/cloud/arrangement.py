@@ -43,12 +43,7 @@ BlockCounts = Annotated[IntArray, Column("b", low=0)]
 class Arrangement:
     """The lattice of blocks that a cloud is sorted by.
 
-    Parameters
-    ----------
-    origin : ndarray of float64, shape (3,)
-        Corner of block (0, 0, 0).
-    edge : float
-        Of a block, in length units of the input.
+    Block (0, 0, 0) has a corner at `origin` (3,); `edge` is the side of a block.
     """
 
     origin: FloatArray
@@ -78,20 +73,7 @@ class PackedPoints:
 
     @classmethod
     def from_records(cls, keys: IntArray, counts: IntArray, records: Float32Array) -> PackedPoints:
-        """Return points whose offsets and normals lie side by side.
-
-        Parameters
-        ----------
-        keys, counts : ndarray of int64, shape (b,)
-            See the class.
-        records : ndarray of float32, shape (n, 6)
-            Offset and normal of each point.
-
-        Returns
-        -------
-        PackedPoints
-            Views of the records.
-        """
+        """Return points whose offsets and normals lie side by side, (n, 6), as views of these."""
         return cls(keys, counts, records[:, :3], records[:, 3:])
 
     def to_records(self) -> Float32Array:
@@ -105,23 +87,10 @@ class PackedPoints:
 
 
 def choose_arrangement(low: FloatArray, high: FloatArray) -> Arrangement:
-    """Choose the blocks of a cloud.
+    """Choose a cloud's blocks by the box around it; InputError where all points are the same.
 
-    Parameters
-    ----------
-    low, high : ndarray of float64, shape (3,)
-        Corners of the box around all points, in length units of the input.
-
-    Returns
-    -------
-    Arrangement
-        Of 63 blocks along the longest side, which touches 64 of them; of fewer where float64 holds
-        the coordinates no finer.
-
-    Raises
-    ------
-    InputError
-        All points are the same.
+    The longest side has 63 blocks, and touches 64 of them; fewer where float64 holds the
+    coordinates no finer.
 
     Examples
     --------
@@ -137,19 +106,9 @@ def choose_arrangement(low: FloatArray, high: FloatArray) -> Arrangement:
 
 
 def snap_points(arrangement: Arrangement, positions: FloatArray) -> FloatArray:
-    """Move positions to the middles of the quanta that they lie in.
+    """Return a copy of positions (n, 3), moved to the middles of the quanta that they lie in.
 
-    Parameters
-    ----------
-    arrangement : Arrangement
-    positions : ndarray of float64, shape (n, 3)
-        In length units of the input.
-
-    Returns
-    -------
-    ndarray of float64, shape (n, 3)
-        A copy, of what `unpack_points` gives; each coordinate moves by less than 1e-9 of the
-        longest side.
+    They are what `unpack_points` gives; a coordinate moves by less than 1e-9 of the longest side.
     """
     snapped = np.empty_like(positions)
     for start in range(0, len(positions), _ROWS_AT_ONCE):
@@ -174,23 +133,9 @@ def snap_points(arrangement: Arrangement, positions: FloatArray) -> FloatArray:
 def pack_points(
     arrangement: Arrangement, positions: FloatArray, normals: FloatArray
 ) -> PackedPoints:
-    """Sort points by blocks, and pack them as `snap_points` rounds them.
+    """Sort one point or more by blocks, and pack them as `snap_points` rounds them.
 
-    Parameters
-    ----------
-    arrangement : Arrangement
-    positions, normals : ndarray of float64, shape (n, 3)
-        At least one point; the positions in length units of the input.
-
-    Returns
-    -------
-    PackedPoints
-        Within a block the points keep their order.
-
-    Raises
-    ------
-    InputError, ValueError
-        A point lies more than 2^20 blocks away.
+    In a block they keep their order; InputError or ValueError where one is over 2^20 blocks away.
     """
     points = np.ascontiguousarray(positions, np.float64), np.ascontiguousarray(normals, np.float64)
     return PackedPoints.from_records(
@@ -199,49 +144,21 @@ def pack_points(
 
 
 def unpack_points(arrangement: Arrangement, packed: PackedPoints) -> tuple[FloatArray, FloatArray]:
-    """Return the points that were packed, bit for bit as `snap_points` rounded them.
-
-    Returns
-    -------
-    positions : ndarray of float64, shape (n, 3)
-        In length units of the input.
-    normals : ndarray of float64, shape (n, 3)
-        Those of float32.
-    """
+    """Return positions, bit for bit as `snap_points` rounded them, and normals, as float32 held."""
     return kernels.unpack_records(*unpacking_arguments(arrangement, packed))
 
 
 def unpack_near(
     arrangement: Arrangement, packed: PackedPoints, low: FloatArray, high: FloatArray
 ) -> tuple[FloatArray, IntArray]:
-    """Return those of the positions that were packed that lie in a box; see `unpack_points`.
-
-    Parameters
-    ----------
-    arrangement : Arrangement
-    packed : PackedPoints
-    low, high : ndarray of float64, shape (3,)
-        Corners of the box, in length units of the input.
-
-    Returns
-    -------
-    positions : ndarray of float64, shape (m, 3)
-    rows : ndarray of int64, shape (m,)
-        Which ones they are.
-    """
+    """Return the positions (m, 3) of `unpack_points` that lie in a box, and their rows (m,)."""
     return kernels.unpack_within(*unpacking_arguments(arrangement, packed), low, high)
 
 
 def unpacking_arguments(
     arrangement: Arrangement, packed: PackedPoints
 ) -> tuple[Float32Array, IntArray, FloatArray, float]:
-    """Return what the kernels take that unpack points.
-
-    Returns
-    -------
-    records, counts, corners, edge
-        See `unpack_records`.
-    """
+    """Return what the kernels' `unpack_records` takes: records, counts, corners and edge."""
     corners = unpack_keys(packed.keys) * arrangement.edge + arrangement.origin
     counts = np.ascontiguousarray(packed.counts, np.int64)
     return packed.to_records(), counts, corners, arrangement.edge
@@ -250,19 +167,9 @@ def unpacking_arguments(
 def interleave(
     pieces: Sequence[PackedPoints], at_once: int = RECORDS_AT_ONCE
 ) -> Iterator[Float32Array]:
-    """Yield the records of some pieces, block after block.
+    """Yield the records of some pieces, block after block, `at_once` at a time: (r, 6) each.
 
-    Parameters
-    ----------
-    pieces : sequence of PackedPoints
-        The points of each block come in the order of the pieces.
-    at_once : int
-        Records that are yielded at a time.
-
-    Yields
-    ------
-    ndarray of float32, shape (r, 6)
-        See `PackedPoints.to_records`.
+    The points of each block come in the order of the pieces.
     """
     if len(pieces) == 1:
         records = pieces[0].to_records()

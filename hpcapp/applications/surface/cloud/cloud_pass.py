@@ -48,19 +48,8 @@ class CloudPass(Protocol):
     def each(self, task: Callable[..., Result], *given: Any, margin: float = 0.0) -> list[Result]:
         """Run a task for each region.
 
-        Parameters
-        ----------
-        task : callable
-            A registered task of `RegionPoints`.
-        *given : object
-            What it is given after its points.
-        margin : float
-            How far around its region it looks, in length units of the input.
-
-        Returns
-        -------
-        list
-            The results; without a margin in the order of the cloud, else in any.
+        A registered task of `RegionPoints` is given these and `given`, and looks `margin` around
+        its region. Without a margin the results come in the order of the cloud, else in any.
         """
 
     def rewrite(
@@ -73,25 +62,11 @@ class CloudPass(Protocol):
     ) -> tuple[PassT, list[Any]]:
         """Replace the points by what a task makes of them, region by region.
 
-        Parameters
-        ----------
-        task : callable
-            As for `each`; it returns a tuple that begins with what its region's own points have
-            become (see `Region`), None where they stay.
-        *given, margin
-            As for `each`.
-        accepts : callable
-            Told the results: whether the points are replaced; else they stay.
-        attribute : str, optional
-            Of the points, which the task replaces all: so the last value of its tuple, float32 of
-            shape (m,), is kept beside its region's own points. None of these is dropped later.
-
-        Returns
-        -------
-        cloud_pass : CloudPass
-            Through the other points; this one's are not there any more, if it is another.
-        results : list of tuple
-            What else the task returned.
+        The task returns a tuple that begins with what its region's own points become (see
+        `Region`), None where they stay; the rest of the tuples is returned, and no point is
+        replaced if `accepts` says no to it. With an `attribute` all points are replaced: the last
+        value of a tuple, float32 (m,), is kept beside them, and none of them may be dropped later.
+        If the pass that is returned is another, this one's points are not there any more.
         """
 
     def note(self: PassT, measured: Measured) -> PassT:
@@ -100,14 +75,7 @@ class CloudPass(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MemoryPass:
-    """The pass through a cloud in memory.
-
-    Parameters
-    ----------
-    cloud : MemoryCloud
-    threads : int
-        How many tasks may take; no result depends on it.
-    """
+    """The pass through a cloud in memory, whose tasks may take so many threads."""
 
     cloud: MemoryCloud
     threads: int = 1

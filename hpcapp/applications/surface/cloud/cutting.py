@@ -13,17 +13,8 @@ from hpcapp.geometry.points import FloatArray, IntArray
 def cut_even(counts: IntArray, pieces: int) -> list[slice]:
     """Cut a cloud into runs of whole blocks with about as many points each.
 
-    Parameters
-    ----------
-    counts : ndarray of int64, shape (b,)
-        Points in each block.
-    pieces : int
-        At most; fewer where blocks are few or uneven.
-
-    Returns
-    -------
-    list of slice
-        Of rows of `counts`.
+    Of the blocks there are the counts of points (b,); the runs, slices of their rows, are fewer
+    than `pieces` where blocks are few or uneven.
 
     Examples
     --------
@@ -41,42 +32,17 @@ def cut_even(counts: IntArray, pieces: int) -> list[slice]:
 def cut_regions(keys: IntArray, counts: IntArray, pieces: int) -> list[IntArray]:
     """Cut a cloud into regions of about as many points, as compact as blocks allow.
 
-    Parameters
-    ----------
-    keys, counts : ndarray of int64, shape (b,)
-        Of the cloud's blocks.
-    pieces : int
-        How many, or fewer.
-
-    Returns
-    -------
-    list of ndarray of int64
-        Sorted keys of each region's blocks.
+    Each has sorted keys of the cloud's b blocks; there are `pieces` of them, or fewer.
     """
     region_of = cut_tiles(keys, counts, pieces)
     return [keys[region_of == region] for region in range(int(region_of.max()) + 1)]
 
 
 def cut_tiles(cells: IntArray, work: IntArray | FloatArray, count: int) -> IntArray:
-    """Cut cells into compact tiles of equal work, by halving across the longest side.
+    """Cut cells (c,) into compact tiles of equal work, by halving across the longest side.
 
-    Parameters
-    ----------
-    cells : ndarray of int64, shape (c,)
-        Keys of coarse cells.
-    work : ndarray of int64 or float64, shape (c,)
-        Of each, in any unit.
-    count : int
-        Of tiles, one or more.
-
-    Returns
-    -------
-    ndarray of int64, shape (c,)
-        The tile of each cell: numbers from 0 on, none left out.
-
-    Notes
-    -----
-    The halos of runs along a Morton curve hold a half more (`docs/explanation/tiles.md`).
+    Work is in any unit. Returns the tile of each cell (c,): numbers from 0 on, none left out. The
+    halos of runs along a Morton curve hold a half more (`docs/explanation/tiles.md`).
     """
     places = unpack_keys(cells)
     tiles = np.zeros(len(cells), np.int64)

@@ -61,20 +61,7 @@ ReadLayout = Callable[[int], Layout]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DiskCloud:
-    """An arranged cloud in a folder; see `ArrangedCloud`.
-
-    Parameters
-    ----------
-    folder : Path
-    arrangement : Arrangement
-    origin, low, high : ndarray of float64, shape (3,)
-    keys, counts : ndarray of int64, shape (b,)
-    parts : list of Part
-    noted : Measured or None
-        What was measured of it.
-    attributes : dict of str to sequence of Part
-        Those that passes have added.
-    """
+    """An arranged cloud in a folder, see `ArrangedCloud`; passes may have added attributes."""
 
     folder: Path
     arrangement: Arrangement
@@ -109,10 +96,7 @@ class DiskCloud:
     def check(self) -> None:
         """Find out whether every part is as it was written, by reading all of them.
 
-        Raises
-        ------
-        DamagedError
-            One is not; the message names it.
+        DamagedError names one that is not.
         """
         for parts, read_layout in self._columns():
             for file in sorted({part.file for part in parts}):
@@ -155,15 +139,7 @@ class DiskCloud:
     def take_packed(self, keys: IntArray) -> PackedPoints:
         """Return the points in some blocks as they lie there; see `take_blocks`.
 
-        Parameters
-        ----------
-        keys : ndarray of int64, shape (k,)
-            Sorted, unique; those of blocks without points are passed over.
-
-        Raises
-        ------
-        JobError
-            The folder is not there any more, or not whole.
+        JobError where the folder is not there any more, or not whole.
         """
         rows, records = self._take(self.parts, keys, FoldedLayout)
         return PackedPoints.from_records(self.keys[rows], self.counts[rows], records)
@@ -196,17 +172,9 @@ class DiskCloud:
         return rows, records
 
     def sample(self, points: int) -> PointCloud:
-        """Return every so many-th point of each part, in the order of the parts.
+        """Return every so many-th point of each part, about `points`, in the order of the parts.
 
-        Parameters
-        ----------
-        points : int
-            About so many, where there are.
-
-        Raises
-        ------
-        JobError
-            The folder is not there any more, or not whole.
+        JobError where the folder is not there any more, or not whole.
         """
         step = -(-len(self) // points)
         keys, found = [], []
@@ -292,23 +260,8 @@ def write_index(
 ) -> DiskCloud:
     """Make a cloud of the parts that have been written.
 
-    Parameters
-    ----------
-    folder : Path
-    arrangement : Arrangement
-    origin : ndarray of float64, shape (3,)
-        What was subtracted from the input's coordinates.
-    box : tuple of ndarray of float64, shape (3,)
-        The least and the largest coordinates of all points.
-    parts : sequence of Part
-    measured : Measured, optional
-        What is known of the cloud.
-    attributes : dict of str to sequence of Part, optional
-
-    Raises
-    ------
-    OutputError
-        The disk is full, or the folder cannot be written.
+    `origin` (3,) was subtracted from the input's coordinates; `box` has the least and the largest
+    ones. OutputError where the disk is full, or the folder cannot be written.
     """
     index = {
         "edge": float(arrangement.edge),
@@ -334,17 +287,9 @@ def _tell(part: Part) -> tuple[str, IntArray, IntArray, IntArray]:
 
 
 def open_disk_cloud(folder: Path) -> DiskCloud:
-    """Open a cloud whose index has been written.
+    """Open a cloud whose index has been written; JobError where the folder holds none.
 
-    Returns
-    -------
-    DiskCloud
-        The one that this process has opened before, if nothing has changed.
-
-    Raises
-    ------
-    JobError
-        The folder holds none.
+    It is the one that this process has opened before, if nothing has changed.
     """
     try:
         found = (folder / _INDEX).stat()
@@ -357,18 +302,7 @@ def open_disk_cloud(folder: Path) -> DiskCloud:
 
 
 def open_place(place: Place) -> ArrangedCloud:
-    """Return the cloud that lies in some place.
-
-    Parameters
-    ----------
-    place : Place
-        See `ArrangedCloud`.
-
-    Raises
-    ------
-    JobError
-        A folder holds none.
-    """
+    """Return the cloud that lies in some place; JobError where a folder holds none."""
     return open_disk_cloud(Path(place)) if isinstance(place, str) else place
 
 

@@ -24,14 +24,8 @@ from hpccomponent.files.whole_files import write_whole
 class Part:
     """The blocks of one file that belong to a cloud.
 
-    Parameters
-    ----------
-    file : str
-        Its name, as it is seen from the folder.
-    keys, counts : ndarray of int64, shape (b,)
-        Sorted keys of the blocks, and the points in each.
-    starts : ndarray of int64, shape (b,)
-        Which point of the file is the first of each.
+    `file` is its name as seen from the folder. Of the blocks (b,) there are the sorted keys, the
+    counts of points, and which point of the file is the first of each.
     """
 
     file: str
@@ -41,14 +35,7 @@ class Part:
 
     @classmethod
     def whole(cls, number: int, keys: IntArray, counts: IntArray) -> Part:
-        """Return all that `write_part` has written as a part of this number.
-
-        Parameters
-        ----------
-        number : int
-        keys, counts : ndarray of int64, shape (b,)
-            Sorted keys of the blocks, and the points in each.
-        """
+        """Return all that `write_part` has written as a part of this number."""
         return cls(_name_part(number), keys, counts, np.cumsum(counts) - counts)
 
     def filled(self) -> Part:
@@ -56,15 +43,7 @@ class Part:
         return self._take(np.flatnonzero(self.counts), self.file)
 
     def without(self, keys: IntArray, folder: str) -> Part:
-        """Return it without some blocks, for an index from which its folder is called so.
-
-        Parameters
-        ----------
-        keys : ndarray of int64, shape (k,)
-            Sorted keys of the blocks that go.
-        folder : str
-            The path of its folder from that of the index.
-        """
+        """Return it without blocks of sorted keys (k,), for an index that sees it in `folder`."""
         kept = np.flatnonzero(find_keys(keys, self.keys) == len(keys))
         return self._take(kept, os.path.normpath(os.path.join(folder, self.file)))
 
@@ -75,26 +54,10 @@ class Part:
 def write_part(
     folder: Path, number: int, pieces: Sequence[PackedPoints]
 ) -> tuple[IntArray, IntArray]:
-    """Write one part of an arranged cloud.
+    """Write part `number`, from 0, of an arranged cloud; return its blocks and their counts, (b,).
 
-    Parameters
-    ----------
-    folder : Path
-    number : int
-        Of the part, from 0.
-    pieces : sequence of PackedPoints
-        The points of each block come in the order of the pieces. Where there are none, no file is
-        written.
-
-    Returns
-    -------
-    keys, counts : ndarray of int64, shape (b,)
-        The blocks of the part, and the points in each.
-
-    Raises
-    ------
-    OutputError
-        The disk is full, or the folder cannot be written.
+    The points of a block come in the order of the pieces; if there are none, no file is written.
+    OutputError where the disk is full, or the folder cannot be written.
     """
     if not pieces:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
@@ -108,23 +71,9 @@ def write_part(
 
 
 def write_attribute(folder: Path, name: str, part: Part, number: int, values: Float32Array) -> Part:
-    """Write one part of an attribute of an arranged cloud.
+    """Write one part of an attribute: values (n,) in the order of the points that `part` has.
 
-    Parameters
-    ----------
-    folder : Path
-    name : str
-    part : Part
-        Whose points it belongs to, as `write_part` has written them.
-    number : int
-        Of this part.
-    values : ndarray of float32, shape (n,)
-        In the order of its points.
-
-    Raises
-    ------
-    OutputError
-        The disk is full, or the folder cannot be written.
+    OutputError where the disk is full, or the folder cannot be written.
     """
     file = f"{name}.{number}"
     piece = np.ascontiguousarray(values).view(np.uint8).data

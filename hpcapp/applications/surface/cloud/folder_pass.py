@@ -31,13 +31,7 @@ _PREFIX = "points-"  # of the folders of clouds
 class FolderPass:
     """The pass through a cloud in a folder, by whoever sees it.
 
-    Parameters
-    ----------
-    cloud : DiskCloud
-    place : Path
-        The folder in which clouds get folders: some 17 bytes for each point that changes.
-    workers : PointWorkers
-        The points do not depend on it.
+    In `place` clouds get folders: some 17 bytes for each point that changes.
     """
 
     cloud: DiskCloud

@@ -47,27 +47,15 @@ class Layout(Protocol):
     def place(
         self, content: ByteArray, counts: IntArray, starts: IntArray, records: Float32Array
     ) -> None:
-        """Put records that were read where they belong.
+        """Put what was read, (n * size,), where it belongs in the records (m, columns).
 
-        Parameters
-        ----------
-        content : ndarray of uint8, shape (n * size,)
-        counts, starts : ndarray of int64, shape (b,)
-            So many, one block after the other, and the row that the first of each goes to.
-        records : ndarray of float32, shape (m, columns)
-            Is written to.
+        It has `counts` (b,) records of each block, whose first one goes to row `starts` (b,).
         """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoldedLayout:
-    """Offsets and normals, as the kernels fold them.
-
-    Parameters
-    ----------
-    lows, widths : ndarray of int64, shape (7,)
-        See `kernels.fold_records`.
-    """
+    """Offsets and normals as the kernels fold them: see `kernels.fold_records`."""
 
     lows: IntArray
     widths: IntArray
@@ -85,13 +73,7 @@ class FoldedLayout:
 
     @classmethod
     def read(cls, file: int) -> FoldedLayout:
-        """Return that of an open file.
-
-        Raises
-        ------
-        DamagedError
-            It has none.
-        """
+        """Return that of an open file; DamagedError where it has none."""
         head = os.pread(file, _HEAD.size, 0)
         if len(head) < _HEAD.size or not head.startswith(_MAGIC):
             raise DamagedError("does not begin as packed points do")

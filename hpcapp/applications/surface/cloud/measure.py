@@ -38,13 +38,7 @@ _SAMPLED_POINTS = 15_000
 
 
 def measure_spacing(cloud_pass: CloudPass) -> float:
-    """Estimate the spacing of a cloud, in length units of the input.
-
-    Raises
-    ------
-    InputError
-        All points are the same.
-    """
+    """Estimate the spacing of a cloud; InputError where all points are the same."""
     cloud = cloud_pass.cloud
 
     def count(edge: float, one_in: int, is_distinct: bool) -> tuple[int, int]:
@@ -57,13 +51,7 @@ def measure_spacing(cloud_pass: CloudPass) -> float:
 
 
 def measure_scale(cloud_pass: CloudPass) -> LocalScale:
-    """Find how the spacing of an arranged cloud changes from place to place.
-
-    Raises
-    ------
-    InputError
-        All points are the same.
-    """
+    """Find how spacing changes from place to place; InputError where all points are the same."""
     spacing, edge, _, counted = _count_scale(cloud_pass)
     return make_scale(spacing, cloud_pass.cloud.arrangement.origin, edge, counted)
 
@@ -85,18 +73,7 @@ def _count_scale(cloud_pass: CloudPass) -> tuple[float, float, int, list[ScaleCo
 
 
 def find_scale(positions: FloatArray) -> LocalScale:
-    """Find how the spacing of points in memory changes from place to place.
-
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        In length units of the input.
-
-    Raises
-    ------
-    InputError
-        All points are the same.
-    """
+    """Find what `measure_scale` does, of points (n, 3) in memory."""
     return measure_scale(MemoryPass(arrange_cloud(PointCloud(positions))))
 
 
@@ -114,30 +91,15 @@ def measure_cloud(cloud_pass: PassT, scale: LocalScale, reading: Reading = UNREA
 
 
 def measure_points(points: PointCloud, reading: Reading = UNREAD) -> MemoryCloud:
-    """Arrange points with normals in memory, and measure them; their reading is given.
-
-    Raises
-    ------
-    InputError
-        All points are the same.
-    """
+    """Arrange and measure points with normals in memory; InputError where all are the same."""
     cloud_pass = MemoryPass(arrange_cloud(points))
     return measure_cloud(cloud_pass, measure_scale(cloud_pass), reading).cloud
 
 
 def replace_points(cloud: ArrangedCloud, points: PointCloud) -> MemoryCloud:
-    """Hold other points as those of a cloud are held: arranged and measured, or as they are.
+    """Hold other, finite points as those of a cloud are: arranged and measured, or as they are.
 
-    Parameters
-    ----------
-    cloud : ArrangedCloud
-    points : PointCloud
-        Finite positions.
-
-    Raises
-    ------
-    InputError
-        All points are the same, and would be arranged.
+    InputError where all of them are the same, and would be arranged.
     """
     is_endless = np.isinf(cloud.arrangement.edge)
     return (
@@ -148,32 +110,12 @@ def replace_points(cloud: ArrangedCloud, points: PointCloud) -> MemoryCloud:
 
 
 def first_share(points: int) -> int:
-    """Return how many boxes make one sampled, to begin with; of a small cloud all points are.
-
-    Parameters
-    ----------
-    points : int
-        Of the cloud.
-
-    Returns
-    -------
-    int
-        At least 1.
-    """
+    """Return how many boxes make one sampled to begin with; of a small cloud 1: all are."""
     return max(points // _SAMPLED_POINTS, 1)
 
 
 def draw_boxes(cloud_pass: CloudPass, edge: float, one_in: int) -> Points:
-    """Return the points in a sample of boxes, in the order of the cloud.
-
-    Parameters
-    ----------
-    cloud_pass : CloudPass
-    edge : float
-        Of a box, in length units of the input.
-    one_in : int
-        How many boxes make one sampled.
-    """
+    """Return the points in a sample of boxes, one of `one_in`, in the order of the cloud."""
     corner = lay_lattice(cloud_pass.cloud.low, edge)
     samples = cloud_pass.each(sample_region, corner, edge, one_in)
     positions, normals = (np.concatenate(column) for column in zip(*samples, strict=True))

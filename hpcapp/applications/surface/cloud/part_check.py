@@ -20,12 +20,7 @@ _BYTES_AT_ONCE = 1 << 22  # whole pages
 def with_check(pieces: Iterable[memoryview | bytes], path: Path) -> Iterator[memoryview | bytes]:
     """Yield the records of a part, and behind them the last one.
 
-    Parameters
-    ----------
-    pieces : iterable of bytes-like
-        Of whole pages each (see `hpccomponent.files.checksum.PAGE`), but for the last.
-    path : Path
-        Of the file.
+    All pieces but the last are of whole pages (see `hpccomponent.files.checksum.PAGE`).
     """
     length = check = 0
     for piece in pieces:
@@ -36,21 +31,9 @@ def with_check(pieces: Iterable[memoryview | bytes], path: Path) -> Iterator[mem
 
 
 def check_part(path: Path) -> int:
-    """Find out whether a file is as it was written.
+    """Find out whether a file is as it was written; return the bytes before its last record.
 
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    int
-        Bytes before the last record.
-
-    Raises
-    ------
-    DamagedError
-        It is not; the message names it.
+    DamagedError names the file where it is not.
     """
     try:
         with open(path, "rb", opener=open_at_once) as file:

@@ -55,13 +55,8 @@ _SAME_BLOCKS = "the points are those of the blocks"
 class AssignedPoints:
     """The points that a task is given, as far as they are known without reading them.
 
-    Parameters
-    ----------
-    arrangement : Arrangement
-    keys, counts : ndarray of int64, shape (b,)
-        Of the task's own blocks, but for empty ones.
-    sent : PackedPoints or None
-        The points themselves, and others, where they are sent.
+    The keys and counts (b,) are of its own blocks, but for empty ones. `sent` are the points
+    themselves, and others, where they are sent.
     """
 
     arrangement: Arrangement
@@ -207,24 +202,12 @@ def _name_points(counts: IntArray, offsets: Float32Array) -> NDArray[np.void]:
 
 
 def region_bytes(each: int) -> Callable[..., int]:
-    """Return how large what is found of some blocks may be, from what a task is given.
-
-    Parameters
-    ----------
-    each : int
-        Bytes of each point, at most.
-    """
+    """Return what tells how large a result may be, `each` bytes a point, by a task's arguments."""
     return lambda points, *_: SMALL_BYTES + each * AssignedPoints.of(points).points
 
 
 def run_bytes(each: int) -> Callable[..., int]:
-    """Return the same of tasks that are given a place and blocks there.
-
-    Parameters
-    ----------
-    each : int
-        Bytes of each point, at most.
-    """
+    """Return the same of tasks that are given a place and blocks there."""
 
     def limit(place: Place, blocks: IntArray, *_: Any) -> int:
         cloud = open_place(place)

@@ -29,18 +29,9 @@ a piece up to 800 (see `resolution.memory`)."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointWorkers:
-    """Who goes through a cloud.
+    """Who goes through a cloud, in tasks that hold about so many points at most.
 
-    Parameters
-    ----------
-    workforce : Workforce
-        Runs the tasks.
-    workers_see : bool
-        Whether the workers see the folder.
-    points : int
-        How many a task may hold at most, about.
-    workers_see_input : bool
-        Whether they see the input, too.
+    They see the cloud's folder if `workers_see`, and the input if `workers_see_input`.
     """
 
     workforce: Workforce
@@ -84,24 +75,9 @@ class PointWorkers:
     ) -> Iterator[tuple[int, bool, Any]]:
         """Run a task over the regions of a cloud, and yield results as they come.
 
-        Parameters
-        ----------
-        task : callable
-        cloud : DiskCloud
-        margin : float
-            In length units of the input. Without one regions are runs of blocks.
-        given : sequence
-            What the task is given after its points; records are shared.
-        target : Path or None
-            Where what changes is written.
-
-        Yields
-        ------
-        index : int
-            Of the region; those of runs rise with their blocks.
-        is_written : bool
-            Whether what has changed is written already.
-        result : object
+        Without a margin regions are runs of blocks. Records in `given` are shared; what changes is
+        written to `target`. With each result come the index of its region, in the order of the
+        blocks where these are runs, and whether what has changed is written already.
         """
         if margin:
             regions = cut_regions(cloud.keys, cloud.counts, self.count_pieces(len(cloud)))
@@ -127,15 +103,7 @@ class PointWorkers:
     def count_cells(
         self, cloud: ArrangedCloud, origin: FloatArray, size: float
     ) -> tuple[IntArray, IntArray]:
-        """Count the points in the occupied cells of a lattice.
-
-        Parameters
-        ----------
-        cloud : ArrangedCloud
-            In memory too: threads share it.
-        origin, size
-            As for `count_block_cells`, whose result of the whole cloud this is.
-        """
+        """Count all points as `count_block_cells` does; threads share a cloud in memory."""
         runs = [cloud.keys[run] for run in self.cut_blocks(cloud.counts)]
         asked = [(cloud.place, keys, origin, size) for keys in runs]
         return merge_cells(self.map(count_block_cells, asked))

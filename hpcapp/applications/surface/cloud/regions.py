@@ -29,16 +29,9 @@ from hpccomponent.protocol.records import record
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReplacedRows:
-    """What becomes of some points in memory.
+    """What becomes of some points in memory: those of the cloud's `rows`, (m,) or a slice.
 
-    Parameters
-    ----------
-    rows : ndarray of int64, shape (m,), or slice
-        Which points of the cloud they are.
-    kept : ndarray of bool, shape (m,), or None
-        Those that stay; all by default.
-    normals : ndarray of float64 or float32, shape (m, 3), or None
-        In place of those that they had.
+    A mask `kept` (m,) has those that stay, all by default; `normals` (m, 3) replace those they had.
     """
 
     rows: IntArray | slice
@@ -90,17 +83,9 @@ class RegionPoints(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MemoryRegion:
-    """A region of a cloud in memory.
+    """A region of a cloud in memory, with the normals that are `given`, (n, 3).
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-    given : ndarray of float64 or float32, shape (n, 3), or None
-        The normals that there are.
-    own : ndarray of bool, shape (n,)
-    rows : ndarray of int64, shape (m,), or slice
-        Which points of the cloud are its own.
-    threads : int
+    Its own points are the cloud's `rows`, (m,) or a slice.
     """
 
     positions: FloatArray
@@ -149,17 +134,10 @@ class SentBlocks:
 class StoredBlocks:
     """Where the points of a region are that is some blocks of a `DiskCloud`.
 
-    Parameters
-    ----------
-    where : str or SentBlocks
-        The folder, which the worker sees, or what it is sent.
-    blocks : ndarray of int64, shape (k,)
-        Sorted keys of the region's own blocks.
-    margin : float
-        No point is missing that is no farther from them, in length units of the input.
-    target : tuple of (str, int), or None
-        The folder, and the number of the part, that what changes is written to: see
-        `disk.write_part`. None where the worker does not see it.
+    `where` is its folder, which the worker sees, or what it is sent: no point is missing that lies
+    within the margin of the region's own blocks, whose keys (k,) are sorted. What changes is
+    written to `target`, a folder and the number of a part there (see `disk_parts.write_part`); None
+    where the worker does not see it.
     """
 
     where: str | SentBlocks
@@ -184,19 +162,7 @@ class StoredBlocks:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _StoredRegion:
-    """A region of blocks; see `Region`.
-
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-    own : ndarray of bool, shape (n,)
-    packed : PackedPoints
-        These points and others.
-    rows : ndarray of int64, shape (n,)
-        Where the points are among them.
-    target : tuple of (str, int), or None
-        See `StoredBlocks`.
-    """
+    """A region of blocks, see `Region`: the points at `rows` (n,) of what is packed."""
 
     positions: FloatArray
     own: BoolArray

@@ -34,22 +34,9 @@ _STALLED = 0.8  # half the edge should leave a quarter of the points
 
 
 def estimate_spacing(positions: FloatArray) -> float:
-    """Estimate the typical distance between neighbouring points of a surface.
+    """Estimate the typical distance between neighbouring points (n, 3) of a surface.
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        In length units of the input.
-
-    Returns
-    -------
-    float
-        H / sqrt(points per occupied box of edge H), in length units of the input.
-
-    Raises
-    ------
-    InputError
-        All points are the same.
+    It is H / sqrt(points per occupied box of edge H); InputError where all points are the same.
 
     Notes
     -----
@@ -67,25 +54,10 @@ def estimate_spacing(positions: FloatArray) -> float:
 
 
 def search_spacing(count: Count, points: int, low: FloatArray, high: FloatArray) -> float:
-    """Estimate the spacing of a cloud that somebody else counts; see `estimate_spacing`.
+    """Return what `estimate_spacing` does, to the last bit, of a cloud that somebody else counts.
 
-    Parameters
-    ----------
-    count : callable
-        See `Count`. It is called for each size of boxes, three times or so.
-    points : int
-    low, high : ndarray of float64, shape (3,)
-        Corners of the box around all points.
-
-    Returns
-    -------
-    float
-        What `estimate_spacing` finds of all of them, to the last bit.
-
-    Raises
-    ------
-    InputError
-        All points are the same.
+    `count` is called for each size of boxes, three times or so; `low` and `high` are the corners of
+    the box around all points. InputError where all points are the same.
     """
     longest = float((high - low).max())
 
@@ -105,25 +77,10 @@ def search_spacing(count: Count, points: int, low: FloatArray, high: FloatArray)
 def sample_box_keys(
     positions: FloatArray, low: FloatArray, edge: float, one_in: int
 ) -> tuple[int, IntArray]:
-    """Count points in a sample of boxes, and name the boxes: see `count_boxes`.
+    """Count points in a sample of boxes, about one of `one_in`, and name the boxes.
 
-    Counts of several groups of points add up, and their boxes unite, to those of all.
-
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-    low : ndarray of float64, shape (3,)
-        Corner of a box.
-    edge : float
-        Of a box, in length units of the input.
-    one_in : int
-        About one box in so many is in the sample.
-
-    Returns
-    -------
-    points : int
-    keys : ndarray of int64, shape (b,)
-        Sorted keys of the sampled boxes that hold points.
+    `low` is a corner of a box. The keys (b,) of boxes that hold points are sorted. Counts of
+    several groups of points add up, and their boxes unite, to those of all. See `count_boxes`.
     """
     if not len(positions):
         return 0, np.zeros(0, np.int64)
@@ -135,19 +92,9 @@ def sample_box_keys(
 def sample_positions(
     positions: FloatArray, low: FloatArray, edge: float, one_in: int
 ) -> FloatArray:
-    """Return the points in a sample of boxes, in their order.
+    """Return the points in a sample of boxes, about one of `one_in`, in their order.
 
     Unlike those of `kernels.sample_boxes` the boxes make no pattern, whichever the points make.
-
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-    low : ndarray of float64, shape (3,)
-        Corner of a box.
-    edge : float
-        Of a box, in length units of the input.
-    one_in : int
-        About one box in so many is in the sample.
     """
 
     def mark(rows: slice) -> BoolArray:
@@ -162,18 +109,11 @@ def sample_positions(
 def _search_edge(
     count: Callable[[float, int], tuple[int, int]], points: int, longest: float
 ) -> tuple[float, float, bool]:
-    """Search the edge of boxes that hold a few points each.
+    """Search the edge of boxes that hold a few points each; `longest` is the side of the cloud.
 
     `count` is given an edge and how many boxes make one sampled, and returns points and boxes.
-
-    Returns
-    -------
-    edge : float
-        In length units of the input.
-    occupancy : float
-        Points in an occupied box.
-    is_stalled : bool
-        Whether smaller boxes did not hold fewer points.
+    Returned are the edge, the points in an occupied box, and whether smaller boxes did not hold
+    fewer.
     """
     if longest <= 0.0:
         raise InputError(f"all {points} points lie at one place", "scan something with an extent")

@@ -27,12 +27,7 @@ _FLAT = 0.15  # likewise at full density: more of them are a surface that is wor
 def check_surface(cloud_pass: CloudPass, spacing: float) -> InputError | None:
     """Tell why a cloud's points lie on no surface; None where they do, or are too few to tell.
 
-    Parameters
-    ----------
-    cloud_pass : CloudPass
-        No two points are at one place.
-    spacing : float
-        In length units of the input.
+    No two points are at one place.
     """
     cloud = cloud_pass.cloud
     finest = max(_FINE * spacing, float((cloud.high - cloud.low).max()) / _MOST_BOXES)

@@ -46,17 +46,7 @@ def count_boxes(
 ) -> tuple[int, CellKeys]:
     """Count points and boxes that hold some (a task); see `spacing.sample_box_keys`.
 
-    Parameters
-    ----------
-    points : RegionPoints
-    low : ndarray of float64, shape (3,)
-        Corner of a box.
-    edge : float
-        Of the boxes, in length units of the input.
-    one_in : int
-        How many boxes make one sampled.
-    is_distinct : bool
-        Whether points at one place count as one.
+    If `is_distinct`, points at one place count as one.
     """
     positions = points.take().positions
     if is_distinct:
@@ -97,19 +87,7 @@ def sample_places(
 def count_block_cells(
     place: Place, blocks: IntArray, origin: FloatArray, size: float
 ) -> tuple[CellKeys, CellCounts]:
-    """Count the points in each occupied cell of a lattice (a task).
-
-    Parameters
-    ----------
-    place : Place
-        Of the cloud.
-    blocks : ndarray of int64, shape (k,)
-        Sorted keys of some of its blocks.
-    origin : ndarray of float64, shape (3,)
-        Corner of a cell.
-    size : float
-        Of a cell, in length units of the input.
-    """
+    """Count the points of some blocks in a lattice (a task); see `ArrangedCloud.count_cells`."""
     return open_place(place).count_cells(blocks, origin, size)
 
 

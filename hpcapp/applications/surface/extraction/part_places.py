@@ -61,34 +61,15 @@ class Runs:
         return zip(starts, starts[1:], self.numbers.tolist(), strict=False)
 
     def put(self, rows: NDArray[Row], mesh: NDArray[Row], before: int = 0) -> None:
-        """Put rows to their places in the mesh, or in a piece of it.
-
-        Parameters
-        ----------
-        rows : ndarray, shape (m, ...)
-            In the order of the runs.
-        mesh : ndarray, shape (k, ...)
-            Is written to.
-        before : int
-            Rows of the mesh in front of the piece.
-        """
+        """Put rows, in the order of the runs, into a mesh, or a piece of it after `before` rows."""
         for first, last, number in self:
             mesh[number - before : number - before + last - first] = rows[first:last]
 
 
 def place_vertices(part: MeshPart, places: PartPlaces, bricks: IntArray) -> tuple[FloatArray, Runs]:
-    """Return the vertices that some bricks give to the mesh.
+    """Return the vertices (m, 3) that some bricks give to the mesh, and where they go.
 
-    Parameters
-    ----------
-    bricks : ndarray of int64, shape (k,)
-        Rows of bricks that are taken from this part, sorted.
-
-    Returns
-    -------
-    vertices : ndarray of float64, shape (m, 3)
-    runs : Runs
-        Where they go.
+    `bricks` (k,) are sorted rows of bricks that are taken from this part.
     """
     starts, counts = starts_of(part.vertex_counts), part.vertex_counts[bricks]
     vertices = _take(part.vertices, starts, bricks)
@@ -103,21 +84,10 @@ def place_vertices(part: MeshPart, places: PartPlaces, bricks: IntArray) -> tupl
 def place_faces(
     part: MeshPart, places: PartPlaces, bricks: IntArray
 ) -> tuple[Int32Array, IntArray, Runs]:
-    """Return the faces that some bricks give to the mesh.
+    """Return the faces (m, 3) that some bricks give to the mesh, and where they go.
 
-    Parameters
-    ----------
-    bricks : ndarray of int64, shape (k,)
-        Rows of bricks that are taken from this part, sorted.
-
-    Returns
-    -------
-    faces : ndarray of int32, shape (m, 3)
-        As the part names their vertices.
-    corners : ndarray of int, shape (m, 3)
-        As the whole mesh numbers them.
-    runs : Runs
-        Where the faces go.
+    They come as the part names their vertices, and as the whole mesh numbers them. `bricks` (k,)
+    are sorted rows of bricks that are taken from this part.
     """
     counts = part.face_counts[bricks]
     faces = _take(part.faces, starts_of(part.face_counts), bricks)
@@ -130,14 +100,9 @@ def place_faces(
 
 
 def find_kept(part: MeshPart, places: PartPlaces, brick: int) -> IntArray:
-    """Return which of the faces of a brick go to the mesh, shape (k,): their numbers in the brick.
+    """Return which of the faces of a brick go to the mesh, (k,): their numbers in the brick.
 
-    Parameters
-    ----------
-    part : MeshPart
-    places : PartPlaces
-    brick : int
-        The row of one that is taken from this part.
+    `brick` is the row of one that is taken from this part.
     """
     first, last = starts_of(part.face_counts)[[brick, brick + 1]]
     return np.flatnonzero(_number_corners(part, places, part.faces[first:last])[:, 0] >= 0)

@@ -30,12 +30,10 @@ ForeignNumbers = Annotated[Int32Array, Column("g", low=0)]
 class MeshPart:
     """The vertices and faces of some bricks; b bricks, v vertices, f faces, g foreign vertices.
 
-    Notes
-    -----
     A vertex belongs to the brick of the lower node of its edge. What two parts share is
     bit-identical. A brick that some part owns is taken from there, else from the lowest-numbered
-    part that has it as a guest; a face that refers to a vertex of another copy means the vertex
-    of that number in the copy that is taken.
+    part that has it as a guest; a face that refers to a vertex of another copy means the vertex of
+    that number in the copy that is taken.
     """
 
     bricks: BrickKeys
@@ -92,12 +90,8 @@ def cut_part(
 ) -> MeshPart:
     """Cut the rim off the surface of a tile; what its faces use of it is named.
 
-    Parameters
-    ----------
-    kinds : BrickKinds, optional
-        All bricks that hold points are the tile's own where it is left out.
-    supported : ndarray of bool, shape (v,), optional
-        Of the mesh's vertices (see `MeshPart`); none where it is left out.
+    Without `kinds` all bricks that hold points are the tile's own; without `supported` (v,), of the
+    mesh's vertices, none is (see `MeshPart`).
     """
     taken = mesh.taken  # (b,): bricks that are no rim
     bricks = mesh.bricks[taken]
@@ -129,12 +123,7 @@ def cut_part(
 
 
 def drop_faces(part: MeshPart, rows: IntArray) -> MeshPart:
-    """Return a part without some of its faces; it keeps all its vertices.
-
-    Parameters
-    ----------
-    rows : ndarray of int64, shape (k,)
-    """
+    """Return a part without the faces of some rows (k,); it keeps all its vertices."""
     stays = np.ones(len(part.faces), np.bool_)
     stays[rows] = False
     ends = np.cumsum(part.face_counts)
@@ -225,18 +214,10 @@ def _name_foreign(
 ) -> tuple[IntArray, Int32Array, Int32Array]:
     """Tell what the foreign vertices of some parts are to these parts joined.
 
-    Parameters
-    ----------
-    bricks, starts : ndarray of int64, shape (b,)
-        The bricks of all, sorted, and the first vertex of each, wherever it lies.
-    names : ndarray of int64, shape (g,)
-    numbers : ndarray of int32, shape (g,)
-        Brick of each foreign vertex, and its number within that.
-
-    Returns
-    -------
-    meant : ndarray of int32, shape (g,)
-        What the corner of a face says that means it.
+    `bricks` (b,) are those of all, sorted, and `starts` (b,) the first vertex of each, wherever it
+    lies; `names` (g,) the brick of each foreign vertex, and `numbers` (g,) its own within that.
+    Returns brick and number of those that stay foreign, each once, and for all (g,) what the corner
+    of a face says that means it.
     """
     at = find_keys(bricks, names)
     is_here = at < len(bricks)

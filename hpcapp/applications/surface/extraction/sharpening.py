@@ -64,29 +64,12 @@ def sharpen_vertices(
 ) -> FloatArray:
     """Move vertices beside the edges of a surface onto these.
 
-    Parameters
-    ----------
-    vertices : ndarray of float64, shape (v, 3)
-        Where marching cubes has put them, in length units of the input.
-    faces : ndarray of int64, shape (f, 3)
-        Anticlockwise as seen from outside.
-    balanced : ndarray of float64, shape (v, 3)
-        Where `kernels.balance_vertices` has put them: it takes edges for round.
-    features : Features
-        Where edges are.
-    lattice : tuple of ndarray of float64, shape (3,), and float
-        Where vertex (0, 0, 0) of the features' lattice lies, and the edge of its cells, in length
-        units of the input.
-    steps : ndarray of float64, shape (v,)
-        Of the grid around each vertex, in length units of the input.
+    Vertices (v, 3) are where marching cubes has put them, `balanced` (v, 3) where
+    `kernels.balance_vertices` has: it takes edges for round. Faces (f, 3) are anticlockwise as seen
+    from outside. `lattice` is where vertex (0, 0, 0) of the features' lattice lies, and the edge of
+    its cells, `steps` (v,) those of the grid around each vertex; all in length units of the input.
 
-    Returns
-    -------
-    ndarray of float64, shape (v, 3)
-        On edges; in the faces beside them as marching cubes has it; balanced elsewhere.
-
-    Notes
-    -----
+    Returns (v, 3): on edges; in the faces beside them as marching cubes has it; balanced elsewhere.
     A vertex that would turn a face over, or leave it no area, stays. What a vertex gets depends on
     nothing farther away than seven faces.
     """
@@ -212,12 +195,8 @@ def _meet(
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Go from some places to where both quadrics are 0, the shortest way.
 
-    Returns
-    -------
-    at, tangents : ndarray of float64, shape (m, 3)
-        Tangents have unit length.
-    good : ndarray of bool, shape (m,)
-        False where the quadrics do not cross.
+    Returns the places (m, 3), tangents (m, 3) of unit length, and (m,) False where the quadrics do
+    not cross.
     """
     good = np.ones(len(at), np.bool_)
     for _ in range(_NEWTON):

@@ -96,10 +96,7 @@ class _Nodes:
 def summarize_part(part: MeshPart) -> PartSummary:
     """Sum up a part for `plan_stitching`.
 
-    Returns
-    -------
-    PartSummary
-        A few per cent of the part's size: it grows with the bricks and along the seams.
+    It takes a few per cent of the part's size: it grows with the bricks and along the seams.
     """
     own = len(part.vertices)
     nodes = _name_nodes(part)

@@ -47,10 +47,7 @@ class TakenBricks:
     def areas(self, one_in: int) -> IntArray:
         """Return how large the surface in each is: as so many vertices a finest step apart.
 
-        Parameters
-        ----------
-        one_in : int
-            So many bricks make one that counts; the others have 0.
+        One in so many bricks counts; the others have 0.
         """
         areas: IntArray = self.vertex_counts.astype(np.int64) << (
             2 * self.exponents.astype(np.int64)

@@ -34,24 +34,13 @@ _BOXES = _boxes()
 def corners_at(ancestors: IntArray, marks: Marks) -> IntArray:
     """Return the corners of a level that carry quadrics because of some of the finest cells.
 
-    They are the ancestors of the corners of these cells and of their neighbours.
+    `ancestors` (a,) are sorted keys of cells of the level, which is not the finest, with their
+    `marks` (a,); the corners are sorted keys (v,): the ancestors of the corners of these cells and
+    of their neighbours.
 
-    Parameters
-    ----------
-    ancestors : ndarray of int64, shape (a,)
-        Sorted keys of cells of the level, which is not the finest.
-    marks : ndarray of uint32, shape (a,)
-
-    Returns
-    -------
-    ndarray of int64, shape (v,)
-        Sorted.
-
-    Notes
-    -----
-    Cell i lays corners i - 1 to i + 2; their ancestors are those from floor((i - 1) / 2^depth)
-    to ceil((i + 2) / 2^depth), along each axis by itself: one more below its own ancestor's where
-    it lies first in this, one more above where it lies last.
+    Cell i lays corners i - 1 to i + 2; their ancestors are those from floor((i - 1) / 2^depth) to
+    ceil((i + 2) / 2^depth), along each axis by itself: one more below its own ancestor's where it
+    lies first in this, one more above where it lies last.
     """
     boxes = np.zeros(len(ancestors), np.uint64)  # of each, the corners around it that are laid
     for shape in range(27):

@@ -41,15 +41,9 @@ _AT_ONCE = 64  # slabs whose sums wait to be put together
 class CellMoments:
     """The moments of each cell of a level.
 
-    Parameters
-    ----------
-    pieces : list of ndarray of float64 or float32, shape (k, 44)
-        Of some cells each, one after the other: about the centres of the cells, in their units.
-
-    Notes
-    -----
-    Pieces of some megabytes lie where other arrays have been: in one piece the moments of a
-    tile would find no place there that is large enough.
+    Each of the `pieces` (k, 44) is of some cells, one piece after the other: about the centres of
+    the cells, in their units. They are of some megabytes and lie where other arrays have been: in
+    one piece the moments of a tile would find no place there that is large enough.
     """
 
     pieces: list[FloatArray | Float32Array]
@@ -78,13 +72,8 @@ class CellMoments:
 class PartMoments:
     """The moments of each cell of a level, as several have found them: of some cells each.
 
-    Put together they would be as much memory again.
-
-    Parameters
-    ----------
-    parts : list of ndarray of float64, shape (k, 44)
-    rows : list of ndarray of int64, shape (k,)
-        The cells of each part, sorted; every cell is in one of them.
+    Put together they would be as much memory again. Of the `parts` (k, 44), `rows` (k,) are the
+    cells of each, sorted; every cell is in one of them.
     """
 
     parts: list[FloatArray]
@@ -121,32 +110,15 @@ class CellRows(Protocol):
         """Return some of the points, in another order."""
 
     def seed_bricks(self, grid: Grid, offsets: IntArray, wanted: BoolArray) -> IntArray:
-        """Return the bricks that hold a point of some cells.
+        """Return the sorted, unique keys (b,) of bricks with a point of the `wanted` cells (c,).
 
-        Parameters
-        ----------
-        offsets : ndarray of int64, shape (c + 1,)
-            Cell i holds the points offsets[i] to offsets[i + 1], and these are all.
-        wanted : ndarray of bool, shape (c,)
-
-        Returns
-        -------
-        ndarray of int64, shape (b,)
-            Sorted, unique keys.
+        Cell i holds the points offsets[i] to offsets[i + 1], and these are all.
         """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CloudRows:
-    """Points of a cloud in the order of their cells: `CellRows`.
-
-    Parameters
-    ----------
-    cloud : PointCloud
-        With normals.
-    rows : ndarray of uint32, shape (n,)
-        Of the cloud.
-    """
+    """`CellRows` of a cloud with normals: its `rows` (n,), in the order of their cells."""
 
     cloud: PointCloud
     rows: NDArray[np.uint32]
@@ -182,8 +154,6 @@ class SortedPoints:
         Those of other cells may be among them.
     origin : ndarray of float64, shape (3,)
         Where corner (0, 0, 0) of the lattice lies.
-    cell_size : float
-        In length units of the input.
     offsets : ndarray of int64, shape (c + 1,)
         Cell i holds the points offsets[i] to offsets[i + 1].
     weights : ndarray of float64, shape (n,), optional
@@ -213,23 +183,10 @@ class SortedPoints:
         return replace(self, offsets=self.offsets[cells.start : cells.stop + 1])
 
     def gather(self, rows: IntArray, cells: IntArray, depth: int) -> tuple[IntArray, SortedPoints]:
-        """Sort the points of some cells by larger ones that these lie in.
+        """Sort the points of the cells in `rows` (k,) by larger ones that these lie in.
 
-        Parameters
-        ----------
-        rows : ndarray of int64, shape (k,)
-            Of the cells.
-        cells : ndarray of int64, shape (c,)
-            The keys of all.
-        depth : int
-            So often the larger ones are halved.
-
-        Returns
-        -------
-        cells : ndarray of int64, shape (p,)
-            Sorted keys of the larger ones.
-        points : SortedPoints
-            In these.
+        `cells` (c,) are the keys of all; the larger ones are halved `depth` times for these. Return
+        the sorted keys (p,) of the larger ones, and the points in them.
         """
         larger, number = number_keys(ancestor_keys(cells[rows], depth))
         order = np.argsort(number, kind="stable")
@@ -243,15 +200,10 @@ class SortedPoints:
         return larger, SortedPoints(self.held.take(held), self.origin, size, offsets)
 
     def place(self, cells: slice) -> tuple[FloatArray, FloatArray, IntArray]:
-        """Return the points in a run of cells, relative to these.
+        """Return the points (n, 3) in a run of cells, their normals (n, 3), and offsets (k + 1,).
 
-        Returns
-        -------
-        local : ndarray of float64, shape (n, 3)
-            Relative to the centre of the point's cell, in cells.
-        normals : ndarray of float64, shape (n, 3)
-        offsets : ndarray of int64, shape (k + 1,)
-            Cell i of the run holds the points offsets[i] to offsets[i + 1].
+        Points are relative to the centre of their cell, in cells; cell i of the run holds those
+        from offsets[i] to offsets[i + 1].
         """
         offsets = self.offsets[cells.start : cells.stop + 1]
         rows = slice(int(offsets[0]), int(offsets[-1]))
@@ -270,21 +222,10 @@ def sort_cloud(
 def merge_parents(
     cells: IntArray, points: SortedPoints | CellMoments | PartMoments, threads: int = 1
 ) -> tuple[IntArray, CellMoments]:
-    """Sum the moments of the parents of cells.
+    """Sum the moments of the parents of a level's cells (c,), which are sorted keys.
 
-    Parameters
-    ----------
-    cells : ndarray of int64, shape (c,)
-        Sorted keys of a level's cells.
-    points : SortedPoints, CellMoments or PartMoments
-        In these.
-
-    Returns
-    -------
-    parents : ndarray of int64, shape (p,)
-        Sorted keys.
-    moments : CellMoments
-        Rounded to float32 where `points` are those of the finest level.
+    Return the parents' sorted keys (p,), and moments, which are rounded to float32 where `points`
+    are those of the finest level.
     """
     rounded = isinstance(points, SortedPoints)
     slabs = _cut_slabs(cells, max(threads, -(-len(cells) // _SLAB)))

@@ -115,27 +115,21 @@ def solve_far_field(
     missing: FloatArray,
     threads: int = 1,
 ) -> FarField:
-    """Solve for the coarse field of some cells of points.
+    """Solve for the coarse field of some cells of points, at the cost of four FFTs of all nodes.
 
     Parameters
     ----------
-    centroids : ndarray of float64, shape (c, 3)
-        In length units of the input.
-    normals : ndarray of float64, shape (c, 3)
-        Means, pointing out of the object.
+    centroids, normals : ndarray of float64, shape (c, 3)
+        In length units of the input; normals are means, pointing out of the object.
     box : tuple of two ndarray of float64, shape (3,)
         Low and high corner of what the field must cover.
     size : float
-        Edge of the cells, in length units of the input. It is the standard deviation of the
-        Gaussian that the samples are smeared with, too; at least one grid step is taken.
+        Edge of the cells, and the standard deviation of the Gaussian that the samples are smeared
+        with, but at least one grid step.
     nodes : int
         Along each side, a power of two.
     missing : ndarray of float64, shape (3,)
         As of the cloud's `Reading`.
-
-    Notes
-    -----
-    The cost is that of four FFTs of all nodes.
     """
     low, high = box
     origin, step = lay_far_field(low, high, nodes)
@@ -166,28 +160,16 @@ def spread_samples(
 ) -> tuple[FloatArray, FloatArray]:
     """Spread samples that stand for more than one cell over their share of the surface.
 
-    Parameters
-    ----------
-    centroids : ndarray of float64, shape (c, 3)
-        From a corner of a lattice of such cells.
-    normals, size
-        See `solve_far_field`.
+    `centroids` (c, 3) count from a corner of a lattice of such cells. Return centroids (s, 3) of
+    samples of about one cell each, first those that are as they were, then the discs, and normals
+    (s, 3), as long as they count.
 
-    Returns
-    -------
-    centroids : ndarray of float64, shape (s, 3)
-        Samples of about one cell each: first those that are as they were, then the discs.
-    normals : ndarray of float64, shape (s, 3)
-        As long as they count.
-
-    Notes
-    -----
-    A whole sheet leaves about 1.5 a^2 samples in a cube of a cells along an edge. Where there are
-    k of them, in the smallest cube with 6 or more, each stands for 1.5 a^2 / k cells. Samples of
-    the same sheet count 1, those of one that faces the other way 0. Around an outlier the smallest
-    such cube reaches the dense samples of the surface: so it stands for few cells. Where normals
-    turn all around, as of a tube thinner than the cube, there is no sheet: nothing is spread, or
-    it would go on beyond the tube's end.
+    A whole sheet leaves about 1.5 a^2 samples in a cube of a cells along an edge. Where there are k
+    of them, in the smallest cube with 6 or more, each stands for 1.5 a^2 / k cells. Samples of the
+    same sheet count 1, those of one that faces the other way 0. Around an outlier the smallest such
+    cube reaches the dense samples of the surface: so it stands for few cells. Where normals turn
+    all around, as of a tube thinner than the cube, there is no sheet: nothing is spread, or it
+    would go on beyond the tube's end.
     """
     lengths = np.linalg.norm(normals, axis=1)
     axes = normals / np.maximum(lengths, 1e-300)[:, None]

@@ -30,19 +30,10 @@ def find_features(
 ) -> Features:
     """Fit joined quadrics where one quadric would round an edge or a corner off.
 
-    Parameters
-    ----------
-    vertices : ndarray of int64, shape (v,)
-        Sorted keys of the cells' corners, one or more.
-    misfits : ndarray of float32, shape (v,)
-        How far the gradients of their quadrics are off the points' normals (see
-        `hermite.evaluate_misfits`): where they agree, one quadric does.
-    noise : float
-        Variance of the positions along the normals, in cells squared.
-    cells : ndarray of int64, shape (c,)
-        Sorted keys of the occupied cells.
-    points : SortedPoints
-        In these.
+    `vertices` (v,), one or more, are sorted keys of the cells' corners, `cells` (c,) those of the
+    occupied cells. Where the `misfits` (v,) of their quadrics are small, one quadric does (see
+    `hermite.evaluate_misfits`). `noise` is the variance of the positions along the normals, in
+    cells squared.
     """
     asked = vertices[misfits > _ROUND]
     # Keys sort by x first: one run of cells has all that lie within reach.
@@ -66,14 +57,8 @@ def find_features_above(
 ) -> Features:
     """Do the same on a coarser level than that by whose cells the points are sorted.
 
-    Parameters
-    ----------
-    vertices, misfits, noise
-        Of the level; see `find_features`.
-    depth : int
-        So often its cells are halved for those of the points.
-    cells : ndarray of int64, shape (c,)
-        Sorted keys of these.
+    The level's cells are halved `depth` times for the points' `cells` (c,), which are sorted keys;
+    the rest is of the level.
     """
     asked = misfits > _ROUND
     if not asked.any():

@@ -37,21 +37,11 @@ _TINY = 1e-300
 def find_hull(
     centroids: FloatArray, normals: FloatArray, size: float, missing: FloatArray
 ) -> FloatArray:
-    """Find planes that the surface of some cells of points does not leave.
+    """Find planes (k, 4) that the surface of some cells of points does not leave (see `FarField`).
 
-    Parameters
-    ----------
-    centroids, normals : ndarray of float64, shape (c, 3)
-        Means of the points in each cell, in length units of the input.
-    size : float
-        Edge of the cells, in the same units.
-    missing : ndarray of float64, shape (3,)
-        As of the cloud's `Reading`.
-
-    Returns
-    -------
-    ndarray of float64, shape (k, 4)
-        See `FarField`; none where nothing is missing, or the cells lie in a plane.
+    `centroids` and `normals` (c, 3) are means of the points in each cell, in length units;
+    `missing` (3,) is as of the cloud's `Reading`. There is no plane where nothing is missing, or
+    the cells lie in a plane.
     """
     length = float(np.linalg.norm(missing))
     if length < _BARE:

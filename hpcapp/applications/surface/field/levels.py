@@ -66,19 +66,8 @@ def fit_above(
 ) -> tuple[tuple[FieldLevel, ...], tuple[Features, ...], Parents | None]:
     """Fit every level but the finest, and tell how far each quadric is to be trusted.
 
-    Parameters
-    ----------
-    pyramid : Pyramid
-        From level 0 on. What is above it is taken out: nobody asks for it any more.
-
-    Returns
-    -------
-    levels : tuple of FieldLevel
-        Finest first.
-    features : tuple of Features
-        Of those that are somewhere the finest.
-    parents : Parents or None
-        What level 0 asks for.
+    What is above level 0 is taken out of `pyramid`: nobody asks for it any more. Return the levels,
+    finest first, the features of those that are somewhere the finest, and what level 0 asks for.
     """
     quadrics, parents = fit_levels(pyramid, weights, parents, threads, lowest=1)
     levels, vertices = pyramid.levels, pyramid.vertices
@@ -138,17 +127,7 @@ class SlabFields:
         self.pyramid.vertices.clear()
 
     def mark_supported(self, places: FloatArray) -> BoolArray:
-        """Tell which places have points in their cell of the base.
-
-        Parameters
-        ----------
-        places : ndarray of float64, shape (n, 3)
-            In length units of the input.
-
-        Returns
-        -------
-        ndarray of bool, shape (n,)
-        """
+        """Tell which places (n, 3), in length units, have points in their base cell, (n,)."""
         if not self.pyramid.levels:
             return np.zeros(len(places), np.bool_)
         below = self.pyramid.refinement.levels
@@ -161,21 +140,10 @@ class SlabFields:
         return supported
 
     def cut(self, first: int, end: int, quadrics: int, least: int = 1) -> list[int]:
-        """Cut layers of bricks along x into slabs.
+        """Cut layers of bricks along x, `first` to before `end`, into slabs; return their bounds.
 
-        Parameters
-        ----------
-        first, end : int
-            Layers from `first` to before `end`.
-        quadrics : int
-            Of the finest level, about so many in each slab, or fewer.
-        least : int
-            So many slabs at least.
-
-        Returns
-        -------
-        list of int
-            The bounds of the slabs, from `first` to `end`; a slab has 8 layers or more, on average.
+        A slab has about so many `quadrics` of the finest level, or fewer, and 8 layers or more, on
+        average; where there are layers enough, there are `least` slabs or more.
         """
         vertices, grid = self.pyramid.vertices[0], self.grid
         most = max(1, (end - first) // (_LEAST_LAYERS * grid.rim))

@@ -76,17 +76,9 @@ class LocalNoise:
         return LocalNoise(factor * self.whole, factor * self.untold, places)
 
     def variances_at(self, places: FloatArray) -> FloatArray:
-        """Return the variance of the points around some places.
+        """Return the variances (n,) of the points around places (n, 3), in squared length units.
 
-        Parameters
-        ----------
-        places : ndarray of float64, shape (n, 3)
-            In length units of the input.
-
-        Returns
-        -------
-        ndarray of float64, shape (n,)
-            In length units of the input squared; the whole cloud's at least.
+        They are the whole cloud's at least.
         """
         local = self.places.at(places) ** 2
         variances: FloatArray = np.maximum(local - self.untold**2, self.whole**2)
@@ -95,14 +87,9 @@ class LocalNoise:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Residuals:
-    """What fits leave over in cells of one size; v vertices with enough points.
+    """What fits leave over in cells of one size, at v vertices with enough points.
 
-    Parameters
-    ----------
-    keys : ndarray of int64, shape (v,)
-        Of the vertices.
-    variances : ndarray of float64, shape (v,)
-        RSS / (n - 10), in length units of the input squared.
+    `keys` (v,) are of the vertices; `variances` (v,) are RSS / (n - 10), in squared length units.
     """
 
     keys: IntArray
@@ -118,16 +105,9 @@ def map_noise(
 ) -> LocalNoise:
     """Map the standard deviations that residuals tell.
 
-    Parameters
-    ----------
-    whole, spacing : float
-        The deviation and the spacing over the whole cloud, in length units of the input.
-    origin : ndarray of float64, shape (3,)
-        Corner of a cell of any size.
-    cell_size : float
-        Edge of the finest cells, in length units of the input.
-    residuals : sequence of Residuals
-        In these, and in cells of twice, four times their edge and so on.
+    `whole` is the deviation over the whole cloud, `origin` (3,) a corner of a cell of any size,
+    `cell_size` the edge of the finest cells; `residuals` are in these, and in cells of twice, four
+    times their edge and so on.
     """
     levels, keys, counts, deviations = [], [], [], []
     for pool in range(_SMALLEST, _LARGEST + 1):

@@ -90,7 +90,7 @@ class Pyramid:
     origin : ndarray of float64, shape (3,)
         Where corner (0, 0, 0) of every level lies.
     cell_size : float
-        Edge of the cells of level 0, in length units of the input.
+        Edge of the cells of level 0.
     levels : list of Level
         `fit_levels` takes the points out of each as it goes: they are most of the memory.
     vertices : list of ndarray of int64
@@ -163,13 +163,7 @@ class Parents:
     variances: Float32Array
 
     def between(self, first: int, last: int) -> Parents:
-        """Return those whose x lies in a range, both ends included; nothing is copied.
-
-        Parameters
-        ----------
-        first, last : int
-            In cells of this level.
-        """
+        """Return those whose x, in cells, is in a range with both ends; nothing is copied."""
         run = find_layers(self.keys, first, last)
         return Parents(
             self.keys[run], self.coefficients[run], self.support[run], self.variances[run]
@@ -177,15 +171,7 @@ class Parents:
 
 
 def count_levels(longest: float, cell_size: float) -> int:
-    """Return how many levels a cloud has: floor(log2(longest side / cell_size / 6)) + 1, or 1.
-
-    Parameters
-    ----------
-    longest : float
-        Longest side of the cloud, in length units of the input.
-    cell_size : float
-        Edge of the finest cells, in length units of the input.
-    """
+    """Return how many levels a cloud has: floor(log2(longest side / cell_size / 6)) + 1, or 1."""
     return 1 + max(0, int(np.floor(np.log2(longest / cell_size / _COARSEST_CELLS) + _EXACT)))
 
 
@@ -199,18 +185,8 @@ def build_pyramid(
 ) -> Pyramid:
     """Sort the points into the finest cells, and sum their moments over all coarser ones.
 
-    Parameters
-    ----------
-    cloud : PointCloud
-        With normals.
-    origin : ndarray of float64, shape (3,)
-        Where corner (0, 0, 0) of every level lies.
-    cell_size : float
-        Edge of the finest cells, in length units of the input.
-    height : int
-        How many levels there are (see `count_levels`).
-    refinement : Refinement, optional
-        None by default.
+    The points have normals; corner (0, 0, 0) of every level lies at `origin` (3,), and the finest
+    cells are of `cell_size`; for `height` see `count_levels`.
     """
     refinement = Refinement.none() if refinement is None else refinement
     finest = Level(*sort_cloud(cloud, origin, cell_size), np.empty(0))
@@ -223,18 +199,7 @@ def build_pyramid(
 
 
 def raise_levels(finest: Level, levels: int, threads: int = 1) -> list[Level]:
-    """Put coarser levels upon a level.
-
-    Parameters
-    ----------
-    levels : int
-        How many there shall be, `finest` included.
-
-    Returns
-    -------
-    list of Level
-        Finest first.
-    """
+    """Return a level and coarser ones upon it, finest first: `levels` of them."""
     raised = [finest]
     while len(raised) < levels:
         finer = raised[-1]
@@ -247,15 +212,8 @@ def raise_levels(finest: Level, levels: int, threads: int = 1) -> list[Level]:
 def lay_vertices(finest: IntArray, levels: int) -> list[IntArray]:
     """Return the corners that carry quadrics, level by level: some, and all their ancestors.
 
-    Parameters
-    ----------
-    finest : ndarray of int64, shape (v,)
-        Sorted keys of corners of the finest of these levels.
-
-    Returns
-    -------
-    list of ndarray of int64
-        Among the ancestors of the corners of cells are all corners of the coarser cells.
+    The finest (v,) are sorted keys. Among the ancestors of the corners of cells are all corners of
+    the coarser cells.
     """
     vertices = [finest]
     while len(vertices) < levels:
@@ -272,23 +230,12 @@ def fit_levels(
 ) -> tuple[list[VertexQuadrics], Parents | None]:
     """Fit every level, from the coarsest to the finest, each with the one above as prior.
 
-    Parameters
-    ----------
-    pyramid : Pyramid
-        It may lack vertices that nobody asks for, but no parent of one that is there.
-    weights : list of Weights
-        Of each level of the whole cloud, finest first.
-    parents : Parents, optional
-        The level above the coarsest of `pyramid`, where there is one.
-    lowest : int
-        How many levels, the finest ones, are left as they are.
+    `pyramid` may lack vertices that nobody asks for, but no parent of one that is there. `weights`
+    are of each level of the whole cloud, finest first, `parents` of the level above the coarsest of
+    `pyramid`, where there is one. The `lowest` finest levels are left as they are.
 
-    Returns
-    -------
-    quadrics : list of VertexQuadrics
-        Of the fitted levels that a field is made of, finest first.
-    parents : Parents or None
-        What the level below the finest of these takes from it; None where there is no such.
+    Return the quadrics of the fitted levels that a field is made of, finest first, and what the
+    level below the finest of these takes from it; None where there is no such.
     """
     kept: list[VertexQuadrics] = []
     for index in reversed(range(lowest, len(pyramid.levels))):

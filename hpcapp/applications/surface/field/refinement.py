@@ -26,7 +26,7 @@ from hpccomponent.protocol.records import record
 @record("surface.refinement")
 @dataclass(frozen=True, slots=True, eq=False)
 class Refinement:
-    """Which cells of a lattice are divided.
+    """Which cells of a lattice are divided, by the scale and the noise of its points.
 
     Parameters
     ----------
@@ -34,14 +34,10 @@ class Refinement:
         Below the base.
     spacings : float
         Across a cell that points are dense enough for, at least.
-    scale : LocalScale
-        Of the points.
     origin : ndarray of float64, shape (3,)
         Where corner (0, 0, 0) of every level lies.
     cell_size : float
-        Edge of the finest cells, in length units of the input.
-    noise : LocalNoise
-        Of the points.
+        Edge of the finest cells.
     """
 
     levels: int
@@ -57,15 +53,7 @@ class Refinement:
         return cls(0, 1.0, LocalScale.uniform(1.0), np.zeros(3), 1.0, LocalNoise.none())
 
     def divides(self, cells: IntArray, depth: int) -> BoolArray:
-        """Tell which cells with points are divided.
-
-        Parameters
-        ----------
-        cells : ndarray of int64, shape (c,)
-            Keys of a level.
-        depth : int
-            The level, 0 for the finest.
-        """
+        """Tell which cells (c,) with points of level `depth`, 0 the finest, are divided, (c,)."""
         if not 0 < depth <= self.levels:
             return np.zeros(len(cells), np.bool_)
         wanted = self.wanted_sizes(self._middles(cells, depth))
@@ -77,34 +65,15 @@ class Refinement:
         return self.spacings * self.scale.at(places)
 
     def noise_around(self, corners: IntArray, depth: int) -> FloatArray:
-        """Return the noise around corners of a level.
-
-        Parameters
-        ----------
-        corners : ndarray of int64, shape (v,)
-        depth : int
-
-        Returns
-        -------
-        ndarray of float64, shape (v,)
-            Variances, in cells of the level squared.
-        """
+        """Return, in a level's cells squared, the variances (v,) of noise around corners (v,)."""
         size = self.cell_size * 2.0**depth
         places = self.origin + size * unpack_keys(corners)
         return self.noise.variances_at(places) / (size * size)
 
     def thin(self, cells: IntArray, depth: int) -> FloatArray:
-        """Return what share of the points in some cells of a level would be there by the whole's.
+        """Return what share (c,) of the points in cells (c,) would be there by the whole's.
 
-        Parameters
-        ----------
-        cells : ndarray of int64, shape (c,)
-        depth : int
-
-        Returns
-        -------
-        ndarray of float64, shape (c,)
-            At most 1, where points are as dense as those of the whole cloud or less.
+        It is 1 at most, where points are as dense as those of the whole cloud or less.
         """
         spacings = self.scale.at(self._middles(cells, depth))
         share: FloatArray = np.minimum(1.0, (spacings / self.scale.spacing) ** 2)
@@ -117,14 +86,8 @@ class Refinement:
     def mark_finest(self, corners: IntArray, cells: IntArray, depth: int) -> BoolArray:
         """Tell at which corners of a level no finer quadrics are: those of its leaves.
 
-        Parameters
-        ----------
-        corners : ndarray of int64, shape (v,)
-            Sorted keys.
-        cells : ndarray of int64, shape (c,)
-            Sorted keys of the cells with points, all around the corners.
-        depth : int
-            The level, 0 for the finest.
+        `corners` (v,) and `cells` (c,), those with points all around the corners, are sorted keys
+        of level `depth`, 0 the finest.
         """
         if depth > self.levels:
             return np.zeros(len(corners), np.bool_)
@@ -135,19 +98,11 @@ class Refinement:
         return finest
 
     def lay(self, cells: list[IntArray], base: IntArray) -> list[IntArray]:
-        """Return the corners that carry quadrics from the finest level to the base.
+        """Return the corners that carry quadrics from the finest level to the base, level by level.
 
-        Parameters
-        ----------
-        cells : list of ndarray of int64
-            Sorted keys of cells with points, of each level below the base.
-        base : ndarray of int64, shape (v,)
-            Sorted keys of corners of the base.
-
-        Returns
-        -------
-        list of ndarray of int64
-            The corners of the children of divided cells and of their neighbours; and ancestors.
+        They are those of the children of divided cells and of their neighbours, and ancestors.
+        `cells` are sorted keys of cells with points, of each level below the base; `base` (v,) are
+        of corners.
         """
         laid: list[IntArray] = []
         for depth, of_level in enumerate(cells):

@@ -40,25 +40,10 @@ _LEAST_TOLERANCE, _TO_TOLERANCE = 2.0, 4.0
 def measure_points(
     cells: IntArray, points: SortedPoints, part: slice, depth: int, blend: Blend
 ) -> FloatArray:
-    """Return how far the points in a run of cells lie from a blend, as `rate_points` does.
+    """Return how far points in a run of cells lie from a blend: squared, in variances, (n,).
 
-    Parameters
-    ----------
-    cells : ndarray of int64, shape (c,)
-        Sorted keys of the finest cells.
-    points : SortedPoints
-        In these.
-    part : slice
-        The run.
-    depth : int
-        So many levels further up is the level that is blended.
-    blend : tuple
-        Of that level.
-
-    Returns
-    -------
-    ndarray of float64, shape (n,)
-        Squared distances, in variances.
+    `cells` (c,) are sorted keys of the finest cells; `depth` levels further up is the one that is
+    blended (see `rate_points`).
     """
     local, _, offsets = points.place(part)
     given = local, offsets, cells[part], depth, *blend
@@ -68,18 +53,9 @@ def measure_points(
 def weigh_points(
     cells: IntArray, points: SortedPoints, blend: Blend, tolerance: float, threads: int = 1
 ) -> SortedPoints:
-    """Weigh the points of the finest level by the quadrics of the level above it.
+    """Weigh the points of the finest cells, sorted keys (c,), by the quadrics of the level above.
 
-    Parameters
-    ----------
-    cells : ndarray of int64, shape (c,)
-        Sorted keys of the finest cells.
-    points : SortedPoints
-        In these.
-    blend : tuple
-        Of the level above.
-    tolerance : float
-        In variances: a point that lies so far off counts half.
+    A point that lies `tolerance` off, in variances, counts half.
     """
     weights = np.empty(len(points.held))
 
@@ -96,19 +72,8 @@ def weigh_points(
 def tell_kurtosis(squares: FloatArray, cells: IntArray, offsets: IntArray) -> float:
     """Return the kurtosis of residuals whose variance differs from place to place.
 
-    Parameters
-    ----------
-    squares : ndarray of float64, shape (n,)
-        Squared residuals, sorted by cell.
-    cells : ndarray of int64, shape (c,)
-        Sorted keys.
-    offsets : ndarray of int64, shape (c + 1,)
-        Cell i holds the points offsets[i] to offsets[i + 1].
-
-    Returns
-    -------
-    float
-        3 of Gaussian ones, and where there are too few points to tell.
+    `squares` (n,) are squared residuals: cell i of the sorted keys (c,) has those from offsets[i]
+    to offsets[i + 1]. It is 3 of Gaussian ones, and where there are too few points to tell.
     """
     # (n,): the block of each point; then, of each block, how many, sum r^2 and sum r^4.
     blocks = number_keys(ancestor_keys(cells, _BLOCK))[1]
@@ -125,20 +90,10 @@ def tell_kurtosis(squares: FloatArray, cells: IntArray, offsets: IntArray) -> fl
 
 
 def find_tolerance(kurtosis: float) -> float:
-    """Return how far off a point may lie until it counts half, in variances.
+    """Return how far off a point may lie until it counts half, by the kurtosis of the residuals.
 
-    Parameters
-    ----------
-    kurtosis : float
-        Of the residuals.
+    It is in variances, and infinite where all points count alike.
 
-    Returns
-    -------
-    float
-        Infinite where all points count alike.
-
-    Notes
-    -----
     Student's t distribution with d degrees of freedom has a kurtosis of 3 + 6 / (d - 4), and d - 2
     times its variance is where a point counts half. What scanners leave anyway stands for the 3,
     and 4 for the 6, so that few points decide where tails are moderate.

@@ -16,16 +16,9 @@ _LEAST_CELLS = 4
 
 
 def sum_squares(children: IntArray, counts: FloatArray, parents: IntArray) -> FloatArray:
-    """Sum the squared counts of the children of each cell.
+    """Sum the squared counts (c,) of the children (c,) of each cell, (p,).
 
-    Parameters
-    ----------
-    children : ndarray of int64, shape (c,)
-        Keys of cells.
-    counts : ndarray of float64, shape (c,)
-        Points in each.
-    parents : ndarray of int64, shape (p,)
-        Sorted keys of the next coarser level, all parents among them.
+    `parents` (p,) are sorted keys of the next coarser level, all parents among them.
     """
     owners = kernels.find_keys(parents, ancestor_keys(children))
     return np.bincount(owners, counts**2, len(parents)).astype(np.float64)
@@ -36,21 +29,10 @@ def crowd_vertices(
 ) -> FloatArray:
     """Find how many other points a point around each vertex meets in its finer cell, on average.
 
-    Parameters
-    ----------
-    vertices : ndarray of int64, shape (v,)
-        Sorted keys of corners; those of the cells that are missing are passed over.
-    counts : ndarray of float32, shape (v,)
-        Points in the eight cells around each.
-    cells : ndarray of int64, shape (c,)
-        Keys of the occupied cells of the same level.
-    squares : ndarray of float64, shape (c,)
-        As `sum_squares` gives them.
-
-    Returns
-    -------
-    ndarray of float64, shape (v,)
-        sum n_child^2 / sum n_child - 1; infinite where there is no point.
+    Return sum n_child^2 / sum n_child - 1, (v,): infinite where there is no point. `counts` (v,)
+    are points in the eight cells around each of the `vertices` (v,), sorted keys; corners of the
+    occupied `cells` (c,) of the same level that are not among them are passed over. `squares` (c,)
+    are as of `sum_squares`.
     """
     total = np.zeros(len(vertices) + 1)  # the last is that of a missing one
     for octant in OCTANTS:
@@ -64,17 +46,9 @@ def crowd_vertices(
 def surrounded_vertices(vertices: IntArray, cells: IntArray) -> BoolArray:
     """Tell around which vertices the surface goes on: four or more of their cells hold points.
 
-    Parameters
-    ----------
-    vertices : ndarray of int64, shape (v,)
-        Sorted keys of corners; those of the cells that are missing are passed over.
-    cells : ndarray of int64, shape (c,)
-        Keys of the occupied cells of the same level.
-
-    Notes
-    -----
-    A plane along an axis that passes through one of the eight cells around a vertex passes
-    through four. Beyond the end of a scan there are two, or one.
+    Corners of the occupied `cells` (c,) of the same level that are not among the `vertices` (v,),
+    which are sorted keys, are passed over. A plane along an axis that passes through one of the
+    eight cells around a vertex passes through four. Beyond the end of a scan there are two, or one.
     """
     occupied = np.zeros(len(vertices) + 1, np.int8)  # the last is that of a missing one
     for octant in OCTANTS:

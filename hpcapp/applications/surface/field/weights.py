@@ -86,23 +86,12 @@ class Weights:
 
 
 def believe_noise(noise: float) -> float:
-    """Tell how much of the noise fits are to reckon with.
+    """Tell how much of the noise fits are to reckon with, from .7 of it to all.
 
-    Parameters
-    ----------
-    noise : float
-        Standard deviation over the whole cloud, in spacings of the points.
-
-    Returns
-    -------
-    float
-        From .7 up to half a spacing to 1 from .8 spacings on.
-
-    Notes
-    -----
-    Of little noise a sixth is relief that residuals cannot be told from, of much a sixth is
-    missed. On 60 scans with truth the mean distance is .97 of that with all of it: .96 at relief,
-    .95 at edges, 1.05 on smooth shapes. With half of it, up to .4 spacings, 40 of
+    `noise` is its standard deviation over the whole cloud, in spacings: .7 up to half a spacing, 1
+    from .8 spacings on. Of little noise a sixth is relief that residuals cannot be told from, of
+    much a sixth is missed. On 60 scans with truth the mean distance is .97 of that with all of it:
+    .96 at relief, .95 at edges, 1.05 on smooth shapes. With half of it, up to .4 spacings, 40 of
     them have 1.00, .97, .94 and 1.21.
     """
     return float(np.interp(noise, (_LITTLE, _MUCH), (BELIEVED, 1.0)))
@@ -111,26 +100,12 @@ def believe_noise(noise: float) -> float:
 def weigh_levels(
     cell_size: float, levels: int, noise: float, tolerance: float = np.inf, base: int = 0
 ) -> list[Weights]:
-    """Choose the weights of every level's fits.
+    """Choose the weights of every level's fits, from the finest to the coarsest.
 
-    Parameters
-    ----------
-    cell_size : float
-        Edge of the finest cells, in length units of the input.
-    noise : float
-        Standard deviation of the positions along the normals, in length units of the input.
-    base : int
-        The coarsest level that is anywhere the finest.
-
-    Returns
-    -------
-    list of Weights
-        From the finest level to the coarsest, which has no prior to speak of.
-
-    Notes
-    -----
-    Positions are wrong by the noise, normals by about the noise over the distance that they were
-    estimated from: the smaller the noise is in cells, the less is to be had from normals.
+    `noise` is the standard deviation of the positions along the normals, `base` the coarsest level
+    that is anywhere the finest. The coarsest level has no prior to speak of. Positions are wrong by
+    the noise, normals by about the noise over the distance that they were estimated from: the
+    smaller the noise is in cells, the less is to be had from normals.
     """
     weights = []
     for depth in range(levels):
@@ -144,20 +119,9 @@ def weigh_levels(
 def tell_noise(finer: Variances, coarser: Variances) -> Variances:
     """Tell noise from detail by the residual variances in cells of one size and of its double.
 
-    Parameters
-    ----------
-    finer, coarser : ndarray of float, shape (...)
-        In one unit.
-
-    Returns
-    -------
-    ndarray of float, shape (...)
-        Variances in that unit, 0 or more.
-
-    Notes
-    -----
-    Noise leaves the same residual in cells of either size; what the larger cells leave beyond
-    that is detail that their quadrics miss, and the smaller ones leave a good part of it too.
+    Variances (...) are in one unit, and noise is 0 or more. It leaves the same residual in cells of
+    either size; what the larger cells leave beyond that is detail that their quadrics miss, and the
+    smaller ones leave a good part of it too.
     """
     bias = np.maximum(0.0, coarser - SAME_NOISE * finer) / _BIAS_GROWTH
     noise: Variances = np.maximum(0.0, finer - bias)
@@ -167,26 +131,16 @@ def tell_noise(finer: Variances, coarser: Variances) -> Variances:
 def localise_noise(
     overall: FloatArray | float, finer: Float32Array, coarser: Float32Array
 ) -> Float32Array:
-    """Tell the noise around each vertex from what the fits of coarser levels left over there.
+    """Tell the noise (v,) around each vertex from what the fits of coarser levels left over there.
 
-    Parameters
-    ----------
-    overall : float
-        The variance of the whole cloud, in cells of the vertices' level squared.
-    finer, coarser : ndarray of float32, shape (v,)
-        Residual variances one and two levels further up, in the same cells squared.
+    All are variances in cells of the vertices' level squared: that of the whole cloud, residual
+    ones (v,) one and two levels further up, and the result, from half of the whole cloud's to four
+    times as much.
 
-    Returns
-    -------
-    ndarray of float32, shape (v,)
-        Variances in the same cells squared, from half of the whole cloud's to four times as much.
-
-    Notes
-    -----
-    Scans that do not quite match leave the same residuals in cells of any size, and they are
-    noise for who averages; detail that a quadric misses leaves more in larger cells, and is taken
-    off. Variances of few points scatter: below half of the whole cloud's, chance is likelier than
-    a better scan, and priors would be given up for nothing.
+    Scans that do not quite match leave the same residuals in cells of any size, and they are noise
+    for who averages; detail that a quadric misses leaves more in larger cells, and is taken off.
+    Variances of few points scatter: below half of the whole cloud's, chance is likelier than a
+    better scan, and priors would be given up for nothing.
     """
     local = np.clip(tell_noise(finer, coarser), overall * _LEAST_LOCAL, overall * _MOST_LOCAL)
     result: Float32Array = local.astype(np.float32)
@@ -194,22 +148,11 @@ def localise_noise(
 
 
 def find_agreement(misfits: Float32Array) -> Float32Array:
-    """Tell how far quadrics of a coarser level agree with the normals of their points.
+    """Tell how much of its points supports each quadric of a coarser level, from 1 down to 0, (v,).
 
-    Parameters
-    ----------
-    misfits : ndarray of float32, shape (v,)
-        Mean squared distances of gradients and normals (see `hermite.evaluate_misfits`).
-
-    Returns
-    -------
-    ndarray of float32, shape (v,)
-        From 1 down to 0: how much of its points supports a quadric.
-
-    Notes
-    -----
-    Where two sheets lie in one coarse cell, as at the rim of a wing, no quadric follows both. It
-    is left from the field, and supports no finer one, or the surface would grow beyond the rim.
+    `misfits` (v,) tell how far it agrees with their normals (see `hermite.evaluate_misfits`). Where
+    two sheets lie in one coarse cell, as at the rim of a wing, no quadric follows both. It is left
+    from the field, and supports no finer one, or the surface would grow beyond the rim.
     """
     share = (_CONTRADICTS - misfits) / (_CONTRADICTS - _AGREES)
     result: Float32Array = np.clip(share, 0.0, 1.0).astype(np.float32)
@@ -224,32 +167,17 @@ def trust_vertices(
     crowds: FloatArray | float,
     is_finest: BoolArray,
 ) -> Float32Array:
-    """Tell how much the quadrics of a level count against what lies behind them.
+    """Tell how much the quadrics of a level count against what lies behind them, 0 to 1, (v,).
 
-    Parameters
-    ----------
-    values : ndarray of float32, shape (v,)
-        Each quadric at its own vertex: only the sign counts.
-    far : ndarray of float64, shape (v,)
-        The far field there, in its steps, positive outside.
-    counts, inherited : ndarray of float32, shape (v,)
-        Points around each vertex, and around its ancestors (see `VertexQuadrics`).
-    crowds : float, or ndarray of float64, shape (v,)
-        Other points in the cell of a point of the next finer level (see `crowd_vertices`); 0 where
-        none is finer.
-    is_finest : ndarray of bool, shape (v,)
-        Where no finer quadrics are.
+    Of the `values` (v,) of quadrics at their own vertices only the sign counts; `far` (v,) is the
+    far field there, in its steps, positive outside. `counts` and `inherited` (v,) are as of
+    `VertexQuadrics`; `crowds`, one or (v,), as of `crowd_vertices`: other points in the cell of a
+    point of the next finer level, 0 where none is finer; `is_finest` (v,) tells where no finer
+    quadrics are.
 
-    Returns
-    -------
-    ndarray of float32, shape (v,)
-        0 to 1.
-
-    Notes
-    -----
-    Quadrics go on where the surface ends, and sheets would grow there. Where the far field is
-    sure of its sign and the quadric has the other one, it is overruled, unless points of its own
-    support it. Where there are finer ones points support it only as a whole, from all around.
+    Quadrics go on where the surface ends, and sheets would grow there. Where the far field is sure
+    of its sign and the quadric has the other one, it is overruled, unless points of its own support
+    it. Where there are finer ones points support it only as a whole, from all around.
 
     Coarse quadrics fill in where finer cells hold too few points; where these hold enough, the
     space between them is empty because the surface does not pass there.

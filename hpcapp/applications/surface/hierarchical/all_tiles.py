@@ -60,17 +60,9 @@ class _Growth:
         count: int,
         advance: Advance,
     ) -> None:
-        """Run a task for each of some tiles that are not there yet.
+        """Run a task for each of `count` tiles that are not there yet.
 
-        Parameters
-        ----------
-        task : callable
-        tiles : iterable of (str, tuple)
-            The name of each and what the task is called with, the plan first, made when there is
-            room for it.
-        count : int
-            Of the tiles.
-        advance : callable
+        Each has its name and what the task is called with, the plan first, made when there is room.
         """
         names: list[str] = []
         started: list[int] = []
@@ -147,31 +139,9 @@ def mesh_all_tiles(
 ) -> Surface:
     """Reconstruct the surface tile by tile on the workers, and between the tiles.
 
-    Parameters
-    ----------
-    tiling : Tiling
-    coarse : Coarse
-    workforce : Workforce
-    advance : callable
-        Told (tiles done, tiles in all).
-    origin : ndarray of float64, shape (3,)
-        Of the cloud's local frame.
-    points : int
-        Of the cloud.
-    checkpoint : Checkpoint, optional
-        Where finished tiles are kept; by default they come back to this process.
-    show_part : callable
-        Told of each part as it comes; see `Resources`.
-
-    Returns
-    -------
-    Surface
-        It holds every brick that the surface reaches.
-
-    Raises
-    ------
-    JobError
-        The surface still grows after more rounds than any needs.
+    It holds every brick that the surface reaches. `origin`, (3,), is that of the cloud's local
+    frame; without a checkpoint, finished tiles come back to this process. `advance` is told (tiles
+    done, tiles in all). JobError where the surface still grows after more rounds than any needs.
     """
     plan = coarse.plan
     growth = _Growth(workforce, origin, checkpoint, show_part, points)

@@ -53,14 +53,8 @@ _FAR_CELLS = 0.5  # steps of the far field, which samples no smaller cells than 
 class Coarse:
     """The levels that the master has fitted, of the whole cloud.
 
-    Parameters
-    ----------
-    plan : Plan
-    parents : Parents
-        What the level of the tiles' cells offers to the next finer one.
-    levels : tuple of FieldLevel
-        Those that the field is made of: that level first, if any.
-    far : FarField
+    `parents` are what the level of the tiles' cells offers to the next finer one, `levels` those
+    that the field is made of: that level first, if any.
     """
 
     plan: Plan
@@ -69,17 +63,9 @@ class Coarse:
     far: FarField
 
     def around(self, cells: IntArray) -> CoarseLevels:
-        """Return what a tile must know.
+        """Return what a tile must know, from the keys of its coarse cells, (c,).
 
-        Parameters
-        ----------
-        cells : ndarray of int64, shape (c,)
-            Keys of its coarse cells.
-
-        Returns
-        -------
-        CoarseLevels
-            Of the surroundings of these cells, as far as the tile's quadrics reach.
+        It is of their surroundings, as far as the tile's quadrics reach.
         """
         plan = self.plan
         reach = halo_steps(plan.grid) * plan.step
@@ -117,23 +103,9 @@ def choose_nodes(
     """Choose how fine a far field is: no finer than what the points resolve, and than it pays.
 
     Where sheets lie back to back within a few steps, as drapery and thin walls do, a finer one
-    keeps them apart. Elsewhere it tells nothing that a coarse one does not.
-
-    Parameters
-    ----------
-    box : tuple of two ndarray of float64, shape (3,)
-        Low and high corner of what it covers, in length units of the input.
-    cell_size : float
-        Edge of the finest cells, in the same units.
-    noise : float
-        Standard deviation of the positions along the normals, in the same units.
-    measured : Measured
-        Of the cloud. Where the boxes of its sample are too small to tell, it is taken for folded.
-
-    Returns
-    -------
-    int
-        A power of two.
+    keeps them apart. Elsewhere it tells nothing that a coarse one does not. `box` has the low and
+    the high corner, (3,), of what it covers; the noise is the standard deviation of positions along
+    normals. A cloud whose sample has too small boxes to tell is taken for folded.
     """
     step = far_step(*box, FEWEST_NODES)
     if max(cell_size, _BLURRED * noise) >= step:
@@ -156,27 +128,11 @@ def _find_folded(sample: PointCloud, edge: float) -> float:
 
 
 def far_level(grid: Grid, nodes: int, cell_size: float, base: int, height: int) -> int:
-    """Return the finest level whose cells a far field may sample.
+    """Return the finest level whose cells a far field of so many `nodes` along a side may sample.
 
-    Cells count, not points: so a scan's uneven density is left alone where all cells have some.
-    They must not be so small that most of them are empty.
-
-    Parameters
-    ----------
-    grid : Grid
-    nodes : int
-        Of the far field, along a side.
-    cell_size : float
-        Edge of the finest cells, in length units of the input.
-    base : int
-        The finest level whose cells are as large as the points of the whole cloud ask for.
-    height : int
-        How many levels there are.
-
-    Returns
-    -------
-    int
-        `base` at least, `height` - 1 at most.
+    It is from `base`, whose cells are as large as the points of the whole cloud ask for, to
+    `height` - 1. Cells count, not points: a scan's uneven density is left alone where all cells
+    have some. They must not be so small that most are empty; `cell_size` is that of the finest.
     """
     level = base
     least = _FAR_CELLS * far_step(*grid.box, nodes)
@@ -194,18 +150,8 @@ def fit_coarse(
 ) -> Coarse:
     """Put the coarse cells of all tiles together, and fit the levels from there up.
 
-    A worker solves for the far field meanwhile.
-
-    Parameters
-    ----------
-    plan : Plan
-    lattices, samples : list
-        What `tiles.sum_tile` gave of each tile, in any order. The first list is emptied: most of
-        it is needed but once.
-    workforce : Workforce
-    threads : int
-        That the tasks of this process may take, and the fits.
-        The result does not depend on it.
+    A worker solves for the far field meanwhile. `lattices` and `samples` are what `tiles.sum_tile`
+    gave of each tile, in any order; the first is emptied: most of it is needed but once.
     """
     task = plan, samples, threads if workforce.in_process else 1
     with begin_batch(workforce, solve_far, task) as solved:

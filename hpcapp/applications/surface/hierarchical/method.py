@@ -65,21 +65,11 @@ _ROBUST_LEVELS = 2  # whose fits ask the points themselves, where these are weig
 
 @dataclass(slots=True, eq=False)
 class HierarchicalPartition:
-    """A cloud cut into tiles.
+    """A cloud cut into tiles; without a tiling it is one tile, made into a mesh here.
 
-    Parameters
-    ----------
-    cloud : ArrangedCloud
-    scale : Scale
-    plan : Plan
-    tiling : Tiling or None
-        None where the cloud is one tile, and made into a mesh here.
-    patches : int
-        Finest cells with points, once they are counted.
-    closure : Closure or None
-        How the borders of the surface came about, once it is there.
-    mended : Mended or None
-        What became of small handles and hollows, where it is closed and has handles or pieces.
+    `patches` are the finest cells with points, once they are counted; `closure` tells how the
+    borders of the surface came about, once it is there; `mended` what became of small handles and
+    hollows, where it is closed and has handles or pieces.
     """
 
     cloud: ArrangedCloud
@@ -94,32 +84,27 @@ class HierarchicalPartition:
 class HierarchicalMethod:
     """Reconstruct with hierarchical Hermite quadrics.
 
+    A UsageError is raised where the grid is too small, or a factor is not positive.
+
     Parameters
     ----------
     grid : int
         Cells of the evaluation grid along its longest side, 16 or more.
     smoothness : float
-        Above 1, noise is taken for larger than it is estimated: smoother. Dimensionless.
+        Above 1, noise is taken for larger than it is estimated: smoother.
     detail : float
-        Above 1, cells are smaller: more detail, less averaging. Dimensionless.
+        Above 1, cells are smaller: more detail, less averaging.
     threads : int
-        How many threads the far field and the extraction take; the mesh does not depend on it.
+        Of the far field and the extraction.
     tile_points : int, optional
         Of a tile at most, about; the mesh does not depend on it. By default a cloud in memory is
         one tile where tasks run in this process.
     checkpoint : Checkpoint, optional
         Where finished tiles are kept; by default they come back to this process.
-    show_part : callable
-        Told of each part of the mesh as it comes; see `Resources`.
     opening : OpeningSettings
         Whether, and where, the surface is cut open; by default it is closed.
     uniform : bool
         Whether the grid has one step, however uneven the points lie.
-
-    Raises
-    ------
-    UsageError
-        The grid is too small, or a factor is not positive.
     """
 
     def __init__(
@@ -154,16 +139,7 @@ class HierarchicalMethod:
     def partition(self, cloud: ArrangedCloud, workforce: Workforce) -> HierarchicalPartition:
         """Find spacing, noise and cell size, and cut the cloud into tiles.
 
-        Parameters
-        ----------
-        cloud : ArrangedCloud
-            With normals.
-        workforce : Workforce
-
-        Raises
-        ------
-        InputError
-            There are no normals, or all points are the same.
+        InputError where there are no normals, or all points are the same.
         """
         are_read = workforce.in_process or self._find_shared(cloud) is not None
         workers = PointWorkers(workforce, are_read, _POINTS_AT_ONCE)
@@ -211,15 +187,9 @@ class HierarchicalMethod:
     def fit(
         self, partition: HierarchicalPartition, workforce: Workforce, advance: Advance
     ) -> Coarse | None:
-        """Fit the coarse quadrics; nothing where the cloud is one tile.
+        """Fit the coarse quadrics; None where the cloud is one tile.
 
-        Parameters
-        ----------
-        partition : HierarchicalPartition
-            Its `patches` are counted here.
-        workforce : Workforce
-        advance : callable
-            Told (tiles done, tiles in all).
+        The partition's `patches` are counted here.
         """
         tiling, plan = partition.tiling, partition.plan
         if tiling is None:
@@ -262,25 +232,8 @@ class HierarchicalMethod:
     ) -> Surface:
         """Fit the fine quadrics and extract the surface, tile by tile on the workers.
 
-        Parameters
-        ----------
-        partition : HierarchicalPartition
-            Where it is one tile, its `patches` are counted here.
-        quadrics : Coarse or None
-            What `fit` has returned.
-        workforce : Workforce
-        advance : callable
-            Told (tiles done, tiles in all); of one tile, its steps.
-
-        Returns
-        -------
-        Surface
-            It has faces.
-
-        Raises
-        ------
-        InputError
-            No node lies inside: the normals contradict one another.
+        Of one tile, `advance` is told its steps, and the partition's `patches` are counted here.
+        InputError where no node lies inside: the normals contradict one another.
         """
         origin = partition.cloud.origin
         if partition.tiling is None:
@@ -321,14 +274,7 @@ class HierarchicalMethod:
     ) -> Surface:
         """Cut the surface open where no point supports it, or cut its small handles.
 
-        Parameters
-        ----------
-        partition : HierarchicalPartition
-            Its `closure` and `mended` are set here.
-        surface : Surface
-        workforce : Workforce
-        advance : callable
-            Told (tiles done, tiles in all).
+        The partition's `closure` and `mended` are set here.
         """
         cloud = partition.cloud
         shared = None if workforce.in_process else self._find_shared(cloud)
@@ -364,15 +310,7 @@ class HierarchicalMethod:
     def facts(self, partition: HierarchicalPartition) -> dict[str, Any]:
         """Return the estimates, and how many cells of the finest level hold points.
 
-        Parameters
-        ----------
-        partition : HierarchicalPartition
-            After `close`.
-
-        Returns
-        -------
-        dict of str to object
-            Lengths in length units of the input.
+        Lengths are in length units of the input.
         """
         plan, strides = partition.plan, partition.plan.strides
         return {

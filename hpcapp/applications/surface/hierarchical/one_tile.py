@@ -36,26 +36,11 @@ def mesh_one_tile(
     advance: Advance,
     show_part: ShowPart = show_nothing,
 ) -> tuple[Surface, int]:
-    """Reconstruct the surface of a cloud as one tile, in this process.
+    """Reconstruct the surface of a cloud with normals as one tile, in this process.
 
-    Parameters
-    ----------
-    cloud : PointCloud
-        With normals.
-    plan : Plan
-    threads : int
-        The result does not depend on it.
-    advance : callable
-        Told (steps done, steps in all): the coarser levels, then each slab.
-    show_part : callable
-        Told of each part as it comes; see `Resources`.
-
-    Returns
-    -------
-    surface : Surface
-        It holds every brick that the surface reaches, each in one part.
-    patches : int
-        Finest cells with points.
+    `advance` is told (steps done, steps in all): the coarser levels, then each slab. The surface
+    holds every brick that it reaches, each in one part; with it comes the count of its patches,
+    the finest cells with points.
     """
     pyramid = build_pyramid(
         cloud, plan.origin, plan.cell_size, plan.height, threads, plan.refinement

@@ -32,8 +32,6 @@ class Tiling:
 
     Parameters
     ----------
-    cloud : ArrangedCloud
-    plan : Plan
     count : int
         How many tiles there shall be; fewer where there are fewer coarse cells.
     workers : PointWorkers
@@ -83,47 +81,15 @@ class Tiling:
         return len(self._own)
 
     def own(self, index: int) -> IntArray:
-        """Return the coarse cells of a tile.
-
-        Parameters
-        ----------
-        index : int
-            Of the tile.
-
-        Returns
-        -------
-        ndarray of int64, shape (k,)
-            Sorted keys.
-        """
+        """Return the sorted keys of the coarse cells of a tile, (k,)."""
         return self._own[index]
 
     def counts(self, index: int) -> IntArray:
-        """Return how many points each of the coarse cells of a tile holds.
-
-        Parameters
-        ----------
-        index : int
-            Of the tile.
-
-        Returns
-        -------
-        ndarray of int64, shape (k,)
-        """
+        """Return how many points each of the coarse cells of a tile holds, (k,)."""
         return self._counts[index]
 
     def core(self, index: int) -> CellPoints:
-        """Return the points of a tile, as `sum_tile` is given them.
-
-        Parameters
-        ----------
-        index : int
-            Of the tile.
-
-        Returns
-        -------
-        CellPoints
-            Some of it as `Workforce.share` offers it.
-        """
+        """Return a tile's points for `sum_tile`, some as `Workforce.share` offers them."""
         if self.tickets[index] is not None:
             return self.tile(index)
         return self._give([self.own(index)], index)
@@ -131,15 +97,7 @@ class Tiling:
     def groups(self, index: int) -> list[IntArray]:
         """Return the cells of a tile, and of its halo: those of tiles before and after it.
 
-        Parameters
-        ----------
-        index : int
-            Of the tile.
-
-        Returns
-        -------
-        list of ndarray of int64
-            Sorted keys of the three groups.
+        Each of the three groups is of sorted keys.
         """
         if index not in self._groups:
             own = self.own(index)
@@ -151,15 +109,7 @@ class Tiling:
     def tile(self, index: int) -> CellPoints:
         """Return the points in the `groups` of a tile, as a task is given them.
 
-        Parameters
-        ----------
-        index : int
-            Of the tile.
-
-        Returns
-        -------
-        CellPoints
-            All or some of it as `Workforce.share` offers it.
+        All or some of it is as `Workforce.share` offers it.
         """
         if self.tickets[index] is None:
             return self._give(self.groups(index), index)
@@ -169,33 +119,11 @@ class Tiling:
         return shared
 
     def around(self, cells: IntArray) -> CellPoints:
-        """Return the points in some coarse cells.
-
-        Parameters
-        ----------
-        cells : ndarray of int64, shape (k,)
-            Sorted keys.
-
-        Returns
-        -------
-        CellPoints
-            One group.
-        """
+        """Return the points in coarse cells of sorted keys (k,), as one group."""
         return self._give([cells], None)
 
     def near(self, cells: IntArray) -> BoolArray:
-        """Tell which coarse cells with points lie around some cells, near enough to matter.
-
-        Parameters
-        ----------
-        cells : ndarray of int64, shape (k,)
-            Sorted keys.
-
-        Returns
-        -------
-        ndarray of bool, shape (c,)
-            Of `cells` of the tiling.
-        """
+        """Tell which of the tiling's `cells`, (c,), lie near enough around some to matter."""
         return mark_halo(self._plan, self.cells, cells)
 
     def _give(self, groups: list[IntArray], index: int | None) -> CellPoints:
@@ -211,35 +139,20 @@ class Tiling:
 
 
 def weigh_cells(plan: Plan, counts: IntArray) -> FloatArray:
-    """Estimate the work of coarse cells.
+    """Estimate the work of coarse cells with so many points (c,) each, in what a point takes, (c,).
 
-    Parameters
-    ----------
-    plan : Plan
-    counts : ndarray of int64, shape (c,)
-        Points in each.
-
-    Returns
-    -------
-    ndarray of float64, shape (c,)
-        In what a point takes. The surface crosses a coarse cell as if it were one side of it:
-        where points are few it asks for as many quadrics and nodes as where they are many.
+    The surface crosses a coarse cell as if it were one side of it: where points are few it asks
+    for as many quadrics and nodes as where they are many.
     """
     each = _CELL_WORK + _STEP_WORK * (plan.cell_size / plan.step) ** 2
     return counts.astype(np.float64) + 4.0**plan.coarse * each
 
 
 def mark_halo(plan: Plan, keys: IntArray, cells: IntArray) -> BoolArray:
-    """Tell which coarse cells lie around a tile's, so near that its quadrics depend on them.
+    """Tell which coarse cells (k,) lie so near a tile's (c,) that its quadrics depend on them.
 
-    Its own bricks are among those that its cells overlap, and what it evaluates lies a brick and a
-    rim further at most; from there its quadrics reach as far as `Plan.reach` says.
-
-    Parameters
-    ----------
-    plan : Plan
-    keys, cells : ndarray of int64, shapes (k,) and (c,)
-        Sorted keys of coarse cells, and of the tile's.
+    Both are sorted keys. The tile's bricks are among those that its cells overlap; it evaluates a
+    brick and a rim further at most, and from there its quadrics reach as far as `Plan.reach` says.
     """
     size, edge = plan.coarse_size, BRICK * plan.step
     shift, beyond = plan.grid_origin - plan.origin, 1.0 + plan.grid.rim

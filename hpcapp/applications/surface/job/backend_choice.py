@@ -88,16 +88,8 @@ class Job:
 class Choice:
     """Where a job runs, and why.
 
-    Parameters
-    ----------
-    backend : str
-        See `hpcapp.backends.selection`.
-    workers : int
-        How many do the work.
-    reason : str
-        One sentence.
-    workers_asked : int or None
-        How many the user allowed.
+    `backend` is named as in `hpcapp.backends.selection`, `workers` do the work, `workers_asked` is
+    how many the user allowed; the `reason` is one sentence.
     """
 
     backend: str
@@ -111,18 +103,7 @@ class Choice:
 
 
 def least_work(workers: int, is_remote: bool = False) -> float:
-    """Return from how much work on workers pay.
-
-    Parameters
-    ----------
-    workers : int
-    is_remote : bool
-        Whether they are those of a cluster.
-
-    Returns
-    -------
-    float
-        In points, see `Job.work`; infinite where they never do.
+    """Return from how much work on (see `Job.work`) workers pay; infinite where they never do.
 
     Examples
     --------
@@ -144,15 +125,8 @@ def approach_workers(
 ) -> Iterator[Opener]:
     """Begin to listen for the workers of a cluster, where they may pay.
 
-    Parameters
-    ----------
-    settings : Settings
-    guess : Job, optional
-        What is known before the points are read: as much as it may be.
-    machines : LocalMachines, optional
-        What `backends.selection.start_early` has started.
-    verification : Verification, optional
-        What is known of the honesty of machines from earlier attempts.
+    `guess` is what is known before the points are read: as much as it may be. The `verification`
+    knows of the honesty of machines from earlier attempts. For `machines` see `Opener`.
     """
     opener = Opener(settings, machines, verification)
     with opener.standing:
@@ -162,20 +136,10 @@ def approach_workers(
 
 
 class Opener:
-    """Opens a job's backend.
+    """Opens a job's backend; its `standing` leaves the cluster.
 
-    Parameters
-    ----------
-    settings : Settings
-    machines : LocalMachines, optional
-        What `backends.selection.start_early` has started for the backend that was asked for.
-    verification : Verification, optional
-        See `approach_workers`.
-
-    Attributes
-    ----------
-    standing : ExitStack
-        Leaves the cluster.
+    `machines` are what `backends.selection.start_early` has started for the backend that was asked
+    for; for `verification` see `approach_workers`.
     """
 
     def __init__(
@@ -194,14 +158,7 @@ class Opener:
     def open(
         self, job: Job, executor: Executor | Client | None = None
     ) -> Iterator[tuple[Backend, Choice]]:
-        """Open the backend that a job runs on.
-
-        Parameters
-        ----------
-        job : Job
-        executor : concurrent.futures.Executor or distributed.Client, optional
-            What the user has opened, which is used.
-        """
+        """Open the backend that a job runs on: the `executor`, where the user has opened one."""
         settings, asked = self._settings, self._settings.workers
         name = name_backend(settings)
         if executor is None and name is None:
@@ -225,13 +182,7 @@ class Opener:
             yield backend, Choice(backend.name, workers, reason, workers_asked=asked)
 
     def approach(self, guess: Job) -> None:
-        """Listen for the workers of the cluster, if they may pay.
-
-        Parameters
-        ----------
-        guess : Job
-            What there is to do, judged before the points are read.
-        """
+        """Listen for the workers of the cluster, if they may pay, before the points are read."""
         if self._choose(guess).backend == "cluster":
             self._listen()
 

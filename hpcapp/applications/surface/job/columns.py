@@ -53,15 +53,8 @@ class Columns:
     def open(self, cloud: ArrangedCloud, spacing: float, threads: int, at_once: int) -> Evaluate:
         """Return what tells what places take from the points near them.
 
-        Parameters
-        ----------
-        cloud : ArrangedCloud
-            The points.
-        spacing : float
-            Of the points, in length units of the input; decides about time, not about values.
-        threads : int
-        at_once : int
-            So many points may be in memory at once, about, if they are not there.
+        `spacing` decides about time, not about values. About `at_once` points may be in memory at
+        once, if they are not there already.
         """
         if self.file is None:
             from hpcapp.applications.surface.attributes.carry import (

@@ -26,13 +26,7 @@ _MEASURED = 1 << 16  # faces at most
 
 
 def crop(asked: Crop, loaded: Loaded, result: Reconstruction, clock: StageClock) -> Reconstruction:
-    """Cut a surface to what is asked for, and judge what is left of it.
-
-    Raises
-    ------
-    InputError
-        There is no surface.
-    """
+    """Cut a surface to what is asked for, and judge what is left; InputError if that is nothing."""
     cloud = loaded.cloud
     region = asked.find_region(loaded.crs.height_scale)
     with clock.stage("crop"), result.surface.open_stream() as stream:
@@ -65,10 +59,7 @@ def _measure_support(mesh: Mesh, cloud: ArrangedCloud, facts: Mapping[str, Any])
 def crop_stream(stream: MeshStream, region: Cutter) -> Mesh:
     """Cut a mesh that may be larger than memory; what is left of it must fit.
 
-    Parameters
-    ----------
-    region : Cutter
-        In the local frame.
+    The region is in the local frame.
     """
     beyond = np.concatenate(
         [np.empty(0, np.uint8), *(find_beyond(b.positions, region) for b in stream.vertices())]

@@ -50,12 +50,7 @@ def check_sides(reading: Reading) -> list[str]:
 def check_resolution(cloud: PointCloud, step: float) -> list[str]:
     """Warn of a grid that has but a few cells for the whole cloud, as a far outlier causes it.
 
-    Parameters
-    ----------
-    cloud : PointCloud
-        Finite positions.
-    step : float
-        Edge of a cell, in length units of the input.
+    Positions are finite; `step` is the edge of a cell.
     """
     low, high = bound_points(cloud.positions)
     along = float((high - low).max()) / step
@@ -74,14 +69,8 @@ def check_resolution(cloud: PointCloud, step: float) -> list[str]:
 def check_closure(low: FloatArray, high: FloatArray, surface: Surface, step: float) -> list[str]:
     """Warn of a mesh that leaves the box of its points: it is closed where nothing was scanned.
 
-    Parameters
-    ----------
-    low, high : ndarray of float64, shape (3,)
-        Corners of the box around all points, in the frame of the surface.
-    surface : Surface
-        With vertices.
-    step : float
-        Edge of a cell, in length units of the input.
+    `low` and `high` (3,) are corners of the box around all points, in the frame of the surface,
+    which has vertices; `step` is the edge of a cell.
     """
     share = surface.share_outside(low - 2.0 * step, high + 2.0 * step)
     if share <= OUTSIDE:
@@ -95,12 +84,8 @@ def check_closure(low: FloatArray, high: FloatArray, surface: Surface, step: flo
 def check_handles(facts: dict[str, Any], line_gap: float) -> list[str]:
     """Warn of handles of a closed mesh that are too small to have been scanned, and were not cut.
 
-    Parameters
-    ----------
-    facts : dict
-        Of the reconstruction; what is missing there was not looked at.
-    line_gap : float
-        From scan line to scan line, in length units of the input; 0 where there are none.
+    What is missing in `facts` was not looked at; `line_gap` is the distance of scan lines, 0 where
+    there are none.
     """
     left = facts.get("handles_left", 0)
     if not left:
@@ -120,10 +105,7 @@ def check_handles(facts: dict[str, Any], line_gap: float) -> list[str]:
 def check_support(facts: dict[str, Any]) -> list[str]:
     """Warn of a mesh that is closed over a wide side that was not scanned.
 
-    Parameters
-    ----------
-    facts : dict
-        Of the reconstruction; what is missing there was not measured.
+    What is missing in `facts` was not measured.
     """
     support = facts.get("support")
     if support is None or 1.0 - support["share"] <= GUESSED:
@@ -136,13 +118,7 @@ def check_support(facts: dict[str, Any]) -> list[str]:
 
 
 def check_closing(facts: dict[str, Any]) -> list[str]:
-    """Warn of a mesh that is open, or closed, and may as well be the other.
-
-    Parameters
-    ----------
-    facts : dict
-        Of the reconstruction.
-    """
+    """Warn of a mesh that is open, or closed, and may as well be the other."""
     certainty = facts.get("closure_certainty", 1.0)
     if certainty >= SURE:
         return []

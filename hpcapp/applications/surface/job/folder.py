@@ -47,13 +47,7 @@ def may_pay_in_folder(settings: JobSettings) -> bool:
 
 
 def choose_tile(settings: Settings, backend: Backend) -> int | None:
-    """Return how many points a tile may have so that a process keeps to its memory.
-
-    Returns
-    -------
-    int or None
-        None where memory has no limit.
-    """
+    """Return how many points of a tile fit the memory of a process; None if it has no limit."""
     if settings.max_memory is None:
         return None
     workforce = backend.workforce
@@ -61,14 +55,7 @@ def choose_tile(settings: Settings, backend: Backend) -> int | None:
 
 
 def all_see_folder(folder: Path, backend: Backend) -> bool:
-    """Find out whether every worker sees a folder, and what is in it.
-
-    Parameters
-    ----------
-    folder : Path
-        This process can write to it.
-    backend : Backend
-    """
+    """Find out whether every worker sees a folder, and what this process writes into it."""
     if backend.is_here:
         return True
     with tempfile.NamedTemporaryFile(dir=folder) as sign:
@@ -78,15 +65,8 @@ def all_see_folder(folder: Path, backend: Backend) -> bool:
 def find_point_workers(path: Path, folder: Path, backend: Backend, points: int) -> PointWorkers:
     """Find out who can go through a cloud in a folder.
 
-    Parameters
-    ----------
-    path : Path
-        Of the input.
-    folder : Path
-        Need not exist; the folder around it is made.
-    backend : Backend
-    points : int
-        How many a task may hold at most, about.
+    `path` is that of the input. The folder need not exist, the one around it is made; a task may
+    hold about `points` at most.
     """
     if backend.is_here:
         return PointWorkers(backend.workforce, True, points)

@@ -12,16 +12,10 @@ from hpccomponent.dataclass import dataclass
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reconstruction:
-    """A surface, and how it came about.
+    """A 0-level iso-surface, and how it came about.
 
-    Parameters
-    ----------
-    surface : Surface
-        The 0-level iso-surface.
-    points : int
-        Points that were left after preprocessing.
-    facts : dict
-        What the method chose and found; ``patches`` is always there.
+    `points` were left after preprocessing; `facts` are what the method chose and found: ``patches``
+    is always there.
     """
 
     surface: Surface
@@ -35,7 +29,6 @@ class Outcome:
 
     Parameters
     ----------
-    result : Reconstruction
     grid : int
         Cells along the longest side.
     backend : Backend

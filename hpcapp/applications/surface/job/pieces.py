@@ -13,13 +13,7 @@ log = logging.getLogger("hpcapp")
 
 
 def keep_pieces(choice: PieceChoice, result: Reconstruction, clock: StageClock) -> Reconstruction:
-    """Drop the pieces of a surface that are not asked for.
-
-    Raises
-    ------
-    UsageError
-        None is as large as was asked for.
-    """
+    """Drop pieces that are not asked for; UsageError where none is as large as was asked for."""
     surface = result.surface
     if not choice.is_something:
         areas = surface.plan.pieces()[1]

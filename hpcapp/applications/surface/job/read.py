@@ -36,15 +36,9 @@ from hpccomponent.files.private_files import remove_path
 def read_file(
     settings: JobSettings, source: PointSource, folder: PointFolder | None, clock: StageClock
 ) -> Scan:
-    """Read the points of a file, each place once.
+    """Read the points of a file, each place once: into a folder, or by default into memory.
 
-    Parameters
-    ----------
-    settings : JobSettings
-    source : PointSource
-    folder : PointFolder, optional
-        Where the points are put; into memory by default. They are the same, bit for bit.
-    clock : StageClock
+    They are the same, bit for bit.
     """
     if settings.normals == "estimate":
         source = source.without_normals()
@@ -82,15 +76,8 @@ def arrange_points(
 ) -> Scan:
     """Smooth the steps of depths, drop far points, arrange the rest, and drop those that repeat.
 
-    Parameters
-    ----------
-    settings : Settings
-        The method tells whether points are cleaned, and whether they are arranged.
-    points : PointCloud
-        Usable ones.
-    labels : frozenset of str
-        Attributes of which no mean is to be taken.
-    clock : StageClock
+    Points are usable; the method tells whether they are cleaned, and whether they are arranged. Of
+    the attributes in `labels` no mean is to be taken.
     """
     method, smoothed = settings.method, 0
     if method.cleans:

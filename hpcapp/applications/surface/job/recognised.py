@@ -12,18 +12,9 @@ from hpcapp.io.points.column_roles import tell_use
 def describe_input(settings: JobSettings, source: PointSource) -> dict[str, Any]:
     """Return what the input is, and what its columns were taken for.
 
-    Parameters
-    ----------
-    settings : JobSettings
-    source : PointSource
-        Its points as they are in the file.
-
-    Returns
-    -------
-    dict
-        JSON values: ``files`` as the user named them, ``format``, ``columns`` (what each was taken
-        for, by its name), ``crs``, ``unit`` and ``height_unit`` where the file tells, ``up``
-        (which way that is, and why).
+    The source has its points as they are in the file. JSON values: ``files`` as the user named
+    them, ``format``, ``columns`` (what each was taken for, by its name), ``crs``, ``unit`` and
+    ``height_unit`` where the file tells, ``up`` (which way that is, and why).
     """
     first = next(source.chunks(1))
     return {

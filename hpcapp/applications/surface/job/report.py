@@ -16,15 +16,7 @@ from hpcapp.applications.surface.stitching.topology import Topology
 def describe_outcome(
     settings: Settings, loaded: Loaded, outcome: Outcome, topology: Topology, carrying: Carrying
 ) -> dict[str, Any]:
-    """Return the report of a job, but for its input and its output.
-
-    Parameters
-    ----------
-    topology : Topology
-        Of the mesh.
-    carrying : Carrying
-        What its vertices carry.
-    """
+    """Return the report of a job, but for its input and its output."""
     report = _describe(settings, outcome, topology)
     report["attributes"] = carrying.names
     report["warnings"] = [

@@ -84,16 +84,9 @@ def show_job(loaded: Loaded, outcome: Outcome, carrying: Carrying) -> Shown:
 def show_cloud(
     stream: MeshStream, cloud: ArrangedCloud, spacing: float, workers: Sequence[str] = ()
 ) -> Shown:
-    """Gather what a page draws of a mesh and its points.
+    """Gather what a page draws of a mesh and its points, and of the workers that made its tiles.
 
-    Parameters
-    ----------
-    stream : MeshStream
-    cloud : ArrangedCloud
-    spacing : float
-        Of its points; asked for where they lie in a folder.
-    workers : sequence of str
-        That made the mesh's tiles.
+    The spacing is asked for where the points lie in a folder.
     """
     mesh, labels = take_labels(thin_mesh(stream), workers)
     points = cloud.sample(MOST_POINTS)
@@ -141,15 +134,8 @@ def _measure(cloud: ArrangedCloud, spacing: float, places: FloatArray) -> FloatA
 def show_files(mesh: Path, points: Path, report: Mapping[str, Any]) -> Shown:
     """Gather what the page of a job draws that has run elsewhere.
 
-    Parameters
-    ----------
-    report : mapping
-        The job's report; with ``owners`` it tells which tiles the mesh is from.
-
-    Raises
-    ------
-    InputError
-        One of them cannot be read.
+    With ``owners`` its report tells which tiles the mesh is from. Raise InputError where a file
+    cannot be read.
     """
     source = open_points(points).isotropic()
     whole = read_mesh(mesh)
@@ -209,21 +195,9 @@ def find_guesses(
 ) -> list[Marker]:
     """Return where a mesh is guesswork: the largest pieces of it that are far from all points.
 
-    Parameters
-    ----------
-    distances : ndarray of float64, shape (v,)
-        Of its vertices from the nearest point, in length units.
-    beyond : float
-        So far from the nearest point the mesh is guesswork, in length units.
-    spacing : float
-        Of the points, in length units.
-    unit : str
-        Of length, in the markers' texts.
-
-    Returns
-    -------
-    list of Marker
-        The largest first; each in the middle of a piece, on the mesh.
+    That is where the `distances` (v,) of its vertices from the nearest point exceed `beyond`, in
+    length units. Markers come largest first, each in the middle of a piece, on the mesh; `unit` of
+    length is for their texts.
     """
     is_far = (distances > beyond)[mesh.faces].all(axis=1)
     faces = mesh.faces[is_far]

@@ -27,12 +27,8 @@ log = logging.getLogger("hpcapp")
 class PointFolder:
     """A folder that a job's points are put into, and who goes through them there.
 
-    Parameters
-    ----------
-    path : Path
-        Is made where there is none; some 17 bytes a point are written, and those of blocks that
-        change again.
-    workers : PointWorkers
+    It is made where there is none; some 17 bytes a point are written, and those of blocks that
+    change again.
     """
 
     path: Path
@@ -45,7 +41,6 @@ class Scan:
 
     Parameters
     ----------
-    cloud_pass : CloudPass
     dropped : Dropped
         Points that cannot be used.
     cleaned : Cleaned
@@ -76,15 +71,7 @@ class Scan:
     findings: Findings = field(default_factory=Findings)
 
     def loaded(self, cloud: ArrangedCloud, cleaned: Cleaned, oriented: Oriented) -> Loaded:
-        """Return what has become of it.
-
-        Parameters
-        ----------
-        cloud : ArrangedCloud
-        cleaned : Cleaned
-            What was found since it was read.
-        oriented : Oriented
-        """
+        """Return what has become of it, with what was cleaned since it was read."""
         cleaned = self.cleaned.plus(cleaned)
         return Loaded(cloud, self.dropped, cleaned, self.columns, oriented, self.findings, self.crs)
 
@@ -95,9 +82,6 @@ class Loaded:
 
     Parameters
     ----------
-    cloud : ArrangedCloud
-    dropped : Dropped
-    cleaned : Cleaned
     columns : Columns
         Colours and attributes that are to be carried to the mesh.
     oriented : Oriented
@@ -125,13 +109,7 @@ class Loaded:
         return self.cloud.measured.reading
 
     def report(self, shown: str) -> None:
-        """Log what was left out of the input.
-
-        Parameters
-        ----------
-        shown : str
-            The input, for the messages.
-        """
+        """Log what was left out of the input, which messages call `shown`."""
         for line in self.findings.lines():
             log.warning("warning: %s: %s", shown, line)
         dropped, cleaned = self.dropped, self.cleaned

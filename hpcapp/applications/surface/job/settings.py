@@ -37,11 +37,9 @@ class Settings:
 
     Parameters
     ----------
-    method : MethodSettings
-        With its options.
     grid, depth, voxel_size : int, int, float or None
-        The resolution; at most one of the three, or none: then the method chooses it.
-        `voxel_size` in length units of the input.
+        The resolution; at most one of the three, or none: then the method chooses it. `voxel_size`
+        in length units of the input.
     backend, workers, policy : str, int or None, str
         Where batches run; with the backend ``auto``, the most workers that may be used.
     verify : float or None
@@ -141,8 +139,6 @@ class JobSettings(Settings):
 
     Parameters
     ----------
-    points : Path
-        The point cloud that is read.
     output : str
         The mesh to write; ``-`` for standard output.
     inputs : tuple of Path
@@ -181,10 +177,7 @@ class JobSettings(Settings):
 def choose_steps(settings: Settings) -> tuple[tuple[str, Preprocess], ...]:
     """Return the preprocessing steps that are switched on, in the paper's order.
 
-    Returns
-    -------
-    tuple of (str, callable)
-        The name of each, and what it does to a cloud in memory.
+    Of each there is the name, and what it does to a cloud in memory.
     """
     if not (settings.outliers or settings.denoise or settings.resample):
         return ()  # what the steps stand on is heavy
@@ -199,14 +192,7 @@ def choose_steps(settings: Settings) -> tuple[tuple[str, Preprocess], ...]:
 
 
 def choose_local(settings: Settings, points: int) -> tuple[str, int]:
-    """Return the backend of this process that pays for so many points, and its workers.
-
-    Parameters
-    ----------
-    settings : Settings
-        Whose `workers` are the most that may be used.
-    points : int
-    """
+    """Return the backend here that pays for so many points, and its workers, as far as allowed."""
     threads = min(settings.workers or available_cores(), available_cores())
     if points < THREADS_FROM_POINTS or threads == 1:
         return "serial", 1
@@ -221,10 +207,7 @@ def count_own_threads(settings: Settings, points: int) -> int:
 def name_backend(settings: Settings) -> str | None:
     """Return the backend that the user names; None where it is to be chosen.
 
-    Returns
-    -------
-    str or None
-        With ``zmq`` and a cluster, the path of the cluster's inventory.
+    With ``zmq`` and a cluster it is the path of the cluster's inventory.
     """
     if settings.cluster is not None and settings.backend == "zmq":
         return str(settings.cluster)
@@ -232,14 +215,7 @@ def name_backend(settings: Settings) -> str | None:
 
 
 def choose_threads(workforce: Workforce, points: int) -> int:
-    """Return how many threads pay for so many points in this process.
-
-    Parameters
-    ----------
-    workforce : Workforce
-        Where tasks run.
-    points : int
-    """
+    """Return how many threads pay for so many points in this process."""
     if points < THREADS_FROM_POINTS:
         return 1
     return workforce.workers if workforce.in_process else available_cores()

@@ -34,16 +34,7 @@ log = logging.getLogger("hpcapp")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Site:
-    """A backend that is open.
-
-    Parameters
-    ----------
-    backend : Backend
-    choice : Choice
-        Why it is this one.
-    checkpoint : Checkpoint, optional
-        Where finished tiles are kept.
-    """
+    """A backend that is open, why it is this one, and where finished tiles are kept."""
 
     backend: Backend
     choice: Choice
@@ -64,22 +55,9 @@ def open_site(
 ) -> Iterator[Site]:
     """Choose where so many points are reconstructed, and open it.
 
-    Parameters
-    ----------
-    points : int
-    opener : Opener
-    clock : StageClock
-        Whose timeline has what the backend does.
-    grid : int
-        Cells along the longest side.
-    checkpoint : Checkpoint, optional
-        Where finished tiles are kept.
-    opened : tuple of (Backend, Choice), optional
-        Where it is reconstructed, if that is open and recorded already.
-    executor : concurrent.futures.Executor or distributed.Client, optional
-        What the user has opened.
-    cancellation : Cancellation, optional
-        By which somebody may end it.
+    The clock's timeline has what the backend does; `grid` cells lie along the longest side.
+    Finished tiles are kept by the `checkpoint`. `opened` is where it is reconstructed, if that is
+    open and recorded already, `executor` what the user has opened; `cancellation` may end it.
     """
     job = Job(points, grid)
     with nullcontext(opened) if opened else opener.open(job, executor) as (backend, choice):
@@ -98,10 +76,7 @@ def open_site(
 def preprocess(settings: Settings, cloud: ArrangedCloud, clock: StageClock) -> ArrangedCloud:
     """Take the steps of the paper's preprocessing that are asked for.
 
-    Raises
-    ------
-    UsageError
-        Not all points are in memory.
+    Raise UsageError where not all points are in memory.
     """
     for name, step in choose_steps(settings):
         refusal = UsageError(

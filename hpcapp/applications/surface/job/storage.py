@@ -49,14 +49,9 @@ log = logging.getLogger("hpcapp")
 class JobStorage:
     """Where a job has its points and tiles besides memory.
 
-    Parameters
-    ----------
-    checkpoint : Checkpoint or None
-        Where finished tiles are kept.
-    folder : Path or None
-        Where the points lie; None where they are in memory.
-    is_needed : bool
-        Whether memory is too small for them; else they lie there for other processes only.
+    The `checkpoint` keeps finished tiles; points lie in a `folder`, None where they are in memory.
+    `is_needed` tells whether memory is too small for them: else they lie there for other processes
+    only.
     """
 
     checkpoint: Checkpoint | None
@@ -69,14 +64,8 @@ def open_storage(settings: JobSettings) -> Iterator[JobStorage]:
     """Find where a job can store what it does not hold in memory.
 
     What lies there is taken away when the block ends, however it ends; but a job that resumes and
-    fails leaves what it has finished.
-
-    Raises
-    ------
-    UsageError, OutputError, CloudError
-        The place cannot be had.
-    InputError
-        The input cannot be looked at.
+    fails leaves what it has finished. Raise UsageError, OutputError or CloudError if the place
+    cannot be had, InputError if the input cannot be looked at.
     """
     if settings.resume and settings.temp_dir is None:
         raise UsageError("--resume goes on from what lies in --temp-dir", "give that too")

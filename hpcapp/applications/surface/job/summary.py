@@ -10,13 +10,7 @@ from hpcapp.wording import say_count, say_share
 
 
 def summarize(topology: Topology, facts: Mapping[str, Any]) -> str:
-    """Say in one line what a mesh is, and how much of it the points support.
-
-    Parameters
-    ----------
-    facts : mapping
-        What the method has found, see `Reconstruction`.
-    """
+    """Say in one line what a mesh is, and how much of it, by the facts, the points support."""
     is_open = topology.edge_manifold and topology.vertex_manifold and topology.boundaries > 0
     borders = say_count(topology.boundaries, "boundary", "boundaries")
     kind = f"open, {borders}" if is_open else "not watertight"

@@ -22,13 +22,7 @@ log = logging.getLogger("hpcapp")
 def write_textured(
     settings: Settings, outcome: Outcome, carrying: Carrying, target: Path, clock: StageClock
 ) -> Outcome:
-    """Bake a texture, and write the mesh with it.
-
-    Returns
-    -------
-    Outcome
-        Its facts tell how the texture is filled.
-    """
+    """Bake a texture, and write the mesh with it; the facts tell then how the texture is filled."""
     with clock.stage("texture"):
         baked = _bake(settings, outcome, carrying, clock)
     facts = outcome.result.facts

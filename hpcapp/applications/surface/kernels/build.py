@@ -31,16 +31,9 @@ def _import_extension() -> ModuleType | str:
 def load_native(build: str | None = None) -> ModuleType | None:
     """Return the C++ extension, None where the portable build is to run.
 
-    Parameters
-    ----------
-    build : str, optional
-        ``portable``, or ``native`` to insist on the extension; any other name takes what loads.
-        By default what ``HPCAPP_BUILD`` says.
-
-    Raises
-    ------
-    UsageError
-        The build is ``native``, and the extension does not load.
+    `build` is ``portable``, or ``native`` to insist on the extension; any other name takes what
+    loads. By default it is what ``HPCAPP_BUILD`` says. Raise `UsageError` where the build is
+    ``native``, and the extension does not load.
     """
     wanted = os.environ.get(BUILD_VARIABLE, "") if build is None else build
     if wanted == "portable":
@@ -59,20 +52,7 @@ def load_native(build: str | None = None) -> ModuleType | None:
 def kernel_id(build: str | None = None) -> str:
     """Return what decides the bits of the kernels: the build, and a hash of their code.
 
-    Parameters
-    ----------
-    build : str, optional
-        See `load_native`.
-
-    Returns
-    -------
-    str
-        For instance ``native-4b1c9e0f2a77``.
-
-    Raises
-    ------
-    UsageError
-        See `load_native`.
+    For instance ``native-4b1c9e0f2a77``. `build` and what is raised are as for `load_native`.
     """
     extension = load_native(build)
     if extension is not None:

@@ -96,15 +96,9 @@ def _triangulate(loop: Loop) -> list[Triangle] | None:
 
 @cache
 def case_triangles() -> NDArray[np.int8]:
-    """Return the triangles of every case.
+    """Return the triangles of every case, (256, MAX_TRIANGLES, 3).
 
-    Returns
-    -------
-    ndarray of int8, shape (256, MAX_TRIANGLES, 3)
-        Edge numbers (see `EDGES`), anticlockwise as seen from outside; unused rows hold -1.
-
-    Notes
-    -----
+    They are edge numbers (see `EDGES`), anticlockwise as seen from outside; unused rows hold -1.
     Loops have three to seven edges, and each has a triangulation by inner diagonals.
     """
     table = np.full((256, MAX_TRIANGLES, 3), -1, np.int8)
@@ -117,11 +111,6 @@ def case_triangles() -> NDArray[np.int8]:
 
 @cache
 def triangle_counts() -> NDArray[np.int64]:
-    """Return how many triangles each case has.
-
-    Returns
-    -------
-    ndarray of int64, shape (256,)
-    """
+    """Return how many triangles each case has, (256,)."""
     counts: NDArray[np.int64] = (case_triangles()[:, :, 0] >= 0).sum(axis=1)
     return counts

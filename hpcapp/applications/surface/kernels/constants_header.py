@@ -36,15 +36,8 @@ _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
 def read_constants(source: str) -> dict[str, Any]:
     r"""Return the constants that a module defines by numbers, tuples of them, and earlier ones.
 
-    Parameters
-    ----------
-    source : str
-        Of the module. What it computes in another way is left out.
-
-    Returns
-    -------
-    dict
-        Ints, floats or nested tuples of these by name, without leading underscores.
+    They are ints, floats or nested tuples of these by name, without leading underscores. What the
+    source computes in another way is left out.
 
     Examples
     --------
@@ -86,13 +79,7 @@ def _evaluate(node: ast.AST, known: dict[str, Any]) -> Any:
 
 
 def make_header(package: Path) -> str:
-    """Return the header: a namespace for each module, in `hpc::constants`.
-
-    Parameters
-    ----------
-    package : Path
-        The folder of `hpcapp`.
-    """
+    """Return the header of `hpcapp`'s folder: a namespace for each module, in `hpc::constants`."""
     kernels = package / _SURFACE / "kernels"
     modules = [package / name for name in _SHARED]
     modules += sorted((kernels / "portable").rglob("*.py"))

@@ -30,15 +30,8 @@ _STRING_OR_COMMENT = re.compile(
 def strip_prose(source: str) -> str:
     r"""Return a module's code without docstrings, comments and blank lines.
 
-    Parameters
-    ----------
-    source : str
-        Of a module that can be parsed.
-
-    Returns
-    -------
-    str
-        Two modules that differ in prose only give the same; any other change shows.
+    The module must be one that can be parsed. Two that differ in prose only give the same; any
+    other change shows.
 
     Examples
     --------
@@ -68,17 +61,9 @@ def _is_prose(node: ast.AST) -> bool:
 
 
 def digest_code(folder: Path) -> str:
-    """Return a digest of the code that workers run.
+    """Return a digest of the code that workers run, 12 hexadecimal digits.
 
-    Parameters
-    ----------
-    folder : Path
-        The package, with `SUBJECTS`. All their Python files count, at any depth, with their names.
-
-    Returns
-    -------
-    str
-        Of 12 hexadecimal digits.
+    All Python files in the package's `SUBJECTS` count, at any depth, with their names.
     """
     total = hashlib.sha256()
     for file in sorted(file for subject in SUBJECTS for file in (folder / subject).rglob("*.py")):

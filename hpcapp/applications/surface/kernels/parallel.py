@@ -14,14 +14,9 @@ Result = TypeVar("Result")
 def run_batches(
     function: Callable[[Batch], Result], batches: Sequence[Batch], threads: int
 ) -> list[Result]:
-    """Call `function` once per batch and return the results in order.
+    """Call `function` once per batch, `threads` at once, and return the results in order.
 
-    Parameters
-    ----------
-    function : callable
-        Releases Python's lock for most of its time, as the kernels do.
-    threads : int
-        How many calls run at once.
+    The function releases Python's lock for most of its time, as the kernels do.
     """
 
     def run(batch: Batch) -> Result:

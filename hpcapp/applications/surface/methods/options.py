@@ -49,48 +49,25 @@ def option(
     choices: tuple[str, ...] = (),
     replaces: tuple[str, ...] = (),
 ) -> Any:
-    """Return a dataclass field that is an option.
+    """Return a dataclass field that is an option, with one sentence of help.
 
-    Parameters
-    ----------
-    default : object
-        None where the option may be left out.
-    help : str
-        One sentence.
-    low, high : float, optional
-        The range, its ends included.
-    choices : tuple of str
-        The words that may be given.
-    replaces : tuple of str
-        Options that it takes the place of, so that they exclude each other.
+    The default is None where it may be left out; `low` and `high` belong to its range. `choices`
+    are the words that may be given, and `replaces` names options that it takes the place of, so
+    that they exclude each other.
     """
     return field(default=default, metadata={_KEY: _Option(help, low, high, choices, replaces)})
 
 
 def option_names(settings: type[Options]) -> tuple[str, ...]:
-    """Return the names of a method's options.
-
-    Parameters
-    ----------
-    settings : type
-        A dataclass of options.
-
-    Returns
-    -------
-    tuple of str
-        In the order of its fields.
-    """
+    """Return the names of a method's options, in the order of its fields."""
     return tuple(one.name for one in fields(settings))
 
 
 def check_options(settings: Options) -> None:
     """Hold the options of a method to their ranges.
 
-    Raises
-    ------
-    UsageError
-        One is beyond its range, none of the words that may be given, or stands beside one that it
-        takes the place of.
+    Raises UsageError where one is beyond its range, none of the words that may be given, or stands
+    beside one that it takes the place of.
     """
     defaults = {one.name: one.default for one in fields(settings)}
     check_exclusive(
@@ -112,19 +89,7 @@ def check_options(settings: Options) -> None:
 
 
 def check_exclusive(settings: type[Options], given: set[str]) -> None:
-    """Refuse options that take the place of each other.
-
-    Parameters
-    ----------
-    settings : type
-    given : set of str
-        The names of the options that somebody gave.
-
-    Raises
-    ------
-    UsageError
-        Two exclude each other.
-    """
+    """Raise UsageError where two of the options that somebody gave exclude each other."""
     for name, asked, _ in _options(settings):
         for other in asked.replaces:
             if name in given and other in given:
@@ -151,20 +116,7 @@ def make_click_options(settings: type[Options]) -> Iterator[click.Option]:
 
 
 def typed_options(ctx: click.Context, without: Collection[str]) -> list[str]:
-    """Return the options that were typed, as they can be typed again.
-
-    Parameters
-    ----------
-    ctx : click.Context
-        Of a command.
-    without : collection of str
-        Names of parameters that are left out.
-
-    Returns
-    -------
-    list of str
-        Words of the command line.
-    """
+    """Return the typed options as words to be typed again, but for those named in `without`."""
     words: list[str] = []
     for parameter in ctx.command.params:
         name = parameter.name or ""
@@ -187,18 +139,7 @@ WATCHED = ("events", "trace", "dashboard")
 
 
 def typed_command(ctx: click.Context) -> tuple[str, ...]:
-    """Return the command that was typed, to be typed again for the same mesh.
-
-    Parameters
-    ----------
-    ctx : click.Context
-        Of a command that reads points.
-
-    Returns
-    -------
-    tuple of str
-        Without what is written beside the mesh.
-    """
+    """Return the command to be typed again for the same mesh, but for what is written beside it."""
     words = typed_options(ctx, ("points", "report", "png", *WATCHED, "as_json", "details"))
     return ("hpcapp", ctx.command.name or "", *ctx.params["points"], *words)
 

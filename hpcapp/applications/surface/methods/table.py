@@ -15,23 +15,7 @@ DEFAULT_METHOD = "hierarchical"
 
 
 def find_method(name: str) -> type[MethodSettings]:
-    """Return the settings of a method.
-
-    Parameters
-    ----------
-    name : str
-        A key of `METHODS`.
-
-    Returns
-    -------
-    type
-        A dataclass that is a `MethodSettings`.
-
-    Raises
-    ------
-    UsageError
-        No method has this name.
-    """
+    """Return the settings of a method by its key in `METHODS`; UsageError where there is none."""
     if name not in METHODS:
         raise UsageError(f"unknown method {name!r}", f"choose {' or '.join(METHODS)}")
     module, _, attribute = METHODS[name].partition(":")

@@ -49,29 +49,11 @@ def find_flipped(
     spacing: float,
     threads: int = 1,
 ) -> BoolArray:
-    """Find the normals that their neighbours on the same sheet contradict.
+    """Find the normals that their neighbours on the same sheet contradict, (n,).
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        Of a cloud, or of a region of it and all points within `MARGIN` spacings.
-    normals : ndarray of float64 or float32, shape (n, 3)
-        Unit length. The result does not depend on how the same numbers are held.
-    low : ndarray of float64, shape (3,)
-        The least coordinates of the cloud.
-    spacing : float
-        Of the cloud, in length units of the input.
-    threads : int
-        The result does not depend on it.
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
-
-    Raises
-    ------
-    InputError, ValueError
-        The cloud spans more than 2^20 spacings.
+    Positions (n, 3) are of a cloud, or of a region of it and all points within `MARGIN` spacings;
+    unit normals (n, 3) tell the same in float32 and float64; `low`, (3,), has the cloud's least
+    coordinates. InputError or ValueError where the cloud spans more than 2^20 spacings.
 
     Notes
     -----
@@ -112,23 +94,11 @@ def find_flipped(
 def share_opposed(
     positions: FloatArray, normals: FloatArray, low: FloatArray, edge: float, spacing: float
 ) -> float:
-    """Return the share of opposite normals among those on one sheet, in boxes.
+    """Return the share of opposite pairs of normals among those on one sheet, in boxes.
 
-    Parameters
-    ----------
-    positions, normals : ndarray of float64, shape (n, 3)
-        Of the points in some boxes, see `kernels.sample_boxes`; the normals have unit length.
-    low : ndarray of float64, shape (3,)
-        The least coordinates of the cloud.
-    edge : float
-        Of a box, in length units of the input.
-    spacing : float
-        Of the cloud, in length units of the input.
-
-    Returns
-    -------
-    float
-        Of pairs: 0.5 where signs are random, 2 f (1 - f) where a share f is flipped.
+    It is 0.5 where signs are random, 2 f (1 - f) where a share f is flipped. Positions and unit
+    normals (n, 3) are of boxes of an edge (`kernels.sample_boxes`); `low`, (3,), has the cloud's
+    least coordinates.
     """
     cosines = _pair_up(positions, normals, low, edge, spacing)[2]
     return float(np.count_nonzero(cosines < 0.0) / max(len(cosines), 1))
@@ -138,14 +108,8 @@ def share_opposed(
 class Torn:
     """How far normals follow a place, or a direction, and not a surface.
 
-    Parameters
-    ----------
-    following : float
-        Share of the normals that are on the side of one place.
-    pairs : int
-        Of normals that are across the line of sight from there, on one sheet.
-    torn : float
-        Share of these that are opposite.
+    A share of them, `following`, is on the side of one place. Of the `pairs` on one sheet that are
+    across the line of sight from there, a share, `torn`, is opposite.
     """
 
     following: float
@@ -161,12 +125,7 @@ class Torn:
 def weigh_torn(
     positions: FloatArray, normals: FloatArray, low: FloatArray, edge: float, spacing: float
 ) -> Torn:
-    """Weigh whether the sides of normals follow a place, and not a surface.
-
-    Parameters
-    ----------
-    positions, normals, low, edge, spacing
-        As for `share_opposed`.
+    """Weigh whether the sides of normals follow a place, and not a surface; see `share_opposed`.
 
     Notes
     -----

@@ -35,33 +35,11 @@ def orient_normals(
     keeps: bool,
     attribute: str | None = None,
 ) -> tuple[PassT, Oriented, Verdict | None]:
-    """Give points normals that are on one side.
+    """Give points unit normals that are on one side, and tell how the scan was seen, if that told.
 
-    Parameters
-    ----------
-    cloud_pass : CloudPass
-    spacing : float
-        Of its points, in length units of the input.
-    sensor : Sensor
-        Where the points were measured from.
-    keeps : bool
-        Whether the normals that are there count, but for their side; else they are estimated.
-    attribute : str, optional
-        By which name the points keep how sure their side is, 0 to 1.
-
-    Returns
-    -------
-    cloud_pass : CloudPass
-        Through points with unit normals.
-    oriented : Oriented
-        As of estimated ones; `flipped` are those that are the opposites of what they were.
-    verdict : Verdict or None
-        How the scan was seen, where that has told the sides.
-
-    Raises
-    ------
-    InputError
-        The sensor is cameras that cannot have seen the points.
+    Where the normals that are there count (`keeps`), only their side is found; else all is
+    estimated. `flipped` are the opposites of what they were. By the name of an `attribute`, points
+    keep how sure their side is, 0 to 1. InputError where cameras cannot have seen the points.
     """
     cloud = cloud_pass.cloud
     given = lay_lattice(cloud.low, spacing), spacing

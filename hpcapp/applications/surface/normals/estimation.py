@@ -27,52 +27,19 @@ MARGIN = _REACH + _CELL * 3.0**0.5 + _ROUNDED
 def estimate_normals(
     positions: FloatArray, asked: BoolArray, low: FloatArray, spacing: float, threads: int = 1
 ) -> Float32Array:
-    """Estimate the normals of points, without a side.
+    """Estimate the normals of points without a side, (m, 3), by planes through their neighbours.
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        Of a cloud, or of a region of it and all points within `MARGIN`; in its order.
-    asked : ndarray of bool, shape (n,)
-        The points whose normals are wanted.
-    low : ndarray of float64, shape (3,)
-        The least coordinates of the cloud.
-    spacing : float
-        Of the cloud, in length units of the input.
-
-    Returns
-    -------
-    ndarray of float32, shape (m, 3)
-        Of the points that were asked for. The length is the standard deviation of the points
-        around the plane, in length units of the input.
-
-    Raises
-    ------
-    InputError
-        The cloud spans more cells than a lattice has.
-
-    Notes
-    -----
-    See `kernels.portable.around.planes.fit_planes`.
+    See `kernels.portable.around.planes.fit_planes`; their length is the standard deviation of the
+    points around the plane. Positions (n, 3) are of a cloud, or of a region of it and all points
+    within `MARGIN`, in its order; `asked`, (n,), tells the m points, `low`, (3,), the cloud's least
+    coordinates. InputError where the cloud spans more cells than a lattice has.
     """
     refuse_wide(positions, low, _CELL * spacing)
     return fit_planes(positions, asked.astype(np.uint8), low, spacing, threads)
 
 
 def keep_directions(vectors: Float32Array, normals: FloatArray | Float32Array) -> Float32Array:
-    """Give normals that are known already the lengths of estimated ones.
-
-    Parameters
-    ----------
-    vectors : ndarray of float32, shape (m, 3)
-        What `estimate_normals` has returned.
-    normals : ndarray of float64 or float32, shape (m, 3)
-        Unit length.
-
-    Returns
-    -------
-    ndarray of float32, shape (m, 3)
-    """
+    """Give known unit normals (m, 3) the lengths of those that `estimate_normals` has returned."""
     wide = vectors.astype(np.float64)
     lengths = np.sqrt(np.einsum("ij,ij->i", wide, wide))
     kept: Float32Array = (normals * lengths[:, None]).astype(np.float32)
@@ -80,20 +47,9 @@ def keep_directions(vectors: Float32Array, normals: FloatArray | Float32Array) -
 
 
 def refuse_wide(positions: FloatArray, low: FloatArray, cell_size: float) -> None:
-    """Refuse positions that do not lie on a lattice.
+    """Refuse, by an InputError, positions (n, 3) that span more cells than a lattice has.
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-    low : ndarray of float64, shape (3,)
-        Where corner (0, 0, 0) lies.
-    cell_size : float
-        In length units of the input.
-
-    Raises
-    ------
-    InputError
-        They span more cells than a lattice has.
+    Its corner (0, 0, 0) lies at `low`, (3,).
     """
     if len(positions):
         corners = np.floor(cells_of(np.stack(bound_points(positions)), low, cell_size))

@@ -35,7 +35,7 @@ _CLOSED = 0.1  # share of a shell that may be seen from both sides
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """What is known of the sides of patches.
+    """What is known of the sides of patches; `how` says where it comes from, for people.
 
     Parameters
     ----------
@@ -43,8 +43,6 @@ class Evidence:
         From -1, the normal points into what is solid, to 1: it points to where the sensor was.
     weights : ndarray of float64, shape (p,)
         How much is known, 0 to 1.
-    how : str
-        Where it comes from, for people.
     is_sensed : bool
         Whether it is of the sensor that took the points; else of views that might have been.
     """
@@ -145,15 +143,9 @@ def share_of(patches: Patches, chosen: BoolArray) -> float:
 
 
 def face_along(patches: Patches, rays: FloatArray, how: str) -> tuple[Views, Evidence]:
-    """Return what is seen along some rays, which lead back to the sensor, and that as evidence.
+    """Return what is seen along rays (3,) or (p, 3) back to the sensor, and that as evidence.
 
-    Parameters
-    ----------
-    patches : Patches
-    rays : ndarray of float64, shape (3,) or (p, 3)
-        In any length.
-    how : str
-        Where they come from, for people.
+    The rays may have any length; `how` says where they come from, for people.
     """
     lengths = np.maximum(np.linalg.norm(rays, axis=-1), 1e-300)
     along = (patches.normals * rays).sum(axis=1) / lengths
@@ -172,22 +164,9 @@ def hear_user(
 ) -> Evidence:
     """Return the evidence of a sensor that a user tells of, who is believed.
 
-    Parameters
-    ----------
-    patches : Patches
-        Of a whole cloud.
-    components : ndarray of int64, shape (p,)
-        Which patches hang together.
-    spacing : float
-        Of the cloud, in length units of the input.
-    zero : ndarray of float64, shape (3,)
-        Where the input has (0, 0, 0), in the frame of the patches.
-    sensor : Sensor
-
-    Raises
-    ------
-    InputError
-        Somebody was inside, and no place inside is found.
+    `components`, (p,), tell which patches of a whole cloud hang together; `zero`, (3,), is where
+    the input has (0, 0, 0), in their frame. InputError where somebody was inside, and no place
+    inside is found.
     """
     if sensor.kind == "inside":
         # The most enclosed places that there are: a street has none that a room would have.
@@ -253,16 +232,9 @@ class Outside:
 def look_outside(
     patches: Patches, components: IntArray, spacing: float, threads: int = 1
 ) -> Outside:
-    """Look from all around.
+    """Look at a whole cloud from all around.
 
-    Parameters
-    ----------
-    patches : Patches
-        Of a whole cloud.
-    components : ndarray of int64, shape (p,)
-        Which patches hang together.
-    spacing : float
-        Of the cloud, in length units of the input.
+    `components`, (p,), tell which patches hang together.
     """
     directions, radius, viewpoints = surround(patches, VIEWS)
     cosines, is_seen = look(patches, viewpoints, spacing, threads)

@@ -95,7 +95,7 @@ class Shape:
     patches : Patches
         Facets; `CELL` squared points are the area of a face of a cell.
     spacing : float
-        `CELL` of which are the edge of a cell, in length units of the input.
+        `CELL` of which are the edge of a cell.
     missing : ndarray of float64, shape (3,)
         Minus the mean normal by area.
     """

@@ -41,15 +41,10 @@ _DIRECTIONS = [step for step in itertools.product((-1, 0, 1), repeat=3) if any(s
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Places:
-    """Where somebody could stand among what was scanned.
+    """Where somebody could stand among what was scanned, and how far each is worth looking from.
 
-    Parameters
-    ----------
-    every : ndarray of float64, shape (s, 3)
-        Along the longest side of the box; 512 at most.
-    emptiest : ndarray of float64, shape (1, 3) or (0, 3)
-    reach : float
-        How far each is worth looking from, in length units of the input.
+    `every`, (s, 3), are 512 at most, along the longest side of the box; `emptiest` is (1, 3) or
+    (0, 3).
     """
 
     every: FloatArray
@@ -67,23 +62,10 @@ def find_inside(
     threads: int = 1,
     shares: Sequence[float] = (INSIDE,),
 ) -> list[Places]:
-    """Find places that are inside of what surrounds them, all along it.
+    """Find places that are inside of what surrounds them, all along a whole cloud.
 
-    Parameters
-    ----------
-    patches : Patches
-        Of a whole cloud.
-    spacing : float
-        Of the cloud, in length units of the input.
-    least : float
-        Spacings between a place and the nearest patch.
-    shares : sequence of float
-        Of the directions, that are blocked there.
-
-    Returns
-    -------
-    list of Places
-        For each share; none where nothing surrounds anything.
+    They are `least` spacings or more from the nearest patch, and found for each of the shares of
+    directions that are blocked there; none where nothing surrounds anything.
     """
     parts = quarter_patches(patches, 0.25 * CELL * spacing)
     low, high = parts.min(axis=0), parts.max(axis=0)

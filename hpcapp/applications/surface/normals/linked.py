@@ -20,11 +20,6 @@ _STEPS = 300
 class LinkedPatches:
     """The equations that spread leanings over links.
 
-    Parameters
-    ----------
-    patches : Patches
-    links : Links
-
     Notes
     -----
     The strength w of a link is the agreement of the two normals, one of them mirrored along the
@@ -47,21 +42,13 @@ class LinkedPatches:
         self._sums = sums + _FREE
 
     def spread(self, weights: FloatArray, leanings: FloatArray, start: FloatArray) -> FloatArray:
-        """Return sides.
+        """Return the sides x, (p,), by conjugate gradients.
 
         They minimize
 
             sum over links  |w| (x_a - sign(w) x_b)^2  +  sum over patches  c (x - u)^2
 
-        with the weights c and the leanings u; by conjugate gradients.
-
-        Parameters
-        ----------
-        weights, leanings, start : ndarray of float64, shape (p,)
-
-        Returns
-        -------
-        ndarray of float64, shape (p,)
+        with the weights c and the leanings u, each (p,), as is the start.
         """
         links = self._first, self._second, self._strengths
         # Where its gradient vanishes, a system that is symmetric and positive definite.
@@ -76,12 +63,9 @@ class LinkedPatches:
         return float(strengths[is_broken].sum() / max(float(strengths.sum()), 1e-300))
 
     def components(self, chosen: BoolArray | None = None) -> IntArray:
-        """Return the number of the connected component of each patch.
+        """Return the number of the connected component of each patch, (p,).
 
-        Parameters
-        ----------
-        chosen : ndarray of bool, shape (p,), optional
-            The patches that hold others; each other one is its own.
+        Only `chosen` patches, (p,), hold others; each other one is its own.
         """
         holding = np.abs(self._strengths) > _HOLDING
         if chosen is not None:

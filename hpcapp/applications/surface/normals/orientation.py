@@ -54,7 +54,6 @@ class Verdict:
         Its probability, 0 to 1, with all readings that give the same sides.
     rivals : tuple of (str, float)
         Other readings, and the probability of each; the likeliest first.
-    because : tuple of Measurement
     """
 
     kind: str
@@ -74,16 +73,10 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Doubt:
-    """What is unsure of the sides.
+    """What is unsure of the sides, and what was believed.
 
-    Parameters
-    ----------
-    middle : ndarray of float64, shape (3,)
-        Of the largest piece whose side is unsure, in the frame of the patches.
-    reading : Hypothesis
-        What was believed.
-    rival : Hypothesis or None
-        What would most probably turn that piece round; None where nothing that was weighed would.
+    `middle`, (3,), is that of the largest piece whose side is unsure, in the frame of the patches;
+    `rival` what would most probably turn it round, None where nothing that was weighed would.
     """
 
     middle: FloatArray
@@ -93,17 +86,10 @@ class Doubt:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Orientation:
-    """The sides of the patches of a cloud.
+    """The sides of the patches of a cloud, and where the evidence comes from, for people (`how`).
 
-    Parameters
-    ----------
-    sides : Sides
-    how : str
-        Where the evidence comes from, for people.
-    doubt : Doubt or None
-        Where a user has told, nothing more can be told.
-    verdict : Verdict or None
-        None where a user has told places, among the points or around them.
+    `doubt` is None where a user has told: nothing more can be told. `verdict` is None where a user
+    has told places, among the points or around them.
     """
 
     sides: Sides
@@ -120,24 +106,10 @@ def orient_patches(
     sensor: Sensor,
     threads: int = 1,
 ) -> Orientation:
-    """Find the side of each patch.
+    """Find the side of each patch of a whole cloud.
 
-    Parameters
-    ----------
-    patches : Patches
-        Of a whole cloud.
-    links : Links
-        Between them.
-    spacing : float
-        Of the cloud, in length units of the input.
-    zero : ndarray of float64, shape (3,)
-        Where the input has (0, 0, 0), in the frame of the patches.
-    sensor : Sensor
-
-    Raises
-    ------
-    InputError
-        It was inside, and no place inside is found.
+    `zero`, (3,), is where the input has (0, 0, 0), in the frame of the patches. InputError where
+    the sensor was inside, and no place inside is found.
 
     Notes
     -----
@@ -221,8 +193,8 @@ def _settle(
 ) -> FloatArray:
     """Return the sides that evidence, links and far field agree on.
 
-    `followed` are those that follow of evidence by links; None where a ray has told, which the far
-    field does not contradict.
+    `followed` are those that follow of evidence by links; None where a ray has told, which the
+    far field does not contradict.
     """
     weights, leanings = evidence.weights, evidence.leanings
     if followed is None:

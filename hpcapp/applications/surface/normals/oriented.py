@@ -22,13 +22,9 @@ _DOUBTFUL = 0.9  # share of points whose side is sure, below which somebody shou
 class Unsure:
     """What is unsure of the sides of normals.
 
-    Parameters
-    ----------
-    place : tuple of float
-        The middle of the largest piece whose side is, in the file's coordinates.
-    seen, options : tuple of str
-        Where it is taken to be seen from, and where else it may be: ``from above``; and what tells
-        so (``--viewpoint``). Empty where nothing explains it.
+    `place` is the middle of the largest piece whose side is, in the file's coordinates. `seen` says
+    where it is taken to be seen from and where else it may be (``from above``), `options` what
+    tells so (``--viewpoint``); both are empty where nothing explains it.
     """
 
     place: tuple[float, ...]
@@ -62,8 +58,6 @@ class Oriented:
         Whether those of a file agree on a side.
     how : str
         What tells their side, where it was looked for: ``from above``.
-    doubt : Unsure or None
-        What is unsure of them.
     """
 
     source: str
@@ -116,13 +110,7 @@ class Oriented:
         return found
 
     def report(self, shown: str) -> None:
-        """Log how they came about.
-
-        Parameters
-        ----------
-        shown : str
-            The input, for the messages.
-        """
+        """Log how they came about; the messages name the input as `shown`."""
         if self.source != "file":
             sure = 100.0 * self.sure
             log.info(

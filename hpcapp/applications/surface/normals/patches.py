@@ -69,12 +69,7 @@ class Patches:
         return len(self.keys)
 
     def take(self, rows: IntArray) -> Patches:
-        """Return some of them.
-
-        Parameters
-        ----------
-        rows : ndarray of int64, shape (q,)
-        """
+        """Return those of some rows, (q,)."""
         return Patches(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     def rotate(self, axes: FloatArray | None) -> Patches:
@@ -108,15 +103,10 @@ class Links:
 @record("surface.patch_sides")
 @dataclass(frozen=True, slots=True, eq=False)
 class Sides:
-    """On which side patches have their normals.
+    """On which side patches have their normals; keys and ranks are as of `Patches`.
 
-    Parameters
-    ----------
-    keys, ranks : ndarray of int64, shape (p,)
-        See `Patches`.
-    values : ndarray of float32, shape (p,)
-        Above 0 where the patch's normal points out of the object, below it where it points
-        inwards; the confidence, 0 to 1, is how far from 0.
+    `values`, (p,), are above 0 where a patch's normal points out of the object, below it where it
+    points inwards; the confidence, 0 to 1, is how far from 0.
     """
 
     keys: IntArray
@@ -126,16 +116,10 @@ class Sides:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Grouped:
-    """Points in patches.
+    """Points in patches, whose keys and ranks are as of `Patches`.
 
-    Parameters
-    ----------
-    keys, ranks : ndarray of int64, shape (p,)
-        See `Patches`.
-    patch_of : ndarray of int64, shape (n,)
-        The patch of each point.
-    is_opposed : ndarray of bool, shape (n,)
-        Whether the point's normal is on the other side than its patch's.
+    `patch_of`, (n,), is the patch of each point; `is_opposed`, (n,), tells whether its normal is on
+    the other side than its patch's.
     """
 
     keys: IntArray
@@ -152,27 +136,11 @@ def find_patches(
     spacing: float,
     threads: int = 1,
 ) -> tuple[Patches, Links]:
-    """Find the patches that points belong to, and what these touch.
+    """Find the patches that points of a region belong to and those they touch, and the links.
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        Of a cloud, or of a region of it and all points within `MARGIN`; in its order.
-    vectors : ndarray of float32, shape (n, 3)
-        What `estimation.estimate_normals` has returned of them.
-    own : ndarray of bool, shape (n,)
-        The points of the region.
-    low : ndarray of float64, shape (3,)
-        The least coordinates of the cloud.
-    spacing : float
-        Of the cloud, in length units of the input.
-
-    Returns
-    -------
-    patches : Patches
-        Those of the points, and those they touch.
-    links : Links
-        Between them.
+    Positions (n, 3) are of a cloud, or of a region and all points within `MARGIN`, in its order;
+    `own`, (n,), tells the region's. `vectors`, (n, 3), are what `estimation.estimate_normals` has
+    returned of them; `low`, (3,), has the cloud's least coordinates.
     """
     grouped = _group_points(positions, vectors, low, spacing, threads)
     points = positions, own.astype(np.uint8), grouped.patch_of
@@ -189,19 +157,9 @@ def find_patches(
 
 
 def merge_patches(found: Sequence[tuple[Patches, Links]]) -> tuple[Patches, Links]:
-    """Put together what was found in the regions of a cloud.
+    """Put together what `find_patches` found in one or more regions of a cloud, each once.
 
-    Parameters
-    ----------
-    found : sequence of tuple
-        What `find_patches` has returned of each; one or more.
-
-    Returns
-    -------
-    patches : Patches
-        Each once.
-    links : Links
-        Each once, sorted.
+    The links are sorted.
     """
     parts = [patches for patches, _ in found]
     keys = np.concatenate([part.keys for part in parts])
@@ -227,17 +185,9 @@ def merge_patches(found: Sequence[tuple[Patches, Links]]) -> tuple[Patches, Link
 
 
 def quarter_patches(patches: Patches, reach: float) -> FloatArray:
-    """Return the middles of four parts of each patch.
+    """Return the middles of four parts of each patch, (4 p, 3).
 
-    Parameters
-    ----------
-    patches : Patches
-    reach : float
-        Half of what lies between two of them, in length units of the input.
-
-    Returns
-    -------
-    ndarray of float64, shape (4 p, 3)
+    `reach` is half of what lies between two of them.
     """
     rows = np.arange(len(patches))
     axes = np.zeros((len(patches), 3))
@@ -260,29 +210,11 @@ def turn_points(
     sides: Sides,
     threads: int = 1,
 ) -> tuple[Float32Array, BoolArray, Float32Array]:
-    """Turn normals to the sides of their patches.
+    """Turn normals to the sides of their patches; tell which are turned, and how sure they are.
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        Of a cloud, or of a region of it and all points within `MARGIN`; in its order.
-    vectors : ndarray of float32, shape (n, 3)
-        What `estimation.estimate_normals` has returned of them.
-    low : ndarray of float64, shape (3,)
-        The least coordinates of the cloud.
-    spacing : float
-        Of the cloud, in length units of the input.
-    sides : Sides
-        Of all patches that points of the region belong to.
-
-    Returns
-    -------
-    normals : ndarray of float32, shape (n, 3)
-        Unit length.
-    is_turned : ndarray of bool, shape (n,)
-        Whether they are the opposites of the vectors.
-    confidences : ndarray of float32, shape (n,)
-        0 to 1; 0 for points of other patches.
+    Positions, vectors and `low` are as for `find_patches`; `sides` are those of all patches that
+    points of the region belong to. Returned are unit normals (n, 3), whether these are opposites of
+    the vectors, (n,), and confidences, (n,), 0 to 1, and 0 for points of other patches.
     """
     grouped = _group_points(positions, vectors, low, spacing, threads)
     rows = _find_names(sides, grouped)

@@ -74,19 +74,9 @@ class Sensor:
         )
 
     def check_sight(self, points: FloatArray, zero: FloatArray) -> None:
-        """Refuse cameras that cannot have seen the points.
+        """Refuse, by an InputError, cameras that are far from the points or look elsewhere.
 
-        Parameters
-        ----------
-        points : ndarray of float64, shape (n, 3)
-            From all over the cloud.
-        zero : ndarray of float64, shape (3,)
-            Where the input has (0, 0, 0), in the frame of the points.
-
-        Raises
-        ------
-        InputError
-            They are far away, or look elsewhere.
+        `points`, (n, 3), are from all over the cloud; there, the input has (0, 0, 0) at `zero`.
         """
         if self.places is None or self.axes is None or not self.axes.any():
             return

@@ -39,30 +39,18 @@ def orient_cloud(
 ) -> tuple[PassT, Oriented, Reading]:
     """Give points normals where they have none, or such that contradict each other, and read them.
 
+    Points with unit normals, how these came about, and the reading of this job are returned.
+
     Parameters
     ----------
-    cloud_pass : CloudPass
-    scale : LocalScale
-        Of its points.
     wanted : str
         ``file``: they are taken as they are, where there are some.
-    sensor : Sensor
-        Where the points were measured from.
-    clock : StageClock
     has_normals, is_oriented : bool
         Whether the points have normals, and whether the file says that these have a side.
     is_upright : bool
         Whether z is known to point up.
     attribute : str, optional
         By which name the points keep how sure their side is, 0 to 1.
-
-    Returns
-    -------
-    cloud_pass : CloudPass
-        Through points with unit normals.
-    oriented : Oriented
-    reading : Reading
-        The one of this job.
     """
     from hpcapp.applications.surface.normals.reading import read_scan
 

@@ -28,14 +28,9 @@ _LEAST_SPREAD = 0.05  # of densities that were counted
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Density:
-    """How densely points lie around some patches.
+    """How densely points lie around some patches: those in `rows`, (s,), of all.
 
-    Parameters
-    ----------
-    rows : ndarray of int64, shape (s,)
-        These patches, of all.
-    logs : ndarray of float64, shape (s,)
-        Logarithms of the points per area, up to a constant.
+    `logs`, (s,), are logarithms of the points per area, up to a constant.
     """
 
     rows: IntArray
@@ -43,7 +38,7 @@ class Density:
 
     @classmethod
     def of(cls, patches: Patches, spacing: float) -> Density:
-        """Measure it; `spacing` is that of the cloud, in length units of the input."""
+        """Measure it."""
         counts = patches.counts.astype(np.float64)
         rows, edge = np.arange(0, len(patches), -(-len(patches) // _SAMPLE)), CELL * spacing
         corner = lay_lattice(patches.centres.min(axis=0), edge)
@@ -66,16 +61,11 @@ class Density:
         return cls(rows, np.log(held / (surface * squares)))
 
     def favour(self, patches: Patches, places: FloatArray) -> float:
-        """Return how much more evenly points lie as sensors in some places show them: -1 to 1.
+        """Return how much more evenly points lie as sensors in places (s, 3) show them: -1 to 1.
 
         Their rays are even in direction, so that as many fall on an area as its distance and its
         slope tell. How many rays each has is fitted: the most likely counts, by expectation
         maximization. Where points were thinned evenly, they tell nothing.
-
-        Parameters
-        ----------
-        patches : Patches
-        places : ndarray of float64, shape (s, 3)
         """
         arms = patches.centres[self.rows, None] - places
         squares = np.maximum(np.einsum("psi,psi->ps", arms, arms), 1e-300)

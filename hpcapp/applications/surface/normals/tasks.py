@@ -40,16 +40,10 @@ from hpccomponent.runtime.tasks import declare
 def estimate_region(
     points: RegionPoints, low: FloatArray, spacing: float, keeps: bool
 ) -> tuple[Replaced]:
-    """Estimate the normals of a region (a task).
+    """Estimate the normals of a region by `estimation.estimate_normals` (a task).
 
-    Parameters
-    ----------
-    points : RegionPoints
-        With a margin of `estimation.MARGIN` spacings.
-    low, spacing
-        As for `estimation.estimate_normals`, whose result the normals are.
-    keeps : bool
-        Whether the directions that are there stay, and only lengths are estimated.
+    The points have a margin of `estimation.MARGIN` spacings; `keeps` says whether directions that
+    are there stay, and only lengths are estimated.
     """
     region = points.take()
     vectors = estimate_normals(region.positions, region.own, low, spacing, region.threads)
@@ -60,14 +54,9 @@ def estimate_region(
 
 @declare(result=grouped_region, limit=region_bytes(1024))
 def group_region(points: RegionPoints, low: FloatArray, spacing: float) -> tuple[Patches, Links]:
-    """Find the patches of a region (a task).
+    """Find the patches of a region by `patches.find_patches` (a task).
 
-    Parameters
-    ----------
-    points : RegionPoints
-        With a margin of `patches.MARGIN` spacings, of a cloud with estimated normals.
-    low, spacing
-        As for `patches.find_patches`, whose result this is.
+    The points have estimated normals, and a margin of `patches.MARGIN` spacings.
     """
     region = points.take()
     given = region.positions, region.normals, region.own, low, spacing
@@ -78,26 +67,11 @@ def group_region(points: RegionPoints, low: FloatArray, spacing: float) -> tuple
 def turn_region(
     points: RegionPoints, low: FloatArray, spacing: float, sides: Sides, tells: bool
 ) -> tuple[Replaced, int, Confidences, Sureness]:
-    """Turn the normals of a region to their side (a task).
+    """Turn the estimated normals of a region to their side by `patches.turn_points` (a task).
 
-    Parameters
-    ----------
-    points : RegionPoints
-        With a margin of `patches.MARGIN` spacings, of a cloud with estimated normals.
-    low, spacing, sides
-        As for `patches.turn_points`; the sides of all patches.
-    tells : bool
-        Whether the confidence of each point is wanted.
-
-    Returns
-    -------
-    replaced : Replaced
-        With unit normals.
-    turned : int
-        How many of these are the opposites of what they were.
-    counts : Confidences
-    sureness : Sureness
-        None, where that is not asked for.
+    The points have a margin of `patches.MARGIN` spacings; the sides are those of all patches. With
+    the unit normals come how many are the opposites of what they were, the histogram of their
+    confidences, and, where `tells` asks for it, that of each point.
     """
     region = points.take()
     found = turn_points(region.positions, region.normals, low, spacing, sides, region.threads)

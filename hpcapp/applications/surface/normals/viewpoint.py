@@ -26,17 +26,8 @@ _DIRECTIONS: tuple[Direction, ...] = get_args(Direction)
 def parse_viewpoint(words: Sequence[str]) -> Viewpoint:
     """Parse what was typed; read the files of trajectories and cameras.
 
-    Parameters
-    ----------
-    words : sequence of str
-        A direction alone, or places as ``X,Y,Z``, cameras as ``X,Y,Z,DX,DY,DZ`` and names of files.
-
-    Raises
-    ------
-    UsageError
-        A word is none of these, or stands beside a direction.
-    InputError
-        A file is no trajectory and no file of cameras.
+    A direction stands alone (else UsageError, as for unknown words); places are ``X,Y,Z``, cameras
+    ``X,Y,Z,DX,DY,DZ``, or names of files. InputError where one is of neither kind.
 
     Examples
     --------

@@ -24,16 +24,9 @@ _DISTANCE = 2.5  # of the viewpoints around an object, in half diagonals of its 
 
 
 def surround(patches: Patches, count: int) -> tuple[FloatArray, float, FloatArray]:
-    """Return viewpoints all around an object.
+    """Return directions (count, 3), a radius and viewpoints (count, 3) all around an object.
 
-    Returns
-    -------
-    directions : ndarray of float64, shape (count, 3)
-        On the unit sphere, evenly.
-    radius : float
-        In length units of the input.
-    viewpoints : ndarray of float64, shape (count, 3)
-        So far from the middle of the object's box.
+    The directions are on the unit sphere, evenly; the viewpoints so far from its box's middle.
     """
     low, high = patches.centres.min(axis=0), patches.centres.max(axis=0)
     radius = _DISTANCE * 0.5 * float(np.sqrt(((high - low) ** 2).sum()))
@@ -48,24 +41,11 @@ def surround(patches: Patches, count: int) -> tuple[FloatArray, float, FloatArra
 def look(
     patches: Patches, viewpoints: FloatArray, spacing: float, threads: int = 1
 ) -> tuple[Int8Array, BoolArray]:
-    """Look at patches from v viewpoints.
+    """Look at patches from viewpoints (v, 3): cosines (v, p), and which are seen, (v, p).
 
-    Parameters
-    ----------
-    patches : Patches
-    viewpoints : ndarray of float64, shape (v, 3)
-        In length units of the input.
-    spacing : float
-        Of the cloud, in length units of the input.
-
-    Returns
-    -------
-    cosines : ndarray of int8, shape (v, p)
-        Between the normal of each patch and the direction to the viewpoint, in 127ths; 0 where
-        the patch is not clearly seen: a plane across a sharp edge is seen from behind by who sees
-        one of its faces.
-    is_seen : ndarray of bool, shape (v, p)
-        See `kernels.view_patches`.
+    The cosines are between a patch's normal and the direction to the viewpoint, in 127ths; 0 where
+    it is not clearly seen: a plane across a sharp edge is seen from behind by who sees one of its
+    faces. For what is seen, see `kernels.view_patches`.
     """
     # (p,): how far behind the patch in front one may lie and yet be of the same sheet.
     thickness = np.maximum(_THICK * spacing, _NOISES * patches.noise)

@@ -22,17 +22,7 @@ NEARLY_ZERO = 1e-4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NodeGrid:
-    """A grid of nodes.
-
-    Parameters
-    ----------
-    low : ndarray of float64, shape (3,)
-        The first node, in length units of the input.
-    step : float
-        Distance between nodes, in the same units.
-    shape : tuple of int
-        Nodes along x, y and z.
-    """
+    """A grid with its first node at `low`, (3,), and so many nodes along x, y and z."""
 
     low: FloatArray
     step: float
@@ -40,21 +30,9 @@ class NodeGrid:
 
 
 def plan_grid(patches: Patches, grid: int) -> NodeGrid:
-    """Lay a grid of nodes over all boxes.
+    """Lay a grid of nodes over all boxes: `grid` cells along their longest side, and margins.
 
-    Parameters
-    ----------
-    patches : Patches
-        At least one.
-    grid : int
-        Cells along the longest side of the boxes' bounding box; margins come on top.
-
-    Raises
-    ------
-    UsageError
-        A grid of less than one cell.
-    JobError
-        Boxes without extent.
+    UsageError where these are fewer than one, JobError where the boxes have no extent.
     """
     if grid < 1:
         raise UsageError(f"grid is {grid}", "give 1 cell or more, such as 64")
@@ -73,19 +51,10 @@ def sample_indicator_blend(
     nodes: NodeGrid,
     advance: Callable[[int, int], None],
 ) -> NDArray[np.float32]:
-    """Sample the blend of the quadrics, box by box.
+    """Sample the blend of the quadrics (p, 10), in patch coordinates, box by box.
 
-    Parameters
-    ----------
-    coefficients : ndarray of float64, shape (p, 10)
-        The patches' quadrics, in patch coordinates.
-    advance : callable
-        Told (boxes done, boxes in all) now and then.
-
-    Returns
-    -------
-    ndarray of float32, of the grid's shape
-        Algebraic values, dimensionless, negative inside; exactly 0 outside all boxes.
+    The values are algebraic, negative inside, and exactly 0 outside all boxes. `advance` is told
+    (boxes done, boxes in all) now and then.
 
     Notes
     -----
@@ -121,16 +90,9 @@ def sample_indicator_blend(
 def settle_zeros(values: NDArray[np.float32]) -> None:
     """Move values that are 0 or nearly so to a small positive one, outside, in place.
 
-    Parameters
-    ----------
-    values : ndarray of float32
-        Samples of an implicit function.
-
-    Notes
-    -----
     Marching cubes leaves open edges and triangles without area where nodes are exactly on the
-    surface, and the indicator blend makes whole regions of exact zeros outside the boxes. The
-    small value is a ten-thousandth of the median magnitude of the values that are not zero.
+    surface, and the blend makes whole regions of exact zeros outside the boxes. The small value is
+    a ten-thousandth of the median magnitude of the values that are not zero.
     """
     magnitudes = np.abs(values)
     typical = np.median(magnitudes[magnitudes > 0.0]) if magnitudes.any() else 1.0

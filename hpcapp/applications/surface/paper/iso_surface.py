@@ -18,18 +18,9 @@ def extract_iso_surface(
 ) -> Mesh:
     """Extract the 0-level iso-surface, its faces anticlockwise as seen from outside.
 
-    Parameters
-    ----------
-    values : ndarray of float32, of the grid's shape
-        Samples of an implicit function, negative inside; none of them exactly 0, or the surface
-        has open edges.
-    origin : ndarray of float64, shape (3,), optional
-        The mesh's origin; zero if left out.
-
-    Raises
-    ------
-    JobError
-        Samples of one sign only, hence no surface, or NaN among them.
+    `values` has the grid's shape, negative inside; where one is exactly 0, the surface has open
+    edges. The mesh's `origin`, (3,), is zero if left out. JobError where samples have one sign,
+    hence no surface, or are NaN.
     """
     # skimage meshes NaN without a word.
     if not np.isfinite(values).all():

@@ -33,7 +33,7 @@ class Patches:
     offsets : ndarray of int64, shape (p + 1,)
         From 0 to n.
     box_low, box_high : ndarray of float64, shape (p, 3)
-        Each patch's box, in the length units and the frame of the positions.
+        Each patch's box, in the frame of the positions.
     """
 
     order: IntArray
@@ -108,23 +108,15 @@ def partition_by_rule(
 ) -> Patches:
     """Split boxes at the midpoint of their longest axis for as long as the rule asks.
 
+    Positions and unit normals are (n, 3). InputError where there is no point, or arrays do not fit
+    each other or hold NaN; UsageError where the root is unknown.
+
     Parameters
     ----------
-    positions : ndarray of float64, shape (n, 3)
-        In length units of the input.
-    normals : ndarray of float64, shape (n, 3)
-        Unit length.
     root : {"cube", "box", "tight"}
         "cube": the root is the cube about the centre of the bounding box whose side is the longest
         of the box; no other place for it gives the paper's 240 patches. "box": the bounding box.
         "tight": the same, and every box is shrunk onto its points before it is split.
-
-    Raises
-    ------
-    InputError
-        No point at all, or arrays that do not fit each other or hold NaN.
-    UsageError
-        An unknown root.
 
     Notes
     -----
@@ -152,24 +144,11 @@ def partition_by_rule(
 
 
 def partition_by_count(positions: FloatArray, patches: int, root: str = "cube") -> Patches:
-    """Split the box with the most points until there are `patches` of them.
+    """Split the box with the most points (n, 3) until exactly `patches` of them hold points.
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        In length units of the input.
-
-    Returns
-    -------
-    Patches
-        Exactly `patches` boxes, each with a point; of equally full boxes the older is split first.
-
-    Raises
-    ------
-    InputError
-        No point at all, or positions that are not finite.
-    UsageError
-        More patches than there are distinct points, or fewer than one.
+    Of equally full boxes the older is split first. InputError where no point is there or one is not
+    finite; UsageError where fewer than one patch, more than distinct points, or an unknown root is
+    asked for.
     """
     _check(positions, positions)
     if patches < 1:

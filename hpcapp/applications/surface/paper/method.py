@@ -50,17 +50,10 @@ MOST_MEASURED = 200_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PaperPartition:
-    """The points patch after patch, and their boxes.
+    """The points patch after patch, so that a batch is a slice, and their boxes.
 
-    Parameters
-    ----------
-    points : PointCloud
-        In the order of the patches, so that a batch is a slice.
-    patches : Patches
-        The boxes and where each one's points begin.
-    fitted : list of ndarray of float64, shape (p, 10)
-        The quadrics, once the fit has found them: the job's report measures their residuals, so
-        that the time of the fit is that of the fit alone.
+    `fitted`, (p, 10), are the quadrics, once the fit has found them: the job's report measures
+    their residuals, so that the time of the fit is that of the fit alone.
     """
 
     points: PointCloud
@@ -71,6 +64,8 @@ class PaperPartition:
 @dataclass(slots=True)
 class PaperMethod:
     """The paper's algorithm.
+
+    A UsageError is raised where a value is outside its range, or `patches` beside `max_points`.
 
     Parameters
     ----------
@@ -87,11 +82,6 @@ class PaperMethod:
         and of `max_points`.
     norm : {"consistent", "printed"}
         Which constraint the fit obeys; see `fit_patches`.
-
-    Raises
-    ------
-    UsageError
-        A value outside its range, or `patches` together with `max_points`.
     """
 
     delta: float = 0.1
@@ -133,17 +123,9 @@ class PaperMethod:
         return PaperPartition(points.take(patches.order), patches)
 
     def fit(self, partition: PaperPartition, workforce: Workforce, advance: Advance) -> FloatArray:
-        """Fit the patches on the workers, as many patches to each batch.
+        """Fit the patches on the workers, as many to each batch: coefficients (p, 10).
 
-        Parameters
-        ----------
-        partition : PaperPartition
-            Its `fitted` is set here.
-
-        Returns
-        -------
-        ndarray of float64, shape (p, 10)
-            Coefficients in patch coordinates.
+        They are in patch coordinates; the partition's `fitted` is set here.
         """
         batches = [self._batch(partition, rows) for rows in workforce.cut(len(partition.patches))]
         quadrics = np.concatenate(map_batches(workforce, fit_patches, batches, advance))
@@ -204,20 +186,12 @@ class PaperMethod:
 
 
 def measure_residuals(partition: PaperPartition, quadrics: FloatArray) -> dict[str, float]:
-    """Return how well the quadrics hold their own points (every k-th of a large cloud).
+    """Return how well the quadrics (p, 10) hold their own points (every k-th of a large cloud).
 
-    Parameters
-    ----------
-    quadrics : ndarray of float64, shape (p, 10)
-        Coefficients in patch coordinates.
-
-    Returns
-    -------
-    dict of float
-        ``residual_rms``: root mean square of the algebraic values, dimensionless.
-        ``residual_median_percent``: median first-order distance |f| / |grad f|, in per cent of
-        the diagonal of the points' bounding box. ``normals_agreeing``: the share of the points
-        whose normal looks along the gradient.
+    ``residual_rms``: root mean square of the algebraic values, dimensionless.
+    ``residual_median_percent``: median first-order distance |f| / |grad f|, in per cent of the
+    diagonal of the points' bounding box. ``normals_agreeing``: the share of the points whose
+    normal looks along the gradient.
     """
     patches = partition.patches
     every = slice(None, None, -(-len(partition.points) // MOST_MEASURED))

@@ -75,7 +75,10 @@ def fit_patches(
     scales: FloatArray,
     norm: str = "consistent",
 ) -> Quadrics:
-    """Fit one quadric to each patch of a batch (a task: values in, values out).
+    """Fit one quadric to each patch of a batch (a task): coefficients (p, 10) in patch coordinates.
+
+    They are dimensionless; the gradient looks along the normals. InputError where shapes do not fit
+    each other, values are NaN or infinite, scales are not positive, or the norm is unknown.
 
     Parameters
     ----------
@@ -89,17 +92,6 @@ def fit_patches(
         Units of the patch coordinates, in length units of the input; positive.
     norm : {"consistent", "printed"}
         Which coefficients have unit length; see Notes.
-
-    Returns
-    -------
-    ndarray of float64, shape (p, 10)
-        Coefficients in patch coordinates, dimensionless; the gradient looks along the normals.
-
-    Raises
-    ------
-    InputError
-        Arrays whose shapes do not fit each other, NaN or infinite values, scales that are not
-        positive, or an unknown norm.
 
     Notes
     -----
@@ -147,38 +139,18 @@ def fit_patches(
 
 
 def evaluate_quadrics(coefficients: FloatArray, local: FloatArray) -> FloatArray:
-    """Return the algebraic values of quadrics.
+    """Return the algebraic values (n,) of quadrics at points (n, 3) in patch coordinates.
 
-    Parameters
-    ----------
-    coefficients : ndarray of float64, shape (10,) or (n, 10)
-        One quadric, or one for each point.
-    local : ndarray of float64, shape (n, 3)
-        Points in patch coordinates, dimensionless.
-
-    Returns
-    -------
-    ndarray of float64, shape (n,)
-        Negative inside; dimensionless, and not a distance.
+    One quadric (10,), or one for each point, (n, 10). Negative inside; not a distance.
     """
     values: FloatArray = (basis(local) * np.atleast_2d(coefficients)).sum(axis=1)
     return values
 
 
 def gradient_quadrics(coefficients: FloatArray, local: FloatArray) -> FloatArray:
-    """Return the gradients of quadrics with respect to the patch coordinates.
+    """Return the gradients (n, 3) of quadrics with respect to the patch coordinates, looking out.
 
-    Parameters
-    ----------
-    coefficients : ndarray of float64, shape (10,) or (n, 10)
-        One quadric, or one for each point.
-    local : ndarray of float64, shape (n, 3)
-        Points in patch coordinates, dimensionless.
-
-    Returns
-    -------
-    ndarray of float64, shape (n, 3)
-        Looking out of the object.
+    One quadric (10,), or one for each point, (n, 10); points (n, 3) in patch coordinates.
     """
     c = np.atleast_2d(coefficients)
     x, y, z = local.T
@@ -193,16 +165,7 @@ def gradient_quadrics(coefficients: FloatArray, local: FloatArray) -> FloatArray
 
 
 def basis(local: FloatArray) -> FloatArray:
-    """Return the ten monomials of points in patch coordinates.
-
-    Parameters
-    ----------
-    local : ndarray of float64, shape (n, 3)
-
-    Returns
-    -------
-    ndarray of float64, shape (n, 10)
-    """
+    """Return the ten monomials (n, 10) of points (n, 3) in patch coordinates."""
     x, y, z = local.T
     columns = [np.ones_like(x), x, y, z, x * x, y * y, z * z, x * y, y * z, x * z]
     return np.stack(columns, axis=1)

@@ -21,19 +21,9 @@ CHUNK = 20_000
 def remove_outliers(cloud: PointCloud, neighbours: int = 16, deviations: float = 3.0) -> PointCloud:
     """Drop points that lie far from their neighbours (statistical outlier removal).
 
-    Parameters
-    ----------
-    neighbours : int
-        How many nearest neighbours the mean distance is taken over.
-    deviations : float
-        A point is dropped where its mean distance exceeds the cloud's mean of these by more than
-        this many of their standard deviations.
-
-    Returns
-    -------
-    PointCloud
-        The points that remain, in their order. A cloud of `neighbours` points or fewer is
-        returned as it is: nothing can be said of it.
+    A point goes where its mean distance to so many nearest neighbours exceeds the cloud's mean of
+    these by more than so many of their standard deviations. A cloud of `neighbours` points or
+    fewer is returned as it is: nothing can be said of it.
 
     References
     ----------
@@ -50,23 +40,9 @@ def remove_outliers(cloud: PointCloud, neighbours: int = 16, deviations: float =
 def denoise(cloud: PointCloud, neighbours: int = 24) -> PointCloud:
     """Project every point onto a quadric surface through its neighbourhood (moving least squares).
 
-    Parameters
-    ----------
-    neighbours : int
-        How many nearest points, itself included, a neighbourhood has; at least 6. All points of
-        a smaller cloud.
-
-    Returns
-    -------
-    PointCloud
-        The points moved, in their order, with the normals of the surfaces they were moved to.
-
-    Raises
-    ------
-    InputError
-        A cloud without normals.
-    UsageError
-        Fewer than 6 neighbours.
+    The points, in their order, get the normals of the surfaces they are moved to. A neighbourhood
+    has `neighbours` points, itself included, or all of a smaller cloud. InputError where there are
+    no normals, UsageError where there are fewer than 6 neighbours.
 
     Notes
     -----
@@ -100,22 +76,10 @@ def denoise(cloud: PointCloud, neighbours: int = 24) -> PointCloud:
 def resample(cloud: PointCloud, spacing: float | None = None) -> PointCloud:
     """Thin the cloud to one point for each voxel, for an even density.
 
-    Parameters
-    ----------
-    spacing : float, optional
-        Side of the voxels, in length units of the input; the median distance between
-        nearest neighbours if left out. Places sparser than that stay as they are.
-
-    Returns
-    -------
-    PointCloud
-        Of every voxel with points the one nearest to their mean (the first of several), in the
-        order of the input: a point that was measured, with its own normal and colour.
-
-    Raises
-    ------
-    UsageError
-        A spacing that is not positive, or too small for the cloud's extent.
+    Of every voxel with points the one nearest to their mean stays (the first of several), in the
+    order of the input: a point that was measured, with its own normal and colour. The voxels' side
+    is `spacing`, by default the median distance between nearest neighbours; sparser places stay.
+    UsageError where it is not positive, or too small for the cloud's extent.
     """
     if len(cloud) < 2:
         return cloud

@@ -8,7 +8,7 @@ from hpccomponent.errors import UsageError
 
 @dataclass(frozen=True, slots=True)
 class SplitRule:
-    """When a box of the tree is split.
+    """When a box of the tree is split; a UsageError is raised where a value is outside its range.
 
     Parameters
     ----------
@@ -20,11 +20,6 @@ class SplitRule:
         text and its Figures 2 and 4 ask. "none": normals do not matter.
     max_points : int, optional
         A box is split while it holds more points.
-
-    Raises
-    ------
-    UsageError
-        A value outside its range.
     """
 
     delta: float = 0.1

@@ -60,13 +60,8 @@ _LOOKED_AT = 1 << 20  # points at once
 class Ingested:
     """A cloud that was put into a folder, and what was left out.
 
-    Parameters
-    ----------
-    cloud : DiskCloud
-    dropped : Dropped
-        Points without a finite position, or without a normal where others have one.
-    far : int
-        Points that were dropped because they lie far away (see `cleaning.drop_far`).
+    `dropped` are points without a finite position, or without a normal where others have one; `far`
+    counts those that were dropped because they lie far away (see `reach.drop_far`).
     """
 
     cloud: DiskCloud
@@ -88,30 +83,12 @@ class _Survey:
 def ingest_file(
     source: PointSource, folder: Path, workers: PointWorkers, *, drop_far: bool = True
 ) -> Ingested:
-    """Arrange the usable points of a file in a folder.
+    """Arrange the usable points of a file in a folder, which exists.
 
-    Parameters
-    ----------
-    source : PointSource
-    folder : Path
-        Exists; some 17 bytes a point are written (see `layout`).
-    workers : PointWorkers
-        The cloud does not depend on it.
-    drop_far : bool
-        Whether to drop points far from all others.
-
-    Returns
-    -------
-    Ingested
-        The points that `drop_unusable`, `drop_far` and `arrange_cloud` leave of the whole file,
-        bit for bit.
-
-    Raises
-    ------
-    InputError
-        The file is damaged, or holds no surface: see `drop_unusable`.
-    OutputError
-        The disk is full, or the folder cannot be written.
+    They are those that `drop_unusable`, `drop_far` and `arrange_cloud` leave of the whole file, bit
+    for bit, whatever the workers; unless asked to `drop_far`, those far from all others stay. Some
+    17 bytes a point are written (see `layout`). Raises InputError where the file is damaged or
+    holds no surface, OutputError where the disk is full or the folder cannot be written.
     """
     name = str(source.path)
     if not workers.workers_see_input:

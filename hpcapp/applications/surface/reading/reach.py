@@ -16,19 +16,8 @@ _CORES = 100.0  # longest sides of the core: beyond them lie markers, not measur
 def drop_far(cloud: PointCloud) -> PointCloud:
     """Drop points farther from the middle of a cloud than a hundred times its core.
 
-    Parameters
-    ----------
-    cloud : PointCloud
-        Finite positions.
-
-    Returns
-    -------
-    PointCloud
-        In their order; the input itself where none lies so far.
-
-    Notes
-    -----
     A scanner's marker for "no echo" may lie where no lattice of the cloud's spacing reaches.
+    Positions are finite, and keep their order; the input itself is returned where none lies so far.
     """
     if not len(cloud):
         return cloud
@@ -43,15 +32,7 @@ def drop_far(cloud: PointCloud) -> PointCloud:
 def even_step(points: int) -> int:
     """Return the power of two of which every so many-th point of a cloud is in an even sample.
 
-    Parameters
-    ----------
-    points : int
-        Of the cloud.
-
-    Returns
-    -------
-    int
-        1 where all points are in the sample.
+    1 where all points are in the sample.
     """
     step = 1
     while points > _SAMPLE * step:
@@ -77,13 +58,7 @@ class EvenSample:
         return self._positions
 
     def add(self, positions: FloatArray) -> None:
-        """Take the next points of the cloud, of shape (n, 3).
-
-        Parameters
-        ----------
-        positions : ndarray of float64, shape (n, 3)
-            In length units of the input, in the order of the cloud.
-        """
+        """Take the next points of the cloud, of shape (n, 3), in its order."""
         step = even_step(self._seen + len(positions))
         self._positions, self._step = self._positions[:: step // self._step], step
         taken = positions[-self._seen % self._step :: self._step]
@@ -94,10 +69,7 @@ class EvenSample:
 def find_reach(sample: FloatArray) -> Reach:
     """Find how far from the middle of a cloud points may lie: a hundred times its core.
 
-    Parameters
-    ----------
-    sample : ndarray of float64, shape (s, 3)
-        See `EvenSample`; at least one point.
+    The sample (s, 3) is that of an `EvenSample`, of at least one point.
     """
     low, high = np.sort(sample, axis=0)[np.rint(np.multiply(_CORE, len(sample) - 1)).astype(int)]
     distance = _CORES * float((high - low).max())

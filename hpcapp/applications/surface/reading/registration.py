@@ -60,12 +60,10 @@ class _Planes:
 
 @dataclass(frozen=True, slots=True)
 class PairOfScans:
-    """Two scans that have a surface in the same cells.
+    """Two scans, by number, that have a surface in the same cells.
 
     Parameters
     ----------
-    first, second : int
-        Their numbers.
     cells, agreeing : int
         In how many cells both have one, and in how many of these it is the same.
     is_sided : bool
@@ -80,24 +78,11 @@ class PairOfScans:
 
 
 def check_registration(chunks: Iterable[PointCloud], scans: Sequence[Scan]) -> str | None:
-    """Tell which scans do not fit together.
+    """Tell which scans do not fit together, in a warning; None where all do.
 
-    Parameters
-    ----------
-    chunks : iterable of PointCloud
-        All points; the attribute ``scan`` has the number of the scan of each.
-    scans : sequence of Scan
-        What the file tells of them, by number; maybe not of all.
-
-    Returns
-    -------
-    str or None
-        A warning, where it may be that two sides of thin walls were compared.
-
-    Raises
-    ------
-    InputError
-        Scans do not fit together, and what sides they saw is known.
+    `chunks` have all points, each with the number of its scan in the attribute ``scan``; `scans`
+    are what the file tells of them, by number; maybe not of all. It is a warning where two sides of
+    thin walls may have been compared, InputError where the sides that scans saw are known.
     """
     samples = _sample(chunks, scans)
     if len(samples) < 2:
@@ -120,10 +105,7 @@ def check_registration(chunks: Iterable[PointCloud], scans: Sequence[Scan]) -> s
 def compare_scans(samples: Samples) -> list[PairOfScans]:
     """Return what each two scans that overlap have in common, by number.
 
-    Parameters
-    ----------
-    samples : mapping of int to (ndarray, ndarray)
-        Points of each scan, and vectors to where they were seen from, or zeros.
+    A sample has points of a scan, and vectors to where they were seen from, or zeros.
     """
     spacing = max(estimate_spacing(places) for places, _ in samples.values())
     found: dict[tuple[int, int], PairOfScans] = {}
@@ -203,12 +185,8 @@ def _sum_rows(row: IntArray, values: FloatArray) -> FloatArray:
 def _compare(planes: _Planes, edge: float, scans: int) -> tuple[IntArray, IntArray, IntArray]:
     """Compare the planes of each two scans.
 
-    Returns
-    -------
-    pairs : ndarray of int64, shape (q, 2)
-        Numbers of two scans.
-    cells, agreeing : ndarray of int64, shape (q,)
-        How many cells both have, and in how many of these they agree.
+    Returns the numbers of two scans (q, 2), how many cells both have (q,), and in how many of these
+    they agree (q,).
     """
     pairs, agrees = [np.empty((0, 2), np.int64)], [np.empty(0, np.bool_)]
     for step in range(1, scans):

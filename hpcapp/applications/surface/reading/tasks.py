@@ -44,16 +44,7 @@ _NOWHERE = np.zeros((0, 3))
 @record("surface.file_range")
 @dataclass(frozen=True, slots=True, eq=False)
 class FileRange:
-    """A range of a file that the worker sees.
-
-    Parameters
-    ----------
-    records : PointRecords
-    start, stop : int
-        Of its records.
-    region : Region or None
-        Points beyond it are left out.
-    """
+    """A range of a file that the worker sees; points beyond the region are left out."""
 
     records: PointRecords
     start: int
@@ -82,15 +73,7 @@ class FileRange:
 @record("surface.sent_range")
 @dataclass(frozen=True, slots=True, eq=False)
 class SentRange:
-    """A range of a file, read already.
-
-    Parameters
-    ----------
-    path : str
-        The file, for messages.
-    positions : ndarray of float64, shape (n, 3)
-    normals : ndarray of float64, shape (n, 3), or None
-    """
+    """A range of a file, read already: positions and normals (n, 3); the path is for messages."""
 
     path: str
     positions: FloatArray
@@ -117,20 +100,10 @@ FilePoints = FileRange | SentRange
 
 @declare(result=surveyed_range, limit=range_bytes)
 def survey_range(points: FilePoints, before: int, step: int) -> RangeSurvey:
-    """Look through the points of a range (a task).
+    """Look through the points of a range (a task), with `before` usable points in front of it.
 
-    Parameters
-    ----------
-    points : FileRange or SentRange
-    before : int
-        Usable points in front of the range.
-    step : int
-        Every so many-th usable point of the file is in the sample.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read any more.
+    Every so many-th usable point of the file, by `step`, is in the sample. Raises InputError where
+    the file cannot be read any more.
     """
     dropped = Dropped()
     frame = box = _bound(_NOWHERE)
@@ -152,15 +125,7 @@ def survey_range(points: FilePoints, before: int, step: int) -> RangeSurvey:
 
 @declare(result=bounded_range, limit=SMALL_BYTES)
 def bound_range(points: FilePoints, origin: FloatArray, reach: Reach) -> tuple[int, Corners]:
-    """Bound the usable points of a range that are within reach (a task).
-
-    Parameters
-    ----------
-    points : FileRange or SentRange
-    origin : ndarray of float64, shape (3,)
-        Of the local frame.
-    reach : Reach
-    """
+    """Bound the usable points of a range within reach (a task); `origin` is of the local frame."""
     count, box = 0, _bound(_NOWHERE)
     for near in _take_near(points, origin, reach):
         count += len(near)
@@ -178,28 +143,10 @@ def arrange_range(
 ) -> tuple[CellKeys, CellCounts]:
     """Write the usable points of a range into a folder, arranged (a task).
 
-    Parameters
-    ----------
-    points : FileRange or SentRange
-    origin : ndarray of float64, shape (3,)
-        Of the local frame.
-    reach : Reach or None
-        Points beyond it are left out.
-    arrangement : Arrangement
-    target : tuple of (str, int)
-        The folder, and the number of the part: see `disk.write_part`.
-
-    Returns
-    -------
-    keys, counts : CellKeys, CellCounts
-        The blocks of the part, and the points in each.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read any more.
-    OutputError
-        The disk is full, or the folder cannot be written.
+    `origin` is that of the local frame; points beyond the reach are left out. `target` is the
+    folder, and the number of the part (see `disk_parts.write_part`). Returns the blocks of the
+    part, and the points in each. Raises InputError where the file cannot be read any more,
+    OutputError where the disk is full or the folder cannot be written.
     """
     pieces: list[PackedPoints] = []
     for near in _take_near(points, origin, reach):
@@ -229,16 +176,6 @@ def _bound(positions: FloatArray) -> FloatArray:
 
 
 def unite_boxes(boxes: Sequence[FloatArray]) -> FloatArray:
-    """Return the box around some boxes.
-
-    Parameters
-    ----------
-    boxes : sequence of ndarray of float64, shape (2, 3)
-        One or more.
-
-    Returns
-    -------
-    ndarray of float64, shape (2, 3)
-    """
+    """Return the box around one box, of shape (2, 3), or more."""
     columns = np.stack(boxes)
     return np.stack([columns[:, 0].min(axis=0), columns[:, 1].max(axis=0)])

@@ -47,23 +47,9 @@ class Asked(Protocol):
 def find_grid(settings: Asked, cloud: ArrangedCloud) -> int:
     """Return the cells along the longest side: asked for, or chosen by the method and announced.
 
-    Parameters
-    ----------
-    settings : Asked
-    cloud : ArrangedCloud
-        With what its method asks for.
-
-    Returns
-    -------
-    int
-        A chosen grid is never larger than what memory holds.
-
-    Raises
-    ------
-    UsageError
-        The voxels are too small or too large, or memory does not hold the grid that is asked for.
-    InputError
-        The method finds nothing to choose by.
+    A chosen grid is never larger than what memory holds. UsageError where the voxels are too small
+    or too large, or memory does not hold the grid that is asked for; InputError where the method
+    finds nothing to choose by.
     """
     asked = choose_grid(settings, cloud.low, cloud.high)
     if asked is not None:
@@ -81,21 +67,8 @@ def find_grid(settings: Asked, cloud: ArrangedCloud) -> int:
 def choose_grid(settings: Asked, low: FloatArray, high: FloatArray) -> int | None:
     """Return the cells along the longest side, margins included, asked for in one of three ways.
 
-    Parameters
-    ----------
-    settings : Asked
-    low, high : ndarray of float64, shape (3,)
-        Corners of the box around all points, in length units of the input.
-
-    Returns
-    -------
-    int or None
-        None where the method is to choose.
-
-    Raises
-    ------
-    UsageError
-        The voxels are too small or too large.
+    `low` and `high`, (3,), are corners of the box around all points. None where the method is to
+    choose; UsageError where the voxels are too small or too large.
     """
     if settings.depth is not None:
         return int(2**settings.depth)
@@ -116,16 +89,7 @@ def choose_grid(settings: Asked, low: FloatArray, high: FloatArray) -> int | Non
 def guess_grid(settings: Asked, points: int) -> int:
     """Return the cells along the longest side before any point is read: as many as there may be.
 
-    Parameters
-    ----------
-    settings : Asked
-    points : int
-        About so many.
-
-    Returns
-    -------
-    int
-        What is asked for; else that of points spread evenly over a square.
+    What is asked for; else that of about so many points spread evenly over a square.
     """
     if settings.depth is not None:
         return int(2**settings.depth)

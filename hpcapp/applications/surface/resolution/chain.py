@@ -33,16 +33,8 @@ _EXACT = 1e-3  # steps: equal sides have equally many
 class Resolved:
     """How fine a cloud is fitted, and how fine its surface is sampled.
 
-    Parameters
-    ----------
-    measured : Measured
-        Spacing, its scale, and a sample of the points.
-    scale : Scale
-        Sizes of the cells, and the estimates that led to them.
-    refinement : Refinement
-        Where the lattice has which of them.
-    grid : Grid
-        With strides, where bricks ask for unlike steps.
+    The scale has the sizes of the cells and the estimates that led to them, the refinement tells
+    where the lattice has which; the grid has strides where bricks ask for unlike steps.
     """
 
     measured: Measured
@@ -61,25 +53,10 @@ def resolve(
     workers: PointWorkers,
     threads: int,
 ) -> Resolved:
-    """Follow the chain for a cloud.
+    """Follow the chain for a cloud with normals, and a grid of so many `cells` (see `plan_grid`).
 
-    Parameters
-    ----------
-    cloud : ArrangedCloud
-        With normals.
-    cells : int
-        Of the grid along its longest side, see `plan_grid`.
-    smoothness, detail, threads
-        See `choose_scale`.
-    uniform : bool
-        Whether the grid has one step, however uneven the points lie.
-    workers : PointWorkers
-        Who counts points, where strides differ.
-
-    Raises
-    ------
-    InputError
-        There are no normals, or all points are the same.
+    A `uniform` grid has one step, however uneven the points lie; else `workers` count points where
+    strides differ. InputError where there are no normals, or all points are the same.
     """
     low, high, measured = cloud.low, cloud.high, cloud.measured
     grid = plan_grid(low, high, cells)
@@ -98,27 +75,17 @@ def resolve(
 
 
 def plan_grid(low: FloatArray, high: FloatArray, cells: int, margin: int = MARGIN) -> Grid:
-    """Lay the evaluation grid around a cloud.
+    """Lay the evaluation grid around a cloud, whose box has the corners `low` and `high`, (3,).
+
+    It is centred on the cloud but for a part of a step: flat sides lie on no nodes. Each side is a
+    whole number of bricks. InputError where all points are the same.
 
     Parameters
     ----------
-    low, high : ndarray of float64, shape (3,)
-        Corners of the box around all points, in length units of the input.
     cells : int
         Along the longest side, with about four to spare at each end.
     margin : int
         So many are in fact to spare. Where strides differ, a cell may be as large as a brick.
-
-    Returns
-    -------
-    Grid
-        Centred on the cloud but for a part of a step: flat sides lie on no nodes. Each side is a
-        whole number of bricks.
-
-    Raises
-    ------
-    InputError
-        All points are the same.
     """
     longest = float((high - low).max())
     if longest <= 0.0:

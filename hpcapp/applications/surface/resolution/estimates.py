@@ -58,7 +58,7 @@ class Scale:
     Parameters
     ----------
     spacing, cell_size : float
-        In length units of the input, by the whole cloud.
+        By the whole cloud.
     noise : LocalNoise
         Along the normals.
     tolerance : float
@@ -98,16 +98,10 @@ class _Noise:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Probe:
-    """What fits leave over in cells of a size, of its double and so on.
+    """What fits leave over in cells of a size, of its double and so on, the finest first.
 
-    Parameters
-    ----------
-    origin : ndarray of float64, shape (3,)
-        Corner of a cell of any size.
-    residuals, agreeing : list of Residuals
-        From the finest cells up: all, and those of quadrics that agree with their normals.
-    kurtosis : float
-        In the finest cells.
+    `origin`, (3,), is a corner of cells of any size; `agreeing` are the residuals of quadrics that
+    agree with their normals, `kurtosis` is that in the finest cells.
     """
 
     origin: FloatArray
@@ -134,12 +128,11 @@ def _probe(sample: PointCloud, spacing: float, threads: int) -> _Noise:
     Notes
     -----
     A probe fits quadrics in cells of two to sixteen spacings. All sizes tell the noise of places
-    (see `local_noise`), the two finer ones that of the whole cloud: by the lower quartile of the
-    residual variances RSS / (n - 10): edges and thin parts, which no quadric
-    fits, are in the upper ones. Noise is the same in cells of both sizes; what grows with the
-    cell is detail that the quadrics miss, and is taken off. Where the noise exceeds 0.15 of the
-    finer cells, they cut its tails off, and a probe with larger ones is made. Large clouds are
-    sampled by whole boxes.
+    (see `local_noise`), the two finer ones that of the whole cloud, by the lower quartile of the
+    residual variances RSS / (n - 10): edges and thin parts, which no quadric fits, are in the
+    upper ones. Noise is the same in cells of both sizes; what grows with the cell is detail that
+    the quadrics miss, and is taken off. Where the noise exceeds 0.15 of the finer cells, they cut
+    its tails off, and larger ones are probed. Large clouds are sampled by whole boxes.
     """
     first_size = cell_size = _PROBE_SPACINGS * spacing
     first = left = _fit_probe(sample, cell_size, threads)
@@ -205,21 +198,10 @@ def _take_residuals(
 def choose_scale(
     measured: Measured, step: float, smoothness: float, detail: float, threads: int = 1
 ) -> Scale:
-    """Choose the cell size.
+    """Choose the cell size, no smaller than the evaluation grid's step.
 
-    Parameters
-    ----------
-    measured : Measured
-        Of the cloud.
-    step : float
-        Of the evaluation grid, in length units of the input; no cell is smaller, because the
-        lattice must reach the nodes on both sides of the surface.
-    smoothness : float
-        Multiplies the noise, dimensionless.
-    detail : float
-        Divides the cell size, dimensionless.
-    threads : int
-        The result does not depend on it.
+    The lattice must reach the nodes on both sides of the surface. `smoothness` multiplies the
+    noise, `detail` divides the cell size.
     """
     spacing = measured.spacing
     noise = _probe(_leave_dense(measured), spacing, threads)
@@ -243,25 +225,14 @@ def suggest_grid(
 ) -> Resolution:
     """Choose the evaluation grid: about as many vertices as points, fewer where noise is large.
 
-    Parameters
-    ----------
-    measured : Measured
-        Of the cloud.
-    longest : float
-        Longest side of the box around all points, in length units of the input.
-    smoothness, detail, threads
-        See `choose_scale`.
-
-    Returns
-    -------
-    Resolution
-        Up to 4096 cells, in sixteens.
+    `longest` is the longest side of the box around all points; the grid has up to 4096 cells, in
+    sixteens.
 
     Notes
     -----
-    A step is 1/1.5 of the finest cells that `choose_scale` would take if no grid kept it from
-    that: the spacing of the points, or 1.7 standard deviations of the noise. Smaller steps show
-    the same quadrics by more triangles. Up to 256 cells, which cost little, it is 3/4 of that.
+    A step is 1/1.5 of the finest cells that `choose_scale` takes where no grid keeps it from that:
+    the spacing of the points, or 1.7 standard deviations of the noise. Smaller steps show the same
+    quadrics by more triangles. Up to 256 cells, which cost little, it is 3/4 of that.
     """
     scale = choose_scale(measured, 0.0, smoothness, detail, threads)
     step = scale.finest / _SPACINGS
@@ -278,18 +249,9 @@ def suggest_grid(
 
 
 def suited_steps(refinement: Refinement, places: FloatArray) -> FloatArray:
-    """Return the steps of grids that show what points tell at some places; see `suggest_grid`.
+    """Return the steps (n,) of grids that show what points tell at places (n, 3).
 
-    Parameters
-    ----------
-    refinement : Refinement
-        With the spacing and the noise that lead to them, and what was asked of detail.
-    places : ndarray of float64, shape (n, 3)
-        In length units of the input.
-
-    Returns
-    -------
-    ndarray of float64, shape (n,)
+    They follow from spacing, noise and the detail that was asked for; see `suggest_grid`.
     """
     noise = np.sqrt(refinement.noise.variances_at(places))
     steps = np.maximum(refinement.scale.at(places), _NOISE_CELLS / _SPACINGS * noise)

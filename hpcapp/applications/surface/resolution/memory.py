@@ -34,17 +34,9 @@ LEAST_TILE = 50_000
 
 
 def parse_limit(text: str) -> float:
-    """Return the bytes that ``--max-memory`` names.
+    """Return the bytes that ``--max-memory`` names, as of `hpccomponent.units.parse_size`.
 
-    Parameters
-    ----------
-    text : str
-        See `hpccomponent.units.parse_size`.
-
-    Raises
-    ------
-    UsageError
-        It is no size, or less than the program itself takes.
+    UsageError where it is no size, or less than the program itself takes.
 
     Examples
     --------
@@ -64,14 +56,7 @@ def parse_limit(text: str) -> float:
 
 
 def fits_memory(path: Path, limit: float | None) -> bool:
-    """Tell whether a file's points may be held in memory, judged by its size.
-
-    Parameters
-    ----------
-    path : Path
-    limit : float or None
-        In bytes; what is available where it is None.
-    """
+    """Tell by a file's size whether its points fit into memory: `limit` bytes, or what there is."""
     available = available_memory() if limit is None else limit
     points = count_most_points(path)
     return available is None or BYTES_OF_PROGRAM + BYTES_PER_POINT * points <= available
@@ -80,10 +65,7 @@ def fits_memory(path: Path, limit: float | None) -> bool:
 def count_most_points(path: Path) -> int:
     """Return how many points a file holds at most: as it says, or judged by its size.
 
-    Parameters
-    ----------
-    path : Path
-        None are in one that cannot be read: who reads it says what is wrong.
+    None are in one that cannot be read: who reads it says what is wrong.
     """
     if not path.is_file():  # looking into a pipe would wait for ever
         return 0
@@ -96,39 +78,18 @@ def count_most_points(path: Path) -> int:
 
 
 def fitting_tile(limit: float, at_once: int) -> int:
-    """Return how many points a tile may have.
+    """Return how many points a tile may have, from `LEAST_TILE` to `TILE_POINTS`.
 
-    Parameters
-    ----------
-    limit : float
-        Of the process, in bytes.
-    at_once : int
-        Tiles in one process.
-
-    Returns
-    -------
-    int
-        From `LEAST_TILE` to `TILE_POINTS`.
+    `limit` is that of the process, in bytes; so many tiles are in it `at_once`.
     """
     points = (limit - LEAST_MEMORY / 2.0) / at_once / BYTES_PER_TILE_POINT
     return int(min(max(points, LEAST_TILE), TILE_POINTS))
 
 
 def check_memory(method: MethodSettings, grid: int, cloud: ArrangedCloud) -> None:
-    """Refuse a grid whose mesh cannot be computed in the memory that is available.
+    """Refuse, by a UsageError, a grid whose mesh cannot be computed in the memory there is.
 
-    Parameters
-    ----------
-    method : MethodSettings
-    grid : int
-        Cells along the longest side.
-    cloud : ArrangedCloud
-        Of one that is not in memory, tiles fit.
-
-    Raises
-    ------
-    UsageError
-        It takes more than there is; the message names a grid that fits.
+    The message names a grid that fits. Of a cloud that is not in memory, tiles fit.
     """
     fitting = fit_memory(method, grid, cloud)
     if fitting >= grid:
@@ -145,18 +106,7 @@ def check_memory(method: MethodSettings, grid: int, cloud: ArrangedCloud) -> Non
 def fit_memory(method: MethodSettings, grid: int, cloud: ArrangedCloud) -> int:
     """Return the finest grid, up to one, whose mesh can be computed in the memory there is.
 
-    Parameters
-    ----------
-    method : MethodSettings
-    grid : int
-        Cells along the longest side.
-    cloud : ArrangedCloud
-        See `check_memory`.
-
-    Returns
-    -------
-    int
-        `grid`, or in sixteens; a grid of 256 is tried anywhere.
+    It is `grid`, or in sixteens; a grid of 256 is tried anywhere, and any where tiles fit.
     """
     available = available_memory()
     if grid <= SMALL_GRID or available is None or not cloud.is_here:
@@ -169,24 +119,10 @@ def fit_memory(method: MethodSettings, grid: int, cloud: ArrangedCloud) -> int:
 
 
 def estimate_surface(grid: int, cloud: PointCloud) -> float:
-    """Estimate what a job holds at its peak whose memory grows with the surface.
+    """Estimate the bytes that a job holds at its peak whose memory grows with the surface.
 
-    Parameters
-    ----------
-    grid : int
-        Cells along the longest side.
-    cloud : PointCloud
-        Finite positions, not all at one place.
-
-    Returns
-    -------
-    float
-        In bytes.
-
-    Notes
-    -----
-    The surface's area is that of the boxes that hold points; the boxes are wide enough for
-    several points each, else they would miss what lies between these.
+    Positions are finite, and not all at one place. The surface's area is that of the boxes that
+    hold points, wide enough for several each, else they would miss what lies between these.
     """
     low, high = bound_points(cloud.positions)
     step = float((high - low).max()) / grid

@@ -25,20 +25,10 @@ _EARLY = 0.25  # doublings: steps are up to a fifth larger than the spacing
 
 
 def choose_strides(grid: Grid, seeds: IntArray, refinement: Refinement) -> BrickStrides | None:
-    """Choose the strides of all bricks.
+    """Choose the strides of all bricks; None where all with points ask for the same step.
 
-    Parameters
-    ----------
-    grid : Grid
-        Its step is that of the bricks where the lattice is finest.
-    seeds : ndarray of int64, shape (s,)
-        Sorted keys of the bricks that hold points.
-    refinement : Refinement
-
-    Returns
-    -------
-    BrickStrides or None
-        None where all bricks with points ask for the same step.
+    The grid's step is that of bricks where the lattice is finest; `seeds`, (s,), are sorted keys of
+    the bricks that hold points.
     """
     edge = BRICK * grid.step
     middles = grid.origin + edge * (unpack_keys(seeds) + 0.5)

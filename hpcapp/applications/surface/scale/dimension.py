@@ -30,12 +30,10 @@ _GROWTH = 2.3  # power of the distance: 2 on a surface, 3 in a volume, less at i
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Neighbourhoods:
-    """The nearest neighbours of q points, for k counts of them.
+    """The nearest neighbours of q points, for k rising counts of them.
 
     Parameters
     ----------
-    counts : tuple of int
-        Rising.
     radii : ndarray of float64, shape (q, k)
         How far away the last of them lies, in length units of the input.
     variances : ndarray of float64, shape (q, k, 3)
@@ -81,18 +79,10 @@ def choose_counts(points: int) -> tuple[int, ...]:
 
 
 def look_around(positions: FloatArray, counts: tuple[int, ...]) -> Neighbourhoods:
-    """Look around some of the points, evenly picked in their order.
+    """Look around some of the points (n, 3), evenly picked in their order.
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        More than the largest count, no two at one place.
-    counts : tuple of int
-        Of neighbours, rising.
-
-    Notes
-    -----
-    Distances are found between 128 points and all: 4 kB a point.
+    There must be more than the largest of the rising counts, no two at one place. Distances are
+    found between 128 points and all: 4 kB a point.
     """
     step = -(-len(positions) // _QUERIES)
     # (q, 3, n): all points as seen from each of q.

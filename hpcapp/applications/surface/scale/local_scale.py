@@ -114,17 +114,9 @@ class LocalScale:
         return float(self.spacings[order][np.searchsorted(summed, share * summed[-1])])
 
     def at(self, places: FloatArray) -> FloatArray:
-        """Return the spacing of the points around some places.
+        """Return the spacing of the points around places (n, 3), which may be anywhere, shape (n,).
 
-        Parameters
-        ----------
-        places : ndarray of float64, shape (n, 3)
-            In length units of the input, anywhere.
-
-        Returns
-        -------
-        ndarray of float64, shape (n,)
-            That of the smallest cell around each, or beside it; else of the whole cloud.
+        It is that of the smallest cell around each, or beside it; else of the whole cloud.
         """
         if not len(self.levels):
             return np.full(len(places), self.spacing)
@@ -152,13 +144,7 @@ class LocalScale:
 def count_depth(cell_edge: float, spacing: float) -> int:
     """Return how often finest cells are halved for the smallest boxes that are counted.
 
-    Parameters
-    ----------
-    cell_edge : float
-        Of the finest cells, in length units of the input.
-    spacing : float
-        Of the whole cloud: the smallest boxes are a quarter of it, and where points are denser they
-        hold more of them.
+    These are a quarter of the whole cloud's spacing: where points are denser they hold more.
     """
     return max(0, int(np.ceil(np.log2(cell_edge / (_FINEST * spacing)))))
 
@@ -166,18 +152,9 @@ def count_depth(cell_edge: float, spacing: float) -> int:
 def count_scale(
     positions: FloatArray, origin: FloatArray, cell_edge: float, depth: int
 ) -> ScaleCounts:
-    """Count points, and the boxes that hold some, in each of the finest cells.
+    """Count points (n, 3), and the boxes that hold some, in each of the finest cells.
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        In length units of the input.
-    origin : ndarray of float64, shape (3,)
-        Corner of a cell.
-    cell_edge : float
-        Of the cells, in length units of the input.
-    depth : int
-        So often they are halved.
+    Cells, one of which has its corner at `origin`, are halved `depth` times.
     """
     if not len(positions):
         none = np.empty(0, np.int64)
@@ -190,19 +167,10 @@ def make_scale(
 ) -> LocalScale:
     """Put together what was counted of all regions, and tell the spacing of each cell.
 
-    Parameters
-    ----------
-    spacing : float
-        Of the whole cloud, in length units of the input.
-    origin, cell_edge
-        See `count_scale`.
-    counted : sequence of ScaleCounts
-        In any order; no two have a cell in common.
+    `spacing` is the whole cloud's; `counted` is in any order, and no two have a cell in common.
 
-    Notes
-    -----
-    Boxes of a surface hold points in proportion to their faces: with n points in b boxes of edge
-    H the spacing is H / sqrt(n / b). Of all H that with some five points in a box is taken.
+    Boxes of a surface hold points in proportion to their faces: with n points in b boxes of edge H
+    the spacing is H / sqrt(n / b). Of all H that with some five points in a box is taken.
     """
     keys, every = merge_scale_counts(counted)
     # Of each cell its points and boxes: all, and those that no smaller cell speaks for.
@@ -238,12 +206,8 @@ def make_scale(
 def merge_scale_counts(counted: Sequence[ScaleCounts]) -> tuple[IntArray, IntArray]:
     """Put together what was counted of all regions; d halvings.
 
-    Returns
-    -------
-    keys : ndarray of int64, shape (c,)
-        Of the occupied finest cells, sorted.
-    counts : ndarray of int64, shape (c, d + 2)
-        The points of each, and its boxes of once, half, a quarter of its edge and so on.
+    Returns keys (c,) of the occupied finest cells, sorted, and counts (c, d + 2): the points of
+    each, and its boxes of once, half, a quarter of its edge and so on.
     """
     keys = np.concatenate([some.keys for some in counted])
     order = np.argsort(keys, kind="stable")

@@ -107,17 +107,8 @@ def find_gaps(
 ) -> GapBoxes:
     """Find the finest cells whose points are dense beside the gaps among them.
 
-    Parameters
-    ----------
-    origin, cell_edge, depth
-        See `count_scale`.
-    counted : sequence of ScaleCounts
-        See `make_scale`.
-
-    Notes
-    -----
-    For each of them the smallest cell around it speaks whose points cover a surface. A lone line
-    does so in no cell.
+    For each of them the smallest cell around it speaks whose points cover a surface; a lone line
+    does so in no cell. Arguments are those of `count_scale` and `make_scale`.
     """
     finest, counts = merge_scale_counts(counted)
     keys, row_of = finest, np.arange(len(finest))
@@ -177,14 +168,7 @@ class LineCounts:
 
 
 def count_narrow(positions: FloatArray, boxes: GapBoxes) -> LineCounts:
-    """Count points in cells of `boxes`, and those that lie along a line in their box.
-
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        Of whole blocks, in length units of the input.
-    boxes : GapBoxes
-    """
+    """Count points (n, 3) of whole blocks in cells of `boxes`, and those on a line in their box."""
     points, narrow = np.zeros((2, len(boxes.keys)), np.int64)
     for rows, cells, box, _ in _sort_boxes(positions, boxes):
         points += np.bincount(cells, minlength=len(points))
@@ -194,15 +178,9 @@ def count_narrow(positions: FloatArray, boxes: GapBoxes) -> LineCounts:
 
 
 def keep_lines(boxes: GapBoxes, counted: Sequence[LineCounts], share: float = SHARE) -> GapBoxes:
-    """Keep the cells where enough of the points around lie along lines.
+    """Keep the cells where more than a share of the points around lie along lines.
 
-    Parameters
-    ----------
-    boxes : GapBoxes
-    counted : sequence of LineCounts
-        What `count_narrow` has counted in all regions.
-    share : float
-        See `SHARE`.
+    `counted` is what `count_narrow` has counted in all regions.
     """
     counts = np.zeros((2, len(boxes.keys) + 1), np.int64)  # of cells, and of keys that are none
     for found in counted:
@@ -224,18 +202,9 @@ def keep_lines(boxes: GapBoxes, counted: Sequence[LineCounts], share: float = SH
 
 
 def find_spare(positions: FloatArray, boxes: GapBoxes) -> BoolArray:
-    """Tell which points along lines can be spared: all but one of each box.
+    """Tell which points (n, 3) of whole blocks can be spared: all along lines but one of each box.
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        Of whole blocks, in length units of the input.
-    boxes : GapBoxes
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
-        False for the point nearest to the mean of its box, and for all that lie in no box.
+    Returns (n,), False for the point nearest to the mean of its box, and for all in no box.
     """
     is_spare = np.zeros(len(positions), np.bool_)
     for rows, _, box, count in _sort_boxes(positions, boxes):
@@ -271,20 +240,10 @@ def _center(positions: FloatArray, box: IntArray) -> list[FloatArray]:
 
 
 def measure_spread(positions: FloatArray, box: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Tell in what ways the points of some boxes are spread.
+    """Tell in what ways the points (n, 3) of boxes are spread; `box` (n,) numbers these from 0 on.
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        In length units of the input.
-    box : ndarray of int64, shape (n,)
-        The box of each, from 0 on.
-
-    Returns
-    -------
-    minors, squares : ndarray of float64, shape (b,)
-        Sum of the minors of a box's covariance, and its trace squared: of the former by the
-        latter 0 is left on a line, 1/4 all over a plane.
+    Returns the sum of the minors of each box's covariance, and its trace squared, (b,) each: of the
+    former by the latter 0 is left on a line, 1/4 all over a plane.
     """
     x, y, z = _center(positions, box)
     xx, yy, zz, xy, xz, yz = (

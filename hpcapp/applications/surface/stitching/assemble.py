@@ -32,15 +32,9 @@ _ROWS_AT_ONCE = 1 << 17
 
 
 def assemble_mesh(plan: StitchingPlan, load: LoadPart, origin: FloatArray) -> Mesh:
-    """Put the whole mesh together in memory.
+    """Put the whole mesh together in memory; `load` returns the part of an index.
 
-    Parameters
-    ----------
-    plan : StitchingPlan
-    load : callable
-        Returns the part of an index.
-    origin : ndarray of float64, shape (3,)
-        Of the local frame that the parts' vertices are in.
+    `origin` (3,) is of the local frame that the parts' vertices are in.
     """
     vertices = np.empty((plan.vertex_count, 3))
     faces = np.empty((plan.face_count, 3), np.int64)
@@ -56,20 +50,9 @@ def assemble_mesh(plan: StitchingPlan, load: LoadPart, origin: FloatArray) -> Me
 
 
 def stream_mesh(plan: StitchingPlan, load: LoadPart, origin: FloatArray) -> MeshStream:
-    """Return the mesh as blocks in the order of the bricks.
+    """Return the mesh as blocks in the order of the bricks; `load` is called again for each.
 
-    Parameters
-    ----------
-    plan : StitchingPlan
-    load : callable
-        Returns the part of an index; is called again for every block.
-    origin : ndarray of float64, shape (3,)
-        Of the local frame that the parts' vertices are in.
-
-    Returns
-    -------
-    MeshStream
-        Holds a block at a time in memory, and what the plan knows of the bricks.
+    A block at a time is in memory, and what the plan knows of the bricks.
     """
     blocks = Blocks(plan, load)
     return MeshStream(
@@ -86,22 +69,9 @@ def stream_mesh(plan: StitchingPlan, load: LoadPart, origin: FloatArray) -> Mesh
 def stream_tiles(
     plan: StitchingPlan, load: LoadPart, origin: FloatArray
 ) -> Iterator[tuple[int, MeshStream]]:
-    """Return the mesh tile by tile: what each part gives to it, as a mesh of its own.
+    """Yield the mesh tile by tile: what each part with faces gives to it, and the part's index.
 
-    Parameters
-    ----------
-    plan : StitchingPlan
-    load : callable
-        Returns the part of an index.
-    origin : ndarray of float64, shape (3,)
-        Of the local frame that the parts' vertices are in.
-
-    Yields
-    ------
-    index : int
-        Of the part; parts without faces are left out.
-    tile : MeshStream
-        Vertices on a seam are in each of its tiles, at the very same place.
+    Vertices on a seam are in each of its tiles, at the very same place.
     """
     for index in range(len(plan.summaries)):
         tile = take_tile(plan, load, origin, index)
@@ -110,18 +80,7 @@ def stream_tiles(
 
 
 def take_tile(plan: StitchingPlan, load: LoadPart, origin: FloatArray, index: int) -> MeshStream:
-    """Return one of the tiles of `stream_tiles`, which may have no faces.
-
-    Parameters
-    ----------
-    plan : StitchingPlan
-    load : callable
-        Returns the part of an index.
-    origin : ndarray of float64, shape (3,)
-        Of the local frame that the parts' vertices are in.
-    index : int
-        Of the part.
-    """
+    """Return one of the tiles of `stream_tiles`, which may have no faces."""
     vertices, faces = cut_tile(
         load(index),
         plan.places(index),
@@ -162,11 +121,7 @@ def _positions(
 class Blocks:
     """The bricks of all parts, in the order of their keys: all of them in blocks, or some.
 
-    Parameters
-    ----------
-    plan : StitchingPlan
-    load : callable
-        Returns the part of an index; is called again for every block.
+    A part is loaded again for every block.
     """
 
     def __init__(self, plan: StitchingPlan, load: LoadPart) -> None:
@@ -207,21 +162,10 @@ class Blocks:
             yield block
 
     def take_faces(self, bricks: IntArray) -> tuple[IntArray, IntArray, FloatArray]:
-        """Return the faces in some bricks.
+        """Return the faces in some bricks, which are named by sorted rows of the plan's, (k,).
 
-        Parameters
-        ----------
-        bricks : ndarray of int64, shape (k,)
-            Rows of the plan's, sorted.
-
-        Returns
-        -------
-        rows : ndarray of int64, shape (f,)
-            Of the mesh, rising.
-        faces : ndarray of int64, shape (f, 3)
-            As the mesh numbers their vertices.
-        corners : ndarray of float64, shape (f, 3, 3)
-            Where these are.
+        These are the faces' rising rows in the mesh (f,), the faces as the mesh numbers their
+        vertices (f, 3), and where these are (f, 3, 3).
         """
         count = int((self.plan.face_starts[bricks + 1] - self.plan.face_starts[bricks]).sum())
         rows, faces = np.empty(count, np.int64), np.empty((count, 3), np.int64)
@@ -240,15 +184,7 @@ class Blocks:
     def find_faces(self, rows: IntArray) -> tuple[IntArray, IntArray]:
         """Return the bricks that faces of the mesh are in, and their numbers there.
 
-        Parameters
-        ----------
-        rows : ndarray of int64, shape (k,)
-            Sorted.
-
-        Returns
-        -------
-        bricks, numbers : ndarray of int64, shape (k,)
-            Those of the plan, by their rows.
+        The faces (k,) are rising rows of the mesh, the bricks rows of the plan's.
         """
         bricks = np.searchsorted(self.plan.face_starts, rows, side="right") - 1
         numbers = rows - self.plan.face_starts[bricks]
@@ -263,15 +199,7 @@ class Blocks:
     def find_vertices(self, rows: IntArray) -> tuple[IntArray, IntArray]:
         """Return the bricks that vertices of the mesh are in, and their numbers there.
 
-        Parameters
-        ----------
-        rows : ndarray of int64, shape (k,)
-            Sorted.
-
-        Returns
-        -------
-        bricks, numbers : ndarray of int64, shape (k,)
-            Those of the plan, by their rows.
+        The vertices (k,) are rising rows of the mesh, the bricks rows of the plan's.
         """
         bricks = np.searchsorted(self.plan.vertex_starts, rows, side="right") - 1
         numbers = rows - self.plan.vertex_starts[bricks]

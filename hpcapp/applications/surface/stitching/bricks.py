@@ -22,8 +22,8 @@ Integers = IntArray | NDArray[np.int32]
 class PartBricks:
     """The bricks of all parts, part after part; n in all, B different ones.
 
-    Components of all parts are numbered through as well ("labels"): those of a part follow those
-    of the part before.
+    Components of all parts are numbered through as well ("labels"): those of a part follow those of
+    the part before. `is_taken`, `guests` and the counts are of each brick, (n,).
 
     Parameters
     ----------
@@ -31,15 +31,10 @@ class PartBricks:
         Sorted, unique.
     taken : ndarray of int64, shape (B,)
         The row of the copy that counts.
-    parts : ndarray of int64, shape (parts + 1,)
-        Where the bricks of each part begin.
+    parts, label_starts : ndarray of int64, shape (parts + 1,)
+        Where the bricks and the labels of each part begin.
     place : ndarray of int64, shape (n,)
         Where each brick stands in `keys`.
-    is_taken : ndarray of bool, shape (n,)
-    guests : ndarray of bool, shape (n,)
-    vertex_counts, face_counts : ndarray of int32, shape (n,)
-    label_starts : ndarray of int64, shape (parts + 1,)
-        Where the labels of each part begin.
     labels : ndarray of int64, shape (n,)
         Of all the vertices of a brick; -1 where they have several, or there are none.
     mixed : ndarray of int64
@@ -62,42 +57,15 @@ class PartBricks:
     mixed_starts: IntArray
 
     def of_part(self, index: int) -> slice:
-        """Return the rows of the bricks of a part.
-
-        Parameters
-        ----------
-        index : int
-            Of the part.
-        """
+        """Return the rows of the bricks of a part."""
         return slice(int(self.parts[index]), int(self.parts[index + 1]))
 
     def part_of(self, bricks: IntArray) -> IntArray:
-        """Return the parts that bricks (rows) are of.
-
-        Parameters
-        ----------
-        bricks : ndarray of int64, shape (k,)
-
-        Returns
-        -------
-        ndarray of int64, shape (k,)
-            Indices of parts.
-        """
+        """Return the indices of the parts that bricks, rows (k,), are of."""
         return np.searchsorted(self.parts, bricks, side="right") - 1
 
     def labels_in(self, index: int) -> IntArray:
-        """Return the label of every vertex of a part.
-
-        Parameters
-        ----------
-        index : int
-            Of the part.
-
-        Returns
-        -------
-        ndarray of int64
-            In the order of its vertices.
-        """
+        """Return the label of every vertex of a part, in their order."""
         mine = self.of_part(index)
         labels = np.repeat(self.labels[mine], self.vertex_counts[mine])
         several = labels < 0
@@ -107,17 +75,7 @@ class PartBricks:
         return labels
 
     def labels_at(self, bricks: IntArray, numbers: Integers) -> IntArray:
-        """Return the labels of vertices that are known by brick (a row) and number in it.
-
-        Parameters
-        ----------
-        bricks : ndarray of int64, shape (k,)
-        numbers : ndarray of int64 or int32, shape (k,)
-
-        Returns
-        -------
-        ndarray of int64, shape (k,)
-        """
+        """Return the labels of vertices that are known by brick (a row) and number in it, (k,)."""
         labels = self.labels[bricks]
         several = labels < 0
         labels[several] = self.mixed[(self.mixed_starts[bricks] + numbers)[several]]
@@ -126,19 +84,8 @@ class PartBricks:
     def ranks_at(self, kept: NDArray[np.bool_], bricks: IntArray, numbers: Integers) -> IntArray:
         """Return how many vertices of each vertex's brick come before it and have kept labels.
 
-        Parameters
-        ----------
-        kept : ndarray of bool
-            Of each label, whether its vertices stay.
-        bricks : ndarray of int64, shape (k,)
-            Rows.
-        numbers : ndarray of int64 or int32, shape (k,)
-            Of each vertex in its brick.
-
-        Returns
-        -------
-        ndarray of int64, shape (k,)
-            Without meaning where the vertex itself does not stay.
+        They are named by brick (a row) and number, (k,); a rank of one that is dropped means
+        nothing.
         """
         ranks = numbers.astype(np.int64)
         several = self.labels[bricks] < 0
@@ -151,13 +98,7 @@ class PartBricks:
 
 
 def collect_bricks(summaries: Sequence[PartSummary]) -> PartBricks:
-    """Find out which part gives each brick.
-
-    Raises
-    ------
-    JobError
-        The parts contradict one another.
-    """
+    """Find out which part gives each brick; JobError where the parts contradict one another."""
     keys = np.concatenate([s.bricks for s in summaries])
     guests = np.concatenate([s.guests for s in summaries])
     vertex_counts = np.concatenate([s.vertex_counts for s in summaries])
@@ -200,13 +141,7 @@ def collect_bricks(summaries: Sequence[PartSummary]) -> PartBricks:
 
 
 def missing_bricks(summaries: Sequence[PartSummary]) -> IntArray:
-    """Return the bricks that foreign vertices belong to, and that no part has.
-
-    Returns
-    -------
-    ndarray of int64, shape (m,)
-        Sorted, unique keys.
-    """
+    """Return the bricks of foreign vertices that no part has, by sorted, unique keys (m,)."""
     wanted = unique_keys(np.concatenate([s.foreign_bricks for s in summaries]))
     held = unique_keys(np.concatenate([s.bricks for s in summaries]))
     missing: IntArray = wanted[find_keys(held, wanted) == len(held)]
@@ -214,20 +149,7 @@ def missing_bricks(summaries: Sequence[PartSummary]) -> IntArray:
 
 
 def check_foreign(summaries: Sequence[PartSummary], bricks: PartBricks) -> None:
-    """Refuse foreign vertices that no part has.
-
-    Parameters
-    ----------
-    summaries : sequence of PartSummary
-        In the order of the parts.
-    bricks : PartBricks
-        Of the same parts.
-
-    Raises
-    ------
-    JobError
-        Names the brick of one of them.
-    """
+    """Refuse foreign vertices that no part has: the JobError names the brick of one of them."""
     missing = missing_bricks(summaries)
     if not len(missing):
         for summary in summaries:
@@ -245,22 +167,10 @@ def check_foreign(summaries: Sequence[PartSummary], bricks: PartBricks) -> None:
 
 
 def join_labels(summaries: Sequence[PartSummary], bricks: PartBricks) -> IntArray:
-    """Return for each label the component of the whole mesh that it is a piece of.
+    """Return for each label the component of the whole mesh, from 0 on, that it is a piece of.
 
-    Two labels are pieces of one component where they name the same vertex: a foreign one, or one
-    of a brick that several parts have.
-
-    Parameters
-    ----------
-    summaries : sequence of PartSummary
-        In the order of the parts.
-    bricks : PartBricks
-        Of the same parts.
-
-    Returns
-    -------
-    ndarray of int64
-        Numbered through from 0.
+    Two labels are pieces of one component where they name the same vertex: a foreign one, or one of
+    a brick that several parts have.
     """
     # A copy that does not count has the vertices of the one that does: their labels are joined.
     copies = np.flatnonzero(~bricks.is_taken & (bricks.vertex_counts > 0))

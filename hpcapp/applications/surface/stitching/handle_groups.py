@@ -55,18 +55,10 @@ _ROUNDS = 16  # over the handles of a group: what one hides from the lattices co
 
 @dataclass(slots=True, eq=False)
 class Mended:
-    """What has become of the small handles of a surface.
+    """What has become of the small handles of a surface, of which none is wider than `width`.
 
-    Parameters
-    ----------
-    cut, left : int
-        Handles.
-    hollows : int
-        Small closed pieces within, which were dropped.
-    place : ndarray of float64, shape (3,)
-        In the middle of one that was left, in the coordinates of the input.
-    width : float
-        No handle is wider, in length units of the input.
+    `hollows` are small closed pieces within, which were dropped; `place` (3,) is in the middle of a
+    handle that was left, in the coordinates of the input.
     """
 
     cut: int = 0
@@ -105,21 +97,11 @@ class _Edits:
 def mend_handles(
     surface: Surface, suited_steps: Callable[[FloatArray], FloatArray]
 ) -> tuple[Surface, Mended]:
-    """Cut the small handles of a surface, and drop small hollows in it.
+    """Cut the small handles of a closed, manifold surface, and drop small hollows in it.
 
-    Parameters
-    ----------
-    surface : Surface
-        Closed and manifold.
-    suited_steps : callable
-        Of places, shape (n, 3), how long sides of faces are that show what the points tell there:
-        where those of the surface are longer, handles as wide as some of them are no work of noise.
-
-    Returns
-    -------
-    surface : Surface
-        With as many parts and one more, where anything was cut; else it is the one that was given.
-    mended : Mended
+    At places (n, 3) `suited_steps` says how long sides of faces are that show what the points tell
+    there: where those of the surface are longer, handles as wide as some of them are no work of
+    noise. The surface has one part more where anything was cut; else it is the one that was given.
     """
     found = Mended()
     while True:
@@ -138,17 +120,10 @@ def mend_handles(
 
 
 def group_bricks(keys: IntArray) -> list[IntArray]:
-    """Return the bricks of each group, with those around it.
+    """Return the rows of the bricks of each group, with those around it, sorted.
 
-    Parameters
-    ----------
-    keys : ndarray of int64, shape (b,)
-        Sorted, unique.
-
-    Returns
-    -------
-    list of ndarray of int64
-        Their rows, sorted; the groups by their places. None is without bricks of its own.
+    The keys (b,) are sorted and unique. Groups come by their places, none without bricks of its
+    own.
     """
     places = unpack_keys(keys)
     low = places.min(axis=0) // GROUP - 1

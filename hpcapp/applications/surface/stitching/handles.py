@@ -27,21 +27,10 @@ _SHIFTS = tuple(np.ndindex(2, 2, 2))  # by half a box: one of these holds any th
 
 
 def find_small_handles(faces: IntArray, corners: FloatArray, width: float) -> list[IntArray]:
-    """Find small handles of a mesh.
+    """Find small handles of a manifold mesh, such as fit into a box of some width.
 
-    Parameters
-    ----------
-    faces : ndarray of int64, shape (f, 3)
-        Manifold.
-    corners : ndarray of float64, shape (f, 3, 3)
-        Where their vertices are.
-    width : float
-        Of a box that they fit into, in length units of the input.
-
-    Returns
-    -------
-    list of ndarray of int64
-        The faces of each piece with handles that a box cuts out, of all lattices: they overlap.
+    The vertices of the faces are at `corners` (f, 3, 3). Returned are the faces of each piece with
+    handles that a box cuts out, of all lattices: they overlap.
     """
     links = pair_sides(faces, int(faces.max(initial=0)) + 1)[:2]
     centres = corners.mean(axis=1)
@@ -56,19 +45,9 @@ def find_small_handles(faces: IntArray, corners: FloatArray, width: float) -> li
 
 
 def find_suspects(faces: IntArray) -> tuple[bool, list[IntArray]]:
-    """Tell whether there are handles at all, and which pieces are closed.
+    """Tell whether a manifold mesh has handles at all, and which faces each closed piece has.
 
-    Parameters
-    ----------
-    faces : ndarray of int64, shape (f, 3)
-        Manifold.
-
-    Returns
-    -------
-    has_handles : bool
-        No box has some where all of it has none.
-    closed : list of ndarray of int64
-        The faces of each piece without a border.
+    Where all of it has none, no box has some.
     """
     links = pair_sides(faces, int(faces.max(initial=0)) + 1)[:2]
     handles, piece = _count_handles(len(faces), links, np.zeros(len(faces), np.int64))
@@ -77,15 +56,7 @@ def find_suspects(faces: IntArray) -> tuple[bool, list[IntArray]]:
 
 
 def is_hollow(corners: FloatArray, width: float) -> bool:
-    """Tell whether a closed piece looks inwards and is no wider than a width.
-
-    Parameters
-    ----------
-    corners : ndarray of float64, shape (f, 3, 3)
-        Of its faces.
-    width : float
-        In length units of the input.
-    """
+    """Tell whether a closed piece, (f, 3, 3), looks inwards and is no wider than a width."""
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     if (high - low).max() > width:
         return False
@@ -94,12 +65,7 @@ def is_hollow(corners: FloatArray, width: float) -> bool:
 
 
 def measure_side(corners: FloatArray) -> float:
-    """Return how long a side of most faces is.
-
-    Parameters
-    ----------
-    corners : ndarray of float64, shape (f, 3, 3)
-    """
+    """Return how long a side of most faces is, of corners (f, 3, 3)."""
     sides = corners - np.roll(corners, -1, axis=1)
     return float(np.median(np.sqrt(np.square(sides).sum(axis=2))))
 

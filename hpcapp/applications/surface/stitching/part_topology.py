@@ -29,17 +29,8 @@ from hpccomponent.dataclass import dataclass
 class Components:
     """What each brick of the mesh has of each component: e entries, in the order of the bricks.
 
-    Parameters
-    ----------
-    place : ndarray of int64, shape (e,)
-        The brick, as a row of `PartBricks.keys`.
-    component : ndarray of int64, shape (e,)
-    vertices, faces : ndarray of int32, shape (e,)
-        How many.
-    sums : ndarray of float64, shape (e, 5)
-        See `BrickSums`.
-    supports : ndarray of int32, shape (e,)
-        How many of the vertices are supported (see `MeshPart`).
+    `place` has the bricks as rows of `PartBricks.keys`, `sums` (e, 5) what `BrickSums` has;
+    `vertices`, `faces` and `supports` (vertices that are supported, see `MeshPart`) are counts.
     """
 
     place: IntArray
@@ -50,28 +41,11 @@ class Components:
     supports: NDArray[np.int32]
 
     def only(self, chosen: NDArray[np.bool_]) -> Components:
-        """Return some of the entries.
-
-        Parameters
-        ----------
-        chosen : ndarray of bool, shape (e,)
-        """
+        """Return the entries that a mask (e,) names."""
         return Components(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
     def count(self, values: NDArray[np.int32], components: int) -> IntArray:
-        """Sum vertices, faces or supports over each component.
-
-        Parameters
-        ----------
-        values : ndarray of int32, shape (e,)
-            `vertices`, `faces` or `supports`.
-        components : int
-            How many the mesh has.
-
-        Returns
-        -------
-        ndarray of int64, shape (components,)
-        """
+        """Sum vertices, faces or supports (e,) over each of so many components."""
         return np.bincount(self.component, values, components).astype(np.int64)
 
 
@@ -114,16 +88,8 @@ def judge_parts(
 ) -> Topology:
     """Judge the connectivity of the mesh that the parts are.
 
-    Parameters
-    ----------
-    summaries : sequence of PartSummary
-    bricks : PartBricks
-    component : ndarray of int64
-        The component of each label.
-    kept : ndarray of bool
-        Which labels stay.
-    entries : Components
-        Of components that stay, in bricks that are taken.
+    `component` is that of each label, `kept` says which labels stay; `entries` are of components
+    that stay, in bricks that are taken.
 
     Notes
     -----
@@ -162,22 +128,10 @@ def judge_parts(
 def sum_areas(
     summaries: Sequence[PartSummary], bricks: PartBricks, component: IntArray, entries: Components
 ) -> FloatArray:
-    """Return the area of each component of the mesh that the parts are.
+    """Return the area of each component (c,) of the mesh that the parts are.
 
-    Parameters
-    ----------
-    summaries : sequence of PartSummary
-    bricks : PartBricks
-    component : ndarray of int64
-        The component of each label.
-    entries : Components
-        In bricks that are taken.
-
-    Returns
-    -------
-    ndarray of float64, shape (c,)
-        In squared length units of the input, rounded: so they are as large as each other whose
-        sums came in another order, from other parts.
+    `component` is that of each label; `entries` are in bricks that are taken. Areas are rounded:
+    they are as large as each other whose sums came in another order, from other parts.
     """
     count = int(component.max(initial=-1)) + 1
     seam_faces = _gather_seam_faces(_place_parts(summaries, bricks), np.ones(len(component), bool))

@@ -42,16 +42,12 @@ class StitchingPlan:
 
     Parameters
     ----------
-    summaries : tuple of PartSummary
-        In the order of the parts.
-    bricks : PartBricks
     kept : ndarray of bool
         Which of the parts' components stay, part after part.
     vertex_starts, face_starts : ndarray of int64, shape (B + 1,)
         Where the vertices and faces of each brick begin in the mesh, in the order of the keys.
     box : ndarray of float64, shape (2, 3)
-        The lowest and highest coordinates of the vertices; zeros where there are none. In length
-        units of the input, in the local frame.
+        The lowest and highest coordinates of the vertices, in the local frame; zeros without any.
     component : ndarray of int64
         Of each of the parts' components, the one of the mesh that it belongs to.
     entries : Components
@@ -71,19 +67,9 @@ class StitchingPlan:
     dropped: int
 
     def givers(self, bricks: IntArray) -> Iterator[tuple[int, IntArray]]:
-        """Return which part gives which of some bricks.
+        """Yield each part that gives some of the bricks, and their rows in it, sorted.
 
-        Parameters
-        ----------
-        bricks : ndarray of int64, shape (k,)
-            By their rows, in the order of the keys.
-
-        Yields
-        ------
-        index : int
-            Of the part.
-        bricks : ndarray of int64, shape (k,)
-            Rows of the bricks in the part, sorted.
+        The bricks (k,) are rows in the order of the keys.
         """
         taken = self.bricks.taken[bricks]
         owners = self.bricks.part_of(taken)
@@ -93,18 +79,7 @@ class StitchingPlan:
     def locate_foreign(
         self, index: int, foreign: IntArray | NDArray[np.int32]
     ) -> tuple[IntArray, IntArray]:
-        """Return where foreign vertices of a part are: the index of the part, and the row in it.
-
-        Parameters
-        ----------
-        index : int
-            Of the part that refers to them.
-        foreign : ndarray of int, shape (m,)
-
-        Returns
-        -------
-        owners, rows : ndarray of int64, shape (m,)
-        """
+        """Return which parts foreign vertices (m,) of a part are from, and the rows in these."""
         summary = self.summaries[index]
         wanted, numbers = summary.foreign_bricks[foreign], summary.foreign_numbers[foreign]
         copies = self.bricks.taken[np.searchsorted(self.bricks.keys, wanted)]
@@ -126,11 +101,7 @@ class StitchingPlan:
     def pieces(self) -> tuple[IntArray, FloatArray]:
         """Return the components with faces, in the order of their first ones, and their areas.
 
-        Returns
-        -------
-        components : ndarray of int64, shape (p,)
-        areas : ndarray of float64, shape (p,)
-            In squared length units of the input.
+        Both are (p,), the areas in squared length units of the input.
         """
         found, first = find_first(self.entries.component)
         components = found[np.argsort(first)]
@@ -140,13 +111,7 @@ class StitchingPlan:
         return components, areas[components]
 
     def only(self, components: IntArray) -> StitchingPlan:
-        """Return the plan of some of the components alone.
-
-        Parameters
-        ----------
-        components : ndarray of int64, shape (k,)
-            Some of `pieces`.
-        """
+        """Return the plan of some of the components of `pieces` alone."""
         return _keep_some(self.summaries, self.bricks, self.component, self.entries, components)
 
     def judge(self) -> Topology:
@@ -154,13 +119,7 @@ class StitchingPlan:
         return judge_parts(self.summaries, self.bricks, self.component, self.kept, self.entries)
 
     def places(self, index: int) -> PartPlaces:
-        """Return where the vertices and faces of a part go.
-
-        Parameters
-        ----------
-        index : int
-            Of the part.
-        """
+        """Return where the vertices and faces of a part go."""
         bricks, summary = self.bricks, self.summaries[index]
         mine = bricks.of_part(index)
         place = bricks.place[mine]
@@ -186,21 +145,12 @@ class StitchingPlan:
 def plan_stitching(
     summaries: Sequence[PartSummary], crumb: int | None = None, points: int | None = None
 ) -> StitchingPlan:
-    """Plan the weld of all the parts of a mesh.
+    """Plan the weld of all the parts of a mesh, of one or more.
 
-    Parameters
-    ----------
-    summaries : sequence of PartSummary
-        At least one; of guests that no part owns the first part's copy is taken.
-    crumb : int, optional
-        Components with fewer faces are dropped; by default those with few beside the largest.
-    points : int, optional
-        Of the cloud: without `crumb`, what a clump of strays would have made is dropped, too.
-
-    Raises
-    ------
-    JobError
-        The parts contradict one another, or a part refers to a brick that none has.
+    Of guests that no part owns the first part's copy is taken. Components with fewer faces than
+    `crumb` are dropped; by default those with few beside the largest, and, where the cloud's
+    `points` are given, what a clump of strays would have made. JobError where the parts contradict
+    one another, or one refers to a brick that none has.
     """
     bricks = collect_bricks(summaries)
     check_foreign(summaries, bricks)
@@ -280,21 +230,11 @@ def _bound(bounds: FloatArray) -> FloatArray:
 
 
 def find_large(faces: IntArray, supports: IntArray, fewest: float = 0.0) -> NDArray[np.bool_]:
-    """Tell which components of a mesh are no mere crumbs of it.
+    """Tell which components (c,) of a mesh are no mere crumbs of it.
 
-    Parameters
-    ----------
-    faces : ndarray of int64, shape (c,)
-        How many each component has; 0 for a vertex that no face uses.
-    supports : ndarray of int64, shape (c,)
-        How many of its vertices points support (see `MeshPart`).
-    fewest : float
-        Faces of a component beside the largest.
-
-    Returns
-    -------
-    ndarray of bool, shape (c,)
-        All, where no component with faces is small: what no face uses then stays, too.
+    A vertex that no face uses is one without faces; `supports` counts vertices that points support
+    (see `MeshPart`); beside the largest one a component needs `fewest` faces. All stay where none
+    with faces is small: what no face uses, too.
 
     Notes
     -----

@@ -35,18 +35,7 @@ _BRICKS_AT_ONCE = 1 << 11  # what is made of some is used again for the next
 def write_part(part: MeshPart, places: PartPlaces, shared: SharedPly) -> None:
     """Write what a part gives to the mesh into the file that all parts share.
 
-    Parameters
-    ----------
-    part : MeshPart
-    places : PartPlaces
-        From the plan of the weld.
-    shared : SharedPly
-        The file is there and long enough.
-
-    Raises
-    ------
-    OSError
-        The file cannot be written.
+    The file is there and long enough; OSError where it cannot be written.
     """
     file = os.open(shared.path, os.O_WRONLY)
     try:
@@ -57,27 +46,12 @@ def write_part(part: MeshPart, places: PartPlaces, shared: SharedPly) -> None:
 
 @declare(result=WRITTEN, limit=SMALL_BYTES, is_verified=False)
 def write_kept(kept: tuple[str, str], places: PartPlaces, shared: SharedPly) -> bool:
-    """Write a part that is kept into the file that all parts share (a task).
+    """Write a part that is kept into the file that all parts share (a task); tell if that was done.
 
-    Parameters
-    ----------
-    kept : tuple of str
-        The store (see `store.places`) and the name of what `tiles.mesh_tile` put there.
-    places : PartPlaces
-    shared : SharedPly
-
-    Returns
-    -------
-    bool
-        Whether it was written: not where this process does not see the part, or sees no such file
-        or may not write it.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    JobError, CloudError
-        The part cannot be read.
+    It was not where this process does not see the part, or sees no such file or may not write it.
+    `kept` has the store (see `store.places`) and the name of what `tiles.mesh_tile` put there.
+    OutputError where the file cannot be written, JobError or CloudError where the part cannot be
+    read.
     """
     leave_for_files()  # what tiles have left
     place, name = kept

@@ -53,20 +53,9 @@ log = logging.getLogger("hpcapp")
 class Surface:
     """A mesh in parts, in memory or kept elsewhere.
 
-    Parameters
-    ----------
-    parts : list of MeshPart or str
-        Those that are kept, by their names.
-    summaries : list of PartSummary
-        Of the parts.
-    origin : ndarray of float64, shape (3,)
-        Of the local frame that the parts' vertices are in.
-    checkpoint : Checkpoint, optional
-        Where parts are kept.
-    workers : list of str or None
-        Who made each part, where that is known.
-    crumb, points : int, optional
-        See `plan_stitching`.
+    Parts that `checkpoint` keeps are named; `workers` made them, None where that is not known.
+    Their vertices are in the local frame of `origin` (3,). `crumb` and `points` are for
+    `plan_stitching`.
     """
 
     parts: list[MeshPart | str]
@@ -101,15 +90,7 @@ class Surface:
     def load(self, index: int) -> MeshPart:
         """Return a part; the arrays of one that is kept in a folder stay there, mapped.
 
-        Parameters
-        ----------
-        index : int
-            Of the part.
-
-        Raises
-        ------
-        JobError
-            What is kept is damaged, or not what its summary says.
+        JobError where what is kept is damaged, or not what its summary says.
         """
         part = self.parts[index]
         if isinstance(part, MeshPart):
@@ -123,13 +104,7 @@ class Surface:
         return kept
 
     def only(self, components: IntArray) -> Surface:
-        """Return some of the pieces of its plan alone.
-
-        Parameters
-        ----------
-        components : ndarray of int64, shape (k,)
-            See `StitchingPlan.pieces`.
-        """
+        """Return some of the pieces (k,) of its plan alone: see `StitchingPlan.pieces`."""
         return replace(self, _plan=self.plan.only(components), _topology=None)
 
     def check(self) -> Topology:
@@ -145,13 +120,7 @@ class Surface:
             yield stream_mesh(self.plan, load, self.origin)
 
     def share_outside(self, low: FloatArray, high: FloatArray) -> float:
-        """Return the share of the vertices that lie outside a box, 0 to 1.
-
-        Parameters
-        ----------
-        low, high : ndarray of float64, shape (3,)
-            Corners of the box, in length units of the input, in the local frame.
-        """
+        """Return the share of the vertices, 0 to 1, that lie outside a box in the local frame."""
         if (self.plan.box[0] >= low).all() and (self.plan.box[1] <= high).all():
             return 0.0
         mesh = stream_mesh(self.plan, self.load, self.origin)  # a part has more than it gives
@@ -175,13 +144,7 @@ class Surface:
         return known if len(known) == len(self.parts) else []
 
     def mesh(self, carrying: Carrying = NOTHING) -> Mesh:
-        """Return all of it.
-
-        Parameters
-        ----------
-        carrying : Carrying
-            What its vertices carry.
-        """
+        """Return all of it, with what its vertices carry."""
         return carrying.to_mesh(assemble_mesh(self.plan, self.load, self.origin))
 
     def write(self, path: Path, workforce: Workforce, carrying: Carrying = NOTHING) -> None:
@@ -189,20 +152,8 @@ class Surface:
 
         Workers write their parts of a PLY, or their tiles, themselves where they have put their
         parts away themselves, and the topology is judged meanwhile; what they do not see, every
-        other format, and vertices that carry something are written here.
-
-        Parameters
-        ----------
-        path : Path
-        workforce : Workforce
-            Whose workers have made the parts.
-        carrying : Carrying
-            What its vertices carry.
-
-        Raises
-        ------
-        OutputError
-            The suffix is unknown, or the file cannot be written.
+        other format, and vertices that carry something are written here. OutputError where the
+        suffix is unknown, or the file cannot be written.
         """
         suffix = path.suffix.lower()
         is_shared = self.checkpoint is not None and self.checkpoint.is_shared
@@ -284,25 +235,10 @@ class Surface:
 
 
 def simplify_surface(surface: Surface, target: Target) -> Surface:
-    """Make a surface of fewer faces.
+    """Make a surface of fewer faces from one that, in parts, may be larger than memory.
 
-    Parameters
-    ----------
-    surface : Surface
-        In parts it may be larger than memory.
-    target : Target
-
-    Returns
-    -------
-    Surface
-        The same bits, wherever the parts of `surface` are and however many.
-
-    Raises
-    ------
-    UsageError
-        See `Target.check`.
-    JobError
-        See `require_closed`.
+    The bits are the same, wherever its parts are and however many. UsageError as of `Target.check`,
+    JobError as of `require_closed`.
     """
     with surface.open_stream() as stream:
         light = Surface.of_mesh(simplify_stream(stream, target))

@@ -27,20 +27,9 @@ from hpccomponent.store.places import hold_store
 def cut_tile(
     part: MeshPart, places: PartPlaces, locate: Callable[[IntArray], FloatArray]
 ) -> tuple[FloatArray, IntArray]:
-    """Return what a part gives to the mesh as a mesh of its own.
+    """Return the vertices (v, 3) and faces (f, 3) that a part gives to the mesh, as its own mesh.
 
-    Parameters
-    ----------
-    part : MeshPart
-    places : PartPlaces
-        From the plan of the weld.
-    locate : callable
-        Returns where foreign vertices are, by their rows among those of the part.
-
-    Returns
-    -------
-    vertices : ndarray of float64, shape (v, 3)
-    faces : ndarray of int64, shape (f, 3)
+    `locate` returns where foreign vertices are, by their rows among those of the part.
     """
     faces, _, _ = place_faces(part, places, np.flatnonzero(places.face_starts >= 0))
     # (v,), (3 f,): the vertices that faces use, foreign ones below 0, and the row of each corner.
@@ -59,34 +48,23 @@ def write_kept_tile(
     foreign: tuple[tuple[str, ...], IntArray, IntArray],
     ply: tuple[str, str, bool, FloatArray, tuple[str, ...]],
 ) -> bool:
-    """Write a part that is kept into a folder of tiles (a task).
+    """Write a part that is kept into a folder of tiles (a task); tell if that was done.
 
-    Run twice, even at once, it writes the same bytes to the same places.
+    It was, too, if the part has no faces, but not where this process does not see the parts, or
+    sees no such folder or may not write there. Run twice, even at once, it writes the same bytes to
+    the same places. OutputError where the file cannot be written, JobError or CloudError where a
+    part cannot be read.
 
     Parameters
     ----------
     kept : tuple of str
         The store (see `store.places`) and the name of what `tiles.mesh_tile` put there.
-    places : PartPlaces
     foreign : tuple
         Names of other parts, and of each foreign vertex which of them has it, and in which row.
     ply : tuple
         The file, in a folder that has another name while it is written; the name that the folder
         will have; whether coordinates are ``double``; what is to be added to them; comments of
         the header.
-
-    Returns
-    -------
-    bool
-        Whether it is written, or has no faces: not where this process does not see the parts, or
-        sees no such folder or may not write there.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    JobError, CloudError
-        A part cannot be read.
     """
     leave_for_files()  # what tiles have left
     (place, name), (path, target, is_double, origin, comments) = kept, ply

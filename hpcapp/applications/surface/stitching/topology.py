@@ -47,7 +47,6 @@ class Topology:
         Loops that these form: pieces that share no vertex.
     vertices : int
         Vertices that some face uses.
-    faces : int
     """
 
     watertight: bool
@@ -65,17 +64,10 @@ class Topology:
 
 
 def check_mesh(mesh: Mesh) -> Topology:
-    """Judge the connectivity of a triangle mesh.
+    """Judge the connectivity of a triangle mesh of v vertices and f faces.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        v vertices and f faces; vertices that no face uses are left out of every count.
-
-    Returns
-    -------
-    Topology
-        Without faces nothing is watertight and there are no components.
+    Vertices that no face uses are left out of every count. Without faces nothing is watertight and
+    there are no components.
 
     Notes
     -----
@@ -120,15 +112,7 @@ def check_mesh(mesh: Mesh) -> Topology:
 def require_closed(before: Callable[[], Topology], after: Topology) -> Topology:
     """Return what is left of a mesh that was simplified, before anybody writes it.
 
-    Parameters
-    ----------
-    before : callable
-        Judges the mesh before; asked where the one after is not closed, alone.
-
-    Raises
-    ------
-    JobError
-        The mesh was closed and manifold, and is so no more.
+    If it is not closed, the mesh before is judged: JobError where that was closed and manifold.
     """
     if not after.watertight and before().watertight:
         raise JobError(
@@ -139,13 +123,7 @@ def require_closed(before: Callable[[], Topology], after: Topology) -> Topology:
 
 
 def signed_volume(mesh: Mesh) -> float:
-    """Return the volume inside a closed mesh, negative if its faces look inwards.
-
-    Returns
-    -------
-    float
-        In cubed length units of the input; of no meaning for an open mesh.
-    """
+    """Return the volume in a closed mesh, negative if faces look in; meaningless of an open one."""
     if not len(mesh.faces):
         return 0.0
     return kernels.signed_volume(mesh.vertices, mesh.faces, mesh.vertices.mean(axis=0))
@@ -158,17 +136,9 @@ def surface_area(mesh: Mesh) -> float:
 
 
 def count_loops(tails: IntArray, heads: IntArray) -> int:
-    """Count the loops that some edges form.
+    """Count the loops that some edges form: pieces of edges that share no vertex.
 
-    Parameters
-    ----------
-    tails, heads : ndarray of int64, shape (e,)
-        The vertices that each edge joins.
-
-    Returns
-    -------
-    int
-        Pieces of edges that share no vertex.
+    The edges join the vertices `tails` (e,) and `heads` (e,).
 
     Examples
     --------

@@ -6,13 +6,7 @@ from hpcapp.applications.surface.tiles.prepared import PreparedTile
 
 
 class TileCache:
-    """Prepared tiles by their tickets, the oldest given up first.
-
-    Parameters
-    ----------
-    capacity : int
-        So many tiles at most.
-    """
+    """Prepared tiles by their tickets, `capacity` at most, the oldest given up first."""
 
     def __init__(self, capacity: int) -> None:
         self._capacity = capacity
@@ -32,10 +26,10 @@ class TileCache:
         return None if ticket is None else self._tiles.pop(ticket, None)
 
     def advance(self, ticket: str) -> bool:
-        """Do a step of a tile ahead of time.
+        """Do a step of a tile ahead of time, and tell whether there are more.
 
         A step that fails gives the tile up: who asks for it prepares it anew, and meets the error
-        if it stays. The result tells whether there are more steps.
+        if it stays.
         """
         if ticket not in self._tiles:
             return False

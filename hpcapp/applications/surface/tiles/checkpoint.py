@@ -32,17 +32,7 @@ POINTS_NOTE = ["points", "loaded"]
 
 
 def digest(*values: Any) -> str:
-    """Return a hash of some values that could travel.
-
-    Parameters
-    ----------
-    *values : object
-        See `hpccomponent.protocol.codec.encode_values`.
-
-    Returns
-    -------
-    str
-        32 hexadecimal digits.
+    """Return a hash of some values that could travel (see `encode_values`), 32 hexadecimal digits.
 
     Examples
     --------
@@ -65,8 +55,8 @@ class Checkpoint:
     place : str
         See `hpccomponent.store.places.open_store`.
     job : str
-        A hash of the input, the settings and the kernels, and a name of the run: the folder of
-        the job, or the prefix of its names.
+        A hash of the input, the settings and the kernels, and a name of the run: the folder of the
+        job, or the prefix of its names.
     resumes : bool
         Whether to take what is there already.
     is_shared : bool
@@ -88,13 +78,7 @@ class Checkpoint:
         return self._store[0]
 
     def check(self) -> None:
-        """Find out whether the place can be had, before the work.
-
-        Raises
-        ------
-        UsageError, OutputError, CloudError
-            See `hpccomponent.store.places.open_store`.
-        """
+        """Find out whether the place can be had, before the work; raise as `open_store` does."""
         self.store.has(f"{self.job}/tile")
 
     def make_folders(self) -> None:
@@ -117,40 +101,17 @@ class Checkpoint:
         return self.is_shared and self.is_folder
 
     def name(self, *values: Any) -> str:
-        """Return the name of what is made of some values.
-
-        Parameters
-        ----------
-        *values : object
-            See `digest`.
-        """
+        """Return the name of what is made of some values (see `digest`)."""
         return f"{self.job}/{digest(*values)}"
 
     def name_sums(self, run: str, tile: int) -> str:
-        """Return the name of a tile's sums in one run of the job.
-
-        Parameters
-        ----------
-        run : str
-            Differs from that of any other run.
-        tile : int
-            Index of the tile.
-        """
+        """Return the name of a tile's sums; `run` differs from that of any other run of the job."""
         return f"{self.job}/{SUMS}/{run}-{tile}"
 
     def get(self, name: str, declared: Declared) -> Any:
-        """Return what a worker has kept under a name.
+        """Return what a worker has kept under a name, which must be as declared.
 
-        Parameters
-        ----------
-        name : str
-        declared : Declared
-            What it must be.
-
-        Raises
-        ------
-        JobError
-            It is not there, or damaged, or something else.
+        Raise JobError where it is not there, or damaged, or something else.
         """
         kept = self.store.get(name)
         try:
@@ -165,14 +126,7 @@ class Checkpoint:
     def find(self, name: str, declared: Declared) -> Any | None:
         """Return what is kept under a name, None where nothing is or where it is not wanted.
 
-        What is damaged is taken away, and named: whoever asked makes it again.
-
-        Parameters
-        ----------
-        name : str
-            See `name`.
-        declared : Declared
-            What it must be.
+        What is damaged or not as declared is taken away, and named: whoever asked makes it again.
         """
         if not self.resumes:
             return None

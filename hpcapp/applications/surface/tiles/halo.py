@@ -34,14 +34,9 @@ def halo_steps(grid: Grid) -> int:
 def mark_near(
     keys: IntArray, cells: IntArray, low: IntArray | int, high: IntArray | int
 ) -> BoolArray:
-    """Tell which of some keys lie in boxes around some cells.
+    """Tell which of some keys (k,) lie in boxes around cells (c,), both sorted keys of one lattice.
 
-    Parameters
-    ----------
-    keys, cells : ndarray of int64, shapes (k,) and (c,)
-        Sorted keys of one lattice.
-    low, high : ndarray of int64, shape (3,), or int
-        How many cells a box reaches down and up along each axis.
+    A box reaches `low` cells down and `high` cells up, (3,) or the same along each axis.
     """
     sides = (np.ascontiguousarray(np.broadcast_to(side, 3), np.int64) for side in (low, high))
     return kernels.mark_near(keys, cells, *sides)
@@ -57,19 +52,9 @@ def plan_whole(grid: Grid, positions: FloatArray) -> BrickKinds:
 def cut_slab(grid: Grid, kinds: BrickKinds, first: int, end: int) -> BrickKinds:
     """Cut a slab out of a tile, with the rim beside it.
 
-    Parameters
-    ----------
-    grid : Grid
-    kinds : BrickKinds
-        Of the tile.
-    first, end : int
-        The slab has the layers of bricks from `first` to before `end` along x.
-
-    Returns
-    -------
-    BrickKinds
-        A copy: the tile's own bricks beside the slab are `FOREIGN` there, open ones `BESIDE`. It
-        ends where no brick of the slab's rim is left.
+    It has the layers of bricks from `first` to before `end` along x. In the copy the tile's own
+    bricks beside the slab are `FOREIGN`, open ones `BESIDE`. It ends where no brick of the slab's
+    rim is left.
     """
     start = int(kinds.first[0])
     low, high = max(first - grid.rim, start), min(end + grid.rim, start + len(kinds.kinds))
@@ -94,18 +79,10 @@ def cut_slab(grid: Grid, kinds: BrickKinds, first: int, end: int) -> BrickKinds:
 
 
 def plan_tile(grid: Grid, own: IntArray, earlier: IntArray, later: IntArray) -> BrickKinds | None:
-    """Tell how far a tile may grow.
+    """Tell how far a tile may grow; None where every brick of it belongs to one before it.
 
-    Parameters
-    ----------
-    own, earlier, later : ndarray of int64
-        Sorted keys of the bricks that hold points of the tile, and points around it that belong to
-        tiles before and after it.
-
-    Returns
-    -------
-    BrickKinds or None
-        None where every brick of the tile belongs to one before it.
+    Sorted keys tell the bricks that hold points of the tile, and points around it that belong to
+    tiles before and after it.
     """
     own = own[find_keys(earlier, own) == len(earlier)]  # a brick is that of the first tile in it
     if not len(own):
@@ -134,18 +111,9 @@ def plan_gap(
 ) -> BrickKinds:
     """Tell how far the surface may be followed from bricks without points, as over a hole.
 
-    Parameters
-    ----------
-    exits : ndarray of int64, shape (e,)
-        Keys of the bricks to begin with.
-    seeds : ndarray of int64
-        Sorted keys of the bricks that hold points around them.
-    missing : ndarray of float64, shape (c, 3)
-        Low corners of the cells whose points are not known here.
-    size : float
-        Edge of these cells.
-    reach : float
-        How far a point matters, all in length units of the input.
+    `exits` (e,) are keys of the bricks to begin with, `seeds` sorted keys of those that hold points
+    around them. `missing` (c, 3) are low corners of the cells, of edge `size`, whose points are not
+    known here; `reach` is how far a point matters, all in length units.
     """
     edge = BRICK * grid.step
     # (x, y, z) of the grid: bricks of which every point that matters is known here.
@@ -173,20 +141,10 @@ def near_bricks(
     cell_size: float,
     reach: float,
 ) -> BoolArray:
-    """Tell which cells have a brick that may be evaluated within reach of their middle.
+    """Tell which cells have a brick that may be evaluated within reach of their middle, (c,).
 
-    Parameters
-    ----------
-    cells : ndarray of int64, shape (c,)
-        Sorted keys.
-    origin : ndarray of float64, shape (3,)
-        Where corner (0, 0, 0) of the cells lies, in length units of the input.
-    cell_size, reach : float
-        Likewise; the reach along every axis.
-
-    Returns
-    -------
-    ndarray of bool, shape (c,)
+    `cells` (c,) are sorted keys, whose corner (0, 0, 0) lies at `origin` (3,); the reach, in length
+    units, is along every axis.
     """
     edge = BRICK * grid.step
     corner = grid.origin + edge * kinds.first

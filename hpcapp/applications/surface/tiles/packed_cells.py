@@ -44,7 +44,7 @@ class PackedRows:
     corners : ndarray of float64, shape (b, 3)
         Of the blocks, in length units of the input.
     edge : float
-        Of a block, likewise.
+        Of a block.
     """
 
     records: Float32Array
@@ -83,16 +83,9 @@ def sort_tile(
 ) -> tuple[IntArray, IntArray, PackedRows, ByteArray]:
     """Sort those of some packed points that lie in some coarse cells by the finest cells.
 
-    Returns
-    -------
-    cells : ndarray of int64, shape (c,)
-        Sorted keys of the occupied finest cells.
-    offsets : ndarray of int64, shape (c + 1,)
-        Cell i holds the points offsets[i] to offsets[i + 1].
-    rows : PackedRows
-        Within a cell the points keep their order.
-    groups : ndarray of uint8, shape (c,)
-        The number of the coarse cell that each lies in.
+    Return the sorted keys (c,) of the occupied finest cells; offsets (c + 1,): cell i holds the
+    points offsets[i] to offsets[i + 1]; these points, within a cell in their order; and the number
+    (c,) of the coarse cell that each finest one lies in.
     """
     records, counts, corners, edge = unpacking_arguments(arrangement, packed)
     lattice = origin, cell_size, depth, wanted, numbers

@@ -118,14 +118,7 @@ def summed_tile(
 
 
 def coarse_lattice(plan: Plan, own: tuple[IntArray, IntArray] | None) -> Declared:
-    """Return the pattern of the lattice that a tile's points add to.
-
-    Parameters
-    ----------
-    plan : Plan
-    own : tuple of ndarray, or None
-        See `tasks.sum_tile`.
-    """
+    """Return the pattern of the lattice that a tile adds to; `own` is as of `tasks.sum_tile`."""
     box, size = plan.grid.box, plan.coarse_size
 
     def agrees(lattice: CoarseLattice) -> bool:
@@ -165,9 +158,9 @@ def surface_bytes(
 ) -> int:
     """Return how large what a tile's surface comes to may be, in bytes.
 
-    The master knows the coarse corners around the tile, and these lie along the surface; in each
-    coarse cell there may be a sheet for every other finest one. What spans gaps may be as large as
-    the grid's sides besides.
+    The master knows the coarse corners around the tile, which lie along the surface; in each coarse
+    cell there may be a sheet for every other finest one. What spans gaps may be as large as the
+    grid's sides besides.
     """
     # In a coarse cell, half as many as it has layers of finest ones.
     sheets = 2.0 ** (plan.coarse - 1)
@@ -179,14 +172,7 @@ def surface_bytes(
 
 
 def tile_surface(plan: Plan, keep: tuple[str, str] | None) -> Declared:
-    """Return the pattern of what `tasks.mesh_tile` returns, or keeps.
-
-    Parameters
-    ----------
-    plan : Plan
-    keep : tuple of str or None
-        A store and a name, where it is kept.
-    """
+    """Return the pattern of what `tasks.mesh_tile` returns, or keeps by a store and a name."""
     first = np.zeros(3, np.int64)
     last = np.array(plan.bricks) - 1
     bricks = keys_within(first, last)

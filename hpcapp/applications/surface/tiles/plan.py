@@ -36,15 +36,13 @@ class Plan:
     origin : ndarray of float64, shape (3,)
         Where corner (0, 0, 0) of every lattice lies.
     cell_size : float
-        Edge of the finest cells, in length units of the input.
+        Edge of the finest cells.
     height : int
         How many levels the cloud has.
     coarse : int
         The level of whose cells tiles are made; `height` where there is but one tile.
     noise : float
         Standard deviation of the positions along the normals, in length units of the input.
-    grid_origin : ndarray of float64, shape (3,)
-    block_origin : ndarray of float64, shape (3,)
     far : int
         The level whose cells the far field is made of; of tiles, no coarser than theirs.
     far_nodes : int
@@ -79,17 +77,17 @@ class Plan:
 
     @property
     def base_size(self) -> float:
-        """Edge of the cells at the base of the lattice, in length units of the input."""
+        """Edge of the cells at the base of the lattice."""
         return self.cell_size * 2.0**self.refinement.levels
 
     @property
     def usual_step(self) -> float:
-        """Of most bricks with points, in length units of the input."""
+        """The step of most bricks with points."""
         return self.step * 2.0 ** (0 if self.strides is None else np.median(self.strides.exponents))
 
     @property
     def coarse_size(self) -> float:
-        """Edge of the coarse cells, in length units of the input."""
+        """Edge of the coarse cells."""
         return self.cell_size * 2.0**self.coarse
 
     @property
@@ -107,8 +105,8 @@ class Plan:
     def far_box(self) -> tuple[FloatArray, FloatArray]:
         """The box in which anything asks for the far field.
 
-        The grid, its halo, and beyond it the corners of every level that the field is made of,
-        which lie up to two of their cells from a point.
+        The grid, its halo, and beyond it the corners of every level of the field, up to two of
+        their cells from a point.
         """
         coarsest = max(self.coarse, self.refinement.levels + FIELD_LEVELS - 1)
         margin = halo_steps(self.grid) * self.step + 4.0 * self.cell_size * 2.0**coarsest
@@ -137,14 +135,9 @@ class Plan:
 class CoarseLevels:
     """What a tile must know of the levels that the master has fitted.
 
-    Parameters
-    ----------
-    parents : Parents
-        What the finest of them offers to the next finer level.
-    trust : ndarray of float32, shape (v,), or None
-        As of `FieldLevel`: the parents' own; None where they are too coarse for the field.
-    coarser : tuple of FieldLevel
-        What else of them the field is made of, finest first.
+    `parents` are what the finest of them offers to the next finer level, `trust` (v,) is theirs
+    (see `FieldLevel`), None where they are too coarse for the field. `coarser` is what else of them
+    the field is made of, finest first.
     """
 
     parents: Parents

@@ -40,12 +40,8 @@ _NO_GROUP = np.uint8(255)
 class PointsThere:
     """Points that a task reads where the cloud is.
 
-    Parameters
-    ----------
-    cloud : Place
-        A folder that the worker sees; in this process the cloud itself.
-    groups : tuple of ndarray of int64
-        The sorted keys of each group's coarse cells.
+    `cloud` is a folder that the worker sees, or in this process the cloud itself; `groups` are the
+    sorted keys of each group's coarse cells.
     """
 
     cloud: Place
@@ -61,12 +57,8 @@ group, which are sent."""
 class TilePoints:
     """Points in some groups of coarse cells, sorted by the finest ones.
 
-    Parameters
-    ----------
-    finest : Level
-        The finest cells, and their points; within a cell in the order of the whole cloud.
-    groups : ndarray of uint8, shape (c,)
-        The group of each cell.
+    `finest` has these cells and their points, within a cell in the order of the whole cloud;
+    `groups` (c,) is the group of each cell.
     """
 
     finest: Level
@@ -82,16 +74,9 @@ class TilePoints:
 def estimate_work(points: CellPoints) -> float:
     """Return how much work the points that a task is given are, for the master.
 
-    Parameters
-    ----------
-    points : CellPoints
-        It, or parts of it, may be what stands for a shared value.
-
-    Returns
-    -------
-    float
-        Their number where they are sent; else, since nobody has looked at them, that of their
-        coarse cells, which have as much surface each. One job's tasks are given one form.
+    It is their number where they, or what stands for shared values, are sent; else, since nobody
+    has looked at them, that of their coarse cells, which have as much surface each. One job's tasks
+    are given one form.
 
     Examples
     --------
@@ -143,21 +128,9 @@ def _find_cells(packed: PackedPoints, plan: Plan) -> IntArray:
 def pack_cells(
     cloud: ArrangedCloud, origin: FloatArray, size: float, cells: list[IntArray]
 ) -> list[PackedPoints]:
-    """Return the points in some groups of coarse cells as they are sent.
+    """Return the points in groups of coarse cells as they are sent: of each group, in cloud order.
 
-    Parameters
-    ----------
-    origin : ndarray of float64, shape (3,)
-        Where corner (0, 0, 0) of the cells lies.
-    size : float
-        Of a cell, in length units of the input.
-    cells : list of ndarray of int64
-        Sorted keys of the cells of each group.
-
-    Returns
-    -------
-    list of PackedPoints
-        Of each group, in the cloud's order.
+    Corner (0, 0, 0) of the cells lies at `origin` (3,); `cells` are sorted keys of each group.
     """
     wanted, numbers = _number_cells(cells)
     packed = _take_overlapping(cloud, wanted, origin, size)

@@ -31,21 +31,14 @@ Laid = tuple[BrickKinds | None, Corners]
 
 
 class PreparedTile:
-    """What both tasks of a tile make of its points.
-
-    Parameters
-    ----------
-    points : tuple
-        `CellPoints` of the tile and its halo.
-    levels : int
-        `sum_tile` asks for the coarse one, too.
+    """What both tasks of a tile make of its points, those of its halo among them.
 
     Attributes
     ----------
     groups : ndarray of uint8, shape (c,)
         Of the finest cells (see `TilePoints`).
     levels : list of Level
-        Finest first; `mesh_tile` asks for those below the coarse one.
+        Finest first; `mesh_tile` asks for those below the coarse one, `sum_tile` for that, too.
     """
 
     def __init__(self, plan: Plan, points: CellPoints, levels: int, threads: int) -> None:
@@ -66,13 +59,9 @@ class PreparedTile:
         return self._laid is None
 
     def laid(self) -> Laid:
-        """Do what is left of the steps.
+        """Do what is left of the steps; return kinds of bricks, and corners as of `lay_corners`.
 
-        Returns
-        -------
-        kinds : BrickKinds or None
-        corners : list of ndarray of int64
-            See `lay_corners`; empty where there are no such bricks.
+        Kinds are None where the tile has no such bricks, and corners are empty then.
         """
         if self._laid is None:
             self._laid = finish(self._steps)
@@ -90,27 +79,13 @@ def _lay(plan: Plan, taken: TilePoints) -> Generator[str, None, Laid]:
 def lay_corners(plan: Plan, cells: IntArray, kinds: BrickKinds) -> Generator[str, None, Corners]:
     """Find the corners of each fine level that some bricks ask for, and ancestors, in steps.
 
-    Parameters
-    ----------
-    cells : ndarray of int64, shape (c,)
-        Sorted keys of the finest cells with points.
+    `cells` (c,) are sorted keys of the finest cells with points. Yield what was done in a step,
+    return the corners of each level below the coarse one.
 
-    Yields
-    ------
-    str
-        What was done in a step.
-
-    Returns
-    -------
-    list of ndarray of int64
-        Of each level below the coarse one.
-
-    Notes
-    -----
     A node asks for the corners around it, up to a cell of their level away, and these are there
-    because of cells whose middle lies as far again, and half a cell, from them. On levels above
-    the base, which have few corners, those that the coarsest asks for are laid, and those that
-    points are weighed by.
+    because of cells whose middle lies as far again, and half a cell, from them. On levels above the
+    base, which have few corners, those that the coarsest asks for are laid, and those that points
+    are weighed by.
     """
     weighing = 0.0 if np.isinf(plan.tolerance) else 4.0
     below = plan.refinement.levels

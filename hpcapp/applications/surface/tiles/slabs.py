@@ -37,13 +37,7 @@ With a million the whole job of 263 thousand points took 193 MB, with 200,000 of
 
 
 def cut_slabs(fields: SlabFields, kinds: BrickKinds, least: int = 1) -> list[int]:
-    """Return the bounds of the slabs that some bricks are cut into, in layers along x.
-
-    Parameters
-    ----------
-    least : int
-        So many slabs at least, where there are layers enough.
-    """
+    """Return the bounds of slabs, in layers along x: `least` or more, where there are so many."""
     first = int(kinds.first[0])
     return fields.cut(first, first + len(kinds.kinds), SLAB_QUADRICS, least)
 
@@ -53,12 +47,8 @@ def grow_slabs(
 ) -> Iterator[tuple[MeshPart, IntArray]]:
     """Extract the surface in a tile's own bricks, and in all that it reaches from them.
 
-    Yields
-    ------
-    part : MeshPart
-        Of a slab; one that the surface enters from another slab may get several, no brick twice.
-    exits : ndarray of int64
-        Sorted keys of the bricks where its surface leaves the tile (see `bricks.grow_bricks`).
+    Yield parts of slabs: one that the surface enters from another slab may get several, no brick
+    twice; and the sorted keys of the bricks where its surface leaves the tile (see `grow_bricks`).
     """
     untaken = BrickKinds(kinds.first, kinds.kinds.copy())  # those that a part has are another's
     reached = kinds.own()
@@ -105,16 +95,8 @@ def _grow_slab(fields: SlabFields, slab: BrickKinds) -> BrickMesh:
 def grow_tile(fields: SlabFields, kinds: BrickKinds) -> tuple[MeshPart, IntArray]:
     """Extract the surface in a tile's own bricks, and in all that it reaches from them.
 
-    Parameters
-    ----------
-    fields : SlabFields
-        What it is made of is let go when the last slab is there: the part takes its place.
-
-    Returns
-    -------
-    part : MeshPart
-    exits : ndarray of int64, shape (e,)
-        As of `grow_slabs`.
+    The exits (e,) are as of `grow_slabs`. What `fields` is made of is let go when the last slab is
+    there: the part takes its place.
     """
     grown = list(grow_slabs(fields, kinds, cut_slabs(fields, kinds)))
     fields.let_go()

@@ -87,34 +87,25 @@ def sum_tile(
 ) -> tuple[CoarseLattice | None, Samples | tuple[str, str], int]:
     """Sum the moments of a tile's points in the cells of the coarse level (a task).
 
+    Return the lattice, what `sample_cells` gives of the level that the far field is made of, and
+    the number of finest cells with points; where it keeps them, None for the lattice, and the store
+    and the name of the samples.
+
     Parameters
     ----------
-    plan : Plan
     points : tuple
-        `CellPoints` of the tile alone; with a ticket, those that `mesh_tile` will be given.
+        Of the tile alone; with a ticket, those that `mesh_tile` will be given.
     ticket : str, optional
-        A name that nothing else has: what is prepared of the points waits for `mesh_tile` with
-        this ticket, until the process has summed `KEPT_TILES` more. What either task returns
-        does not depend on it.
+        A name that nothing else has: what is prepared of the points waits for `mesh_tile` with this
+        ticket, until the process has summed `KEPT_TILES` more. What either task returns does not
+        depend on it.
     keep : tuple of str, optional
-        A store (see `store.places`) and a name, under which the lattice is put there, and
-        the samples beside it, if nothing has that name: a tile that is summed twice must not
-        replace what is being read.
+        A store (see `store.places`) and a name, under which the lattice is put there, and the
+        samples beside it, if nothing has that name: a tile that is summed twice must not replace
+        what is being read.
     own : tuple of ndarray of int64, optional
         Keys of the coarse cells that hold the tile's own points, and how many each holds: whoever
         knows them holds the lattice against these.
-    threads : int
-        The result does not depend on it.
-
-    Returns
-    -------
-    lattice : CoarseLattice or None
-        None where it is kept.
-    samples : Samples or tuple of str
-        What `sample_cells` gives of the level that the far field is made of; the store and the
-        name where it is kept.
-    patches : int
-        The finest cells with points.
     """
     del own  # it is for who declares, and checks
     prepared = PreparedTile(plan, points, plan.coarse + 1, threads)
@@ -144,14 +135,7 @@ def sum_tile(
 
 
 def sample_cells(level: Level, rows: IntArray | None = None) -> Samples:
-    """Return what the far field is made of.
-
-    Parameters
-    ----------
-    level : Level
-    rows : ndarray of int64, optional
-        Of the level's cells; by default all.
-    """
+    """Return what the far field is made of: of some rows of a level's cells, or of all."""
     moments = level.points.sum(slice(0, len(level.cells)))
     # (c, 7): the columns of the points, of their positions and of their normals.
     sums = np.concatenate([moments[:, :4], moments[:, 35:38]], axis=1)
@@ -159,16 +143,7 @@ def sample_cells(level: Level, rows: IntArray | None = None) -> Samples:
 
 
 def find_far(plan: Plan, samples: Samples, threads: int) -> FarField:
-    """Solve for the far field.
-
-    Parameters
-    ----------
-    plan : Plan
-    samples : Samples
-        Of the whole cloud, sorted by key.
-    threads : int
-        The result does not depend on it.
-    """
+    """Solve for the far field by the samples of the whole cloud, sorted by key."""
     size = plan.cell_size * 2.0**plan.far
     sums = samples.sums
     # (c, 3): in cells, as sums of positions are, which count from the middle of each.
@@ -185,21 +160,7 @@ def find_far(plan: Plan, samples: Samples, threads: int) -> FarField:
 def solve_far(
     plan: Plan, samples: Sequence[Samples | tuple[str, str]], threads: int = 1
 ) -> FarFieldPart:
-    """Solve for the far field, as far as anything asks for it (a task).
-
-    Parameters
-    ----------
-    plan : Plan
-    samples : sequence of Samples or tuple of str
-        Of all tiles, as `sum_tile` has returned them.
-    threads : int
-        The result does not depend on it.
-
-    Returns
-    -------
-    FarFieldPart
-        See `Plan.far_box`.
-    """
+    """Solve for the far field in `Plan.far_box`, by what `sum_tile` tells of all tiles (a task)."""
     found = [
         some if isinstance(some, Samples) else hold_store(some[0]).get(some[1]) for some in samples
     ]
@@ -225,26 +186,9 @@ def mesh_tile(
 ) -> tuple[MeshPart | None, PartSummary, Exits]:
     """Reconstruct the surface inside a tile (a task).
 
-    Parameters
-    ----------
-    plan : Plan
-    points : tuple
-        `CellPoints` of the tile, and of its halo those that belong to tiles before and after it.
-    ticket : str or None
-        See `sum_tile`.
-    coarse : CoarseLevels
-        Around it.
-    keep : tuple of str, optional
-        A store (see `store.places`) and a name, under which the result is put there.
-    threads : int
-        The result does not depend on it.
-
-    Returns
-    -------
-    part : MeshPart or None
-        None where it is kept.
-    summary : PartSummary
-    exits : Exits
+    `points` are of the tile, and of its halo those that belong to tiles before and after it;
+    `coarse` is what lies around it, `ticket` as of `sum_tile`. With `keep`, a store (see
+    `store.places`) and a name, the result is put there, and None is returned for the part.
     """
     prepared = TILES.pop(ticket)
     is_last = ticket is not None and not len(TILES)
@@ -276,26 +220,8 @@ def mesh_gap(
 ) -> tuple[MeshPart | None, PartSummary, Exits]:
     """Follow the surface from where it left all tiles, as over a hole (a task).
 
-    Parameters
-    ----------
-    plan : Plan
-    exits : ndarray of int64
-        Keys of the bricks to begin with.
-    points : tuple
-        `CellPoints` of all that lie around them.
-    missing : ndarray of int64
-        Keys of the coarse cells of all other points.
-    coarse : CoarseLevels
-        All.
-    keep : tuple of str, optional
-        As of `mesh_tile`.
-    threads : int
-        The result does not depend on it.
-
-    Returns
-    -------
-    part, summary, exits
-        As those of `mesh_tile`.
+    `exits` are keys of the bricks to begin with, `points` all that lie around them, `missing` keys
+    of the coarse cells of all other points, `coarse` all levels. The rest is as of `mesh_tile`.
     """
     taken = take_points(points, plan)
     seeds = taken.seed_bricks(plan.grid, 0)

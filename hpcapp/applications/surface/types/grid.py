@@ -52,12 +52,7 @@ class BrickStrides:
     def cells_within(self, first: IntArray, sides: tuple[int, ...]) -> ByteArray:
         """Return how many cells the bricks of a box have along an edge.
 
-        Parameters
-        ----------
-        first : ndarray of int64, shape (3,)
-            The lowest brick.
-        sides : tuple of int
-            Bricks along x, y and z.
+        `first` (3,) is the lowest brick, and `sides` are bricks along x, y and z.
         """
         places = unpack_keys(self.keys) - first
         inside = ((places >= 0) & (places < sides)).all(axis=1)
@@ -68,24 +63,11 @@ class BrickStrides:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grid:
-    """The evaluation grid.
+    """The evaluation grid, of bricks along x, y and z; node (0, 0, 0) lies at the origin.
 
-    Parameters
-    ----------
-    origin : ndarray of float64, shape (3,)
-        Where node (0, 0, 0) lies.
-    step : float
-        Edge of a cell, in length units of the input.
-    bricks : tuple of int
-        Along x, y and z.
-    strides : BrickStrides, optional
-        By default all are 1.
-
-    Notes
-    -----
-    Of the nodes inside a brick only those exist whose places in it are multiples of its stride; on
-    a face, or an edge, of several bricks, those of the finest of them. A cell is as large as the
-    stride of its brick.
+    A step is the edge of a cell; by default all strides are 1. Of the nodes inside a brick only
+    those exist whose places in it are multiples of its stride; on a face, or an edge, of several
+    bricks, those of the finest of them. A cell is as large as the stride of its brick.
     """
 
     origin: FloatArray
@@ -106,13 +88,9 @@ class Grid:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BrickKinds:
-    """What the bricks of a box of the grid are to a tile; all others are `OUT`.
+    """What the bricks of a box of the grid are to a tile, (x, y, z); all others are `OUT`.
 
-    Parameters
-    ----------
-    first : ndarray of int64, shape (3,)
-        The lowest brick of the box.
-    kinds : ndarray of uint8, shape (x, y, z)
+    `first` (3,) is the lowest brick of the box.
     """
 
     first: IntArray
@@ -128,14 +106,7 @@ class BrickKinds:
         return kinds
 
     def mark(self, keys: IntArray, kind: int) -> None:
-        """Set the kind of some bricks; of those outside the box it is `OUT`, whatever is set.
-
-        Parameters
-        ----------
-        keys : ndarray of int64, shape (k,)
-        kind : int
-            Such as `OWN`.
-        """
+        """Set the kind, such as `OWN`, of some bricks; those outside the box stay `OUT`."""
         places = unpack_keys(keys) - self.first
         places = places[((places >= 0) & (places < self.kinds.shape)).all(axis=1)]
         self.kinds[tuple(places.T)] = kind

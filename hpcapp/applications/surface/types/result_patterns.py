@@ -59,17 +59,9 @@ def keys_within(first: IntArray, last: IntArray) -> Bounds:
 
 
 def cells_in(box: Box, origin: FloatArray, size: float, halo: int = 1) -> Bounds:
-    """Return the bounds of the keys of cells in a box.
+    """Return the bounds of the keys of cells in a box, and `halo` further: 1 is for rounding.
 
-    Parameters
-    ----------
-    box : tuple of ndarray of float64, shape (3,)
-    origin : ndarray of float64, shape (3,)
-        Corner of cell (0, 0, 0).
-    size : float
-        Edge of a cell.
-    halo : int
-        So many cells further: 1 is for rounding.
+    `origin` is the corner of cell (0, 0, 0), and `size` the edge of a cell.
     """
     first, last = (np.floor((corner - origin) / size) for corner in box)
     return keys_within(shift_within(first, -halo), shift_within(last, halo))

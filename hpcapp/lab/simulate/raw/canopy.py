@@ -29,12 +29,8 @@ class Crown:
 class Canopy:
     """What pulses meet within crowns.
 
-    Parameters
-    ----------
-    crowns : list of Crown
-        Where they overlap, what lies between them counts as crown.
-    extent : float
-        Of the scene along x and y, from 0, in metres.
+    Where crowns overlap, what lies between them counts as crown. The extent is that of the scene
+    along x and y, from 0, in metres.
     """
 
     def __init__(self, crowns: list[Crown], extent: float) -> None:
@@ -57,22 +53,10 @@ class Canopy:
         reach: FloatArray,
         rng: np.random.Generator,
     ) -> tuple[IntArray, FloatArray, BoolArray]:
-        """Draw the returns of pulses within the crowns.
+        """Draw the returns of pulses (n, 3) within the crowns, as far as each reaches (n,).
 
-        Parameters
-        ----------
-        origins, directions : ndarray of float64, shape (n, 3)
-        reach : ndarray of float64, shape (n,)
-            How far each pulse goes at most.
-
-        Returns
-        -------
-        pulses : ndarray of int64, shape (m,)
-            Of each return.
-        distances : ndarray of float64, shape (m,)
-            From the pulse's origin.
-        goes_on : ndarray of bool, shape (n,)
-            Whether something of a pulse is left behind the crowns.
+        Return the pulse of each return (m,), its distance from the pulse's origin (m,), and whether
+        something of each pulse is left behind the crowns (n,).
         """
         shape = (len(origins), _MOST_RETURNS)
         # (n, 4): metres of crown before each return, and whether the pulse goes on after it

@@ -22,13 +22,8 @@ _STEP = 0.03  # units between the surfaces at an edge
 class Sights:
     """Rays and what they meet.
 
-    Parameters
-    ----------
-    rows : ndarray of int64, shape (n,)
-        Of the rays that were asked about.
-    origins, directions : ndarray of float64, shape (n, 3)
-    distances : ndarray of float64, shape (n,)
-        To the surface; infinite where there is none.
+    Rows (n,) are of the rays that were asked about; origins and directions are (n, 3), distances
+    (n,) to the surface, infinite where there is none.
     """
 
     rows: IntArray
@@ -55,25 +50,11 @@ def find_edges(
 ) -> tuple[Sights, FloatArray]:
     """Look near hits for edges with something behind them.
 
-    Parameters
-    ----------
-    unit : float
-        Of the scene, in length units.
-    near : Sights
-        Hits.
-    border : float
-        Width of the strip along the sides of the bounds in which the surface just ends: what is
-        there is no edge.
+    Return the rays that just miss an edge, with the distances of its near side, and the gaps: how
+    much farther a ray beside each goes, infinite where it meets nothing. The border is the width of
+    the strip along the sides of the bounds in which the surface just ends: what is there is no
+    edge. `unit` is that of the scene.
 
-    Returns
-    -------
-    edges : Sights
-        Rays that just miss an edge, and the distances of its near side.
-    gaps : ndarray of float64, shape (len(edges.rows),)
-        How much farther a ray beside each goes; infinite where it meets nothing.
-
-    Notes
-    -----
     A second ray is drawn near the first one. Where it goes on to something else, the edge lies
     between the two and is found by halving the angle. A grazed plane is no edge: what is behind
     must be off the plane of the near side.

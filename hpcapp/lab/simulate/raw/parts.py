@@ -29,15 +29,7 @@ _SUNK = 2.0  # metres that the walls of a house go into the ground
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """Something solid.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        What can be seen of its surface.
-    kind : int
-        A class of LAS.
-    """
+    """Something solid, what can be seen of its surface, and its class of LAS."""
 
     field: Field
     mesh: Mesh
@@ -47,12 +39,8 @@ class Part:
 class HeightField:
     """Ground whose height is linear over the triangles of a square grid.
 
-    Parameters
-    ----------
-    heights : ndarray of float64, shape (rows, columns)
-        At the nodes: x runs along the columns, y along the rows, both from 0.
-    step : float
-        Between nodes, in length units.
+    Heights (rows, columns) are at the nodes, a step apart: x runs along the columns, y along the
+    rows, both from 0.
     """
 
     def __init__(self, heights: FloatArray, step: float) -> None:
@@ -110,15 +98,10 @@ class HeightField:
 def make_houses(
     corners: Sequence[FloatArray], eaves: Sequence[float], ridges: Sequence[float]
 ) -> Part:
-    """Return houses with gable roofs.
+    """Return houses with gable roofs, whose eaves and ridges are above the lowest corner.
 
-    Parameters
-    ----------
-    corners : sequence of ndarray of float64, shape (4, 3)
-        Where the walls meet the ground, anticlockwise; the ridge runs from the middle of the last
-        side to that of the second.
-    eaves, ridges : sequence of float
-        Heights above the lowest corner.
+    Corners (4, 3) are where the walls meet the ground, anticlockwise; the ridge runs from the
+    middle of the last side to that of the second.
     """
     walls = [[0, 1, 5], [0, 5, 4], [1, 2, 6], [1, 6, 5], [2, 3, 7], [2, 7, 6], [3, 0, 4], [3, 4, 7]]
     roof = [[5, 6, 9], [7, 4, 8], [4, 5, 9], [4, 9, 8], [6, 7, 8], [6, 8, 9]]
@@ -135,15 +118,7 @@ def make_houses(
 
 
 def make_trunks(feet: FloatArray, tops: FloatArray, radius: float) -> Part:
-    """Return upright cylinders.
-
-    Parameters
-    ----------
-    feet : ndarray of float64, shape (n, 3)
-        At least 1 m from each other.
-    tops : ndarray of float64, shape (n,)
-        Heights of their upper ends.
-    """
+    """Return upright cylinders from feet (n, 3), at least 1 m apart, up to heights of tops (n,)."""
     tree, nearest = KDTree(feet[:, :2]), min(4, len(feet))
 
     def find(points: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:

@@ -84,16 +84,9 @@ class RawSettings:
 class RawScan:
     """What a scanner delivers, and the truth.
 
-    Parameters
-    ----------
-    cloud : PointCloud
-        Without normals, in the order of time.
-    trajectory : ndarray of float64, shape (n, 4)
-        Time in seconds, x, y, z: where the scanner believes it was.
-    truth : Mesh
-        The surface, with the ``classification`` of each vertex.
-    is_flying, is_stray : ndarray of bool, shape (len(cloud),)
-        Which points lie on nothing.
+    The cloud is without normals, in the order of time; the trajectory (n, 4) is time in seconds and
+    x, y, z, where the scanner believes it was; the truth has the ``classification`` of each vertex.
+    Flying and stray points, (len(cloud),), lie on nothing.
     """
 
     cloud: PointCloud
@@ -131,14 +124,7 @@ class _Returns:
 
 
 def scan_scene(scene: str, scanner: str | None, settings: RawSettings | None = None) -> RawScan:
-    """Scan a scene.
-
-    Parameters
-    ----------
-    scene : str
-        One of `SCENES`.
-    scanner : str or None
-        One of `SCANNERS`; None is the scene's usual one.
+    """Scan one of `SCENES` by one of `SCANNERS`, by default the scene's usual one.
 
     Raises
     ------

@@ -83,10 +83,7 @@ class Scanner:
 def find_scanner(name: str | None, scene: str) -> Scanner:
     """Return a scanner for a scene: the usual one without a name.
 
-    Raises
-    ------
-    UsageError
-        The name is unknown, or that scanner cannot scan the scene.
+    Raise UsageError where the name is unknown, or that scanner cannot scan the scene.
     """
     fitting = [one.name for one in SCANNERS.values() if scene in one.scenes]
     if name is None:

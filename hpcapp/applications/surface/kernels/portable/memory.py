@@ -11,11 +11,5 @@ def keep_memory(is_on: bool) -> None:
 
 
 def bound_free_memory(most_bytes: int) -> None:
-    """Do nothing; see `keep_memory`.
-
-    Parameters
-    ----------
-    most_bytes : int
-        What may stay free in this process.
-    """
+    """Do nothing; see `keep_memory`. So many bytes may stay free in this process."""
     del most_bytes

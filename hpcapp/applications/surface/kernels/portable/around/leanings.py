@@ -21,26 +21,10 @@ def spread_leanings(
 ) -> FloatArray:
     """Solve the symmetric system of links by conjugate gradients, scaled by its diagonal.
 
-    Parameters
-    ----------
-    first, second : ndarray of int64, shape (l,)
-        The ends of each link, rows of nodes; no two links have the same two.
-    strengths : ndarray of float64, shape (l,)
-        What stands in the matrix for each link, in both directions, without its sign.
-    sums : ndarray of float64, shape (n,)
-        The diagonal of the matrix; above 0.
-    known : ndarray of float64, shape (n,)
-        The right-hand side.
-    start : ndarray of float64, shape (n,)
-        A first guess.
-    tolerance : float
-        Of the residual, by the right-hand side.
-    most : int
-        Steps.
-
-    Returns
-    -------
-    ndarray of float64, shape (n,)
+    Links (l,) join the rows `first` and `second` of nodes, no two links the same two; `strengths`
+    (l,) stand in the matrix, in both directions, without their sign. Its diagonal `sums` (n,) is
+    above 0, `known` (n,) the right-hand side, `start` (n,) a first guess. `tolerance` is that of
+    the residual, by the right-hand side, and `most` bounds the steps. Return values (n,).
     """
     count = len(sums)
 

@@ -26,17 +26,8 @@ def link_groups(
 ) -> tuple[IntArray, IntArray, IntArray, IntArray]:
     """Find the groups that lie among the neighbours of points.
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-    own : ndarray of uint8, shape (n,)
-        Not 0 for the points whose neighbours count.
-    group_of : ndarray of int64, shape (n,)
-        The group of each point, 0 to n - 1.
-    low : ndarray of float64, shape (3,)
-        As for `fit_planes`.
-    spacing : float
-        Of the cloud, in length units of the input.
+    Of the points (n, 3), the neighbours of those whose `own` (n,) is not 0 count; `group_of` (n,)
+    is the group of each, 0 to n - 1. `low` (3,) is as for `fit_planes`.
 
     Returns
     -------

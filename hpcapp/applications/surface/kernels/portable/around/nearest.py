@@ -21,15 +21,7 @@ _ROUNDED = 4.0  # units: by less than these, distances may differ by rounding al
 
 
 def round_positions(positions: FloatArray, low: FloatArray, spacing: float) -> FloatArray:
-    """Return positions in units from the lowest corner, rounded.
-
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-    low : ndarray of float64, shape (3,)
-    spacing : float
-        In length units of the input.
-    """
+    """Return positions (n, 3) in units from the lowest corner (3,), rounded."""
     units: FloatArray = np.rint((positions - low) / (spacing / UNITS))
     return units
 
@@ -42,16 +34,8 @@ def cells_of_units(units: FloatArray) -> tuple[IntArray, IntArray]:
 class Nearest:
     """The neighbours of points, each itself among them, by distance.
 
-    Parameters
-    ----------
-    tree : cKDTree
-        Of all points, in units.
-    rows : ndarray of int64, shape (m,)
-        Of those whose neighbours are wanted.
-    most : int
-        How many at most.
-    reach : int
-        Spacings: farther points are no neighbours.
+    The tree holds all points, in units; `rows` (m,) are those whose neighbours, `most` of
+    them at most, are wanted. Points farther than `reach` spacings are no neighbours.
     """
 
     def __init__(self, tree: cKDTree, rows: IntArray, most: int, reach: int) -> None:

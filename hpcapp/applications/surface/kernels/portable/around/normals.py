@@ -32,26 +32,11 @@ def poll_normals(
 ) -> ByteArray:
     """Ask the neighbours of each point what they think of its normal.
 
-    Parameters
-    ----------
-    positions, normals : ndarray of float64, shape (n, 3)
-    keys : ndarray of int64, shape (c,)
-        Occupied cells of edge `reach`, sorted; at least one.
-    cell_of : ndarray of int64, shape (n,)
-        The row of each point's cell.
-    asked : ndarray of uint8, shape (n,)
-        Not 0 for the points to be judged.
-    reach : float
-        How far neighbours are, in length units of the input.
-    tolerance : float
-        How far off a sheet they may lie, in the same units.
-    drift : float
-        How far off it those that oppose a normal may lie in their mean.
-
-    Returns
-    -------
-    ndarray of uint8, shape (n,)
-        `FINE`, `UNSURE` or `WRONG`; `FINE` for points that are not asked.
+    Return `FINE`, `UNSURE` or `WRONG`, (n,); `FINE` for points (n, 3) whose `asked` (n,) is 0.
+    `keys` (c,) are the occupied cells of edge `reach`, sorted, one at least; `cell_of` (n,) is the
+    row of each point's cell. Neighbours lie within `reach`, and `tolerance` off a sheet at most;
+    those that oppose a normal lie `drift` off it in their mean at most. These three are in length
+    units of the input.
     """
     del threads  # numpy runs on one
     normals = normals.astype(np.float64, copy=False)

@@ -42,23 +42,11 @@ _STEPS = 24  # of Newton's method: a double root takes a bit each
 def fit_planes(
     positions: FloatArray, asked: ByteArray, low: FloatArray, spacing: float, threads: int = 1
 ) -> Float32Array:
-    """Fit a plane to the neighbours of each point.
+    """Fit a plane to the neighbours of each of the points (n, 3) whose `asked` (n,) is not 0.
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-    asked : ndarray of uint8, shape (n,)
-        Not 0 for the points whose planes are wanted.
-    low : ndarray of float64, shape (3,)
-        Where a corner of the lattice lies whose cells of 5 spacings share one noise.
-    spacing : float
-        Of the cloud, in length units of the input.
-
-    Returns
-    -------
-    ndarray of float32, shape (m, 3)
-        Normals of the points that were asked for, either way up. The length is the standard
-        deviation of the points around the plane, in length units of the input.
+    Return their normals (m, 3), either way up, as long as the standard deviation of the points
+    around the plane, in length units of the input. A corner of the lattice whose cells of 5
+    spacings share one noise lies at `low` (3,).
 
     Notes
     -----
@@ -77,8 +65,8 @@ def fit_planes(
     more to the points that each is nearer to. Where these leave .25 of what one plane leaves, or
     less, the residual is theirs, and the normal that of the plane the point is nearer to.
 
-    The k nearest are those nearer than the first that is left out, by more than rounding, so that
-    nothing depends on the order of points equally far away. Distances and sums are those of rounded
+    The k nearest are those nearer than the first that is left out, by more than rounding: nothing
+    depends on the order of points equally far away. Distances and sums are those of rounded
     positions, and exact (see `nearest`).
     """
     del threads  # numpy runs on one
@@ -119,12 +107,9 @@ class _Planes:
 
     Parameters
     ----------
-    held : ndarray of float64, shape (n, k)
-        Points in each.
-    squares : ndarray of float64, shape (n, k)
-        Variance across the plane.
-    extent : ndarray of float64, shape (n, k)
-        Variance along the plane, of both directions together; zero where there is no plane.
+    held, squares, extent : ndarray of float64, shape (n, k)
+        Points in each; the variance across the plane; that along it, of both directions together,
+        zero where there is no plane.
     spread : ndarray of float64, shape (6, n, k)
         Covariances, in the order of `_PAIRS`.
     sheets : ndarray of float64, shape (n, 4)
@@ -187,16 +172,9 @@ def _fit(tree: cKDTree, rows: IntArray, counts: tuple[int, ...]) -> _Planes:
 def _find_sheets(
     arms: FloatArray, number: IntArray, spread: FloatArray, alone: FloatArray
 ) -> FloatArray:
-    """Fit two planes to the first ones of some neighbours; see `_Planes.sheets`.
+    """Fit two planes to the first `number` (n,) of neighbours (n, k, 3); see `_Planes.sheets`.
 
-    Parameters
-    ----------
-    arms : ndarray of float64, shape (n, k, 3)
-    number : ndarray of int64, shape (n,)
-        So many of each count.
-    spread : ndarray of float64, shape (6, n)
-    alone : ndarray of float64, shape (n,)
-        What one plane leaves over.
+    One plane has the `spread` (6, n), and leaves `alone` (n,) over.
     """
     is_held = np.arange(arms.shape[1]) < number[:, None]
     arms = arms * is_held[..., None]

@@ -31,30 +31,11 @@ def group_sheets(
 ) -> tuple[IntArray, IntArray, IntArray, ByteArray]:
     """Group the points of each cell by the sheets that they lie on.
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        At least one.
-    vectors : ndarray of float32, shape (n, 3)
-        What `fit_planes` has returned of them.
-    low : ndarray of float64, shape (3,)
-        Where a corner of the lattice lies.
-    edge : float
-        Of its cells, in length units of the input.
-    spacing : float
-        Of the cloud, in length units of the input.
+    `vectors` (n, 3) are what `fit_planes` has returned of the points (n, 3), one at least; a corner
+    of the lattice of cells lies at `low` (3,). Return the cell of each group, and which of its
+    groups it is, both (g,), sorted by both; the group of each point, (n,); and 1 where its normal
+    is on the other side than the seed's of its group, (n,).
 
-    Returns
-    -------
-    keys, ranks : ndarray of int64, shape (g,)
-        The cell of each group, and which of its groups it is; sorted by both.
-    group_of : ndarray of int64, shape (n,)
-        The group of each point.
-    is_opposed : ndarray of uint8, shape (n,)
-        1 where the point's normal is on the other side than the seed's of its group.
-
-    Notes
-    -----
     The seed of a group is the point nearest to the middle of those of its cell that have no group
     yet; those that lie on its plane, and it on theirs, go to it. What is left by eleven groups is
     the twelfth.
@@ -91,8 +72,7 @@ def group_sheets(
 def _find_seeds(positions: FloatArray, rows: IntArray, cell_of: IntArray) -> IntArray:
     """Return for each row the point of its cell nearest to the middle of the rows there.
 
-    Of several as near, as both of two are, it is the first.
-    The rows of a cell stand side by side.
+    Of several as near, as both of two are, it is the first. Rows of a cell stand side by side.
     """
     cells = cell_of[rows]
     starts = np.flatnonzero(np.append(True, cells[1:] != cells[:-1]))

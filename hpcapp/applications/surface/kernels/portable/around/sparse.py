@@ -23,22 +23,10 @@ def find_sparse(
     enough: int,
     threads: int = 1,
 ) -> BoolArray:
-    """Tell which points have few others around them.
+    """Tell which points (n, 3) have fewer than `enough` others around them, (n,).
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        In length units of the input.
-    keys, offsets, rows
-        The cells that `sort_points` puts them into.
-    radii : ndarray of float64, shape (c,)
-        How far is looked from the points of each cell: the edge of a cell at most.
-    enough : int
-        So many others within the radius are not few.
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
+    `sort_points` has put them into the cells `keys`, `offsets`, `rows`. Around those of each cell,
+    others count within `radii` (c,), the edge of a cell at most.
     """
     del threads  # numpy runs on one
     counts = np.diff(offsets)
@@ -74,27 +62,12 @@ def find_nearest(
     limit: float,
     threads: int = 1,
 ) -> tuple[FloatArray, IntArray]:
-    """Find the points nearest to some.
+    """Find so many points nearest to those of the rows `asked` (m,), none of them the point itself.
 
-    Parameters
-    ----------
-    positions, keys, offsets, rows
-        As for `find_sparse`.
-    edge : float
-        Of a cell, in length units of the input.
-    asked : ndarray of int64, shape (m,)
-        Rows of points.
-    count : int
-        So many are found, none of them the point itself.
-    limit : float
-        Farther points are not found; in length units of the input, 64 edges at most.
-
-    Returns
-    -------
-    squares : ndarray of float64, shape (m, count)
-        Of their distances, rising; infinite where there are no more.
-    nearest : ndarray of int64, shape (m, count)
-        Their rows, rising where they are equally far away; n where there are no more.
+    The points and their cells, of that edge, are as for `find_sparse`. Those farther than `limit`,
+    a length of 64 edges at most, are not found. Return the squares of their distances, rising,
+    infinite where there are no more, and their rows, rising where they are equally far away, n
+    where there are no more; both (m, count).
     """
     from scipy.spatial import cKDTree  # a heavy module: the native build does without it
 

@@ -35,21 +35,10 @@ def count_supporting(
 ) -> tuple[IntArray, FloatArray]:
     """Count the points that support each place, and add up their normals.
 
-    Parameters
-    ----------
-    places : ndarray of float64, shape (p, 3)
-        In length units of the input.
-    positions, normals : ndarray of float64, shape (n, 3)
-        Of the points.
-    radii, thickness : ndarray of float64, shape (n,)
-        Of each point's ellipsoid: along the plane that its normal stands on, and off it; positive,
-        in length units of the input. The thickness is the radius at most.
-
-    Returns
-    -------
-    counts : ndarray of int64, shape (p,)
-    sums : ndarray of float64, shape (p, 3)
-        Of the normals, each rounded to 2^-20, in these.
+    The ellipsoids of points (n, 3) reach `radii` (n,) along the plane that the normal (n, 3) stands
+    on, and `thickness` (n,) off it: above 0, in length units of the input, the thickness the radius
+    at most. Return, for places (p, 3), counts (p,) and the sums (p, 3) of normals, in units of
+    2^-20, to which each is rounded.
     """
     del threads  # numpy runs on one
     counts, sums = np.zeros(len(places), np.int64), np.zeros((len(places), 3))
@@ -76,24 +65,11 @@ def measure_aside(
 ) -> FloatArray:
     """Measure how far places a step beside some are from the points that support them.
 
-    Parameters
-    ----------
-    places : ndarray of float64, shape (p, 3)
-        In length units of the input.
-    ways : ndarray of float64, shape (p, k, 3)
-        Unit vectors from each place. A point is asked how far it is a step that way: as far along
-        its plane as it is thick.
-    positions, normals, radii, thickness
-        As for `count_supporting`.
-    enough : int
-        Of the squares of so many points, the largest is that of a step.
-    least, most : float
-        Squares are clamped to these; points beyond the second are not asked.
-
-    Returns
-    -------
-    ndarray of float64, shape (p,)
-        Squares of distances, in the axes of the points' ellipsoids; of all ways the largest.
+    `ways` (p, k, 3) are unit vectors from each of the places (p, 3); a point is asked how far it is
+    a step that way: as far along its plane as it is thick. Of the squares of `enough` points, the
+    largest is that of a step. Squares are clamped to `least` and `most`; points beyond the latter
+    are not asked. Return the largest squares of all ways, (p,), in the axes of the points'
+    ellipsoids (see `count_supporting`).
     """
     del threads
     # (p, k, e): the least squares there
@@ -117,9 +93,8 @@ class _Pairs:
     Parameters
     ----------
     at, points : ndarray of int64, shape (q,)
-        The place, and the point.
     along : ndarray of float64, shape (q, 3)
-        From the point to it along the point's plane, in radii.
+        From the point to the place along the point's plane, in radii.
     squares : ndarray of float64, shape (q,)
         Of the distance, in the axes of the point's ellipsoid.
     """

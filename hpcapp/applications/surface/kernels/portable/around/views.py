@@ -26,22 +26,11 @@ def view_patches(
     spacing: float,
     threads: int = 1,
 ) -> tuple[Int8Array, BoolArray]:
-    """Tell which patches are seen from each of v viewpoints.
+    """Tell which patches are seen from each of v viewpoints (v, 3).
 
-    Parameters
-    ----------
-    centres : ndarray of float64, shape (p, 3)
-        In length units of the input.
-    normals : ndarray of float64, shape (p, 3)
-        Unit length.
-    thickness : ndarray of float64, shape (p,)
-        How far behind the plane of what is seen each may lie, in the same units.
-    least : ndarray of float64, shape (p,)
-        Of which cosine between normal and line of sight on its side is certain.
-    viewpoints : ndarray of float64, shape (v, 3)
-        In length units of the input.
-    spacing : float
-        Of the cloud, in the same units.
+    Patches have centres and unit normals (p, 3), and `thickness` (p,), in length units of the
+    input: how far behind the plane of what is seen they may lie. Above the cosine `least` (p,) of
+    the angle between its normal and the line of sight, the side of a patch is certain.
 
     Returns
     -------
@@ -69,20 +58,10 @@ def view_patches(
 
 
 def add_views(cosines: Int8Array, is_seen: BoolArray) -> tuple[Int32Array, Int32Array, BoolArray]:
-    """Add up what v viewpoints see of p patches.
+    """Add up what v viewpoints see of p patches: `cosines`, `is_seen` (v, p) of `view_patches`.
 
-    Parameters
-    ----------
-    cosines : ndarray of int8, shape (v, p)
-    is_seen : ndarray of bool, shape (v, p)
-        See `view_patches`.
-
-    Returns
-    -------
-    front, back : ndarray of int32, shape (p,)
-        The sums of the cosines above 0, and of those below it without their sign.
-    is_seen : ndarray of bool, shape (p,)
-        From any of the viewpoints.
+    Return the sums of the cosines above 0, and of those below it without their sign, and which
+    patches are seen from any of the viewpoints; all (p,).
     """
     front = np.maximum(cosines, 0).sum(axis=0, dtype=np.int32)
     back = front - cosines.sum(axis=0, dtype=np.int32)

@@ -35,25 +35,13 @@ def integrate_normals(
     nodes: int,
     threads: int = 1,
 ) -> Float32Array:
-    """Integrate normals, spread on a periodic grid and smeared by a Gaussian.
+    """Integrate normals (n, 3), spread on a periodic grid and smeared by a Gaussian.
 
-    Parameters
-    ----------
-    places : ndarray of float64, shape (n, 3)
-        In grid steps from node (0, 0, 0).
-    normals : ndarray of float64, shape (n, 3)
-    smoothing : float
-        Standard deviation of the Gaussian, in grid steps.
-    held : ndarray of int64, shape (2, 2)
-        The first and the end of the planes (x) and of the rows (y) to be kept. All samples must
-        lie between them.
-    nodes : int
-        Along each side of the grid, a power of two.
-
-    Returns
-    -------
-    ndarray of float32, shape (planes, rows, nodes)
-        The function whose gradient is nearest to the smeared normals, times grid steps.
+    `places` (n, 3) are in grid steps from node (0, 0, 0), as is the standard deviation of the
+    Gaussian, `smoothing`; the grid has `nodes` along each side, a power of two. `held` (2, 2) has
+    the first and the end of the planes (x) and of the rows (y) to be kept; all samples must lie
+    between them. Return the function (planes, rows, nodes) whose gradient is nearest to the smeared
+    normals, times grid steps.
 
     Notes
     -----
@@ -104,17 +92,9 @@ def _pad_planes(planes: Spectrum, nodes: int, kept: Held) -> Spectrum:
 
 
 def sample_grid(values: Float32Array, places: FloatArray) -> FloatArray:
-    """Interpolate a grid trilinearly.
+    """Interpolate a grid (g, g, g) trilinearly at places (n, 3), which gives (n,).
 
-    Parameters
-    ----------
-    values : ndarray of float32, shape (g, g, g)
-    places : ndarray of float64, shape (n, 3)
-        In grid steps from node (0, 0, 0); beyond the grid its outermost cells are continued.
-
-    Returns
-    -------
-    ndarray of float64, shape (n,)
+    Places are in grid steps from node (0, 0, 0); beyond the grid its outermost cells are continued.
     """
     flat = values.reshape(-1)
     total = np.zeros(len(places))
@@ -126,16 +106,9 @@ def sample_grid(values: Float32Array, places: FloatArray) -> FloatArray:
 def sample_corners(
     values: Float32Array, keys: IntArray, origin: FloatArray, spacing: float
 ) -> FloatArray:
-    """Interpolate a grid trilinearly at the corners of a lattice.
+    """Interpolate a grid (g, g, g) trilinearly at the corners of a lattice, sorted keys (v,).
 
-    Parameters
-    ----------
-    values : ndarray of float32, shape (g, g, g)
-    keys : ndarray of int64, shape (v,)
-        Sorted keys of corners.
-    origin : ndarray of float64, shape (3,)
-        Where corner (0, 0, 0) lies, in grid steps from node (0, 0, 0).
-    spacing : float
-        Of the corners, in grid steps.
+    In grid steps, `origin` (3,) is corner (0, 0, 0) seen from node (0, 0, 0), and `spacing` that of
+    the corners. Return values (v,).
     """
     return sample_grid(values, origin + spacing * unpack_keys(keys))

@@ -20,15 +20,8 @@ def blend_features(
 ) -> FloatArray:
     """Blend what joined quadrics differ by from the one quadric of their vertex.
 
-    Parameters
-    ----------
-    keys : ndarray of int64, shape (b, k, k, k)
-        Of the vertices around each brick.
-
-    Returns
-    -------
-    ndarray of float64, shape (b, n, n, n)
-        To be added to the weighted sums of the quadrics.
+    `keys` (b, k, k, k) are those of the vertices around each brick, other arrays as for
+    `blend_quadrics`. Return what is to be added to the weighted sums of the quadrics, (b, n, n, n).
     """
     sums = np.zeros((len(rows), *[local.shape[2]] * 3))
     # (b, k, k, k): where the vertices stand among the features; then one after the other.

@@ -99,25 +99,11 @@ def fit_features(
 ) -> tuple[Float32Array, ByteArray]:
     """Fit joined quadrics around those vertices where one quadric is not enough.
 
-    Parameters
-    ----------
-    vertices : ndarray of int64, shape (v,)
-        Sorted keys of corners of the cells.
-    cells : ndarray of int64, shape (c,)
-        Sorted keys: all with points within three cells of a vertex.
-    offsets : ndarray of int64, shape (c + 1,)
-        Cell i holds the points offsets[i] to offsets[i + 1].
-    local_positions : ndarray of float64, shape (n, 3)
-        Relative to the centre of the point's cell, in cells.
-    normals : ndarray of float64, shape (n, 3)
-    noise : float
-        Variance of the positions along the normals, in cells squared.
-
-    Returns
-    -------
-    pieces : ndarray of float32, shape (v, 3, 10)
-    joints : ndarray of uint8, shape (v,)
-        See `types.field.Features`; 255 where one quadric does.
+    `vertices` (v,) are sorted keys of corners, `cells` (c,) those of all cells with points within
+    three cells of one; by `offsets` (c + 1,), cell i holds the points offsets[i] to offsets[i + 1].
+    Positions (n, 3) are relative to the centre of the point's cell, in cells, with normals (n, 3);
+    `noise` is the variance of positions along the normals, in cells squared. Return the pieces
+    (v, 3, 10) and joints (v,) of `types.field.Features`; 255 where one quadric does.
 
     Notes
     -----

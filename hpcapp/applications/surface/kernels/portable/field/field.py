@@ -41,19 +41,11 @@ HULL_REACH = 16.0
 
 
 def evaluate_bricks(field: Field, grid: Grid, places: IntArray, threads: int = 1) -> Float32Array:
-    """Evaluate the implicit function at all nodes of some bricks.
+    """Evaluate the implicit function at all nodes of the bricks `places` (b, 3).
 
-    Parameters
-    ----------
-    places : ndarray of int64, shape (b, 3)
-        Which bricks.
-
-    Returns
-    -------
-    ndarray of float32, shape (b, 9, 9, 9)
-        In cells of the finest lattice, positive outside, never 0; the outermost nodes of
-        the grid are positive, so that every surface closes inside it. Where strides are longer,
-        a place without a node has the value of the next node below it.
+    Return (b, 9, 9, 9), in cells of the finest lattice, positive outside, never 0; the outermost
+    nodes of the grid are positive, so that every surface closes inside it. Where strides are
+    longer, a place without a node has the value of the next node below it.
 
     Notes
     -----
@@ -159,16 +151,9 @@ def _locate(
 
 
 def cross_axes(per_axis: Array) -> tuple[Array, Array, Array]:
-    """Reshape one row per brick and axis so that the three broadcast to a block.
+    """Reshape one row per brick and axis, (3, b, k), so that the three broadcast to a block.
 
-    Parameters
-    ----------
-    per_axis : ndarray, shape (3, b, k)
-
-    Returns
-    -------
-    x, y, z : ndarray
-        Of shapes (b, k, 1, 1), (b, 1, k, 1) and (b, 1, 1, k).
+    Return x, y and z of shapes (b, k, 1, 1), (b, 1, k, 1) and (b, 1, 1, k).
     """
     x, y, z = per_axis
     return x[:, :, None, None], y[:, None, :, None], z[:, None, None, :]
@@ -177,15 +162,8 @@ def cross_axes(per_axis: Array) -> tuple[Array, Array, Array]:
 def needed_layers(lower: IntArray) -> tuple[IntArray, IntArray]:
     """Return the layers of a lattice that each brick needs, and where each node's lower one is.
 
-    Parameters
-    ----------
-    lower : ndarray of int64, shape (3, b, n)
-
-    Returns
-    -------
-    layers : ndarray of int64, shape (3, b, k)
-    index : ndarray of int64, shape (3, b, n)
-        Into `layers`; the upper layer is the next.
+    Given the layer below each node, (3, b, n), these are (3, b, k), and rows (3, b, n) of them; the
+    upper layer is the next row.
     """
     first = lower[:, :, :1]
     span = int((lower - first).max()) + 2
@@ -202,21 +180,11 @@ def blend_quadrics(
 ) -> FloatArray:
     """Blend the quadrics of the eight vertices around each node, over whole bricks.
 
-    Parameters
-    ----------
-    channels : ndarray of float64, shape (12, v + 1)
-        The ten coefficients, 1, and the trust of each vertex; a column of zeros for a missing one.
-    rows : ndarray of int64, shape (b, k, k, k)
-        The vertices around each brick, as columns of `channels`.
-    lower : ndarray of int64, shape (3, b, n)
-        Per axis, which of the k layers lies below each node.
-    local : ndarray of float64, shape (3, b, n)
-        Per axis, each node's height above that layer, in cells (0 to 1).
-
-    Returns
-    -------
-    ndarray of float64, shape (3, b, n, n, n)
-        Weighted sums of the quadrics, of 1, and of the trust.
+    `channels` (12, v + 1) has the ten coefficients, 1, and the trust of each vertex, and a column
+    of zeros for a missing one; `rows` (b, k, k, k) are the columns around each brick. Per axis,
+    `lower` (3, b, n) is which of the k layers lies below each node, and `local` (3, b, n) the
+    height above it, in cells (0 to 1). Return weighted sums (3, b, n, n, n) of the quadrics, of 1,
+    and of the trust.
 
     Notes
     -----
@@ -232,19 +200,10 @@ def blend_quadrics(
 
 
 def interpolate_far(values: Float32Array, lower: IntArray, local: FloatArray) -> FloatArray:
-    """Interpolate the far field trilinearly over whole bricks, one axis after the other.
+    """Interpolate the far field (g, g, g) trilinearly over whole bricks, one axis after the other.
 
-    Parameters
-    ----------
-    values : ndarray of float32, shape (g, g, g)
-    lower : ndarray of int64, shape (3, b, n)
-        Per axis, the grid layer below each node.
-    local : ndarray of float64, shape (3, b, n)
-        Per axis, each node's height above that layer, in steps (0 to 1).
-
-    Returns
-    -------
-    ndarray of float64, shape (b, n, n, n)
+    Per axis, `lower` (3, b, n) is the grid layer below each node, and `local` (3, b, n) the height
+    above it, in steps (0 to 1). Return (b, n, n, n).
     """
     layers, lower = needed_layers(lower)
     x, y, z = cross_axes(np.clip(layers, 0, len(values) - 1))

@@ -20,17 +20,9 @@ ENDS = np.array([0, *[1] * (BRICK - 1), 2])
 def line_shifts(grid: Grid, places: IntArray) -> ByteArray:
     """Return how far apart the nodes are on the lines through some bricks, as powers of two.
 
-    Parameters
-    ----------
-    grid : Grid
-        With strides.
-    places : ndarray of int64, shape (b, 3)
-
-    Returns
-    -------
-    ndarray of uint8, shape (b, 3, 3, 3)
-        Inside the brick (1, 1, 1), on its faces, with 0 or 2 for the low or the high end of one
-        axis, and on its edges, with two of these. Of corners, which are no lines, as inside.
+    Of a grid with strides, and places (b, 3), it gives (b, 3, 3, 3): inside the brick (1, 1, 1), on
+    its faces, with 0 or 2 for the low or the high end of one axis, and on its edges, with two of
+    these. Of corners, which are no lines, as inside.
     """
     assert grid.strides is not None  # noqa: S101 - it is asked only then
     steps = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), axis=-1)
@@ -56,15 +48,8 @@ def finest_shifts(shifts: ByteArray) -> ByteArray:
 def fill_missing(values: Float32Array, shifts: ByteArray) -> Float32Array:
     """Give each place without a node the value of the next node below it, along all axes.
 
-    Parameters
-    ----------
-    values : ndarray of float32, shape (b, 9, 9, 9)
-    shifts : ndarray of uint8, shape (b, 3, 3, 3)
-        As of `line_shifts`.
-
-    Notes
-    -----
-    Nodes below a place on a face lie on that face: it has both signs exactly where its nodes do.
+    Of values (b, 9, 9, 9), and shifts (b, 3, 3, 3) of `line_shifts`. Nodes below a place on a face
+    lie on that face: it has both signs exactly where its nodes do.
     """
     apart = shifts[:, ENDS[:, None, None], ENDS[:, None], ENDS].astype(np.int64)
     x, y, z = (at >> apart << apart for at in np.indices((NODES,) * 3))

@@ -10,20 +10,10 @@ __all__ = ["measure_distances"]
 
 
 def measure_distances(occupied: BoolArray, threads: int = 1) -> FloatArray:
-    """Measure how far each cell is from the nearest one that is occupied.
+    """Measure how far each cell (x, y, z) is from the nearest one that is occupied, in cells.
 
-    Parameters
-    ----------
-    occupied : ndarray of bool, shape (x, y, z)
-
-    Returns
-    -------
-    ndarray of float64, shape (x, y, z)
-        In cells, from middle to middle; infinite where none is occupied.
-
-    References
-    ----------
-    Felzenszwalb and Huttenlocher (2012), Distance transforms of sampled functions.
+    From middle to middle; infinite where none is occupied. See Felzenszwalb and Huttenlocher
+    (2012), Distance transforms of sampled functions.
     """
     from scipy import ndimage  # a heavy module: the native build does without it
 

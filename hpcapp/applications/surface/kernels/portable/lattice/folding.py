@@ -26,35 +26,20 @@ _SIGN = np.uint32(1 << 31)
 
 
 def bound_records(records: Float32Array) -> IntArray:
-    """Return the least and the largest number in each column of some records.
+    """Return the least and the largest number in each column of some records, (2, 7).
 
-    Parameters
-    ----------
-    records : ndarray of float32, shape (n, 6)
-        Offset and normal of each point, one or more; see `packing.pack_records`.
-
-    Returns
-    -------
-    ndarray of int64, shape (2, 7)
+    Records (n, 6), one or more, are the offset and normal of a point: see `packing.pack_records`.
     """
     columns = _split(records)
     return np.stack([columns.min(axis=1), columns.max(axis=1)])
 
 
 def fold_records(records: Float32Array, lows: IntArray, widths: IntArray) -> ByteArray:
-    """Return records in fewer bytes, without loss.
+    """Return records (n, 6) in fewer bytes, without loss: (n, s).
 
-    Parameters
-    ----------
-    records : ndarray of float32, shape (n, 6)
-    lows, widths : ndarray of int64, shape (7,)
-        Of each column the least number, and in how many bits, 32 at most, its distance from that
-        fits.
-
-    Returns
-    -------
-    ndarray of uint8, shape (n, s)
-        s bytes hold the bits of all columns, the first one's least significant bit first.
+    Of each column, `lows` (7,) is the least number, and `widths` (7,) in how many bits, 32 at most,
+    its distance from that fits. A record's s bytes hold the bits of all columns, the first one's
+    least significant bit first.
     """
     words = np.zeros((len(records), _WORDS), "<u8")
     at = 0
@@ -79,17 +64,10 @@ def unfold_records(
     starts: IntArray,
     records: Float32Array,
 ) -> None:
-    """Put records that were folded where they belong.
+    """Put records that were folded, (n, s), where they belong in `records` (m, 6).
 
-    Parameters
-    ----------
-    folded : ndarray of uint8, shape (n, s)
-    lows, widths : ndarray of int64, shape (7,)
-        See `fold_records`.
-    counts, starts : ndarray of int64, shape (b,)
-        So many records, one block after the other, and the row that the first of each goes to.
-    records : ndarray of float32, shape (m, 6)
-        Is written to.
+    `lows` and `widths` (7,) are as for `fold_records`. There are `counts` (b,) of them, one block
+    after the other; `starts` (b,) are the rows that the first of each goes to.
     """
     words = np.zeros((len(folded), 8 * _WORDS), np.uint8)
     words[:, : folded.shape[1]] = folded

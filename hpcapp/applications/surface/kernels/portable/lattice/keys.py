@@ -40,19 +40,7 @@ __all__ = [
 
 
 def find_keys(keys: IntArray, wanted: IntArray, threads: int = 1) -> IntArray:
-    """Return where each of some keys stands among sorted keys.
-
-    Parameters
-    ----------
-    keys : ndarray of int64, shape (k,)
-        Sorted, unique.
-    wanted : ndarray of int64, shape (...)
-
-    Returns
-    -------
-    ndarray of int64, shape (...)
-        The row in `keys`, and k where a key is missing.
-    """
+    """Return the rows of keys (...) among sorted, unique keys (k,): k where one is missing."""
     del threads  # numpy runs on one
     return lattice.find_keys(keys, wanted)
 
@@ -60,20 +48,9 @@ def find_keys(keys: IntArray, wanted: IntArray, threads: int = 1) -> IntArray:
 def mark_ancestors(cells: IntArray, depth: int, ancestors: IntArray) -> NDArray[np.uint32]:
     """Tell which cells of a level are ancestors of some of the finest, and where in them these lie.
 
-    Parameters
-    ----------
-    cells : ndarray of int64, shape (c,)
-        Sorted keys of finest cells.
-    depth : int
-        The level.
-    ancestors : ndarray of int64, shape (a,)
-        Sorted keys of cells of that level.
-
-    Returns
-    -------
-    ndarray of uint32, shape (a,)
-        Bit x + 3 y + 9 z is set where one of the cells lies, along each axis, first (0), between
-        (1) or last (2) among the finest in the ancestor; 0 for what is the ancestor of none.
+    `cells` (c,) are sorted keys of finest cells, `ancestors` (a,) those of cells of level `depth`.
+    In (a,), bit x + 3 y + 9 z is set where one of the cells lies, along each axis, first (0),
+    between (1) or last (2) among the finest in the ancestor; 0 for what is the ancestor of none.
     """
     places = unpack_keys(cells)
     # (c, 3): where each lies in its ancestor along each axis: first 0, between 1, last 2.
@@ -87,14 +64,9 @@ def mark_ancestors(cells: IntArray, depth: int, ancestors: IntArray) -> NDArray[
 
 
 def mark_near(keys: IntArray, cells: IntArray, low: IntArray, high: IntArray) -> BoolArray:
-    """Tell which of some keys lie in boxes around some cells.
+    """Tell which keys (k,) lie in boxes around cells (c,), both sorted keys of one lattice.
 
-    Parameters
-    ----------
-    keys, cells : ndarray of int64, shapes (k,) and (c,)
-        Sorted keys of one lattice.
-    low, high : ndarray of int64, shape (3,)
-        How many cells a box reaches down and up along each axis.
+    A box reaches `low` and `high` (3,) cells down and up along each axis.
     """
     for axis, unit in enumerate(np.eye(3, dtype=np.int64)):
         steps = [step_keys(cells, unit * step) for step in range(-low[axis], high[axis] + 1)]
@@ -112,20 +84,10 @@ def look_near(
     edge: float,
     reach: float,
 ) -> BoolArray:
-    """Tell which cells have a brick that may be evaluated within reach, see `halo.near_bricks`.
+    """Tell which cells (c,) have a brick that may be evaluated in reach, see `halo.near_bricks`.
 
-    Parameters
-    ----------
-    kinds : ndarray of uint8, shape (x, y, z)
-        Of the bricks of a box, such as `OUT`.
-    corner : ndarray of float64, shape (3,)
-        Where the lowest of them begins, in length units of the input.
-    edge, reach : float
-        Of a brick, and from the middle of a cell along every axis; likewise.
-
-    Returns
-    -------
-    ndarray of bool, shape (c,)
+    `kinds` (x, y, z), such as `OUT`, are those of the bricks in a box, of which the lowest begins
+    at `corner` (3,), and `edge` is a brick's. The reach is from a cell's middle along every axis.
     """
     places = origin + cell_size * (unpack_keys(cells) + 0.5)  # (c, 3): the middles
     # (x + 1, y + 1, z + 1): how many such bricks lie below each corner of the bricks
@@ -146,17 +108,7 @@ def look_near(
 
 
 def parent_keys(vertices: IntArray) -> IntArray:
-    """Return every parent of some corners.
-
-    Parameters
-    ----------
-    vertices : ndarray of int64, shape (v,)
-
-    Returns
-    -------
-    ndarray of int64, shape (p,)
-        Sorted, unique keys of the next coarser level.
-    """
+    """Return all parents of corners (v,): sorted, unique keys of the next coarser level, (p,)."""
     places = unpack_keys(vertices)
     parents = [unique_keys(corner_parents(places, octant)[0]) for octant in OCTANTS]
     return unique_keys(np.concatenate(parents))
@@ -165,16 +117,8 @@ def parent_keys(vertices: IntArray) -> IntArray:
 def label_cells(keys: IntArray) -> tuple[int, Int32Array]:
     """Number the pieces of cells that touch, by faces, edges or corners.
 
-    Parameters
-    ----------
-    keys : ndarray of int64, shape (c,)
-        Sorted, unique.
-
-    Returns
-    -------
-    pieces : int
-    label : ndarray of int32, shape (c,)
-        The piece of each cell, numbered in the order of their first cells.
+    Given sorted, unique keys (c,), return how many pieces there are, and the piece of each cell,
+    (c,), numbered in the order of their first cells.
     """
     links = [np.zeros((0, 3), np.int64)]
     for step in NEIGHBOURS[len(NEIGHBOURS) // 2 + 1 :]:

@@ -40,20 +40,11 @@ _ROWS_AT_ONCE = 1 << 14  # what is made of them stays in the cache
 def pack_records(
     positions: FloatArray, normals: FloatArray, origin: FloatArray, edge: float
 ) -> tuple[IntArray, IntArray, Float32Array]:
-    """Sort points by blocks and pack them.
+    """Sort points (n, 3) by blocks and pack them.
 
-    Parameters
-    ----------
-    positions, normals : ndarray of float64, shape (n, 3)
-    origin : ndarray of float64, shape (3,)
-
-    Returns
-    -------
-    keys, counts : ndarray of int64, shape (b,)
-        Of the blocks, sorted.
-    records : ndarray of float32, shape (n, 6)
-        Offset and normal of each point; within a block the points keep their order. Offsets are
-        the middles of 2^23 quanta along a block.
+    Corner (0, 0, 0) of the blocks lies at `origin` (3,). Return their sorted keys and counts (b,),
+    and records (n, 6): the offset and normal of each point, which keep their order within a block.
+    Offsets are the middles of 2^23 quanta along a block.
     """
     keys, offsets, rows = sort_points(positions, origin, edge)
     records = np.empty((len(rows), 6), np.float32)
@@ -69,22 +60,10 @@ def pack_records(
 def unpack_records(
     records: Float32Array, counts: IntArray, corners: FloatArray, edge: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the positions and normals of points that were packed.
+    """Return the positions and normals (n, 3) of points that were packed.
 
-    Parameters
-    ----------
-    records : ndarray of float32, shape (n, 6)
-        Offset and normal of each point, block after block.
-    counts : ndarray of int64, shape (b,)
-        Points in each block.
-    corners : ndarray of float64, shape (b, 3)
-        Of the blocks, in length units of the input.
-    edge : float
-        Of a block, likewise.
-
-    Returns
-    -------
-    positions, normals : ndarray of float64, shape (n, 3)
+    Records (n, 6) are the offset and normal of each point, block after block; each block, of that
+    edge, holds `counts` (b,) points, and has its corner at `corners` (b, 3).
     """
     block_of = np.repeat(np.arange(len(corners)), counts)
     positions = np.empty((len(block_of), 3))
@@ -104,18 +83,9 @@ def unpack_within(
     low: FloatArray,
     high: FloatArray,
 ) -> tuple[FloatArray, IntArray]:
-    """Return the packed positions in a box, and which they are.
+    """Return the packed positions (m, 3) in a box, and their rows (m,), rising.
 
-    Parameters
-    ----------
-    low, high : ndarray of float64, shape (3,)
-        Corners of the box, which belong to it; in length units of the input.
-
-    Returns
-    -------
-    positions : ndarray of float64, shape (m, 3)
-    rows : ndarray of int64, shape (m,)
-        Rising.
+    The corners of the box, `low` and `high` (3,), belong to it.
     """
     positions, _ = unpack_records(records, counts, corners, edge)
     rows = np.flatnonzero(((positions >= low) & (positions <= high)).all(axis=1))
@@ -130,19 +100,9 @@ def count_packed(
     origin: FloatArray,
     cell_size: float,
 ) -> tuple[IntArray, IntArray]:
-    """Count packed points in the occupied cells of a lattice.
+    """Count packed points in the occupied cells of a lattice: sorted keys and counts, (c,).
 
-    Parameters
-    ----------
-    origin : ndarray of float64, shape (3,)
-        Corner of a cell.
-    cell_size : float
-        In length units of the input. Cells are to be few.
-
-    Returns
-    -------
-    cells, counts : ndarray of int64, shape (c,)
-        Sorted keys, and the points in each.
+    `origin` (3,) is the corner of a cell. Cells are to be few.
     """
     positions, _ = unpack_records(records, counts, corners, edge)
     keys = pack_places(np.floor(cells_of(positions, origin, cell_size)).astype(np.int64))
@@ -162,18 +122,8 @@ def sort_packed(
 ) -> tuple[IntArray, IntArray, Float32Array, NDArray[np.uint32], ByteArray]:
     """Sort packed points by the finest cell, as `packed_cells.sort_tile` describes.
 
-    Parameters
-    ----------
-    origin : ndarray of float64, shape (3,)
-        Where corner (0, 0, 0) of the lattice lies.
-    cell_size : float
-        Of the finest cells, in length units of the input.
-    depth : int
-        So many levels further up are the coarse cells.
-    wanted : ndarray of int64, shape (w,)
-        Sorted keys of coarse cells.
-    numbers : ndarray of uint8, shape (w,)
-        A number of each.
+    Corner (0, 0, 0) of the lattice lies at `origin` (3,), and `cell_size` is that of finest cells.
+    `wanted` (w,) are sorted keys of coarse cells, so many levels further up, with `numbers` (w,).
 
     Returns
     -------
@@ -181,10 +131,8 @@ def sort_packed(
         Sorted keys of the occupied finest cells.
     offsets : ndarray of int64, shape (c + 1,)
         Cell i holds the points offsets[i] to offsets[i + 1].
-    taken : ndarray of float32, shape (m, 6)
-        The records of these points.
-    blocks : ndarray of uint32, shape (m,)
-        The block that each lies in: a row of `corners`.
+    taken, blocks : ndarray of float32, shape (m, 6), and of uint32, shape (m,)
+        The records of these points, and the block that each lies in: a row of `corners`.
     groups : ndarray of uint8, shape (c,)
         The number of the coarse cell that each lies in.
     """
@@ -210,17 +158,9 @@ def place_packed(
     origin: FloatArray,
     cell_size: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return packed points relative to the centres of their cells.
+    """Return packed points relative to the centres of their cells, and their normals, both (n, 3).
 
-    Parameters
-    ----------
-    origin, cell_size
-        See `points.gather_points`, whose results these are.
-
-    Returns
-    -------
-    local, normals : ndarray of float64, shape (n, 3)
-        The positions in cells.
+    Positions are in cells; `origin` and `cell_size` are as for `points.gather_points`.
     """
     places = cells_of(_unpack_rows(records, blocks, corners, edge), origin, cell_size)
     return places - np.floor(places) - 0.5, records[:, 3:].astype(np.float64)
@@ -235,19 +175,9 @@ def seed_packed(
     wanted: BoolArray,
     grid: Grid,
 ) -> IntArray:
-    """Return the bricks that hold a point in some cells.
+    """Return the bricks that hold a point in cells that are wanted, (c,): sorted, unique keys (b,).
 
-    Parameters
-    ----------
-    offsets : ndarray of int64, shape (c + 1,)
-        Cell i holds the points offsets[i] to offsets[i + 1].
-    wanted : ndarray of bool, shape (c,)
-        Which cells.
-
-    Returns
-    -------
-    ndarray of int64, shape (b,)
-        Sorted, unique keys.
+    By `offsets` (c + 1,), cell i holds the points offsets[i] to offsets[i + 1].
     """
     rows = np.flatnonzero(np.repeat(wanted, np.diff(offsets)))
     return seed_bricks(grid, _unpack_rows(records[rows], blocks[rows], corners, edge))

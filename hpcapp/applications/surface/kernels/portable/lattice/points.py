@@ -32,29 +32,10 @@ __all__ = [
 def count_cells(
     positions: FloatArray, low: FloatArray, edge: float
 ) -> tuple[IntArray, IntArray, IntArray]:
-    """Count the points in each occupied cell.
+    """Count the points (n, 3), one at least, in each occupied cell.
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        In length units of the input; at least one.
-    low : ndarray of float64, shape (3,)
-        Corner of a cell.
-    edge : float
-        Of a cell, in length units of the input.
-
-    Returns
-    -------
-    keys : ndarray of int64, shape (c,)
-        Sorted.
-    counts : ndarray of int64, shape (c,)
-    cell_of : ndarray of int64, shape (n,)
-        The row of each point's cell.
-
-    Raises
-    ------
-    InputError
-        A point lies too many cells away.
+    `low` (3,) is the corner of a cell. Return sorted keys and counts (c,), and the row of each
+    point's cell (n,). Raise `InputError` where a point lies too many cells away.
     """
     places = pack_places(np.floor(cells_of(positions, low, edge)).astype(np.int64))
     keys, cell_of = number_keys(places)
@@ -62,19 +43,9 @@ def count_cells(
 
 
 def sum_neighbours(keys: IntArray, values: IntArray, wanted: IntArray) -> IntArray:
-    """Sum values over the 27 cells around some cells.
+    """Sum values (c, w) over the 27 cells around those of the rows `wanted` (r,): (r, w).
 
-    Parameters
-    ----------
-    keys : ndarray of int64, shape (c,)
-        Sorted, at least one.
-    values : ndarray of int64, shape (c, w)
-    wanted : ndarray of int64, shape (r,)
-        Rows of the cells in the middle.
-
-    Returns
-    -------
-    ndarray of int64, shape (r, w)
+    The cells' keys (c,) are sorted, one at least.
     """
     padded = np.concatenate([values, np.zeros((1, values.shape[1]), np.int64)])
     sums = np.zeros((len(wanted), values.shape[1]), np.int64)
@@ -86,17 +57,9 @@ def sum_neighbours(keys: IntArray, values: IntArray, wanted: IntArray) -> IntArr
 def count_boxes(
     positions: FloatArray, low: FloatArray, edge: float, one_in: int
 ) -> tuple[int, int]:
-    """Count points and occupied boxes, over a sample of the boxes.
+    """Count points (n, 3) and occupied boxes, over a sample of the boxes.
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-    low : ndarray of float64, shape (3,)
-        Corner of a box.
-    edge : float
-        Of a box, in length units of the input.
-    one_in : int
-        About one box in so many is in the sample, chosen by a hash.
+    `low` (3,) is the corner of a box. About one box in `one_in` is in the sample, chosen by a hash.
     """
     keys = pack_places(np.floor(cells_of(positions, low, edge)).astype(np.int64))
     keys = keys[are_sampled(keys, one_in)]
@@ -104,18 +67,7 @@ def count_boxes(
 
 
 def sample_boxes(positions: FloatArray, low: FloatArray, edge: float, one_in: int) -> IntArray:
-    """Return the points in a sample of boxes.
-
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-    low : ndarray of float64, shape (3,)
-
-    Returns
-    -------
-    ndarray of int64, shape (m,)
-        Their rows, rising.
-    """
+    """Return the rows (m,), rising, of points (n, 3) in a sample of boxes (see `count_boxes`)."""
     places = np.floor(cells_of(positions, low, edge)).astype(np.int64)
     return np.flatnonzero(are_sampled(pack_places(places), one_in))
 
@@ -125,30 +77,10 @@ def count_halved(
 ) -> tuple[IntArray, IntArray, IntArray]:
     """Count points in cells, and in each the boxes that hold some as it is halved again and again.
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        In length units of the input; at least one.
-    origin : ndarray of float64, shape (3,)
-        Corner of a cell.
-    cell_size : float
-        In length units of the input.
-    depth : int
-        So often cells are halved: 20 times at most.
-
-    Returns
-    -------
-    cells : ndarray of int64, shape (c,)
-        Sorted keys of the occupied cells.
-    points : ndarray of int64, shape (c,)
-        In each.
-    boxes : ndarray of int64, shape (c, depth + 1)
-        That hold points: of the cell's edge, of half of it, of a quarter and so on.
-
-    Raises
-    ------
-    InputError
-        A point lies too many boxes away.
+    `origin` (3,) is the corner of a cell; cells are halved `depth` times, 20 at most. Return the
+    sorted keys of those that hold points (n, 3), one at least; the points in each, (c,); and the
+    boxes that hold some, (c, depth + 1): of the cell's edge, of half of it, of a quarter and so on.
+    Raise `InputError` where a point lies too many boxes away.
     """
     boxes, offsets, _ = sort_points(positions, origin, cell_size * 2.0**-depth)
     # (b,): the cell that each of the smallest boxes lies in.
@@ -167,30 +99,12 @@ def count_halved(
 def sort_points(
     positions: FloatArray, origin: FloatArray, cell_size: float
 ) -> tuple[IntArray, IntArray, NDArray[np.uint32]]:
-    """Sort points by the cell that they lie in.
+    """Sort points (n, 3), one at least, by the cell that they lie in.
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        In length units of the input; at least one.
-    origin : ndarray of float64, shape (3,)
-        Where corner (0, 0, 0) of the lattice lies.
-    cell_size : float
-        In length units of the input.
-
-    Returns
-    -------
-    cells : ndarray of int64, shape (c,)
-        Sorted keys of the occupied cells.
-    offsets : ndarray of int64, shape (c + 1,)
-        Cell i holds the points rows[offsets[i]] to rows[offsets[i + 1]].
-    rows : ndarray of uint32, shape (n,)
-        Within a cell the points keep their order.
-
-    Raises
-    ------
-    InputError
-        A point lies too many cells away.
+    Corner (0, 0, 0) of the lattice lies at `origin` (3,). Return the sorted keys (c,) of occupied
+    cells, offsets (c + 1,) and rows (n,): cell i holds the points rows[offsets[i]] to
+    rows[offsets[i + 1]], in the order that they had. Raise `InputError` where a point lies too many
+    cells away.
     """
     keys = pack_places(np.floor(cells_of(positions, origin, cell_size)).astype(np.int64))
     rows = np.argsort(keys, kind="stable")
@@ -206,19 +120,10 @@ def gather_points(
     origin: FloatArray,
     cell_size: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return some points, each relative to the centre of the cell that it lies in.
+    """Return points of the rows (r,) relative to the centres of their cells, and normals, (r, 3).
 
-    Parameters
-    ----------
-    positions, normals : ndarray of float64, shape (n, 3)
-    rows : ndarray of uint32, shape (r,)
-    origin : ndarray of float64, shape (3,)
-
-    Returns
-    -------
-    local_positions : ndarray of float64, shape (r, 3)
-        In cells.
-    normals : ndarray of float64, shape (r, 3)
+    Those are in cells; the positions and normals given are (n, 3), and `origin` (3,) is as for
+    `sort_points`.
     """
     places = cells_of(positions[rows], origin, cell_size)
     return places - np.floor(places) - 0.5, normals[rows]

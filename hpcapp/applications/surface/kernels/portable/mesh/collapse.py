@@ -37,12 +37,14 @@ def collapse_edges(
 ) -> tuple[FloatArray, IntArray, IntArray, int]:
     """Collapse edges, the one that errs least first, where the mesh stays manifold.
 
+    Faces (f, 3) that are not manifold, or not finite, stay as they are. Return vertices (w, 3),
+    faces (g, 3) in the order of the input, the vertex of the input that each vertex was, (w,), and
+    how many tetrahedra are gone.
+
     Parameters
     ----------
     vertices : ndarray of float64, shape (v, 3)
         In units of an edge or so.
-    faces : ndarray of int64, shape (f, 3)
-        Where they are not manifold, or not finite, they stay as they are.
     goal : int
         Stop at so many faces.
     limit : float
@@ -52,16 +54,6 @@ def collapse_edges(
     keeps_border : bool
         Whether the vertices of borders stay where they are, and not the shape of the borders alone,
         so that parts of a mesh that meet at these are manifold together, too.
-
-    Returns
-    -------
-    vertices : ndarray of float64, shape (w, 3)
-    faces : ndarray of int64, shape (g, 3)
-        In the order of the input.
-    sources : ndarray of int64, shape (w,)
-        The vertex of the input that each was.
-    dropped : int
-        How many tetrahedra are gone.
 
     Notes
     -----

@@ -23,16 +23,10 @@ def find_seams(
 ) -> Seams:
     """Find the open vertices of a part and what lies between them.
 
-    Parameters
-    ----------
-    faces : ndarray of int32, shape (f, 3)
-        The corners: i >= 0 is a node, i < 0 the foreign vertex ~i.
-    counts : tuple of int
-        The part's own vertices, and foreign ones, which are numbered after its own; v together.
-    vertex_of : ndarray of int32, shape (n,)
-        The vertex of each node; node i < v is vertex i.
-    is_open : ndarray of bool, shape (n,)
-        Nodes that are open however their faces stand.
+    A corner i >= 0 of the faces (f, 3) is a node, i < 0 the foreign vertex ~i. `counts` are the
+    part's own vertices and foreign ones, which are numbered after its own; v together. `vertex_of`
+    (n,) is the vertex of each node; node i < v is vertex i. Nodes of `is_open` (n,) are open
+    however their faces stand.
     """
     count = len(is_open)
     # (f, 3) and (3 f,): the node at each corner, and those after and before it in its face.
@@ -80,18 +74,9 @@ def sum_bricks(
 ) -> BrickSums:
     """Sum over the vertices and faces of each component in each brick.
 
-    Parameters
-    ----------
-    vertices : ndarray of float64, shape (v, 3)
-        Brick by brick; in length units of the input.
-    faces : ndarray of int32, shape (f, 3)
-        Brick by brick; i < 0 is a foreign vertex.
-    counts : tuple of ndarray of int32, shape (b,)
-        How many vertices and faces each brick has.
-    labels : ndarray of int32, shape (v + g,)
-        The component of each vertex, foreign ones too.
-    components : int
-        How many there are, c.
+    Vertices (v, 3) and faces (f, 3) stand brick by brick, of which each has as many as `counts`
+    (b,) say; a corner i < 0 is a foreign vertex. `labels` (v + g,) are the components, c in number,
+    of all vertices, foreign ones too.
     """
     brick_of = [np.repeat(np.arange(len(each)), each) for each in counts]
     own = len(vertices)

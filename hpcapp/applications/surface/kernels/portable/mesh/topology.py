@@ -32,20 +32,10 @@ class _Edges:
 
 
 def label_components(faces: IntArray, vertices: int) -> tuple[int, Int32Array]:
-    """Find the pieces of a mesh that share no vertex.
+    """Find the pieces of a mesh, faces (f, 3) and v vertices, that share no vertex.
 
-    Parameters
-    ----------
-    faces : ndarray of int64, shape (f, 3)
-    vertices : int
-        How many there are, v.
-
-    Returns
-    -------
-    count : int
-        A vertex without a face is a component of its own.
-    label : ndarray of int32, shape (v,)
-        The component of each vertex, numbered in the order of their first vertices.
+    Return how many there are, and the component of each vertex, (v,), numbered in the order of
+    their first vertices. A vertex without a face is a component of its own.
     """
     first, second = faces[:, :2].T, faces[:, 1:].T
     count, label = join_nodes(np.concatenate(first), np.concatenate(second), vertices)
@@ -58,17 +48,9 @@ def label_components(faces: IntArray, vertices: int) -> tuple[int, Int32Array]:
 def survey_mesh(faces: IntArray, vertices: int) -> Survey:
     """Count what is to know about the edges of a mesh and the corners at them.
 
-    Parameters
-    ----------
-    faces : ndarray of int64, shape (f, 3)
-        At least one.
-    vertices : int
-        How many there are, v.
-
-    Notes
-    -----
-    A vertex is manifold where the corners of the faces around it, joined across shared edges,
-    are one piece; so a mesh is vertex-manifold where there are as many fans as used vertices.
+    It has v vertices and faces (f, 3), one at least. A vertex is manifold where the corners of the
+    faces around it, joined across shared edges, are one piece; so a mesh is vertex-manifold where
+    there are as many fans as used vertices.
     """
     edges = _group_edges(faces, vertices)
     backward = np.add.reduceat(edges.backward.astype(np.int64), edges.starts)
@@ -86,17 +68,8 @@ def survey_mesh(faces: IntArray, vertices: int) -> Survey:
 def signed_volume(vertices: FloatArray, faces: IntArray, reference: FloatArray) -> float:
     """Return the volume inside a closed mesh, negative if its faces look inwards.
 
-    Parameters
-    ----------
-    vertices : ndarray of float64, shape (v, 3)
-    faces : ndarray of int64, shape (f, 3)
-    reference : ndarray of float64, shape (3,)
-        A point near the mesh: a mesh far from the origin loses no digits.
-
-    Returns
-    -------
-    float
-        In cubed length units of the input; of no meaning for an open mesh.
+    In cubed length units of the input, of vertices (v, 3) and faces (f, 3); of no meaning for an
+    open mesh. `reference` (3,) is a point near: a mesh far from the origin loses no digits.
     """
     local = vertices - reference
     a, b, c = (local[faces[:, k]] for k in range(3))
@@ -137,20 +110,9 @@ def _next_corner(side: IntArray) -> IntArray:
 
 
 def join_nodes(left: IntArray, right: IntArray, nodes: int) -> tuple[int, IntArray]:
-    """Return the count and labels of the components of an undirected graph.
+    """Return the count and labels (nodes,), from 0, of the components of an undirected graph.
 
-    Parameters
-    ----------
-    left, right : ndarray of int64, shape (e,)
-        The ends of each edge, from 0.
-    nodes : int
-        How many there are.
-
-    Returns
-    -------
-    count : int
-    label : ndarray of int, shape (nodes,)
-        From 0.
+    `left` and `right` (e,) are the ends of each edge, from 0.
     """
     from scipy.sparse import coo_array  # heavy modules: the native build does without them
     from scipy.sparse.csgraph import connected_components

@@ -71,23 +71,13 @@ def fit_vertices(
 ) -> FloatArray:
     """Fit one quadric per vertex to the points around it.
 
-    Parameters
-    ----------
-    moments : ndarray of float64, shape (v, 44)
-        Of the points in the eight cells around each vertex, about it (see `moments`);
-        column 0 is their number n, at least 1.
-    prior : ndarray of float64, shape (v, 10)
-        The parents' quadrics, as `inherit_level` gives them.
-    lam : float, or ndarray of float64, shape (v,)
-        Weight of the normals against the positions, dimensionless.
-    mu : float, or ndarray of float64, shape (v,)
-        Weight of the prior in points, dimensionless.
+    Return coefficients c (v, 10) that minimise
+    [sum f^2 + lam sum |grad f - normal|^2 + mu mean (f - prior)^2] / n + 1e-9 |c|^2.
 
-    Returns
-    -------
-    ndarray of float64, shape (v, 10)
-        Coefficients c that minimise
-        [sum f^2 + lam sum |grad f - normal|^2 + mu mean (f - prior)^2] / n + 1e-9 |c|^2.
+    `moments` (v, 44) are of the points in the eight cells around each vertex, about it (see
+    `moments`); column 0 is their number n, at least 1. `prior` (v, 10) are the parents' quadrics,
+    as `inherit_level` gives them. `lam` weighs the normals against the positions, dimensionless,
+    and `mu` the prior, in points; each is a number, or (v,).
 
     Notes
     -----
@@ -148,17 +138,9 @@ def _solve_cholesky(matrix: FloatArray, right: FloatArray) -> FloatArray:
 
 
 def evaluate_residuals(moments: FloatArray, coefficients: FloatArray | Float32Array) -> FloatArray:
-    """Return the sum of f^2 over the points of each vertex.
+    """Return the sum of f^2 over the points of each vertex, (v,), in cells squared.
 
-    Parameters
-    ----------
-    moments : ndarray of float64, shape (v, 44)
-    coefficients : ndarray of float64 or float32, shape (v, 10)
-
-    Returns
-    -------
-    ndarray of float64, shape (v,)
-        In cells squared, never negative.
+    Of moments (v, 44) and coefficients (v, 10); never negative.
     """
     coefficients = coefficients.astype(np.float64, copy=False)
     total = np.zeros(len(moments))
@@ -169,17 +151,9 @@ def evaluate_residuals(moments: FloatArray, coefficients: FloatArray | Float32Ar
 
 
 def evaluate_slopes(moments: FloatArray, coefficients: FloatArray) -> FloatArray:
-    """Return the sum of |grad f|^2 over the points of each vertex.
+    """Return the sum of |grad f|^2 over the points of each vertex, (v,), dimensionless.
 
-    Parameters
-    ----------
-    moments : ndarray of float64, shape (v, 44)
-    coefficients : ndarray of float64, shape (v, 10)
-
-    Returns
-    -------
-    ndarray of float64, shape (v,)
-        Dimensionless.
+    Of moments (v, 44) and coefficients (v, 10).
     """
     total = np.zeros(len(moments))
     for i, j in _PAIRS:
@@ -196,18 +170,10 @@ def _mean_squares(moments: FloatArray, coefficients: FloatArray) -> FloatArray:
 
 
 def residual_variances(moments: FloatArray, coefficients: FloatArray) -> FloatArray:
-    """Tell the noise of the points from what a fit leaves over.
+    """Tell the noise of the points from what a fit to them leaves over, (v,), in cells squared.
 
-    Parameters
-    ----------
-    moments : ndarray of float64, shape (v, 44)
-    coefficients : ndarray of float64, shape (v, 10)
-        Fitted to these points.
-
-    Returns
-    -------
-    ndarray of float64, shape (v,)
-        sum f^2 / (mean |grad f|^2) / (n - 10), in cells squared; NaN where n < 24.
+    sum f^2 / (mean |grad f|^2) / (n - 10), of moments (v, 44) and coefficients (v, 10); NaN where
+    n < 24.
     """
     counts = moments[:, 0]
     rich = counts >= _LEAST_POINTS
@@ -216,18 +182,10 @@ def residual_variances(moments: FloatArray, coefficients: FloatArray) -> FloatAr
 
 
 def evaluate_misfits(moments: FloatArray, coefficients: FloatArray) -> FloatArray:
-    """Tell how far the gradients of quadrics are off the normals of their points.
+    """Tell how far the gradients of quadrics (v, 10) are off the normals of their points, (v,).
 
-    Parameters
-    ----------
-    moments : ndarray of float64, shape (v, 44)
-    coefficients : ndarray of float64, shape (v, 10)
-
-    Returns
-    -------
-    ndarray of float64, shape (v,)
-        Mean |grad f - normal|^2: 0 where they agree, about 1 where the points lie on two sheets
-        whose normals oppose each other. Never negative.
+    Mean |grad f - normal|^2, by moments (v, 44): 0 where they agree, about 1 where the points lie
+    on two sheets whose normals oppose each other. Never negative.
     """
     along = np.zeros(len(moments))
     for i in range(1, BASIS):
@@ -246,21 +204,9 @@ def weigh_priors(
 ) -> FloatArray:
     """Weigh each prior by how well it explains the points: empirical Bayes.
 
-    Parameters
-    ----------
-    moments : ndarray of float64, shape (v, 44)
-    prior : ndarray of float64, shape (v, 10)
-    noise : ndarray of float64, shape (v,)
-        Variance of the positions along the normals, in cells squared, told from further up.
-    lam : float, or ndarray of float64, shape (v,)
-        Weight of the normals, see `fit_vertices`.
-    least, most : float
-        Between which the weight lies, in points.
-
-    Returns
-    -------
-    ndarray of float64, shape (v,)
-        mu of `fit_vertices`.
+    Return mu of `fit_vertices` between `least` and `most`, in points, (v,); moments (v, 44), priors
+    (v, 10) and `lam` are as there. `noise` (v,) is the variance of the positions along the normals,
+    in cells squared, told from further up.
 
     Notes
     -----
@@ -297,19 +243,10 @@ def weigh_priors(
 def corner_moments(
     touched: IntArray, cells: IntArray, moments: FloatArray, threads: int = 1
 ) -> FloatArray:
-    """Sum the moments of the eight cells around each corner, about it.
+    """Sum the moments (c, 44) of the eight cells around each corner, about it: (t, 44).
 
-    Parameters
-    ----------
-    touched : ndarray of int64, shape (t,)
-        Sorted keys of corners.
-    cells : ndarray of int64, shape (c,)
-        Sorted keys of cells, at least one; those that touch none of the corners do not count.
-    moments : ndarray of float64, shape (c, 44)
-
-    Returns
-    -------
-    ndarray of float64, shape (t, 44)
+    `touched` (t,) are sorted keys of corners, and `cells` (c,) of cells, one at least; those that
+    touch none of the corners do not count.
     """
     del threads  # numpy runs on one
     total = np.zeros((len(touched), COLUMNS))
@@ -334,30 +271,14 @@ def fit_corners(
 ) -> tuple[Float32Array, Float32Array, Float32Array, Float32Array]:
     """Fit one quadric to the points in the eight cells around each corner.
 
-    Parameters
-    ----------
-    touched : ndarray of int64, shape (t,)
-        Sorted keys of corners; each has a point around it.
-    cells : ndarray of int64, shape (c,)
-    moments : ndarray of float64, shape (c, 44)
-    prior : ndarray of float32, shape (t, 10)
-    noise : ndarray of float32, shape (t,)
-        Variance of the positions around each corner, in cells squared.
-    lam : ndarray of float32, shape (t,)
-        Weights of the normals, see `hermite.fit_vertices`.
-    least_mu, most_mu : float
-        Between which the weights of the priors lie, see `hermite.weigh_priors`.
+    `touched` (t,) are sorted keys of corners, each with a point around it; `cells` (c,) have
+    moments (c, 44). Around each corner, `noise` (t,) is the variance of the positions, in cells
+    squared; `lam` (t,) weighs the normals, and the weights of the priors (t, 10) lie between
+    `least_mu` and `most_mu` (see `fit_vertices` and `weigh_priors`).
 
-    Returns
-    -------
-    coefficients : ndarray of float32, shape (t, 10)
-        Rounded once, here, by the only one who computes them.
-    counts : ndarray of float32, shape (t,)
-        Points around each corner.
-    variances : ndarray of float32, shape (t,)
-        What the fits leave over, NaN where points are few: see `hermite.residual_variances`.
-    misfits : ndarray of float32, shape (t,)
-        How far the gradients are off the points' normals: see `hermite.evaluate_misfits`.
+    Return the coefficients (t, 10), rounded once, here, by the only one who computes them; the
+    number of points around each corner; what the fits leave over, NaN where points are few; and how
+    far gradients are off normals, all (t,) (see `residual_variances` and `evaluate_misfits`).
     """
     del threads  # numpy runs on one
     coefficients = np.empty((len(touched), BASIS), np.float32)

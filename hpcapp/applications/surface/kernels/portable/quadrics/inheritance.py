@@ -27,20 +27,9 @@ def inherit_level(
 ) -> tuple[Float32Array, Float32Array]:
     """Return the means of the parents' quadrics, about their children, and of other values.
 
-    Parameters
-    ----------
-    vertices : ndarray of int64, shape (v,)
-        Sorted keys of corners.
-    parents : ndarray of int64, shape (p,)
-        Sorted keys of corners of the next coarser level, all parents among them.
-    coefficients : ndarray of float32, shape (p, 10)
-    values : ndarray of float32, shape (p, k)
-        Whatever else is to be averaged.
-
-    Returns
-    -------
-    coefficients : ndarray of float32, shape (v, 10)
-    values : ndarray of float32, shape (v, k)
+    `vertices` (v,) are sorted keys of corners, `parents` (p,) those of corners of the next coarser
+    level, all parents among them. Coefficients (p, 10) become (v, 10), and values (p, k), whatever
+    else is to be averaged, (v, k).
     """
     del threads  # numpy runs on one
     # A corner on an odd place has two parents along an axis; on an even one the same twice: eight
@@ -57,18 +46,10 @@ def inherit_level(
 
 
 def inherit_quadrics(parents: FloatArray, steps: IntArray) -> FloatArray:
-    """Express parents' quadrics about their children, in cells of half the size.
+    """Express parents' quadrics (v, 10) about their children, in cells of half the size.
 
-    Parameters
-    ----------
-    parents : ndarray of float64, shape (v, 10)
-    steps : ndarray of int64, shape (v, 3)
-        Child minus parent, in cells of the child.
-
-    Returns
-    -------
-    ndarray of float64, shape (v, 10)
-        f_child(u) = 2 f_parent((u + step) / 2).
+    f_child(u) = 2 f_parent((u + step) / 2), where the steps (v, 3) are child minus parent, in cells
+    of the child.
     """
     children = np.empty_like(parents)
     for start in range(0, len(parents), _CHUNK_ROWS):

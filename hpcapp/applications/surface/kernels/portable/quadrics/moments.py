@@ -106,23 +106,11 @@ def accumulate_moments(
     weights: FloatArray | None = None,
     threads: int = 1,
 ) -> FloatArray:
-    """Sum the moments of the points of each cell (a task).
+    """Sum the moments of the points of each cell, (c, 44), in the order of the module's table.
 
-    Parameters
-    ----------
-    local_positions : ndarray of float64, shape (n, 3)
-        Relative to the centre of the point's cell, in cells; sorted by cell.
-    normals : ndarray of float64, shape (n, 3)
-        Unit length, pointing out of the object.
-    offsets : ndarray of int64, shape (c + 1,)
-        Cell i holds the points offsets[i] to offsets[i + 1].
-    weights : ndarray of float64, shape (n,), optional
-        How much each point counts; 1 by default.
-
-    Returns
-    -------
-    ndarray of float64, shape (c, 44)
-        In the order of the module's table.
+    Positions (n, 3) are relative to the centre of the point's cell, in cells, and sorted by cell:
+    by `offsets` (c + 1,), cell i holds the points offsets[i] to offsets[i + 1]. Normals (n, 3) have
+    unit length, and point out of the object. `weights` (n,), by default 1, are what points count.
 
     Notes
     -----
@@ -171,17 +159,9 @@ def _sum_chunk(
 
 
 def shift_moments(moments: FloatArray, shift: FloatArray) -> FloatArray:
-    """Move moments to another centre.
+    """Move moments (c, 44) to another centre, by binomials, one axis after the other: x, y, z.
 
-    Parameters
-    ----------
-    moments : ndarray of float64, shape (c, 44)
-    shift : ndarray of float64, shape (3,)
-        The old centre as seen from the new one, in cells: it is added to every point.
-
-    Notes
-    -----
-    Binomials, one axis after the other: x, y, z.
+    `shift` (3,) is the old centre seen from the new one, in cells: it is added to every point.
     """
     shifted = np.empty_like(moments)
     for start in range(0, len(moments), _CHUNK_ROWS):
@@ -203,31 +183,16 @@ def _shift_columns(columns: FloatArray, shift: list[float]) -> None:
 
 
 def scale_moments(moments: FloatArray) -> FloatArray:
-    """Express moments in cells of twice the size.
-
-    Parameters
-    ----------
-    moments : ndarray of float64, shape (c, 44)
-    """
+    """Express moments (c, 44) in cells of twice the size."""
     degrees = [sum(exponent) for exponent in EXPONENTS] + [0, 0, 0, 1, 1, 1, 1, 1, 1]
     return moments * 0.5 ** np.array(degrees, dtype=np.float64)
 
 
 def merge_cells(cells: IntArray, moments: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Sum the moments of each eight children about the centre of their parent.
+    """Sum the moments (c, 44) of each eight children about the centre of their parent.
 
-    Parameters
-    ----------
-    cells : ndarray of int64, shape (c,)
-        Sorted keys.
-    moments : ndarray of float64, shape (c, 44)
-
-    Returns
-    -------
-    parents : ndarray of int64, shape (p,)
-        Sorted keys of the next coarser level.
-    moments : ndarray of float64, shape (p, 44)
-        In units of the parents.
+    Given sorted keys (c,), return those of the next coarser level (p,), and moments (p, 44) in
+    units of the parents.
     """
     places = unpack_keys(cells)
     keys = pack_places(places >> 1)

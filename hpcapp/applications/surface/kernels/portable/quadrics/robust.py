@@ -30,28 +30,12 @@ def rate_points(
     coefficients: Float32Array,
     variances: Float32Array,
 ) -> FloatArray:
-    """Return how far points lie from the blend of a level's quadrics: squares, in variances.
+    """Return how far points lie from the blend of a level's quadrics: squares, in variances, (n,).
 
-    Parameters
-    ----------
-    local : ndarray of float64, shape (n, 3)
-        Positions relative to the centre of the point's cell, in these cells; sorted by cell.
-    offsets : ndarray of int64, shape (c + 1,)
-        Cell i holds the points offsets[i] to offsets[i + 1].
-    cells : ndarray of int64, shape (c,)
-        Sorted keys.
-    depth : int
-        So many levels further up is the level that is blended.
-    corners : ndarray of int64, shape (v,)
-        Sorted keys of its vertices.
-    coefficients : ndarray of float32, shape (v, 10)
-    variances : ndarray of float32, shape (v,)
-        In cells of that level squared.
-
-    Returns
-    -------
-    ndarray of float64, shape (n,)
-        0 where a corner is missing.
+    0 where a corner is missing. `local` (n, 3) is relative to the centre of the point's cell, in
+    these cells: sorted keys (c,), of which cell i holds the points offsets[i] to offsets[i + 1], by
+    `offsets` (c + 1,). The level that is blended is `depth` levels further up: its vertices have
+    sorted keys (v,), coefficients (v, 10) and variances (v,), in cells of that level squared.
     """
     places = unpack_keys(cells)
     # (c,) and (c, 3): the coarse cell that each fine one lies in, and which of its fine cells.

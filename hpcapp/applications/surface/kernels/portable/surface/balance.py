@@ -18,23 +18,11 @@ _ROUNDS = 4
 def balance_vertices(
     vertices: FloatArray, faces: IntArray, step: float, exponents: ByteArray | None = None
 ) -> FloatArray:
-    """Move vertices off the surface that they lie on, so that the faces balance around it.
+    """Move vertices (v, 3) off the surface that they lie on, so that the faces balance around it.
 
-    Parameters
-    ----------
-    vertices : ndarray of float64, shape (v, 3)
-        In length units of the input.
-    faces : ndarray of int64, shape (f, 3)
-        Anticlockwise as seen from outside.
-    step : float
-        Of the grid that the faces come from, in length units of the input.
-    exponents : ndarray of uint8, shape (f,), optional
-        The stride of each face's brick is two to the power of so much; by default all are 1.
-
-    Returns
-    -------
-    ndarray of float64, shape (v, 3)
-        Vertices of faces that would turn over stay where they are.
+    Faces (f, 3) are anticlockwise as seen from outside; the stride of a face's brick, in steps of
+    the grid, is two to the power of `exponents` (f,); by default all strides are 1. Vertices of
+    faces that would turn over stay where they are.
 
     Notes
     -----

@@ -43,18 +43,7 @@ Evaluate = Callable[[IntArray], Float32Array]
 
 
 def seed_bricks(grid: Grid, positions: FloatArray) -> IntArray:
-    """Return the bricks that hold a point.
-
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        In length units of the input, inside the grid.
-
-    Returns
-    -------
-    ndarray of int64, shape (b,)
-        Sorted, unique keys.
-    """
+    """Return the bricks that hold points (n, 3) inside the grid: sorted, unique keys (b,)."""
     places = np.floor(cells_of(positions, grid.origin, BRICK * grid.step)).astype(np.int64)
     return unique_keys(pack_places(places))
 
@@ -67,24 +56,9 @@ def grow_bricks(
 ) -> tuple[IntArray, Float32Array, BoolArray, IntArray]:
     """Evaluate a tile's own bricks, all open ones that the surface reaches, and their rim.
 
-    Parameters
-    ----------
-    evaluate : callable
-        From places of bricks, shape (b, 3), to their node values, shape (b, 9, 9, 9).
-    bricks : tuple of int
-        Bricks of the grid along x, y and z.
-    strides : BrickStrides, optional
-        Of the grid.
-
-    Returns
-    -------
-    places : ndarray of int64, shape (b, 3)
-        Sorted.
-    values : ndarray of float32, shape (b, 9, 9, 9)
-    taken : ndarray of bool, shape (b,)
-        False for the rim.
-    exits : ndarray of int64, shape (e,)
-        Sorted keys of bricks that the surface reaches, and that are `BESIDE` or `OUT`.
+    `evaluate` gives the node values (b, 9, 9, 9) of places of bricks (b, 3); the grid has `bricks`
+    along x, y and z. Return places, sorted, and values; which are taken, (b,), False for the rim;
+    and exits (e,): sorted keys of bricks that the surface reaches, and that are `BESIDE` or `OUT`.
 
     Notes
     -----

@@ -32,30 +32,13 @@ _NEAREST = 0.002
 def extract_surface(
     grid: Grid, places: IntArray, values: Float32Array, taken: BoolArray | None = None
 ) -> BrickMesh:
-    """Extract the 0-level of the node values.
+    """Extract the 0-level of the node values: manifold, and closed where all bricks are there.
 
-    Parameters
-    ----------
-    places : ndarray of int64, shape (b, 3)
-        Sorted, as `grow_bricks` gives them.
-    values : ndarray of float32, shape (b, 9, 9, 9)
-        Negative inside, never 0.
-    taken : ndarray of bool, shape (b,), optional
-        False for bricks whose neighbours may be missing: their faces are left out there.
-
-    Returns
-    -------
-    BrickMesh
-        Closed where all bricks are there, edge- and vertex-manifold.
-
-    Raises
-    ------
-    ValueError
-        A brick that the surface enters from one that is taken is missing.
-
-    Notes
-    -----
-    The vertex on an edge belongs to the brick of the edge's lower node.
+    Places (b, 3) are sorted, as `grow_bricks` gives them; values (b, 9, 9, 9) are negative inside,
+    never 0. `taken` (b,) is False for bricks whose neighbours may be missing: their faces are left
+    out there. Raise `ValueError` where a brick that the surface enters from one that is taken is
+    missing. The mesh is edge- and vertex-manifold; the vertex on an edge belongs to the brick of
+    the edge's lower node.
     """
     taken = np.ones(len(places), np.bool_) if taken is None else taken
     inside = values < 0.0
@@ -172,14 +155,9 @@ def _shifted(axis: int) -> tuple[slice, ...]:
 
 
 class _EdgeNumbers:
-    """Looks up the vertices on edges.
+    """Looks up the vertices on edges of bricks (b, 3).
 
-    Parameters
-    ----------
-    places : ndarray of int64, shape (b, 3)
-        Of the bricks.
-    numbers : ndarray of int32, shape (b, 3, 8, 8, 8)
-        Of the vertices, by axis and lower node.
+    `numbers` (b, 3, 8, 8, 8) are those of the vertices, by axis and lower node.
     """
 
     def __init__(self, places: IntArray, numbers: Int32Array) -> None:
@@ -189,17 +167,11 @@ class _EdgeNumbers:
         self._owners = np.stack([find_keys(keys, step_keys(keys, o)) for o in OCTANTS], axis=1)
 
     def at(self, brick: IntArray, axis: IntArray | int, node: IntArray) -> Int32Array:
-        """Return the vertices on some edges, -1 for those of a brick that is not there.
+        """Return the vertices (m,) on some edges, -1 for those of a brick that is not there.
 
-        Edges that are not crossed get numbers without a meaning; no triangle asks for them.
-
-        Parameters
-        ----------
-        brick : ndarray of int64, shape (m,)
-        axis : ndarray of int64, shape (m,), or int
-        node : ndarray of int64, shape (m, 3)
-            The lower one, in the brick. The edge belongs to the brick of this node, which may be
-            the next one.
+        `node` (m, 3) is the lower one, in the brick; the edge belongs to the brick of this node,
+        which may be the next one. Edges that are not crossed get numbers without a meaning; no
+        triangle asks for them.
         """
         over = node == BRICK
         owner = self._owners[brick, over @ np.array([1, 2, 4])]
@@ -211,10 +183,7 @@ class _EdgeNumbers:
 def _assemble_faces(
     inside: BoolArray, shifts: ByteArray | None, on_edges: _EdgeNumbers
 ) -> tuple[IntArray, IntArray]:
-    """Look up the triangles of every cell that the surface crosses, and the brick of each.
-
-    Of cells that have no finer nodes.
-    """
+    """Look up the triangles, and their bricks, of all crossed cells that have no finer nodes."""
     brick, cell, size, case = _find_cells(inside, shifts)
     vertex_of_edge = np.empty((len(brick), len(EDGES)), np.int32)
     for edge, (axis, corner) in enumerate(EDGES):

@@ -17,21 +17,9 @@ Array = TypeVar("Array", BoolArray, ByteArray)
 def mark_rim(bricks: BoolArray, cells: ByteArray | None) -> BoolArray:
     """Mark some bricks and their rim: those between which and these lie less than eight cells.
 
-    Parameters
-    ----------
-    bricks : ndarray of bool, shape (x, y, z)
-        Of a box.
-    cells : ndarray of uint8, shape (x, y, z), or None
-        How many cells a way through each brick crosses, 1 or more; None where it is eight
-        everywhere: then the rim is the 26 neighbours.
-
-    Returns
-    -------
-    ndarray of bool, shape (x, y, z)
-
-    Notes
-    -----
-    What a vertex gets depends on faces seven cells away, which have their vertices in one more.
+    `cells` says how many cells a way through each brick of the box (x, y, z) crosses, 1 or more;
+    None where it is eight everywhere: then the rim is the 26 neighbours. What a vertex gets depends
+    on faces seven cells away, which have their vertices in one more.
     """
     near = _widen(bricks)
     if cells is None:

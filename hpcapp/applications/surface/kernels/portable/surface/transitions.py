@@ -59,18 +59,9 @@ class Loop:
 
 
 def find_transitions(shifts: ByteArray, exponent: int) -> BoolArray:
-    """Tell which cells of some bricks have finer nodes on a face or on an edge.
+    """Tell which cells of some bricks have finer nodes on a face or on an edge, (b, c, c, c).
 
-    Parameters
-    ----------
-    shifts : ndarray of uint8, shape (b, 3, 3, 3)
-        See `strides.line_shifts`.
-    exponent : int
-        Of the stride of all these bricks.
-
-    Returns
-    -------
-    ndarray of bool, shape (b, c, c, c)
+    `shifts` (b, 3, 3, 3) are those of `strides.line_shifts`; all these bricks have one stride.
     """
     count = BRICK >> exponent
     # (3, c): whether the cells, by their place along an axis, touch its ends, or what is between.
@@ -84,24 +75,11 @@ def find_transitions(shifts: ByteArray, exponent: int) -> BoolArray:
 
 
 def trace_loops(inside: BoolArray, shifts: ByteArray, cell: IntArray, size: int) -> list[Loop]:
-    """Find the loops in which the surface crosses the faces of a cell.
+    """Find the loops in which the surface crosses the faces of a cell, of three vertices or more.
 
-    Parameters
-    ----------
-    inside : ndarray of bool, shape (9, 9, 9)
-        Of the places in the brick.
-    shifts : ndarray of uint8, shape (3, 3, 3)
-        Of the brick.
-    cell : ndarray of int64, shape (3,)
-        Its lowest node in the brick.
-    size : int
-        Of the cell.
-
-    Returns
-    -------
-    list of Loop
-        Of three vertices or more. A loop of two lies on an edge of the cell, and has no faces: what
-        it joins are the two cells beside it.
+    `inside` (9, 9, 9) and `shifts` (3, 3, 3) are of the brick, `cell` (3,) is the cell's lowest
+    node in it. A loop of two lies on an edge of the cell, and has no faces: what it joins are the
+    two cells beside it.
     """
     low = tuple(cell.tolist())
     following: dict[_Edge, _Edge] = {}
@@ -194,21 +172,8 @@ def _lies_below(edge: _Edge, low: _Node) -> bool:
 
 
 def triangulate_loop(loop: Loop, places: FloatArray) -> list[tuple[int, int, int]]:
-    """Cut a loop into triangles.
+    """Cut a loop into n - 2 triangles, anticlockwise as seen from outside: rows of `places` (n, 3).
 
-    Parameters
-    ----------
-    loop : Loop
-    places : ndarray of float64, shape (n, 3)
-        Of its vertices.
-
-    Returns
-    -------
-    list of tuple of int
-        Of n - 2 triangles, anticlockwise as seen from outside: rows of `places`.
-
-    Notes
-    -----
     As few as may be look against the loop as a whole; of such triangulations, the one with the
     least sum of squared diagonals. It takes time with the cube of n.
     """
