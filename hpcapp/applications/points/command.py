@@ -243,16 +243,24 @@ def convert(
 
 def _write_rejected(target: Path, source: PointSource, shown: str) -> None:
     """Write the points of a source that a job drops."""
+    import numpy as np
+
     from hpcapp.applications.points.rejected import take_rejected
+    from hpcapp.applications.surface.reading.seen_through import are_seen_through, look_around
     from hpcapp.io import read_whole, write_points
+    from hpcapp.io.batches import join_points
     from hpcapp.io.frame import scale_heights
 
-    cloud, cleaned = take_rejected(read_whole(source.isotropic()), shown)
+    source = source.isotropic()
+    whole = read_whole(source)
+    is_ghost = are_seen_through(whole, look_around(source))
+    cloud, cleaned = take_rejected(whole.take(np.flatnonzero(~is_ghost)), shown)
+    cloud = join_points([cloud, whole.take(np.flatnonzero(is_ghost))])
     cloud = scale_heights(cloud, 1.0 / source.frame.height_scale)
     write_points(target, cloud, source.crs, source.unit, source.scans, source.height_unit)
     log.info(
-        "%s: %d outliers, %d strays, %d points along lone lines",
-        shown, cleaned.outliers, cleaned.strays, cleaned.lone_lines,
+        "%s: %d outliers, %d strays, %d points along lone lines, %d seen through by another scan",
+        shown, cleaned.outliers, cleaned.strays, cleaned.lone_lines, int(is_ghost.sum()),
     )  # fmt: skip
 
 

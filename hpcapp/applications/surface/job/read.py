@@ -24,6 +24,7 @@ from hpcapp.applications.surface.reading.depth_steps import smooth_cloud, smooth
 from hpcapp.applications.surface.reading.drive import ingest_file
 from hpcapp.applications.surface.reading.reach import drop_far
 from hpcapp.applications.surface.reading.registration import check_registration
+from hpcapp.applications.surface.reading.seen_through import drop_seen_through
 from hpcapp.geometry.points import PointCloud
 from hpcapp.geometry.validity import Dropped
 from hpcapp.io import PointSource, drop_unusable, read_whole
@@ -42,6 +43,9 @@ def read_file(
     """
     if settings.normals == "estimate":
         source = source.without_normals()
+    if settings.method.cleans:
+        with clock.stage("read"):
+            source = drop_seen_through(source)
     if folder is None:
         scan = _read_into_memory(settings, source, clock)
     else:
