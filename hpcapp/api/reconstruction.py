@@ -39,7 +39,7 @@ from hpcapp.applications.surface.job.settings import JobSettings, Settings
 from hpcapp.applications.surface.job.site import open_site
 from hpcapp.applications.surface.job.source import MARGIN
 from hpcapp.applications.surface.job.storage import JobStorage, open_storage
-from hpcapp.applications.surface.methods.method import MAX_GRID, MIN_GRID, MethodSettings
+from hpcapp.applications.surface.methods.method import MethodSettings
 from hpcapp.applications.surface.methods.options import option_names
 from hpcapp.applications.surface.methods.table import DEFAULT_METHOD, find_method
 from hpcapp.applications.surface.normals.sensor import Sensor, sensor_of
@@ -254,7 +254,6 @@ def reconstruct(
         smallest=smallest,
     )
     settings = settings.for_ground()
-    _check_settings(settings)
     rows = None if isinstance(normals, str) else normals
     names = _find_names(points)
     if not names and sample is not None:
@@ -491,19 +490,3 @@ def _find_sensor(settings: Settings, points: PointCloud) -> Sensor:
     if settings.viewpoint or not is_flown_over(points):
         return sensor_of(settings.viewpoint, upright)
     return Sensor("above", upright=upright)
-
-
-def _check_settings(settings: Settings) -> None:
-    """Refuse what the command would refuse."""
-    settings.target.check()
-    settings.piece_choice.check()
-    check_range("verify", settings.verify or 0.0, 0.0, 1.0)
-    if settings.grid is not None:
-        if not isinstance(settings.grid, int | np.integer):
-            raise UsageError(f"grid is {settings.grid!r}", "give a whole number of cells")
-        check_range("grid", settings.grid, MIN_GRID, MAX_GRID)
-    if settings.voxel_size is None:
-        return
-    if settings.grid is not None:
-        raise UsageError("grid and voxel_size exclude each other", "give one of them")
-    check_range("voxel_size", settings.voxel_size, 0.0, is_open=True)

@@ -43,8 +43,8 @@ def left_in(folder: Path) -> set[str]:
 
 
 FLAGS = [
-    (["--grid", "64", "--depth", "6"], "--grid and --depth exclude each other"),
-    (["--depth", "6", "--voxel-size", "1"], "--depth and --voxel-size exclude each other"),
+    (["--grid", "64", "--depth", "6"], "--depth takes the place of --grid"),
+    (["--depth", "6", "--voxel-size", "1"], "--voxel-size takes the place of --depth"),
     (["--grid", "8"], "--grid"),
     (["--grid", "many"], "--grid"),
     (["--voxel-size", "0"], "--voxel-size"),

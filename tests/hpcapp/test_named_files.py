@@ -11,7 +11,7 @@ from pathlib import Path
 import click
 import pytest
 
-from hpcapp.applications.surface.cli.command import GridSize
+from hpcapp.applications.surface.job.settings import GridSize
 from hpcapp.cli import hpcapp
 from hpccomponent.cli.named_files import InputFile, OutputFile, PrintedFlag
 from hpccomponent.files.outputs import Role

@@ -28,25 +28,25 @@ from hpcapp.applications.points.command import (
 )
 from hpcapp.applications.points.crop import CROPPED, parse_crop
 from hpcapp.applications.surface.attributes.choice import parse_attributes
-from hpcapp.applications.surface.methods.method import MAX_GRID, MIN_GRID
+from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.methods.options import (
     WATCHED,
+    Options,
     check_exclusive,
+    group_options,
     make_click_options,
     option_names,
+    parse_typed,
     typed_command,
 )
 from hpcapp.applications.surface.methods.table import DEFAULT_METHOD, METHODS, find_method
-from hpcapp.applications.surface.normals.viewpoint import parse_viewpoint
-from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY, POLICIES
 from hpcapp.dashboard import DEFAULT_ADDRESS
 from hpcapp.mending.options import PIECES, SMALLEST
-from hpcapp.named_files import FILE_OR_WORD, MESH, PAGE, PICTURE, STORAGE
 from hpcapp.progress import Progress
 from hpcapp.simplification.command import ORIGIN, UP
-from hpcapp.texture.request import LEAST_PIXELS, MOST_PIXELS, check_library, check_texture
+from hpcapp.texture.request import check_library, check_texture
 from hpcapp.timeline import Timeline
-from hpccomponent.cli.named_files import STREAM, InputFile, json_option
+from hpccomponent.cli.named_files import STREAM, json_option
 from hpccomponent.cli.terminal import echo_json
 from hpccomponent.cli.verb import Verb
 from hpccomponent.dataclass import dataclass
@@ -114,32 +114,9 @@ METHOD_OPTIONS = {name: method for method in METHODS for name in option_names(fi
 """The method of each of the methods' own options."""
 
 
-class GridSize(click.ParamType[int | None]):
-    """Cells along the longest side, or ``auto``: then it is the method that chooses."""
-
-    name = "cells"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> int | None:
-        """Return the number, None for ``auto``; click.BadParameter where it is neither."""
-        if value == "auto":
-            return None
-        try:
-            cells = int(value)
-        except ValueError:
-            cells = 0
-        if not MIN_GRID <= cells <= MAX_GRID:
-            self.fail(f"{value!r} is not auto, nor from {MIN_GRID} to {MAX_GRID}", param, ctx)
-        return cells
-
-
 def check_flags(ctx: click.Context) -> None:
     """Raise UsageError where flags contradict each other, or have values that cannot be used."""
-    chosen = [name for name in ("grid", "depth", "voxel_size") if ctx.params[name] is not None]
-    if len(chosen) > 1:
-        flags = " and ".join(map(_flag, chosen))
-        raise UsageError(f"{flags} exclude each other", "give one of them")
+    check_exclusive(JobSettings, {name for name, value in ctx.params.items() if value is not None})
     if ctx.params["details"] and not ctx.params["as_json"] and ctx.params["cluster"] is None:
         raise UsageError("--details means nothing without --json", "give --json too")
     if ctx.params["texture"] is not None:
@@ -154,8 +131,7 @@ def check_flags(ctx: click.Context) -> None:
         from hpcapp.dashboard.server import parse_address
 
         parse_address(ctx.params["dashboard"])
-    parse_attributes(ctx.params["attributes"])
-    parse_viewpoint(ctx.params["viewpoint"])
+    parse_typed(JobSettings, ctx.params)
     if ctx.params["origin"] not in ("auto", "keep"):
         from hpcapp.io.placement import parse_origin
 
@@ -168,36 +144,39 @@ def check_flags(ctx: click.Context) -> None:
     _check_method_options(ctx)
 
 
-GROUPS = {
-    "Most used": (
-        "output", "grid", "viewpoint", "close", "attributes", "faces", "report", "png",
-        "max_memory", "cluster",
-    ),
-    "Points": (
-        "box", "around", "polygon", "classes", "not_classes", "ground", "sample", "normals",
-        "clean", "outliers", "denoise", "resample",
-    ),
-    "Surface": (
-        "voxel_size", "depth", "uniform", "smoothness", "detail", "trim", "fill_holes",
-        "pieces", "smallest", "tolerance", "size", "texture", "origin", "up", "method",
-    ),
-    "With --method paper": option_names(find_method("paper")),
-    "Where it runs": ("backend", "workers", "policy", "verify", "temp_dir", "resume"),
-    "Watching and reporting": ("as_json", "details", "dashboard", "events", "trace"),
-}  # fmt: skip
+_BESIDE = {
+    "Points": (*CROPPED, "sample"),
+    "Surface": ("pieces", "smallest", "origin", "up", "method"),
+    "Watching and reporting": ("as_json", *WATCHED),
+}
+"""What other verbs have too, or no job keeps, below the headings of help."""
 
 
-def _add_method_options(command: click.Command) -> click.Command:
-    """Give a command the options of all methods, each once."""
-    for method in METHODS:
-        command.params += make_click_options(find_method(method))
+def _group_options() -> dict[str, list[str]]:
+    """Return the names of all options below their headings."""
+    groups: dict[str, list[str]] = {}
+    methods = ((find_method(name), f"With --method {name}") for name in METHODS)
+    for settings, other in ((JobSettings, ""), *methods):
+        for title, name in group_options(settings, other):
+            groups.setdefault(title, []).append(name)
+    for title, names in _BESIDE.items():
+        groups[title] += names
+    return groups
+
+
+def _add_options(command: click.Command) -> click.Command:
+    """Give a command the options of a job, before its own, and those of all methods, each once."""
+    kinds: tuple[type[Options], ...] = (JobSettings, *map(find_method, METHODS))
+    made = [option for settings in kinds for option in make_click_options(settings)]
+    points, *others = command.params
+    command.params = [points, *made, *others]
     return command
 
 
-@_add_method_options
+@_add_options
 @click.command(
     cls=Verb,
-    groups=GROUPS,
+    groups=_group_options(),
     examples=[
         ("hpcapp reconstruct scan.laz -o mesh.ply", "Mesh a scan as finely as it resolves."),
         (
@@ -219,158 +198,16 @@ def _add_method_options(command: click.Command) -> click.Command:
 @NOT_CLASSES
 @GROUND
 @click.option(
-    "-o",
-    "--output",
-    required=True,
-    type=MESH,
-    metavar="MESH",
-    help="Mesh to write: .ply, .obj, .glb, .vtp, .3mf, .off, .stl, or a folder: of PLYs, .tiles, "
-    "or for web viewers, .3dtiles; - writes a PLY to standard output.",
-)
-@click.option(
     "--method",
     type=click.Choice(list(METHODS)),
     default=DEFAULT_METHOD,
     show_default=True,
     help=", or ".join(find_method(method).summary for method in METHODS) + ".",
 )
-@click.option(
-    "--grid",
-    type=GridSize(),
-    metavar="N",
-    help="Cells along the longest side, 16 to 4096, or auto: what the scan resolves, "
-    "as far as memory allows.  [default: auto]",
-)
-@click.option("--depth", type=click.IntRange(4, 12), metavar="D", help="The same as --grid 2^D.")
-@click.option(
-    "--voxel-size",
-    type=click.FloatRange(0, min_open=True),
-    metavar="S",
-    help="Edge of a cell, in the units of the input.",
-)
-@click.option(
-    "--backend",
-    default="auto",
-    metavar="NAME",
-    show_default=True,
-    help="Where batches run: auto (where it should be fastest), serial, threads, processes, zmq, "
-    "dask=ADDRESS, ray[=ADDRESS], mpi, or MODULE:FUNCTION that makes an Executor.",
-)
-@click.option(
-    "--workers",
-    type=click.IntRange(1, 1024),
-    metavar="W",
-    help="How many workers; with --backend auto at most so many, as many as pay.",
-)
-@click.option(
-    "--policy",
-    type=click.Choice(tuple(POLICIES)),
-    default=DEFAULT_POLICY,
-    show_default=True,
-    help="Batches by each worker's speed, to whoever is free, or the paper's equal batches.",
-)
-@click.option(
-    "--verify",
-    type=click.FloatRange(0.0, 1.0),
-    metavar="SHARE",
-    help="Have this share of the tasks run again on another machine, and turn away who gives wrong "
-    "answers.  [default: 0.02 with --cluster and three workers or more, else 0]",
-)
-@click.option(
-    "--cluster",
-    type=InputFile(),
-    metavar="FILE",
-    help="Run on a cluster: by its cluster file (.yaml), or on its head by its inventory (.json).",
-)
-@click.option(
-    "--max-memory",
-    metavar="SIZE",
-    help="Most memory of this process and of each worker, as 2G; larger clouds stay on disk.",
-)
-@click.option(
-    "--temp-dir",
-    type=STORAGE,
-    metavar="PLACE",
-    help="Where points and finished tiles lie meanwhile: a folder, or s3://BUCKET/PREFIX.",
-)
-@click.option(
-    "--resume",
-    is_flag=True,
-    help="Go on from what a job that was killed has left in --temp-dir, and leave there what is "
-    "finished if this one fails.",
-)
-@click.option(
-    "--normals",
-    type=click.Choice(["auto", "file", "estimate"]),
-    default="auto",
-    show_default=True,
-    help="Estimate normals where there are none and mend those that contradict each other, take "
-    "those of the file as they are, or estimate all.",
-)
-@click.option(
-    "--viewpoint",
-    type=FILE_OR_WORD,
-    multiple=True,
-    metavar="WHERE",
-    help="Where the points were measured from: above, below, inside, outside, or the scanner's "
-    "place as X,Y,Z in the coordinates of the input, or a file of a trajectory (.csv, .txt) or of "
-    "cameras (COLMAP, OpenDroneMap, Metashape and others); places and files may be given several "
-    "times.",
-)
-@click.option(
-    "--outliers/--no-outliers",
-    default=False,
-    show_default=True,
-    help="Remove statistical outliers first.",
-)
-@click.option(
-    "--denoise/--no-denoise",
-    default=False,
-    show_default=True,
-    help="Project the points by moving least squares first.",
-)
-@click.option(
-    "--resample/--no-resample",
-    default=False,
-    show_default=True,
-    help="Resample the points to even density first.",
-)
-@click.option(
-    "--attributes",
-    default="auto",
-    show_default=True,
-    metavar="NAMES",
-    help="What the vertices carry: auto (colours and all other columns of the points), none, or "
-    "names as a,b,c; normals, support and confidence are made where they are named.",
-)
 @PIECES
 @SMALLEST
-@click.option(
-    "--faces",
-    type=click.IntRange(4),
-    metavar="N",
-    help="Simplify the mesh to N triangles.",
-)
-@click.option(
-    "--tolerance",
-    type=click.FloatRange(0, min_open=True),
-    metavar="LENGTH",
-    help="Simplify the mesh while its surface moves by less, in the units of the input.",
-)
-@click.option(
-    "--size",
-    metavar="BYTES",
-    help="Simplify the mesh to a file of at most that: 20MB.",
-)
 @ORIGIN
 @UP
-@click.option(
-    "--texture",
-    type=click.IntRange(LEAST_PIXELS, MOST_PIXELS),
-    metavar="PIXELS",
-    help="With --faces: bake the colours of all points and the normals of the mesh "
-    "as it was into a picture of so many pixels a side, in a .glb or beside an .obj.",
-)
 @click.option(
     "--events",
     type=STREAM,
@@ -384,13 +221,6 @@ def _add_method_options(command: click.Command) -> click.Command:
     help="Write when each stage and each task ran, and on which worker, as a Chrome trace.",
 )
 @click.option(
-    "--report",
-    type=PAGE,
-    metavar="PAGE",
-    help="Write a page (.html) with the mesh and all that the job decided and did; works offline.",
-)
-@click.option("--png", type=PICTURE, metavar="FILE", help="Draw the mesh into a picture.")
-@click.option(
     "--dashboard",
     is_flag=False,
     flag_value=DEFAULT_ADDRESS,
@@ -399,12 +229,6 @@ def _add_method_options(command: click.Command) -> click.Command:
     "is given.",
 )
 @json_option()
-@click.option(
-    "--details",
-    is_flag=True,
-    help="With --json: also when each task ran and which tile and worker made each vertex, for "
-    "'hpcapp view --report'.",
-)
 @click.pass_context
 def reconstruct(ctx: click.Context, /, **options: Any) -> None:
     """Reconstruct a mesh from the point clouds POINTS.
@@ -482,26 +306,17 @@ def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:
         name = "auto"
     with start_early(name, options["workers"]) as machines:
         from hpcapp.applications.surface.cli.run import run_job  # while the machines start
-        from hpcapp.applications.surface.job.settings import JobSettings
         from hpcapp.applications.surface.job.source import MARGIN
-        from hpcapp.applications.surface.resolution.memory import parse_limit
-        from hpcapp.geometry.pieces import PieceChoice
-        from hpcapp.io.placement import Placement, parse_origin
+        from hpcapp.io.placement import parse_origin
         from hpcapp.io.points.inputs import find_paths, gather_points
         from hpcapp.simplification.size import read_size
-        from hpcapp.simplification.target import Target
 
-        if options["max_memory"] is not None:
-            options["max_memory"] = parse_limit(options["max_memory"])
-        options["attributes"] = parse_attributes(options["attributes"])
+        options = parse_typed(JobSettings, options)
         if options["texture"] is not None:
             check_library()
             options["attributes"] = options["attributes"].for_texture()
-        options["viewpoint"] = parse_viewpoint(options["viewpoint"])
-        options["placement"] = Placement(parse_origin(options.pop("origin")), options.pop("up"))
+        options["origin"] = parse_origin(options["origin"])
         crop = parse_crop(*(options.pop(name) for name in CROPPED))
-        Target(options["faces"], options["tolerance"]).check()
-        PieceChoice(options["pieces"], options["smallest"]).check()
         if options["size"] is not None:
             options["size"] = read_size(options["size"], options["output"])
         own = {name: options.pop(name) for name in METHOD_OPTIONS}

@@ -48,28 +48,38 @@ class Hierarchical:
     """
 
     smoothness: float = option(
-        1.0, "Factor on the smoothing that the noise asks for.", low=0.1, high=10
+        1.0, "Factor on the smoothing that the noise asks for.", low=0.1, high=10, group="Surface"
     )
     detail: float = option(
-        1.0, "Factor on the finest detail that the spacing allows.", low=0.1, high=10
+        1.0,
+        "Factor on the finest detail that the spacing allows.",
+        low=0.1,
+        high=10,
+        group="Surface",
     )
-    clean: bool = option(True, "Drop outliers and flip inconsistent normals first.")
+    clean: bool = option(True, "Drop outliers and flip inconsistent normals first.", group="Points")
     close: str = option(
         "auto",
         "Watertight (yes), open where no point supports the surface (no), or open only where the "
         "points are plainly a view, a terrain or a room.",
         choices=("auto", "yes", "no"),
+        group="Most used",
     )
     trim: str = option(
         "auto",
         "Open, with gaps up to twice as wide bridged: a length, or spacings as 3s.",
+        group="Surface",
     )
     fill_holes: str = option(
-        "auto", "Holes of an open mesh up to this size are filled: a length, or spacings as 10s."
+        "auto",
+        "Holes of an open mesh up to this size are filled: a length, or spacings as 10s.",
+        group="Surface",
     )
 
     uniform: bool = option(
-        False, "One step for the whole grid; without it, cells are larger where points are sparse."
+        False,
+        "One step for the whole grid; without it, cells are larger where points are sparse.",
+        group="Surface",
     )
 
     name: ClassVar[str] = "hierarchical"

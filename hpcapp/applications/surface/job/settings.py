@@ -1,28 +1,36 @@
-"""What a user asks of a reconstruction, and what follows from it for a cloud."""
+"""What a user asks of a reconstruction, each once, and what follows from it for a cloud.
+
+This module is imported for every ``--help``: numpy and all that stands on it are imported inside.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import field, fields, replace
+from dataclasses import MISSING, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Self, TypeAlias
+from typing import TYPE_CHECKING, Any, Self, TypeAlias
+
+import click
 
 from hpcapp.applications.points.crop import Crop
-from hpcapp.applications.surface.attributes.choice import AttributeChoice
+from hpcapp.applications.surface.attributes.choice import AttributeChoice, parse_attributes
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
-from hpcapp.applications.surface.methods.method import MethodSettings
-from hpcapp.applications.surface.normals.viewpoint import Viewpoint
-from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY
-from hpcapp.geometry.pieces import PieceChoice
-from hpcapp.io.placement import Placement
+from hpcapp.applications.surface.methods.method import MAX_GRID, MIN_GRID, MethodSettings
+from hpcapp.applications.surface.methods.options import check_options, option
+from hpcapp.applications.surface.normals.viewpoint import Viewpoint, parse_viewpoint
+from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY, POLICIES
+from hpcapp.named_files import FILE_OR_WORD, MESH, PAGE, PICTURE, STORAGE
 from hpcapp.simplification.target import Target
+from hpcapp.texture.request import LEAST_PIXELS, MOST_PIXELS
 from hpcapp.workforce import Workforce
+from hpccomponent.cli.named_files import InputFile
 from hpccomponent.dataclass import dataclass
 from hpccomponent.limits import available_cores
-from hpccomponent.ranges import check_range
 
 if TYPE_CHECKING:
+    from hpcapp.geometry.pieces import PieceChoice
     from hpcapp.geometry.points import PointCloud
+    from hpcapp.io.placement import Placement
 
 
 Preprocess: TypeAlias = "Callable[[PointCloud], PointCloud]"
@@ -31,84 +39,159 @@ Preprocess: TypeAlias = "Callable[[PointCloud], PointCloud]"
 THREADS_FROM_POINTS = 100_000
 
 
+class GridSize(click.ParamType[int | None]):
+    """Cells along the longest side, or ``auto``: then it is the method that chooses."""
+
+    name = "cells"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> int | None:
+        """Return the number, None for ``auto``; click.BadParameter where it is neither."""
+        if value == "auto":
+            return None
+        try:
+            cells = int(value)
+        except ValueError:
+            cells = 0
+        if not MIN_GRID <= cells <= MAX_GRID:
+            self.fail(f"{value!r} is not auto, nor from {MIN_GRID} to {MAX_GRID}", param, ctx)
+        return cells
+
+
+def _parse_limit(text: str) -> float:
+    from hpcapp.applications.surface.resolution.memory import parse_limit
+
+    return parse_limit(text)
+
+
+def _most_used(default: Any, help: str, **asked: Any) -> Any:  # noqa: A002
+    return option(default, help, group="Most used", **asked)
+
+
+def _of_points(default: Any, help: str, **asked: Any) -> Any:  # noqa: A002
+    return option(default, help, group="Points", **asked)
+
+
+def _of_surface(default: Any, help: str, **asked: Any) -> Any:  # noqa: A002
+    return option(default, help, group="Surface", **asked)
+
+
+def _of_place(default: Any, help: str, **asked: Any) -> Any:  # noqa: A002
+    return option(default, help, group="Where it runs", **asked)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Settings:
-    """What a user asks of a reconstruction; see ``hpcapp reconstruct --help`` for each.
+    """What a user asks of a reconstruction; its options say what each is.
 
-    Parameters
-    ----------
-    grid, depth, voxel_size : int, int, float or None
-        The resolution; at most one of the three, or none: then the method chooses it. `voxel_size`
-        in length units of the input.
-    backend, workers, policy : str, int or None, str
-        Where batches run; with the backend ``auto``, the most workers that may be used.
-    verify : float or None
-        The share of the answers that another machine gives too; None for the backend's default.
-    cluster : Path or None
-        The inventory of a cluster, whose workers may be used; with the backend ``zmq`` they are.
-    max_memory : float or None
-        Of this process and of each worker, in bytes.
-    temp_dir : str or None
-        Where points and finished tiles lie: a folder, or a bucket (see `store.places`).
-    resume : bool
-        Whether to go on from what an earlier run left in `temp_dir`.
-    outliers, denoise, resample : bool
-        The paper's preprocessing, step by step.
-    attributes : AttributeChoice
-        What the mesh's vertices carry.
-    normals : str
-        ``auto`` estimates those that are missing and mends the others, ``file`` takes those of the
-        input as they are, ``estimate`` takes none of them.
-    viewpoint : str or tuple of tuple of float
-        ``above``, ``below``, ``inside``, ``outside``, or the places where the sensor was, in the
-        coordinates of the input; none where nobody has said.
-    faces : int or None
-        Triangles to simplify the mesh to.
-    tolerance : float or None
-        How far its surface may move then, in length units of the input.
-    texture : int or None
-        Pixels along a side of the picture that shows what it had before.
-    pieces : int or None
-        Connected pieces that stay, the largest ones.
-    smallest : float or None
-        Area of a piece that stays, in squared length units of the input.
-    placement : Placement
-        Where the mesh is written, and which way up.
-    crop : Crop
-        The part of the scan that is asked for.
+    Of the others `pieces` and `smallest` tell which pieces of the mesh stay (see `PieceChoice`),
+    `origin` and `up` where it is written (see `Placement`).
     """
 
     method: MethodSettings = field(default_factory=Hierarchical)
-    grid: int | None = None
-    depth: int | None = None
-    voxel_size: float | None = None
-    backend: str = "auto"
-    workers: int | None = None
-    policy: str = DEFAULT_POLICY
-    verify: float | None = None
-    cluster: Path | None = None
-    max_memory: float | None = None
-    temp_dir: str | None = None
-    resume: bool = False
-    outliers: bool = False
-    denoise: bool = False
-    resample: bool = False
-    attributes: AttributeChoice = field(default_factory=AttributeChoice)
-    normals: str = "auto"
-    viewpoint: Viewpoint = ()
-    faces: int | None = None
-    tolerance: float | None = None
-    texture: int | None = None
+    grid: int | None = _most_used(
+        None,
+        "Cells along the longest side, 16 to 4096, or auto: what the scan resolves, as far as "
+        "memory allows.  [default: auto]",
+        low=MIN_GRID, high=MAX_GRID, kind=GridSize(), metavar="N",
+    )  # fmt: skip
+    viewpoint: Viewpoint = _most_used(
+        (),
+        "Where the points were measured from: above, below, inside, outside, or the scanner's "
+        "place as X,Y,Z in the coordinates of the input, or a file of a trajectory (.csv, .txt) or "
+        "of cameras (COLMAP, OpenDroneMap, Metashape and others); places and files may be given "
+        "several times.",
+        kind=FILE_OR_WORD, multiple=True, metavar="WHERE", parse=parse_viewpoint,
+    )  # fmt: skip
+    attributes: AttributeChoice = _most_used(
+        AttributeChoice(),
+        "What the vertices carry: auto (colours and all other columns of the points), none, or "
+        "names as a,b,c; normals, support and confidence are made where they are named.",
+        kind=click.STRING, typed="auto", metavar="NAMES", parse=parse_attributes,
+    )  # fmt: skip
+    faces: int | None = _most_used(None, "Simplify the mesh to N triangles.", low=4)
+    max_memory: float | None = _most_used(
+        None,
+        "Most memory of this process and of each worker, as 2G; larger clouds stay on disk.",
+        kind=click.STRING, metavar="SIZE", parse=_parse_limit,
+    )  # fmt: skip
+    cluster: Path | None = _most_used(
+        None,
+        "Run on a cluster: by its cluster file (.yaml), or on its head by its inventory (.json).",
+        kind=InputFile(), metavar="FILE",
+    )  # fmt: skip
+    normals: str = _of_points(
+        "auto",
+        "Estimate normals where there are none and mend those that contradict each other, take "
+        "those of the file as they are, or estimate all.",
+        choices=("auto", "file", "estimate"),
+    )
+    outliers: bool = _of_points(False, "Remove statistical outliers first.")
+    denoise: bool = _of_points(False, "Project the points by moving least squares first.")
+    resample: bool = _of_points(False, "Resample the points to even density first.")
+    voxel_size: float | None = _of_surface(
+        None,
+        "Edge of a cell, in the units of the input.",
+        low=0, is_open=True, metavar="S", replaces=("grid", "depth"),
+    )  # fmt: skip
+    depth: int | None = _of_surface(
+        None, "The same as --grid 2^D.", low=4, high=12, metavar="D", replaces=("grid",)
+    )
+    tolerance: float | None = _of_surface(
+        None,
+        "Simplify the mesh while its surface moves by less, in the units of the input.",
+        low=0, is_open=True, metavar="LENGTH",
+    )  # fmt: skip
+    texture: int | None = _of_surface(
+        None,
+        "With --faces: bake the colours of all points and the normals of the mesh as it was into a "
+        "picture of so many pixels a side, in a .glb or beside an .obj.",
+        low=LEAST_PIXELS, high=MOST_PIXELS, metavar="PIXELS",
+    )  # fmt: skip
     pieces: int | None = None
     smallest: float | None = None
-    placement: Placement = field(default_factory=Placement)
+    origin: str | tuple[float, float, float] = "auto"
+    up: str | None = None
+    backend: str = _of_place(
+        "auto",
+        "Where batches run: auto (where it should be fastest), serial, threads, processes, zmq, "
+        "dask=ADDRESS, ray[=ADDRESS], mpi, or MODULE:FUNCTION that makes an Executor.",
+        metavar="NAME",
+    )
+    workers: int | None = _of_place(
+        None,
+        "How many workers; with --backend auto at most so many, as many as pay.",
+        low=1, high=1024, metavar="W",
+    )  # fmt: skip
+    policy: str = _of_place(
+        DEFAULT_POLICY,
+        "Batches by each worker's speed, to whoever is free, or the paper's equal batches.",
+        choices=tuple(POLICIES),
+    )
+    verify: float | None = _of_place(
+        None,
+        "Have this share of the tasks run again on another machine, and turn away who gives wrong "
+        "answers.  [default: 0.02 with --cluster and three workers or more, else 0]",
+        low=0.0, high=1.0, metavar="SHARE",
+    )  # fmt: skip
+    temp_dir: str | None = _of_place(
+        None,
+        "Where points and finished tiles lie meanwhile: a folder, or s3://BUCKET/PREFIX.",
+        kind=STORAGE, metavar="PLACE",
+    )  # fmt: skip
+    resume: bool = _of_place(
+        False,
+        "Go on from what a job that was killed has left in --temp-dir, and leave there what is "
+        "finished if this one fails.",
+        words=("--resume",),
+    )
     crop: Crop = field(default_factory=Crop)
 
     def __post_init__(self) -> None:
-        for one in fields(self):
-            value = getattr(self, one.name)
-            if isinstance(value, float):
-                check_range(one.name, value)
+        check_options(self)
+        if (self.pieces, self.smallest) != (None, None):
+            self.piece_choice.check()
 
     def for_ground(self) -> Self:
         """Return the same; where bare ground is asked for it is seen from above, and open.
@@ -130,37 +213,54 @@ class Settings:
     @property
     def piece_choice(self) -> PieceChoice:
         """Which pieces of the mesh shall stay."""
+        from hpcapp.geometry.pieces import PieceChoice
+
         return PieceChoice(self.pieces, self.smallest)
+
+    @property
+    def placement(self) -> Placement:
+        """Where the mesh shall be written, and which way up."""
+        from hpcapp.io.placement import Placement
+
+        return Placement(self.origin, self.up)
 
 
 @dataclass(frozen=True, slots=True)
 class JobSettings(Settings):
     """What a user asks of a reconstruction from file to file.
 
-    Parameters
-    ----------
-    output : str
-        The mesh to write; ``-`` for standard output.
-    inputs : tuple of Path
-        The files that the user named, where `points` is made of them.
-    report, png : Path or None
-        The page and the picture to write beside the mesh.
-    command : tuple of str
-        What the user typed, to be typed again.
-    size : int or None
-        Bytes of the output, at most: it is simplified to fit.
-    details : bool
-        Whether the report tells when each task ran, and which tile each vertex is from.
+    Where `points` is made of them, `inputs` are the files that the user named; `command` is what
+    was typed, to be typed again.
     """
 
     points: Path
-    output: str
+    output: str = _most_used(
+        MISSING,
+        "Mesh to write: .ply, .obj, .glb, .vtp, .3mf, .off, .stl, or a folder: of PLYs, .tiles, or "
+        "for web viewers, .3dtiles; - writes a PLY to standard output.",
+        words=("-o", "--output"), kind=MESH, metavar="MESH",
+    )  # fmt: skip
     inputs: tuple[Path, ...] = ()
-    report: Path | None = None
-    png: Path | None = None
+    report: Path | None = _most_used(
+        None,
+        "Write a page (.html) with the mesh and all that the job decided and did; works offline.",
+        kind=PAGE, metavar="PAGE",
+    )  # fmt: skip
+    png: Path | None = _most_used(
+        None, "Draw the mesh into a picture.", kind=PICTURE, metavar="FILE"
+    )
     command: tuple[str, ...] = ()
-    size: int | None = None
-    details: bool = False
+    size: int | None = _of_surface(
+        None,
+        "Simplify the mesh to a file of at most that: 20MB.",
+        kind=click.STRING, metavar="BYTES",
+    )  # fmt: skip
+    details: bool = option(
+        False,
+        "With --json: also when each task ran and which tile and worker made each vertex, for "
+        "'hpcapp view --report'.",
+        group="Watching and reporting", words=("--details",),
+    )  # fmt: skip
 
     @property
     def files(self) -> tuple[Path, ...]:

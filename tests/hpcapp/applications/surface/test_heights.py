@@ -25,7 +25,6 @@ from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import open_points, read_mesh, read_points, write_points
 from hpcapp.io.crs import Crs
-from hpcapp.io.placement import Placement
 from hpcapp.io.points.inputs import gather_points
 from hpcapp.progress import Progress
 
@@ -139,8 +138,8 @@ def test_parts_lie_where_they_are_asked_for(
     monkeypatch.setattr(storage, "fits_memory", lambda *_: False)
     for module in (run, site):
         monkeypatch.setattr(module, "choose_tile", lambda *_: 3_000)
-    output, near = tmp_path / f"parts{suffix}", Placement(tuple(CENTRE - 7.0))
-    report = reconstruct(ball, output, temp_dir=str(tmp_path / "room"), placement=near)
+    output, near = tmp_path / f"parts{suffix}", tuple((CENTRE - 7.0).tolist())
+    report = reconstruct(ball, output, temp_dir=str(tmp_path / "room"), origin=near)
     assert report["origin"] == _read_origin(output).tolist() == (CENTRE - 7.0).tolist()
     if suffix == ".3dtiles":
         root = json.loads((output / "tileset.json").read_text())["root"]

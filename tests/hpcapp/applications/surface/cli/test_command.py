@@ -30,8 +30,8 @@ def test_every_option_is_explained(command: click.Command) -> None:
 def test_every_setting_can_be_typed() -> None:
     typed = {parameter.name for parameter in reconstruct.params}
     own = {name for method in METHODS for name in option_names(find_method(method))}
-    settings = JobSettings.__dataclass_fields__.keys() - {"inputs", "command", "placement", "crop"}
-    parts = {"origin", "up", "box", "around", "polygon", "classes", "not_classes", "ground"}
+    settings = JobSettings.__dataclass_fields__.keys() - {"inputs", "command", "crop"}
+    parts = {"box", "around", "polygon", "classes", "not_classes", "ground"}
     assert typed == {*settings, *own, *WATCHED, "as_json", "sample", *parts}
     assert not own & JobSettings.__dataclass_fields__.keys()
 
