@@ -337,7 +337,7 @@ class Mesh:
                 "the points lay in a folder, which is gone with the job",
                 "hpcapp reconstruct --report writes the page of such a job",
             )
-        from hpcapp.applications.surface.job.report_page import show_cloud, write_job_page
+        from hpcapp.applications.surface.steps.report_page import show_cloud, write_job_page
 
         spacing = float(job.facts.get("spacing") or 0.0)
         write_job_page(page, show_cloud(as_stream(self._plain), job.cloud, spacing), job.facts,

@@ -30,10 +30,7 @@ from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.attributes.labels import find_labels
 from hpcapp.applications.surface.cli.run import load_stored
 from hpcapp.applications.surface.job.backend_choice import approach_workers
-from hpcapp.applications.surface.job.carry import carry_columns
 from hpcapp.applications.surface.job.outcome import Outcome
-from hpcapp.applications.surface.job.read import arrange_points
-from hpcapp.applications.surface.job.report import describe_outcome
 from hpcapp.applications.surface.job.scan import Loaded
 from hpcapp.applications.surface.job.settings import JobSettings, Settings
 from hpcapp.applications.surface.job.site import open_site
@@ -46,6 +43,9 @@ from hpcapp.applications.surface.normals.sensor import Sensor, sensor_of
 from hpcapp.applications.surface.normals.viewpoint import Viewpoint, parse_viewpoint
 from hpcapp.applications.surface.pipeline import prepare, reconstruct_cloud
 from hpcapp.applications.surface.resolution.memory import parse_limit
+from hpcapp.applications.surface.steps.carry import carry_columns
+from hpcapp.applications.surface.steps.read import arrange_points
+from hpcapp.applications.surface.steps.report import describe_outcome
 from hpcapp.cancellation import Cancellation
 from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY
 from hpcapp.communicator.scheduling.verification import Verification, attempt, repeat_until_trusted

@@ -75,7 +75,7 @@ def mend(
 
     In this order. What its vertices carry stays.
     """
-    from hpcapp.applications.surface.job.summary import summarize
+    from hpcapp.applications.surface.steps.summary import summarize
     from hpcapp.applications.surface.stitching.topology import check_mesh
     from hpcapp.geometry.pieces import PieceChoice
     from hpcapp.mending.mend import Mending, mend_mesh

@@ -24,21 +24,21 @@ from hpcapp.applications.surface.attributes.carrying import Carrying
 from hpcapp.applications.surface.cleaning.drive import clean, mend_normals
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.cloud.measure import measure_cloud
-from hpcapp.applications.surface.job.carry import carry_columns
-from hpcapp.applications.surface.job.diagnostics import check_points, warn_of
 from hpcapp.applications.surface.job.outcome import Outcome, Reconstruction
-from hpcapp.applications.surface.job.pieces import keep_pieces
-from hpcapp.applications.surface.job.read import read_file
 from hpcapp.applications.surface.job.recognised import describe_input
 from hpcapp.applications.surface.job.resume import find_loaded, note_loaded
 from hpcapp.applications.surface.job.scan import Loaded, PointFolder, Scan
 from hpcapp.applications.surface.job.settings import JobSettings, Settings
-from hpcapp.applications.surface.job.simplify import fit_surface, simplify
 from hpcapp.applications.surface.job.site import Site, open_method, preprocess
 from hpcapp.applications.surface.job.source import open_whole, take_asked
 from hpcapp.applications.surface.methods.method import Method
 from hpcapp.applications.surface.normals.sides import orient_cloud
 from hpcapp.applications.surface.resolution.asked import find_grid
+from hpcapp.applications.surface.steps.carry import carry_columns
+from hpcapp.applications.surface.steps.diagnostics import check_points, warn_of
+from hpcapp.applications.surface.steps.pieces import keep_pieces
+from hpcapp.applications.surface.steps.read import read_file
+from hpcapp.applications.surface.steps.simplify import fit_surface, simplify
 from hpcapp.applications.surface.stitching.topology import Topology
 from hpcapp.progress import StageClock
 from hpcapp.workforce import Workforce
@@ -105,7 +105,7 @@ def reconstruct_cloud(
         cloud = preprocess(settings, loaded.cloud, clock)
         result = make_surface(cloud, method, site.backend.workforce, clock, checks)
         if settings.crop.has_region:
-            from hpcapp.applications.surface.job.crop import crop  # stands on scipy
+            from hpcapp.applications.surface.steps.crop import crop  # stands on scipy
 
             result = crop(settings.crop, loaded, result, clock)
         result = keep_pieces(settings.piece_choice, result, clock)
@@ -150,7 +150,7 @@ def deliver(
         with clock.stage("fit size"):
             outcome = fit_surface(outcome, settings.size, target.suffix, carrying)
     if settings.texture is not None:
-        from hpcapp.applications.surface.job.texture import write_textured  # stands on scipy
+        from hpcapp.applications.surface.steps.texture import write_textured  # stands on scipy
 
         outcome = write_textured(settings, outcome, carrying, target, clock)
     else:

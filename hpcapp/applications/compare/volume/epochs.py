@@ -18,7 +18,7 @@ from hpcapp.applications.compare.volume.measure import Change, SolidChange
 from hpcapp.applications.compare.volume.solids import measure_solids
 from hpcapp.applications.compare.volume.terrain import FEWEST_CELLS, measure_terrain
 from hpcapp.applications.surface.attributes.carrying import SUPPORT
-from hpcapp.applications.surface.job.report_page import GUESSED
+from hpcapp.applications.surface.steps.report_page import GUESSED
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.mesh import Mesh

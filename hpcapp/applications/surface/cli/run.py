@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any
 
 from hpcapp.applications.surface.job.backend_choice import Job, Opener, approach_workers
 from hpcapp.applications.surface.job.folder import choose_tile, find_point_workers
-from hpcapp.applications.surface.job.report import describe_outcome
 from hpcapp.applications.surface.job.scan import Loaded, PointFolder
 from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.job.site import Site, open_site
@@ -28,6 +27,7 @@ from hpcapp.applications.surface.methods.method import TILE_POINTS
 from hpcapp.applications.surface.pipeline import deliver, load, reconstruct_cloud
 from hpcapp.applications.surface.resolution.asked import guess_grid
 from hpcapp.applications.surface.resolution.memory import count_most_points
+from hpcapp.applications.surface.steps.report import describe_outcome
 from hpcapp.backends.selection import Backend
 from hpcapp.cancellation import Cancellation
 from hpcapp.communicator.scheduling.verification import Verification, attempt, repeat_until_trusted
@@ -180,7 +180,7 @@ def _write(
     if verification.machines or verification.liars:
         report["verification"] = verification.to_json()
     if settings.details:
-        from hpcapp.applications.surface.job.report_page import find_owners
+        from hpcapp.applications.surface.steps.report_page import find_owners
 
         owners = find_owners(outcome.result)
         report |= {} if owners is None else {"owners": owners.to_json()}
@@ -199,7 +199,7 @@ def _show(
     report: dict[str, Any],
 ) -> None:
     """Write the job's page and picture."""
-    from hpcapp.applications.surface.job.report_page import (
+    from hpcapp.applications.surface.steps.report_page import (
         find_up,
         show_job,
         write_job_page,

@@ -3,7 +3,6 @@
 ::
 
     settings ─> storage, folder, backend choice ─> site      where it runs
-    read, columns ─> scan <─ resume                          what it runs on
-    outcome ─> diagnostics, simplify, carry                  what comes of it
-        └────> report, report page
+    columns ─> scan <─ resume                                what it runs on
+    outcome                                                  what comes of it
 """

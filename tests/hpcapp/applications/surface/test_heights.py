@@ -19,8 +19,8 @@ from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.cli import run
 from hpcapp.applications.surface.cli.run import run_job
 from hpcapp.applications.surface.job import site, storage
-from hpcapp.applications.surface.job.report_page import show_files
 from hpcapp.applications.surface.job.settings import JobSettings
+from hpcapp.applications.surface.steps.report_page import show_files
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import open_points, read_mesh, read_points, write_points

@@ -22,9 +22,10 @@ from hpcapp.applications.surface.cli.run import run_job
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.hierarchical import all_tiles, method
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
-from hpcapp.applications.surface.job import folder, read, site, storage
+from hpcapp.applications.surface.job import folder, site, storage
 from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.resolution.memory import fitting_tile, parse_limit
+from hpcapp.applications.surface.steps import read
 from hpcapp.applications.surface.stitching import (
     shared_ply,
     surface,

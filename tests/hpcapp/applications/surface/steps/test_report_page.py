@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from hpcapp.applications.surface.cli.command import reconstruct
-from hpcapp.applications.surface.job.report_page import (
+from hpcapp.applications.surface.steps.report_page import (
     Shown,
     build_job_page,
     find_guesses,

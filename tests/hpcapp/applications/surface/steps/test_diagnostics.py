@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.job.diagnostics import (
+from hpcapp.applications.surface.steps.diagnostics import (
     check_closing,
     check_closure,
     check_handles,

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.job.summary import summarize
+from hpcapp.applications.surface.steps.summary import summarize
 from hpcapp.applications.surface.stitching.topology import Topology, check_mesh
 from hpcapp.geometry.mesh import Mesh
 
