@@ -16,9 +16,10 @@ CLONE = Path(__file__).parents[1]
 FOLDERS = (
     "deploy", "tests/deploy", "tests/machines", "tests/cloud", "tests/e2e", "tests/systemd",
     "tests/testbed", "tests/hpcloader", "tests/hpcapp/backends", "tests/hpcapp/communicator",
-    "tests/benchmarks/test_worlds.py",
+    "tests/benchmarks/test_worlds.py", "tests/hpcapp/applications",
 )  # fmt: skip
-PARTS = {"clouds": "tests/deploy", "waiting": "tests/e2e", "others": "tests/docs"}
+PARTS = {"clouds": "tests/deploy", "waiting": "tests/e2e", "surface": "tests/hpcapp/applications",
+         "others": "tests/docs"}  # fmt: skip
 TESTS = """
 import os, signal, subprocess, sys
 import pytest
@@ -45,7 +46,7 @@ def test_is_never_run():
 
 @pytest.fixture
 def clone(tmp_path: Path) -> Path:
-    """Make a clone of three parts, each of which hangs; its environment is the one that runs."""
+    """Make a clone of all parts, each of which hangs; its environment is the one that runs."""
     for folder in (*FOLDERS, *PARTS.values(), "examples", ".venv/bin"):
         (tmp_path / folder).mkdir(parents=True, exist_ok=True)
     for name in ("tests/run", "examples/set-up"):
