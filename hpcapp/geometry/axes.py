@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from hpcapp.geometry.faces import cross_edges
 from hpcapp.geometry.points import FloatArray
 
 _TO_Z: dict[str, list[list[int]]] = {
@@ -59,8 +60,7 @@ _MOST_OPEN = 0.06
 
 def measure_faces(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the middles of triangles, of shape (f, 3, 3), and their normals as long as areas."""
-    vectors = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return corners.mean(axis=1), vectors
+    return corners.mean(axis=1), 0.5 * cross_edges(corners)
 
 
 def find_up(faces: Iterator[tuple[FloatArray, FloatArray]], box: FloatArray) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hpcapp.geometry.faces import cross_edges
 from hpcapp.geometry.points import FloatArray, IntArray
 
 _WEIGHTS = 0.01, 4.0
@@ -49,14 +50,14 @@ def _weigh(
     places: FloatArray, faces: IntArray
 ) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
     """Return the cotangent weight of each side both ways, and the area around each vertex."""
-    corners = [places[column] for column in faces.T]
+    corners = places[faces]
     rows: list[IntArray] = []
     columns: list[IntArray] = []
     weights: list[FloatArray] = []
-    doubled = np.linalg.norm(np.cross(corners[1] - corners[0], corners[2] - corners[0]), axis=1)
+    doubled = np.linalg.norm(cross_edges(corners), axis=1)
     doubled = np.maximum(doubled, 1e-12 * doubled.mean())  # not to divide by nothing
     for tip, one, other in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        first, second = corners[one] - corners[tip], corners[other] - corners[tip]
+        first, second = (corners[:, k] - corners[:, tip] for k in (one, other))
         weight = np.clip(0.5 * np.einsum("ij,ij->i", first, second) / doubled, *_WEIGHTS)
         rows += [faces[:, one], faces[:, other]]
         columns += [faces[:, other], faces[:, one]]

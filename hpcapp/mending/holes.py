@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from hpcapp.geometry.faces import cross_edges
 from hpcapp.geometry.lattice import number_keys, unique_keys
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, IntArray
@@ -151,8 +152,7 @@ def fill_loop(
 
 def _find_normals(places: FloatArray, around: IntArray, border: int) -> FloatArray:
     """Return the unit normal of the face at each side of a loop, from its vertex to the next."""
-    a, b, c = places[around].transpose(1, 0, 2)
-    normals = np.cross(b - a, c - a)
+    normals = cross_edges(places[around])
     normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
     found = np.zeros((border, 3))
     for k in range(3):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hpcapp.applications.surface import kernels
+from hpcapp.geometry.faces import cross_edges
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.pieces import round_areas
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
@@ -19,8 +20,7 @@ def measure_pieces(mesh: Mesh) -> tuple[IntArray, FloatArray]:
     """
     labels = kernels.label_components(mesh.faces, len(mesh.vertices))[1]
     _, pieces = np.unique(labels[mesh.faces[:, 0]], return_inverse=True)
-    a, b, c = (mesh.vertices[column] for column in mesh.faces.T)
-    sizes = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    sizes = 0.5 * np.linalg.norm(cross_edges(mesh.vertices[mesh.faces]), axis=1)
     return pieces, round_areas(np.bincount(pieces, sizes).astype(np.float64))
 
 

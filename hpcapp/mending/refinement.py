@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hpcapp.geometry.faces import cross_edges
 from hpcapp.geometry.lattice import find_first, find_keys, unique_keys
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 
@@ -27,8 +28,7 @@ def refine(
     as the sides (n,) at their vertices; edges of the mesh join the vertices that are taken, (t, 2),
     the lower first. Return places, faces and sides; new vertices are behind the others.
     """
-    one, other = (places[faces[:, k]] - places[faces[:, 0]] for k in (1, 2))
-    area = 0.5 * float(np.linalg.norm(np.cross(one, other), axis=1).sum())
+    area = 0.5 * float(np.linalg.norm(cross_edges(places[faces]), axis=1).sum())
     coarse = np.sqrt(area / _MOST_VERTICES)
     for _ in range(_ROUNDS):
         faces = relax(places, faces, taken)
@@ -114,9 +114,8 @@ def _stays_upright(
 ) -> BoolArray:
     """Tell for which edges both faces behind a flip look as the two before do together."""
 
-    def normal(x: IntArray, y: IntArray, z: IntArray) -> FloatArray:
-        normals: FloatArray = np.cross(places[y] - places[x], places[z] - places[x])
-        return normals
+    def normal(*corners: IntArray) -> FloatArray:
+        return cross_edges(places[np.stack(corners, axis=1)])
 
     before = normal(a, b, c) + normal(b, a, d)
     behind = (normal(a, d, c), normal(d, b, c))

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hpcapp.geometry.faces import cross_edges
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import PointCloud
 from hpcapp.pages.drawing.camera import look_along, turn_upright
@@ -48,8 +49,8 @@ def choose_eye(mesh: Mesh, up: str) -> tuple[float, float]:
     """Return azimuth and elevation from where the front of a mesh is seen, in degrees."""
     area, total = np.zeros(3), 0.0
     for begin in range(0, len(mesh.faces), _FACES):
-        a, b, c = np.nan_to_num(mesh.vertices[mesh.faces[begin : begin + _FACES].T])
-        crosses = np.cross(b - a, c - a)
+        corners = mesh.vertices[mesh.faces[begin : begin + _FACES]]
+        crosses = cross_edges(np.nan_to_num(corners))
         area += crosses.sum(axis=0)
         total += float(np.linalg.norm(crosses, axis=1).sum())
     x, y, z = turn_upright(area / max(total, 1e-300), up)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hpcapp.geometry.faces import cross_edges
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, IntArray
 from hpccomponent.dataclass import dataclass
@@ -66,8 +67,7 @@ def _scale(mesh: Mesh) -> np.ndarray[tuple[int, int], np.dtype[np.float32]]:
 
     The limits below which xatlas takes a triangle for none are lengths.
     """
-    a, b, c = mesh.vertices[mesh.faces].transpose(1, 0, 2)
-    cross = np.cross(b - a, c - a)
+    cross = cross_edges(mesh.vertices[mesh.faces])
     unit = np.sqrt(np.sqrt((cross * cross).sum(axis=1)).mean()) or 1.0
     middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
     scaled: np.ndarray[tuple[int, int], np.dtype[np.float32]]

@@ -19,6 +19,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from hpcapp.geometry.faces import cross_edges
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import BoolArray, ByteArray, FloatArray, IntArray
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
@@ -186,8 +187,7 @@ def _split(mesh: Mesh, atlas: Atlas) -> Mesh:
 
 
 def _measure_area(mesh: Mesh) -> float:
-    a, b, c = mesh.vertices[mesh.faces].transpose(1, 0, 2)
-    cross = np.cross(b - a, c - a)
+    cross = cross_edges(mesh.vertices[mesh.faces])
     return float(0.5 * np.sqrt((cross * cross).sum(axis=1)).sum())
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import KDTree
 
+from hpcapp.geometry.faces import cross_edges
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, IntArray
 
@@ -102,7 +103,7 @@ def face_normals(mesh: Mesh) -> FloatArray:
 
 def _unit_normals(triangles: FloatArray) -> FloatArray:
     """Return the unit normals of triangles, shape (m, 3, 3)."""
-    cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    cross = cross_edges(triangles)
     length = np.linalg.norm(cross, axis=1, keepdims=True)
     normals: FloatArray = cross / np.where(length > 0.0, length, 1.0)
     return normals

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from hpcapp.applications.compare.nearest import face_normals
+from hpcapp.geometry.faces import cross_edges
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, IntArray
 
@@ -40,7 +41,7 @@ def find_sides(mesh: Mesh, points: FloatArray, faces: IntArray) -> FloatArray:
 
 def _weigh_foot(points: FloatArray, corners: FloatArray) -> FloatArray:
     """Return the weights of the corners of triangles, at the place nearest to a point of each."""
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = cross_edges(corners)
     area = np.einsum("ij,ij->i", normals, normals)
     # (n, 3): how much of the triangle lies beyond the foot, seen from each corner
     parts = []

@@ -14,6 +14,7 @@ from hpcapp.applications.compare.nearest import ROUNDING, NearestFace, face_norm
 from hpcapp.applications.compare.sides import find_sides
 from hpcapp.applications.surface.stitching.topology import Topology, check_mesh
 from hpcapp.geometry.bounds import bound_points
+from hpcapp.geometry.faces import cross_edges
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import holds_faces, open_points, read_mesh, read_points, take_finite
@@ -168,8 +169,7 @@ def sample_mesh(mesh: Mesh, count: int, seed: int = 0) -> PointCloud:
     rng = np.random.default_rng(seed)
     # (f, 3, 3): the corners of every face; (f,): twice its area
     corners = mesh.vertices[mesh.faces]
-    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.linalg.norm(crosses, axis=1)
+    area = np.linalg.norm(cross_edges(corners), axis=1)
     # Equal steps through the summed areas: fewer clumps than independent draws.
     steps = (np.arange(count) + rng.random(count)) / count
     # (count,): the face on which each point comes to lie

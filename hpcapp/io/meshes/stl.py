@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hpcapp.geometry.faces import cross_edges
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray
 from hpcapp.io.columns import Ragged
@@ -86,7 +87,7 @@ def write_stl(path: Path, mesh: Mesh | MeshStream) -> None:
 
 def _unit_normals(corners: FloatArray) -> FloatArray:
     """Return the normals of triangles; zero, as STL allows, for those without area."""
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = cross_edges(corners)
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     units: FloatArray = np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0)
     return units

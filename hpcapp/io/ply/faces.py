@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.geometry.faces import cross_edges
 from hpcapp.geometry.points import BoolArray, FloatArray
 from hpcapp.io.columns import Numbers, Ragged, cut_fans
 from hpcapp.io.ply.header import Header
@@ -60,8 +61,7 @@ def _area_vectors(
 ) -> FloatArray:
     """Return the area vector of each polygon, the sum of those of the triangles of its fan."""
     triangles, polygon = cut_fans(lengths)
-    a, b, c = (positions[corners[triangles[:, i]]] for i in range(3))
     with np.errstate(over="ignore", invalid="ignore"):  # vertices may be NaN, or far beyond all
-        areas = np.cross(b - a, c - a)
+        areas = cross_edges(positions[corners[triangles]])
     vectors = [np.bincount(polygon, column, len(lengths)) for column in areas.T]
     return np.stack(vectors, axis=1) / 2

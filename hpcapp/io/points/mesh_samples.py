@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hpcapp.geometry.faces import cross_edges
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import PointCloud
 from hpcapp.io.points.no_data import sum_coordinates
@@ -46,8 +47,8 @@ def sample_faces(mesh: Mesh, points: int) -> PointCloud:
     They are in its own coordinates (its origin is added); the same mesh and number give the same
     points. Raise InputError where the mesh has no area.
     """
-    a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
-    normals = np.cross(b - a, c - a)
+    corners = mesh.vertices[mesh.faces]
+    normals = cross_edges(corners)
     doubled = np.linalg.norm(normals, axis=1)
     ends = np.cumsum(doubled)
     if not len(ends) or not ends[-1] > 0:
@@ -59,5 +60,6 @@ def sample_faces(mesh: Mesh, points: int) -> PointCloud:
     u, v = random.random((2, points, 1))
     folded = u + v > 1
     u, v = np.where(folded, 1 - u, u), np.where(folded, 1 - v, v)
-    positions = a[face] + u * (b[face] - a[face]) + v * (c[face] - a[face]) + mesh.origin
+    a, b, c = corners[face].transpose(1, 0, 2)
+    positions = a + u * (b - a) + v * (c - a) + mesh.origin
     return PointCloud(positions, normals[face] / doubled[face][:, None])

@@ -16,6 +16,7 @@ import numpy as np
 
 from hpcapp.applications.surface.kernels import spread_keys
 from hpcapp.applications.surface.types.field import Features
+from hpcapp.geometry.faces import cross_edges
 from hpcapp.geometry.lattice import find_keys, pack_places
 from hpcapp.geometry.points import BoolArray, ByteArray, FloatArray, IntArray
 from hpccomponent.cutting import cut_equal
@@ -267,7 +268,7 @@ def _find_normals(
     at[rows] = np.stack([np.bincount(group, axis, len(rows)) for axis in of_ends.T], axis=1)
     at[is_moved] = 0.0
     normals = at[faces].sum(axis=1)
-    return np.where((normals != 0.0).any(axis=1)[:, None], normals, _face_crosses(vertices, faces))
+    return np.where((normals != 0.0).any(axis=1)[:, None], normals, cross_edges(vertices[faces]))
 
 
 def _hold_faces(
@@ -282,7 +283,7 @@ def _hold_faces(
     Of each such face the farthest one; then all of those that are still wrong.
     """
     for last in (False, True):
-        after = _face_crosses(moved, faces)
+        after = cross_edges(moved[faces])
         wrong = (normals * after).sum(axis=1) <= 0.0
         wrong |= (after * after).sum(axis=1) < 4.0 * least_areas * least_areas
         shifts = ((moved - before) ** 2).sum(axis=1)[faces]  # (f, 3): of the corners, squared
@@ -290,9 +291,3 @@ def _hold_faces(
         back = faces[wrong] if last else faces[wrong, shifts[wrong].argmax(axis=1)]
         moved[back] = before[back]
     return moved
-
-
-def _face_crosses(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """Return the normals of the faces, of twice their area in length."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    return np.cross(b - a, c - a)

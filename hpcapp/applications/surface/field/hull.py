@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hpcapp.geometry.faces import cross_edges
 from hpcapp.geometry.points import FloatArray
 
 _WIDE = 4.0
@@ -55,8 +56,7 @@ def find_hull(
     outwards, corners = hull.equations[:, :3], centroids[hull.simplices]  # (f, 3), (f, 3, 3)
     # (f,): the smallest height of each triangle.
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
-    arms = corners[:, 1:] - corners[:, :1]
-    areas = np.linalg.norm(np.cross(arms[:, 0], arms[:, 1]), axis=1)
+    areas = np.linalg.norm(cross_edges(corners), axis=1)
     is_wide = areas > _WIDE * size * sides.max(axis=1)
     is_missing = outwards @ missing > _MISSING * length
     units = normals / np.maximum(np.linalg.norm(normals, axis=1), _TINY)[:, None]

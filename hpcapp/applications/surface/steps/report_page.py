@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 from hpcapp.applications.surface.attributes.carrying import SUPPORT, Carrying
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.geometry.axis_names import AXES
+from hpcapp.geometry.faces import cross_edges
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
 from hpcapp.io import open_points, read_mesh, read_whole, take_finite
@@ -204,9 +205,7 @@ def find_guesses(
     if not len(faces):
         return []
     corners = mesh.vertices[mesh.faces]
-    areas = np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
+    areas = np.linalg.norm(cross_edges(corners), axis=1)
     total, areas = float(areas.sum()), areas[is_far]
     count = len(mesh.vertices)
     edges = np.concatenate([faces[:, :2], faces[:, 1:]])

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from hpcapp.applications.surface import kernels
 from hpcapp.applications.surface.types.brick_mesh import Survey
+from hpcapp.geometry.faces import cross_edges
 from hpcapp.geometry.lattice import number_keys
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import IntArray
@@ -131,8 +132,8 @@ def signed_volume(mesh: Mesh) -> float:
 
 def surface_area(mesh: Mesh) -> float:
     """Return the area of all faces, in squared length units of the input."""
-    a, b, c = mesh.vertices[mesh.faces].transpose(1, 0, 2)
-    return float(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+    corners = mesh.vertices[mesh.faces]
+    return float(0.5 * np.linalg.norm(cross_edges(corners), axis=1).sum())
 
 
 def count_loops(tails: IntArray, heads: IntArray) -> int:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import KDTree
 
+from hpcapp.geometry.faces import cross_edges
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, IntArray
 from hpcapp.lab.simulate.fields import Field, cut, unite
@@ -213,10 +214,9 @@ def _box(each: Box) -> Field:
 
 def _convex(vertices: FloatArray, faces: IntArray) -> Field:
     """Return a convex solid from its faces, open where it has none: exact inside."""
-    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
-    normals = np.cross(b - a, c - a)
+    normals = cross_edges(vertices[faces])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    offsets = np.einsum("ij,ij->i", normals, a)
+    offsets = np.einsum("ij,ij->i", normals, vertices[faces[:, 0]])
 
     def heights(points: FloatArray) -> FloatArray:
         above: FloatArray = np.einsum("ij,kj->ik", points, normals) - offsets

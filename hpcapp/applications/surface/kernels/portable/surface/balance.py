@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hpcapp.geometry.faces import cross_edges
 from hpcapp.geometry.points import ByteArray, FloatArray, IntArray
 
 __all__ = ["balance_vertices"]
@@ -39,7 +40,7 @@ def balance_vertices(
     N. Max, Weights for computing vertex normals from facet normals, J. Graphics Tools 4 (1999),
     doi:10.1080/10867651.1999.10487501.
     """
-    crosses = _face_crosses(vertices, faces)
+    crosses = cross_edges(vertices[faces])
     steps = np.full(1, step) if exponents is None else np.ldexp(step, exponents)
     normals = _vertex_normals(vertices, faces, crosses, _SLIVER * steps * steps)
     gaps = np.zeros(len(faces))  # (f,): 24 times the mean gap of each face
@@ -51,12 +52,6 @@ def balance_vertices(
     weights = np.maximum(_gather(faces, areas, len(vertices)), 1e-300)
     shifts = _gather(faces, areas * (gaps / 24.0), len(vertices)) / weights
     return _hold_folds(vertices, vertices + normals * shifts[:, None], faces, crosses)
-
-
-def _face_crosses(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """Return the normals of the faces, of twice their area in length."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    return np.cross(b - a, c - a)
 
 
 def _vertex_normals(
@@ -90,7 +85,7 @@ def _hold_folds(
     """Put the vertices of faces that turn over back, a few times: what is held may turn others."""
     is_held = np.zeros(len(vertices), np.bool_)
     for _ in range(_ROUNDS):
-        folded = (crosses * _face_crosses(moved, faces)).sum(axis=1) <= 0.0
+        folded = (crosses * cross_edges(moved[faces])).sum(axis=1) <= 0.0
         folded &= ~is_held[faces].all(axis=1)
         if not folded.any():
             break
