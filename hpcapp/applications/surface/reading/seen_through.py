@@ -35,6 +35,7 @@ stood in one of three scans of a room 94 to 98 % are seen through with 1 bin, 84
 .07, .01 and .006 % are; where its scans do not fit by 10 cm, 2.8, 1.2 and .4 %."""
 _MOST = 0.3  # of the points of a scan: where more are seen through, scans stood elsewhere
 _ROWS = 1 << 20  # at once
+_UNTOLD = 1 << 20  # points of a file that does not say how many there are
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,11 +105,16 @@ def drop_seen_through(source: PointSource) -> PointSource:
 
 def look_around(source: PointSource) -> list[DepthSphere]:
     """Return what each scan of a file saw; nothing where it does not tell, or tells it wrongly."""
-    known = [(one.scanner, one.points or 0) for one in source.scans if one.scanner is not None]
-    if len(known) < 2 or len(known) != len(source.scans):
+    places = [one.scanner for one in source.scans if one.scanner is not None]
+    if len(places) < 2 or len(places) != len(source.scans):
         return []
-    spheres = [DepthSphere.empty(*one) for one in known]
-    samples = [EvenSample() for _ in known]
+    # Where a file says of none how many points it has, each has as many.
+    share = (source.count or _UNTOLD) // len(places)
+    spheres = [
+        DepthSphere.empty(place, one.points or share)
+        for place, one in zip(places, source.scans, strict=True)
+    ]
+    samples = [EvenSample() for _ in places]
     for part in source.chunks(_ROWS):
         numbers, is_finite = part.attributes[SCAN], are_finite(part.positions)
         for number, (sphere, sample) in enumerate(zip(spheres, samples, strict=True)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -107,6 +108,16 @@ def test_scans_that_stood_elsewhere_look_through_nothing(tmp_path: Path) -> None
     elsewhere = [(np.array([3.0, 2.5, 9.0 + 5.0 * i]), p) for i, (_, p) in enumerate(scans)]
     source = open_points(_write(tmp_path / "room.ptx", elsewhere))
     assert len(_keep(source)[0]) == len(read_whole(source))
+
+
+def test_scans_of_several_files_are_told_apart(
+    tmp_path: Path, run: Callable[..., tuple[int, str, str]]
+) -> None:
+    scans = _scan_room(20_000)
+    names = [str(_write(tmp_path / f"{i}.ptx", [one])) for i, one in enumerate(scans)]
+    code, said, _ = run("reconstruct", *names, "-o", str(tmp_path / "m.ply"), "--json")
+    assert code == 0
+    assert json.loads(said)["dropped"][SEEN_THROUGH] > 200
 
 
 def test_one_scan_is_not_looked_at(tmp_path: Path) -> None:
