@@ -17,6 +17,10 @@ FOLDERS = (
     "deploy", "tests/deploy", "tests/machines", "tests/cloud", "tests/e2e", "tests/systemd",
     "tests/testbed", "tests/hpcloader", "tests/hpcapp/backends", "tests/hpcapp/communicator",
     "tests/benchmarks/test_worlds.py", "tests/hpcapp/applications",
+    *(f"tests/hpcapp/test_{name}.py" for name in (
+        "capacity", "dying_loaders", "executor_contract", "interrupts", "lying_machines",
+        "out_of_memory",
+    )),
 )  # fmt: skip
 PARTS = {"clouds": "tests/deploy", "waiting": "tests/e2e", "surface": "tests/hpcapp/applications",
          "others": "tests/docs"}  # fmt: skip
