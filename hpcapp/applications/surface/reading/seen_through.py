@@ -116,7 +116,9 @@ def look_around(source: PointSource) -> list[DepthSphere]:
     ]
     samples = [EvenSample() for _ in places]
     for part in source.chunks(_ROWS):
-        numbers, is_finite = part.attributes[SCAN], are_finite(part.positions)
+        numbers, is_finite = part.attributes.get(SCAN), are_finite(part.positions)
+        if numbers is None:
+            return []
         for number, (sphere, sample) in enumerate(zip(spheres, samples, strict=True)):
             positions = part.positions[is_finite & (numbers == number)]
             sphere.add(positions)
