@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from lies import LIES
 from lying_tasks import TASKS
+from pairs import cover_pairs
 from standing import StandingCluster, StartCluster
 
 from hpcapp.applications.surface.cli.run import run_job
@@ -189,9 +190,7 @@ def test_an_error_of_the_job_itself_comes_again_and_is_told(
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("verify", [None, 1.0])
-@pytest.mark.parametrize("where", WHERE)
-@pytest.mark.parametrize("lie", LIES)
+@pytest.mark.parametrize(("lie", "where", "verify"), cover_pairs(LIES, WHERE, [None, 1.0]))
 def test_no_lie_about_all_tasks_changes_the_mesh(
     scan: Path,
     truth: bytes,

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from disk_clouds import DiskCloudWriter
+from pairs import cover_pairs
 from recorder import Recorder
 from shared_data import shared
 
@@ -284,15 +285,23 @@ def test_a_refined_lattice_gives_the_same_bits_in_tiles_and_slabs(
     assert np.array_equal(mesh.faces, whole.faces)
 
 
+KINDS = [torus, rough_torus, tailed_torus, half_torus, sheet]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("grid", [40, 96])
-@pytest.mark.parametrize("shape", [torus, rough_torus, tailed_torus, half_torus, sheet])
-def test_any_tiling_gives_the_same_bits(shape: Callable[[int], PointCloud], grid: int) -> None:
+@pytest.mark.parametrize(
+    ("shape", "grid", "tilings"),
+    cover_pairs(KINDS, [40, 96], [(1, 16), (2, 5)]),
+    ids=lambda value: "+".join(map(str, value)) if isinstance(value, tuple) else None,
+)
+def test_any_tiling_gives_the_same_bits(
+    shape: Callable[[int], PointCloud], grid: int, tilings: tuple[int, int]
+) -> None:
     """Closed, noisy, and open clouds, whose holes are closed far from every point."""
     cloud = shape(6000)
     whole, facts = reconstruct(cloud, HierarchicalMethod(grid, threads=2))
     assert facts["tiles"] == 1
-    for tiles in (1, 2, 5, 16):
+    for tiles in tilings:
         mesh, found = reconstruct(cloud, HierarchicalMethod(grid), tiles)
         assert found == facts | {"tiles": tiles}
         assert mesh.vertices.tobytes() == whole.vertices.tobytes()
@@ -300,25 +309,26 @@ def test_any_tiling_gives_the_same_bits(shape: Callable[[int], PointCloud], grid
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("tiles", [None, 3])
-@pytest.mark.parametrize("grid", [40, 96])
-@pytest.mark.parametrize("shape", [torus, rough_torus, tailed_torus, half_torus, sheet])
+@pytest.mark.parametrize(
+    ("shape", "grid", "tiles", "slabs"),
+    cover_pairs(KINDS, [40, 96], [None, 3], [1, 10]),
+)
 def test_any_slabs_give_the_same_bits(
     shape: Callable[[int], PointCloud],
     grid: int,
     tiles: int | None,
+    slabs: int,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Of the whole cloud, and of each tile."""
     cloud = shape(6000)
     whole, facts = reconstruct(cloud, HierarchicalMethod(grid), tiles)
     monkeypatch.setattr(field_levels, "_LEAST_LAYERS", 1)
-    for quadrics in (facts["patches"], facts["patches"] // 10):
-        monkeypatch.setattr(slab_growth, "SLAB_QUADRICS", quadrics)
-        mesh, again = reconstruct(cloud, HierarchicalMethod(grid), tiles)
-        assert np.array_equal(mesh.vertices, whole.vertices)
-        assert np.array_equal(mesh.faces, whole.faces)
-        assert again == facts
+    monkeypatch.setattr(slab_growth, "SLAB_QUADRICS", facts["patches"] // slabs)
+    mesh, again = reconstruct(cloud, HierarchicalMethod(grid), tiles)
+    assert np.array_equal(mesh.vertices, whole.vertices)
+    assert np.array_equal(mesh.faces, whole.faces)
+    assert again == facts
 
 
 def reconstruct_strided(
@@ -484,10 +494,16 @@ def test_moments_of_tiles_go_through_the_folder_that_points_are_read_from(
     assert checkpoint.store.list() == []
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.001, 0.003])  # with heavy tails: points are weighed
-@pytest.mark.parametrize("steps", [1.2, 1.46, 1.52, 1.57, 1.65, 1.8, 2.2, 3.1])
+@pytest.mark.parametrize(
+    ("steps", "noise", "tiles"),
+    cover_pairs(
+        [1.2, 1.46, 1.52, 1.57, 1.65, 1.8, 2.2, 3.1],
+        [0.0, 0.001, 0.003],  # with heavy tails: points are weighed
+        [2, 7],
+    ),
+)
 def test_tiles_hold_all_that_they_ask_for_whatever_a_cell_has_of_steps(
-    steps: float, noise: float
+    steps: float, noise: float, tiles: int
 ) -> None:
     cloud = torus(60_000)
     normals = cloud.normals
@@ -499,7 +515,6 @@ def test_tiles_hold_all_that_they_ask_for_whatever_a_cell_has_of_steps(
     grid = int(2.8 / cell * steps) + 8
     whole, facts = reconstruct(scan, HierarchicalMethod(grid))
     assert facts["cell_size"] == pytest.approx(cell)
-    for tiles in (2, 7):
-        cut, _ = reconstruct(scan, HierarchicalMethod(grid), tiles)
-        np.testing.assert_array_equal(cut.vertices, whole.vertices)
-        np.testing.assert_array_equal(cut.faces, whole.faces)
+    cut, _ = reconstruct(scan, HierarchicalMethod(grid), tiles)
+    np.testing.assert_array_equal(cut.vertices, whole.vertices)
+    np.testing.assert_array_equal(cut.faces, whole.faces)
