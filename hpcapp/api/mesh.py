@@ -229,6 +229,7 @@ class Mesh:
         smallest: float | None = None,
         box: Sequence[float] | None = None,
         around: Sequence[float] | None = None,
+        polygon: str | PathLike[str] | None = None,
     ) -> Mesh:
         """Return it with holes filled, then without some of its pieces, then cut.
 
@@ -245,6 +246,9 @@ class Mesh:
             x, y and z of two corners: what lies between them is kept.
         around : sequence of float, optional
             x, y, z of a place and a distance from it, likewise.
+        polygon : path-like or str, optional
+            A file of polygons (GeoJSON, WKT or a shapefile), or WKT itself: what lies above and
+            below them is kept.
 
         Raises
         ------
@@ -256,10 +260,10 @@ class Mesh:
         from hpcapp.geometry.pieces import PieceChoice
         from hpcapp.mending.mend import Mending, mend_mesh
 
-        asked = Mending(fill_holes, PieceChoice(pieces, smallest), make_crop(box, around))
+        asked = Mending(fill_holes, PieceChoice(pieces, smallest), make_crop(box, around, polygon))
         asked.choice.check()
         if not asked.is_something:
-            raise UsageError("nothing to mend", "give fill_holes, pieces, smallest, box or around")
+            raise UsageError("nothing to mend", "give fill_holes, pieces or a part")
         if fill_holes is not None:
             check_range("fill_holes", fill_holes, 0.0, is_open=True)
         mended = mend_mesh(self._plain, asked, self._crs.height_scale)

@@ -141,6 +141,9 @@ def test_from_python(holed: Path) -> None:
     assert whole.volume == pytest.approx(4.0 / 3.0 * np.pi * 0.6**3, rel=0.01)
     half = mesh.mend(box=(-1.0, -1.0, -1.0, 1.0, 1.0, 0.0))
     assert half.bounds[1][2] == 0.0
+    wedge = mesh.mend(polygon="POLYGON((0 -1, 1 -1, 1 1, 0 1, 0 -1))")
+    assert wedge.bounds[0][0] == pytest.approx(0.0, abs=1e-6)
+    assert wedge.bounds[1][0] == pytest.approx(mesh.bounds[1][0])
     with pytest.raises(UsageError, match="nothing to mend"):
         mesh.mend()
     with pytest.raises(UsageError, match="fill_holes is -1"):
