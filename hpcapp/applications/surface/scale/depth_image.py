@@ -11,7 +11,6 @@ from __future__ import annotations
 import numpy as np
 
 from hpcapp.geometry.points import FloatArray, IntArray
-from hpccomponent.dataclass import dataclass
 
 _PIXELS = 4000  # points whose columns and rows are looked at
 _FEWEST = 100
@@ -29,6 +28,7 @@ MOST = 1 << 20
 _SHARED = 20  # points that share a depth
 _APART = 1e-5  # of the largest: reciprocals of depth that are nearer are one, but for its digits
 _EVEN, _MOSTLY = 0.1, 0.9  # how far most layers are from even steps, in these
+_QUANTA, _FEWEST_STEPS = 10.0, 8  # least differences of depth in a step that is far; so many tell
 SHEETS = 1.5
 """Spacings from layer to layer, from which on they are smoothed. As they are, .006 of the area of a
 wavy wall looks away from its camera with 1 spacing, .03 to .07 with 1.5, and .13 with 2."""
@@ -81,43 +81,25 @@ def _find_strengths(places: FloatArray) -> FloatArray:
     return strengths
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Layers:
-    """Depth in steps.
+def find_step(inverse: FloatArray) -> float:
+    """Return how far the reciprocals of depths, (n,), are from layer to layer; 0 where none are.
 
-    Parameters
-    ----------
-    numbers : ndarray of int64, shape (n,)
-        Which layer each point is in, from the farthest.
-    inverse : ndarray of float64, shape (n,)
-        Reciprocals of depth.
-    step : float
-        Of these, from layer to layer.
+    Where files have whole millimetres, what is near is uneven: the far layers tell, which are many
+    of the least difference of depths apart.
     """
-
-    numbers: IntArray
-    inverse: FloatArray
-    step: float
-
-    @classmethod
-    def of(cls, depth: FloatArray) -> Layers | None:
-        """Return those of some depths, shape (n,); None where they are not in even steps."""
-        inverse = 1.0 / depth
-        levels, which, counts = np.unique(inverse, return_inverse=True, return_counts=True)
-        # (l,): those that differ in their last digits are one.
-        is_next = np.diff(levels) > _APART * np.abs(levels).max()
-        joined = np.concatenate([[0], np.cumsum(is_next)])
-        if joined[-1] < 1 or len(depth) < _SHARED * (joined[-1] + 1):
-            return None
-        levels = np.bincount(joined, levels * counts) / np.bincount(joined, counts)
-        steps = np.diff(levels)
-        step = float(np.median(steps))
-        if np.mean(np.abs(steps / step - np.rint(steps / step)) < _EVEN) < _MOSTLY:
-            return None
-        numbers = joined[which]
-        return cls(
-            np.rint((levels - levels[0]) / step).astype(np.int64)[numbers], levels[numbers], step
-        )
+    levels, counts = np.unique(inverse, return_counts=True)
+    # (l,): those that differ in their last digits are one.
+    joined = np.concatenate([[0], np.cumsum(np.diff(levels) > _APART * levels[-1])])
+    if joined[-1] < 1 or len(inverse) < _SHARED * (joined[-1] + 1):
+        return 0.0
+    levels = np.bincount(joined, levels * counts) / np.bincount(joined, counts)
+    steps, depths = np.diff(levels), -np.diff(1.0 / levels)
+    is_far = depths > _QUANTA * depths.min()
+    for some in (steps, steps[is_far]):
+        step = float(np.median(some)) if len(some) >= _FEWEST_STEPS else 0.0
+        if step and np.mean(np.abs(some / step - np.rint(some / step)) < _EVEN) > _MOSTLY:
+            return step
+    return 0.0
 
 
 def smooth_steps(positions: FloatArray) -> tuple[FloatArray, int]:
@@ -136,29 +118,29 @@ def smooth_steps(positions: FloatArray) -> tuple[FloatArray, int]:
 
     Notes
     -----
-    Each reciprocal becomes the mean of those of the pixels around it in the same layer or the next
-    one, and stays within its layer, some rounds long.
+    Each reciprocal becomes the mean of those of the pixels around it that are a layer or less away,
+    and stays within its own layer, some rounds long.
     """
     if len(positions) > MOST or not has_pixels(positions):
         return positions, 0
     across, depth = _see(positions)
-    layers = Layers.of(depth[:, 0])
-    if layers is None:
+    measured = 1.0 / np.abs(depth[:, 0])
+    step = find_step(measured)
+    if not step:
         return positions, 0
     near, pixel = _find_pixels(across / depth)
-    is_moved = layers.step > SHEETS * pixel * np.abs(layers.inverse)
+    is_moved = step > SHEETS * pixel * measured
     if not is_moved.any():
         return positions, 0
     # (n, 9): those beyond a step in the scene are not smoothed over.
-    is_same = np.abs(layers.numbers[near] - layers.numbers[:, None]) <= 1
+    is_same = np.abs(measured[near] - measured[:, None]) < 1.5 * step
     counts = is_same.sum(axis=1)
-    half = np.where(is_moved, 0.5 * layers.step, 0.0)
-    low, high = layers.inverse - half, layers.inverse + half
-    inverse = layers.inverse
+    half = np.where(is_moved, 0.5 * step, 0.0)
+    inverse = measured
     for _ in range(_ROUNDS):
         means = np.einsum("nk,nk->n", inverse[near], is_same) / counts
-        inverse = np.clip(means, low, high)
-    return positions * (layers.inverse / inverse)[:, None], int(np.count_nonzero(is_moved))
+        inverse = np.clip(means, measured - half, measured + half)
+    return positions * (measured / inverse)[:, None], int(np.count_nonzero(is_moved))
 
 
 def _see(positions: FloatArray) -> tuple[FloatArray, FloatArray]:

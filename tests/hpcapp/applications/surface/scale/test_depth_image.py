@@ -119,6 +119,21 @@ def test_a_depth_comes_nearer_to_the_truth_and_stays_in_its_layer() -> None:
     assert after < 0.6 * before
 
 
+@pytest.mark.parametrize("digits", [3, 4])
+def test_layers_in_whole_millimetres_are_layers_too(digits: int) -> None:
+    """From one metre to nine, where a camera has them a millimetre and 20 centimetres apart."""
+    columns, rows = (axis.ravel() for axis in np.meshgrid(np.arange(320.0), np.arange(240.0)))
+    rays = np.stack([columns - 159.5, rows - 119.5, np.full(len(rows), 300.0)], axis=1) / 300.0
+    true, step = 1.0 + 8.0 * columns / 319.0, 0.0029
+    noise = np.random.default_rng(5).normal(0.0, 0.4, len(true))
+    depth = (1.0 / (np.rint(1.0 / true / step + noise) * step)).round(digits)
+    smoothed, moved = smooth_steps(rays * depth[:, None])
+    assert moved > 0.8 * len(true)
+    is_far = true > 3.0
+    before, after = (np.abs(some - true)[is_far].mean() for some in (depth, smoothed[:, 2]))
+    assert after < 0.6 * before
+
+
 def test_nothing_is_smoothed_over_an_edge() -> None:
     layered, _, step = _layered_image(3.0)
     is_front = np.abs(layered[:, 0] / layered[:, 2]) < 0.2
