@@ -85,6 +85,18 @@ def test_how_far_behind_it_must_be_matters(
     assert least <= gone <= least + 0.5
 
 
+def test_the_nearest_scans_are_asked_whatever_their_number(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = open_points(_write(tmp_path / "room.ptx", _scan_room(20_000)))
+    every = _keep(source)[1]
+    gone = []
+    for asked in (1, 2, 3):  # of the first scan's points, the nearest one is mostly itself
+        monkeypatch.setattr(seen_through, "_ASKED", asked)
+        gone.append(_keep(source)[1])
+    assert gone[0] < gone[1] <= gone[2] == every
+
+
 def test_nothing_goes_where_nobody_was(tmp_path: Path) -> None:
     path = _write(tmp_path / "room.ptx", _scan_room(20_000, with_person=False))
     assert _keep(open_points(path))[1] == 0
