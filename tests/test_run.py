@@ -22,8 +22,8 @@ FOLDERS = (
         "out_of_memory",
     )),
 )  # fmt: skip
-PARTS = {"clouds": "tests/deploy", "waiting": "tests/e2e", "surface": "tests/hpcapp/applications",
-         "others": "tests/docs"}  # fmt: skip
+PARTS = {"clouds": "tests/deploy", "whole": "tests/e2e", "waiting": "tests/hpcloader",
+         "surface": "tests/hpcapp/applications", "others": "tests/docs"}  # fmt: skip
 TESTS = """
 import os, signal, subprocess, sys
 import pytest
