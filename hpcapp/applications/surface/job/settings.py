@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import MISSING, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeAlias
 
@@ -65,20 +66,9 @@ def _parse_limit(text: str) -> float:
     return parse_limit(text)
 
 
-def _most_used(default: Any, help: str, **asked: Any) -> Any:  # noqa: A002
-    return option(default, help, group="Most used", **asked)
-
-
-def _of_points(default: Any, help: str, **asked: Any) -> Any:  # noqa: A002
-    return option(default, help, group="Points", **asked)
-
-
-def _of_surface(default: Any, help: str, **asked: Any) -> Any:  # noqa: A002
-    return option(default, help, group="Surface", **asked)
-
-
-def _of_place(default: Any, help: str, **asked: Any) -> Any:  # noqa: A002
-    return option(default, help, group="Where it runs", **asked)
+_most_used, _of_points, _of_surface, _of_place = (
+    partial(option, group=title) for title in ("Most used", "Points", "Surface", "Where it runs")
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

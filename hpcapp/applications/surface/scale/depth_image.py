@@ -33,7 +33,7 @@ SHEETS = 1.5
 """Spacings from layer to layer, from which on they are smoothed. As they are, .006 of the area of a
 wavy wall looks away from its camera with 1 spacing, .03 to .07 with 1.5, and .13 with 2."""
 _NEIGHBOURS, _DIAGONAL = 9, 1.6  # of a pixel, with itself; how far they are, in pixels
-_ROUNDS = 20
+_ROUNDS = 20  # with 60 and 200 the frame of a Kinect agrees with the truth as much: 98.6 %
 
 
 def has_pixels(positions: FloatArray) -> bool:
