@@ -30,7 +30,7 @@ from big_cloud import write_cloud
 from msgspec import convert
 from process_usage import run
 
-from hpcapp.applications.surface.job import storage
+from hpcapp.applications.surface.job import plan
 from hpcapp.applications.surface.job.settings import THREADS_FROM_POINTS
 from hpccomponent.limits import available_cores
 
@@ -124,8 +124,8 @@ def reconstruct(place: str, arguments: list[str]) -> int:
     """Run ``hpcapp`` in this process with its points in one place, whatever pays."""
     from hpcapp.__main__ import main as hpcapp
 
-    vars(storage).update(
-        fits_memory=lambda *_: place == "memory", may_pay_in_folder=lambda *_: place == "folder"
+    vars(plan).update(
+        fits_memory=lambda *_: place == "memory", _may_pay_in_folder=lambda *_: place == "folder"
     )
     sys.argv = ["hpcapp", "reconstruct", *arguments]
     return hpcapp()

@@ -31,6 +31,7 @@ from hpcapp.applications.surface.attributes.labels import find_labels
 from hpcapp.applications.surface.cli.run import load_stored
 from hpcapp.applications.surface.job.backend_choice import approach_workers
 from hpcapp.applications.surface.job.outcome import Outcome
+from hpcapp.applications.surface.job.plan import plan_job
 from hpcapp.applications.surface.job.scan import Loaded
 from hpcapp.applications.surface.job.settings import JobSettings, Settings
 from hpcapp.applications.surface.job.site import open_site
@@ -333,16 +334,17 @@ def _run_files(
 ) -> Mesh:
     """Run a job that reads files; they lie in memory unless `max_memory` or `temp_dir` is given."""
     verification = _choose_verification(executor, settings.verify)
+    plan = plan_job(settings, [settings.points])
 
     def run(is_first: bool) -> Mesh:
         job = settings if is_first else replace(settings, resume=False)
         clock, in_memory = StageClock(Progress(reporter)), nullcontext(JobStorage(None, None))
         is_bounded = job.max_memory is not None or job.temp_dir is not None or job.resume
         with (
-            open_storage(job) if is_bounded else in_memory as storage,
+            open_storage(job, plan.place) if is_bounded else in_memory as storage,
             attempt(verification, lambda error: error is reporter.raised),
             approach_workers(job, verification=verification) as opener,
-            load_stored(job, storage, opener, clock, executor, reporter.cancellation) as (
+            load_stored(job, plan, storage, opener, clock, executor, reporter.cancellation) as (
                 loaded, site,
             ),
             reconstruct_cloud(job, loaded, site, clock) as outcome,

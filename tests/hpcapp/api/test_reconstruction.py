@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from little_memory import leave_little_memory
 from numpy.typing import NDArray
 
 import hpcapp
 from hpcapp.applications.surface.cli.run import run_job
-from hpcapp.applications.surface.job import storage
 from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.normals.viewpoint import parse_viewpoint
 from hpcapp.cli import _run
@@ -343,7 +343,7 @@ def test_files_larger_than_memory_give_the_same_mesh(
     scan = tmp_path / "scan.ply"
     hpcapp.write_points(scan, hpcapp.simulate("torus", points=20_000))
     whole = hpcapp.reconstruct(scan, grid=64)
-    monkeypatch.setattr(storage, "fits_memory", lambda *_: False)
+    leave_little_memory(monkeypatch)
     bounded = hpcapp.reconstruct(
         scan, grid=64, max_memory="1G", temp_dir=tmp_path / "left", resume=True
     )

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -26,7 +26,7 @@ from hpcapp.applications.points.command import (
     SAMPLE,
     readable,
 )
-from hpcapp.applications.points.crop import CROPPED, parse_crop
+from hpcapp.applications.points.crop import CROPPED, Crop, parse_crop
 from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.methods.options import (
@@ -47,7 +47,7 @@ from hpcapp.simplification.command import ORIGIN, UP
 from hpcapp.texture.request import check_library, check_texture
 from hpcapp.timeline import Timeline
 from hpccomponent.cli.named_files import STREAM, json_option
-from hpccomponent.cli.terminal import echo_json
+from hpccomponent.cli.terminal import align_rows, echo, echo_json
 from hpccomponent.cli.verb import Verb
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
@@ -147,7 +147,7 @@ def check_flags(ctx: click.Context) -> None:
 _BESIDE = {
     "Points": (*CROPPED, "sample"),
     "Surface": ("pieces", "smallest", "origin", "up", "method"),
-    "Watching and reporting": ("as_json", *WATCHED),
+    "Watching and reporting": ("plan", "as_json", *WATCHED),
 }
 """What other verbs have too, or no job keeps, below the headings of help."""
 
@@ -209,6 +209,12 @@ def _add_options(command: click.Command) -> click.Command:
 @ORIGIN
 @UP
 @click.option(
+    "--plan",
+    is_flag=True,
+    help="Only print what the job would do at most: where the points lie, who works, and the "
+    "memory and the disk that it takes.",
+)
+@click.option(
     "--events",
     type=STREAM,
     metavar="FILE",
@@ -238,6 +244,9 @@ def reconstruct(ctx: click.Context, /, **options: Any) -> None:
     """
     check_flags(ctx)
     as_json = options.pop("as_json")
+    if options.pop("plan"):
+        _print_plan(options, as_json)
+        return
     watching = Watching(*(options.pop(name) for name in WATCHED))
     cluster = options["cluster"]
     if cluster is not None and cluster.suffix != ".json":
@@ -297,6 +306,57 @@ class Watching:
                     yield Progress(job, events, display), job.say
 
 
+def _read_options(options: dict[str, Any], names: Sequence[str]) -> partial[JobSettings]:
+    """Return the settings that were typed, but for the file of the points."""
+    from hpcapp.io.placement import parse_origin
+    from hpcapp.io.points.inputs import find_paths
+    from hpcapp.simplification.size import read_size
+
+    options = parse_typed(JobSettings, options)
+    if options["texture"] is not None:
+        check_library()
+        options["attributes"] = options["attributes"].for_texture()
+    options["origin"] = parse_origin(options["origin"])
+    crop = parse_crop(*(options.pop(name) for name in CROPPED))
+    if options["size"] is not None:
+        options["size"] = read_size(options["size"], options["output"])
+    own = {name: options.pop(name) for name in METHOD_OPTIONS}
+    method = find_method(options.pop("method"))
+    chosen = {name: own[name] for name in option_names(method)}
+    files = find_paths(names)
+    if options["resume"] and not files:
+        raise UsageError("--resume needs a file to know again", "write the points to a file")
+    return partial(JobSettings, method=method(**chosen), inputs=files, crop=crop, **options)
+
+
+def _print_plan(options: dict[str, Any], as_json: bool) -> None:
+    """Print what a job would do here."""
+    from hpcapp.applications.surface.job.plan import plan_job
+    from hpcapp.io import open_points
+
+    if options["cluster"] is not None:
+        raise UsageError(
+            "--plan tells of this machine",
+            "leave --cluster out; 'hpcapp plan' tells which machines a cluster file asks for",
+        )
+    for name in WATCHED:
+        options.pop(name)
+    names = options.pop("points")
+    del options["sample"]
+    make = _read_options(options, names)
+    files: tuple[Path, ...] = make.keywords["inputs"]
+    if not files:
+        raise UsageError("--plan needs a file to look at", "write the points to a file")
+    for file in files:
+        open_points(file)  # what cannot be read is refused
+    plan = plan_job(make(points=files[0]).for_ground(), files)
+    if as_json:
+        echo_json(plan.to_json())
+    else:
+        for line in align_rows(plan.describe()):
+            echo(line)
+
+
 def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:
     """Run the job with this process as its master."""
     from hpcapp.backends.selection import start_early
@@ -307,25 +367,11 @@ def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:
     with start_early(name, options["workers"]) as machines:
         from hpcapp.applications.surface.cli.run import run_job  # while the machines start
         from hpcapp.applications.surface.job.source import MARGIN
-        from hpcapp.io.placement import parse_origin
-        from hpcapp.io.points.inputs import find_paths, gather_points
-        from hpcapp.simplification.size import read_size
+        from hpcapp.io.points.inputs import gather_points
 
-        options = parse_typed(JobSettings, options)
-        if options["texture"] is not None:
-            check_library()
-            options["attributes"] = options["attributes"].for_texture()
-        options["origin"] = parse_origin(options["origin"])
-        crop = parse_crop(*(options.pop(name) for name in CROPPED))
-        if options["size"] is not None:
-            options["size"] = read_size(options["size"], options["output"])
-        own = {name: options.pop(name) for name in METHOD_OPTIONS}
-        method = find_method(options.pop("method"))
-        chosen = {name: own[name] for name in option_names(method)}
         names, sample = options.pop("points"), options.pop("sample")
-        files = find_paths(names)
-        if options["resume"] and not files:
-            raise UsageError("--resume needs a file to know again", "write the points to a file")
+        make = _read_options(options, names)
+        crop: Crop = make.keywords["crop"]
         timeline = Timeline()
         title = f"{Path(names[0]).name} \u2192 {options['output']}"
         with (
@@ -338,9 +384,6 @@ def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:
             ) as points,
             watching.open(title, timeline) as (progress, say),
         ):
-            settings = JobSettings(
-                method=method(**chosen), points=points, inputs=files, crop=crop, **options
-            )
-            report = run_job(settings.for_ground(), progress, machines, timeline)
+            report = run_job(make(points=points).for_ground(), progress, machines, timeline)
             say(f"{options['output']}: {report['summary']}")  # the terminal's comes last
             return report

@@ -16,8 +16,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hpcapp.applications.surface.job.backend_choice import Job, Opener, approach_workers
-from hpcapp.applications.surface.job.folder import choose_tile, find_point_workers
+from hpcapp.applications.surface.job.backend_choice import Opener, approach_workers
+from hpcapp.applications.surface.job.folder import find_point_workers
+from hpcapp.applications.surface.job.plan import Plan, choose_tile, plan_job
 from hpcapp.applications.surface.job.scan import Loaded, PointFolder
 from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.job.site import Site, open_site
@@ -25,8 +26,6 @@ from hpcapp.applications.surface.job.storage import JobStorage, open_storage
 from hpcapp.applications.surface.kernels.freed_memory import keep_memory
 from hpcapp.applications.surface.methods.method import TILE_POINTS
 from hpcapp.applications.surface.pipeline import deliver, load, reconstruct_cloud
-from hpcapp.applications.surface.resolution.asked import guess_grid
-from hpcapp.applications.surface.resolution.memory import count_most_points
 from hpcapp.applications.surface.steps.report import describe_outcome
 from hpcapp.backends.selection import Backend
 from hpcapp.cancellation import Cancellation
@@ -62,11 +61,12 @@ def run_job(
     HpcError, whatever went wrong; no output is left half written.
     """
     verification = Verification(settings.verify)
+    plan = plan_job(settings, [settings.points])
 
     def run(is_first: bool) -> dict[str, Any]:
         again = settings if is_first else replace(settings, resume=False)
         ready = machines if is_first else None
-        return _run_once(again, StageClock(progress, timeline), ready, verification)
+        return _run_once(again, plan, StageClock(progress, timeline), ready, verification)
 
     report = repeat_until_trusted(verification, run)
     if verification.verified or verification.liars:
@@ -76,6 +76,7 @@ def run_job(
 
 def _run_once(
     settings: JobSettings,
+    plan: Plan,
     clock: StageClock,
     machines: LocalMachines | None,
     verification: Verification,
@@ -84,10 +85,10 @@ def _run_once(
     with (
         keep_memory() if settings.max_memory is None else nullcontext(),
         open_output(settings.output) as target,
-        open_storage(settings) as storage,
+        open_storage(settings, plan.place) as storage,
         attempt(verification),
     ):
-        report = _run_in(settings, storage, target, clock, machines, verification)
+        report = _run_in(settings, plan, storage, target, clock, machines, verification)
         if settings.details:
             report["timeline"] = clock.timeline.to_json()
         clock.progress.wait_for_viewers()  # what is kept goes with the storage
@@ -97,6 +98,7 @@ def _run_once(
 
 def _run_in(
     settings: JobSettings,
+    plan: Plan,
     storage: JobStorage,
     target: Path,
     clock: StageClock,
@@ -108,8 +110,8 @@ def _run_in(
     Where they lie in a folder, workers are there before them, to go through them.
     """
     with (
-        approach_workers(settings, guess_job(settings), machines, verification) as opener,
-        load_stored(settings, storage, opener, clock) as (loaded, site),
+        approach_workers(settings, plan.job, machines, verification) as opener,
+        load_stored(settings, plan, storage, opener, clock) as (loaded, site),
         reconstruct_cloud(settings, loaded, site, clock) as outcome,
     ):
         return _write(settings, loaded, outcome, target, clock, verification)
@@ -118,6 +120,7 @@ def _run_in(
 @contextmanager
 def load_stored(
     settings: JobSettings,
+    plan: Plan,
     storage: JobStorage,
     opener: Opener,
     clock: StageClock,
@@ -132,12 +135,9 @@ def load_stored(
     with ExitStack() as stack:
         opened = folder = None
         if storage.folder is not None:
-            backend, choice = stack.enter_context(opener.open(guess_job(settings), executor))
+            backend, choice = stack.enter_context(opener.open(plan.job, executor))
             opened = backend.record(clock.timeline), choice
-            if backend.workforce.in_process and not storage.is_needed:
-                checkpoint = None if settings.temp_dir is None else checkpoint
-            else:
-                folder = _open_folder(settings, storage.folder, opened[0])
+            folder = _open_folder(settings, storage.folder, opened[0])
         loaded = load(settings, clock, folder)
         loaded.report(settings.shown)
         yield loaded, partial(
@@ -151,13 +151,6 @@ def _open_folder(settings: JobSettings, path: Path, backend: Backend) -> PointFo
     log.info("the points are put into %s", path)
     points = choose_tile(settings, backend) or TILE_POINTS
     return PointFolder(path, find_point_workers(settings.points, path, backend, points))
-
-
-def guess_job(settings: JobSettings) -> Job:
-    """Return what can be known of a job before its points are read: as much as it may be."""
-    points = count_most_points(settings.points)
-    is_chosen = settings.depth is not None or settings.grid is not None
-    return Job(points, guess_grid(settings, points), is_read=False, is_chosen=is_chosen)
 
 
 def _write(

@@ -116,6 +116,40 @@ def least_work(workers: int, is_remote: bool = False) -> float:
     return min(rows, default=float("inf")) * (REMOTE if is_remote else 1)
 
 
+def choose_backend(settings: Settings, job: Job) -> Choice:
+    """Return where a job runs: as asked for, or as the table says.
+
+    Raise InputError where the inventory of the cluster cannot be read.
+    """
+    if (name := name_backend(settings)) is not None:
+        workers = 1 if name == "serial" else settings.workers or available_cores()
+        return Choice(name, workers, "it was asked for", settings.workers)
+    if not settings.method.pays_on_workers:
+        name = settings.method.name
+        return _stay(settings, job, f"the tasks of the method {name} are too little work")
+    if settings.cluster is not None:
+        from hpccomponent.inventory import read_inventory
+
+        kind, workers = "cluster", len(read_inventory(settings.cluster).workers)
+    else:
+        kind, workers = "zmq", min(settings.workers or available_cores(), available_cores())
+        if workers < 2:
+            return _stay(settings, job, f"{available_cores()} core(s), one of them to be used")
+        carried, limit = count_carried("zmq")
+        if carried < 2:
+            return _stay(settings, job, f"no two workers fit here ({limit})")
+        workers = min(workers, carried)
+    if job.work < least_work(workers, is_remote=kind == "cluster"):
+        return _stay(settings, job, f"{job}: too little for {workers} workers to pay")
+    return Choice(kind, workers, f"{job}: enough for {workers} workers", settings.workers)
+
+
+def _stay(settings: Settings, job: Job, reason: str) -> Choice:
+    """Return the backend of this process."""
+    name, workers = choose_local(settings, job.points)
+    return Choice(name, workers, reason, workers_asked=settings.workers)
+
+
 @contextmanager
 def approach_workers(
     settings: Settings,
@@ -183,12 +217,12 @@ class Opener:
 
     def approach(self, guess: Job) -> None:
         """Listen for the workers of the cluster, if they may pay, before the points are read."""
-        if self._choose(guess).backend == "cluster":
+        if choose_backend(self._settings, guess).backend == "cluster":
             self._listen()
 
     def _open_best(self, job: Job, stack: ExitStack) -> tuple[Backend, Choice]:
         """Open what pays, and say why."""
-        choice = self._choose(job)
+        choice = choose_backend(self._settings, job)
         backend = None
         try:
             if choice.backend == "cluster":
@@ -212,36 +246,10 @@ class Opener:
         except NoWorkersError as error:
             log.warning("no worker came: %s", error.problem)
             self.standing.close()
-            choice = self._local(job, "no worker came in time")
+            choice = _stay(self._settings, job, "no worker came in time")
             backend = stack.enter_context(open_executor(choice.backend, workers=choice.workers))
         log.info("backend %s: %s", choice.backend, choice.reason)
         return backend, choice
-
-    def _choose(self, job: Job) -> Choice:
-        """Choose by the table."""
-        settings = self._settings
-        if not settings.method.pays_on_workers:
-            name = settings.method.name
-            return self._local(job, f"the tasks of the method {name} are too little work")
-        if settings.cluster is not None:
-            from hpccomponent.inventory import read_inventory
-
-            kind, workers = "cluster", len(read_inventory(settings.cluster).workers)
-        else:
-            kind, workers = "zmq", min(settings.workers or available_cores(), available_cores())
-            if workers < 2:
-                return self._local(job, f"{available_cores()} core(s), one of them to be used")
-            carried, limit = count_carried("zmq")
-            if carried < 2:
-                return self._local(job, f"no two workers fit here ({limit})")
-            workers = min(workers, carried)
-        if job.work < least_work(workers, is_remote=kind == "cluster"):
-            return self._local(job, f"{job}: too little for {workers} workers to pay")
-        return Choice(kind, workers, f"{job}: enough for {workers} workers", settings.workers)
-
-    def _local(self, job: Job, reason: str) -> Choice:
-        name, workers = choose_local(self._settings, job.points)
-        return Choice(name, workers, reason, workers_asked=self._settings.workers)
 
     def _listen(self) -> ClusterMaster:
         from hpcapp.backends.cluster import listen_inventory

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.cloud.measure import replace_points
 from hpcapp.applications.surface.job.backend_choice import Choice, Job, Opener
-from hpcapp.applications.surface.job.folder import all_see_folder, choose_tile
+from hpcapp.applications.surface.job.folder import all_see_folder
+from hpcapp.applications.surface.job.plan import choose_tile
 from hpcapp.applications.surface.job.settings import Settings, choose_steps, choose_threads
 from hpcapp.applications.surface.kernels.build import kernel_id
 from hpcapp.applications.surface.methods.method import Method, Resources, show_nothing

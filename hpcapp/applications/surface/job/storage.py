@@ -22,12 +22,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from hpcapp.applications.surface.job.folder import may_pay_in_folder
-from hpcapp.applications.surface.job.settings import JobSettings, name_backend
+from hpcapp.applications.surface.job.plan import Place, works_here
+from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.kernels.build import kernel_id
-from hpcapp.applications.surface.resolution.memory import fits_memory
 from hpcapp.applications.surface.tiles.checkpoint import SUMS, Checkpoint, digest
-from hpcapp.backends import BACKENDS
 from hpccomponent.cli.terminal import visible_text
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import DistrustError, HpcError, InputError, OutputError, UsageError
@@ -50,18 +48,15 @@ class JobStorage:
     """Where a job has its points and tiles besides memory.
 
     The `checkpoint` keeps finished tiles; points lie in a `folder`, None where they are in memory.
-    `is_needed` tells whether memory is too small for them: else they lie there for other processes
-    only.
     """
 
     checkpoint: Checkpoint | None
     folder: Path | None
-    is_needed: bool = True
 
 
 @contextmanager
-def open_storage(settings: JobSettings) -> Iterator[JobStorage]:
-    """Find where a job can store what it does not hold in memory.
+def open_storage(settings: JobSettings, planned: Place) -> Iterator[JobStorage]:
+    """Make room for what a job does not hold in memory, its points where it is planned.
 
     What lies there is taken away when the block ends, however it ends; but a job that resumes and
     fails leaves what it has finished. Raise UsageError, OutputError or CloudError if the place
@@ -69,32 +64,30 @@ def open_storage(settings: JobSettings) -> Iterator[JobStorage]:
     """
     if settings.resume and settings.temp_dir is None:
         raise UsageError("--resume goes on from what lies in --temp-dir", "give that too")
-    is_needed = not fits_memory(settings.points, settings.max_memory)
-    in_memory = settings.method.needs_whole_cloud or not (is_needed or may_pay_in_folder(settings))
+    in_memory = planned is Place.MEMORY
     if settings.method.needs_whole_cloud or (in_memory and settings.temp_dir is None):
         yield JobStorage(None, None)
         return
     job, place = _name_job(settings), settings.temp_dir
     if place is None or "://" in place:
-        is_here = settings.cluster is None and (name_backend(settings) or "zmq") in BACKENDS
         with temporary_folder() as near:
             points = None if in_memory else near / job / "points"
             if place is None:
-                checkpoint = Checkpoint(str(near), job, is_shared=is_here)
+                checkpoint = Checkpoint(str(near), job, is_shared=works_here(settings))
                 checkpoint.make_folders()
-                yield JobStorage(checkpoint, points, is_needed)
+                yield JobStorage(checkpoint, points)
                 return
             prefix = _choose_prefix(place, job, settings.resume)
             checkpoint = Checkpoint(place, prefix, settings.resume)
             checkpoint.check()
             with _taken_away(checkpoint):
-                yield JobStorage(checkpoint, points, is_needed)
+                yield JobStorage(checkpoint, points)
         return
     held = _hold_folder(_find_folder(place), job, settings.resume)
     checkpoint = Checkpoint(str(held.path.parent), held.path.name, settings.resume)
     with _taken_away(checkpoint, held):
         checkpoint.make_folders()
-        yield JobStorage(checkpoint, None if in_memory else held.path / "points", is_needed)
+        yield JobStorage(checkpoint, None if in_memory else held.path / "points")
 
 
 def _find_folder(place: str) -> Path:

@@ -55,13 +55,6 @@ def parse_limit(text: str) -> float:
     return size
 
 
-def fits_memory(path: Path, limit: float | None) -> bool:
-    """Tell by a file's size whether its points fit into memory: `limit` bytes, or what there is."""
-    available = available_memory() if limit is None else limit
-    points = count_most_points(path)
-    return available is None or BYTES_OF_PROGRAM + BYTES_PER_POINT * points <= available
-
-
 def count_most_points(path: Path) -> int:
     """Return how many points a file holds at most: as it says, or judged by its size.
 

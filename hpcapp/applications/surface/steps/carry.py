@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from hpcapp.applications.surface.attributes.carrying import Carrying
 from hpcapp.applications.surface.attributes.choice import CONFIDENCE
-from hpcapp.applications.surface.job.folder import choose_tile
+from hpcapp.applications.surface.job.plan import choose_tile
 from hpcapp.applications.surface.job.scan import Loaded
 from hpcapp.applications.surface.job.settings import Settings, choose_threads
 from hpcapp.progress import StageClock

@@ -12,13 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from little_memory import leave_little_memory
 
 from hpcapp.applications.points.info import describe_file
 from hpcapp.applications.surface.attributes.carrying import Carrying
 from hpcapp.applications.surface.attributes.choice import parse_attributes
-from hpcapp.applications.surface.cli import run
 from hpcapp.applications.surface.cli.run import run_job
-from hpcapp.applications.surface.job import site, storage
 from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.steps.report_page import show_files
 from hpcapp.geometry.mesh import Mesh
@@ -119,9 +118,7 @@ def test_a_cloud_in_a_folder_gives_the_same_mesh(
     suffix: str, ball: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     reconstruct(ball, tmp_path / "whole.ply")
-    monkeypatch.setattr(storage, "fits_memory", lambda *_: False)
-    for module in (run, site):
-        monkeypatch.setattr(module, "choose_tile", lambda *_: 3_000)
+    leave_little_memory(monkeypatch, 3_000)
     output = tmp_path / f"parts{suffix}"
     report = reconstruct(ball, output, temp_dir=str(tmp_path / "room"))
     assert report["tiles"] != 1
@@ -135,9 +132,7 @@ def test_a_cloud_in_a_folder_gives_the_same_mesh(
 def test_parts_lie_where_they_are_asked_for(
     suffix: str, ball: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(storage, "fits_memory", lambda *_: False)
-    for module in (run, site):
-        monkeypatch.setattr(module, "choose_tile", lambda *_: 3_000)
+    leave_little_memory(monkeypatch, 3_000)
     output, near = tmp_path / f"parts{suffix}", tuple((CENTRE - 7.0).tolist())
     report = reconstruct(ball, output, temp_dir=str(tmp_path / "room"), origin=near)
     assert report["origin"] == _read_origin(output).tolist() == (CENTRE - 7.0).tolist()
@@ -159,9 +154,7 @@ def test_who_writes_parts_says_what_coordinates_mean(
     cloud, feet = read_points(ball), tmp_path / "feet.ply"
     write_points(feet, PointCloud(cloud.positions, cloud.normals), "EPSG:2229", "ft")
     reconstruct(feet, tmp_path / "whole.ply")
-    monkeypatch.setattr(storage, "fits_memory", lambda *_: False)
-    for module in (run, site):
-        monkeypatch.setattr(module, "choose_tile", lambda *_: 3_000)
+    leave_little_memory(monkeypatch, 3_000)
     output = tmp_path / f"parts{suffix}"
     reconstruct(feet, output, temp_dir=str(tmp_path / "room"))
     written = [output] if suffix == ".ply" else sorted(output.iterdir())

@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 import recorded_tasks
 from lies import LIES
+from little_memory import leave_little_memory
 from recorded_tasks import Answer, RecordedTasks
 
-from hpcapp.applications.surface.cli import run
 from hpcapp.applications.surface.cli.run import run_job
-from hpcapp.applications.surface.job import site, storage
 from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.paper.settings import Paper
 from hpcapp.geometry.points import PointCloud
@@ -173,9 +172,7 @@ def run_small(
         patch.setattr(recorded_tasks, "make", lambda: recorder, raising=False)
         if sees is not None:  # so many points are too many for memory, and tiles are small
             settings["temp_dir"] = str(folder / "room")
-            patch.setattr(storage, "fits_memory", lambda *_: False)
-            for module in (run, site):
-                patch.setattr(module, "choose_tile", lambda *_: 3_000)
+            leave_little_memory(patch, 3_000)
         backend = "recorded_tasks:make"
         run_job(JobSettings(folder / "scan.ply", backend=backend, **settings), Progress())
 

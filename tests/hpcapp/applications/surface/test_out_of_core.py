@@ -14,15 +14,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from little_memory import leave_little_memory
 
 from hpcapp.api.reconstruction import reconstruct
 from hpcapp.applications.surface.attributes.choice import parse_attributes
-from hpcapp.applications.surface.cli import run
 from hpcapp.applications.surface.cli.run import run_job
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.hierarchical import all_tiles, method
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
-from hpcapp.applications.surface.job import folder, site, storage
+from hpcapp.applications.surface.job import plan, site
 from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.resolution.memory import fitting_tile, parse_limit
 from hpcapp.applications.surface.steps import read
@@ -86,9 +86,7 @@ def whole(scan: Path) -> bytes:
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let so many points be too many for memory, and tiles be small."""
-    monkeypatch.setattr(storage, "fits_memory", lambda *_: False)
-    for module in (run, site):
-        monkeypatch.setattr(module, "choose_tile", lambda *_: 6_000)
+    leave_little_memory(monkeypatch, 6_000)
 
 
 @pytest.mark.slow
@@ -167,7 +165,7 @@ def test_a_cloud_of_one_level_is_one_tile(
     scan, output = tmp_path / "scan.ply", tmp_path / "mesh.ply"
     write_points(scan, PointCloud(1.5 * arms + (7.0, 0.0, 0.0), arms))
     run_job(JobSettings(scan, str(tmp_path / "whole.ply"), grid=grid), SILENT)
-    monkeypatch.setattr(storage, "fits_memory", lambda *_: False)
+    leave_little_memory(monkeypatch)
     report = run_job(JobSettings(scan, str(output), grid=grid, backend=backend), SILENT)
     assert report["tiles"] == report["levels"] == 1
     assert output.read_bytes() == (tmp_path / "whole.ply").read_bytes()
@@ -210,7 +208,7 @@ def test_an_open_scan_is_doubted_alike_wherever_its_points_are(
 def test_workers_read_a_cloud_that_memory_would_hold(
     scan: Path, whole: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(folder, "FOLDER_FROM_POINTS", 10_000)
+    monkeypatch.setattr(plan, "FOLDER_FROM_POINTS", 10_000)
     monkeypatch.setattr(read, "read_whole", None)
     output = tmp_path / "mesh.ply"
     run_job(JobSettings(scan, str(output), grid=96, backend="zmq", workers=2), SILENT)

@@ -8,11 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from little_memory import leave_little_memory
 
 from hpcapp.api.reconstruction import reconstruct
-from hpcapp.applications.surface.cli import run
 from hpcapp.applications.surface.cli.run import run_job
-from hpcapp.applications.surface.job import site, storage
 from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.geometry.points import PointCloud
 from hpcapp.io import read_mesh, write_points
@@ -49,9 +48,7 @@ def test_the_same_pieces_stay_in_memory_and_in_tiles(
     report = run_job(settings, Progress())
     assert (report["tiles"], report["components"], report["pieces_dropped"]) == (1, 2, 1)
     assert report["watertight"]
-    monkeypatch.setattr(storage, "fits_memory", lambda *_: False)
-    for module in (run, site):
-        monkeypatch.setattr(module, "choose_tile", lambda *_: 2000)
+    leave_little_memory(monkeypatch, 2000)
     tiled = replace(settings, output=str(outputs[1]), backend="threads", workers=2)
     report = run_job(tiled, Progress())
     assert report["tiles"] > 1

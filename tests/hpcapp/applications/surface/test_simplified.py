@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from little_memory import leave_little_memory
 
 from hpcapp.api.reconstruction import reconstruct
-from hpcapp.applications.surface.cli import run
 from hpcapp.applications.surface.cli.run import run_job
-from hpcapp.applications.surface.job import site, storage
 from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.geometry.points import PointCloud
 from hpcapp.io import read_mesh, write_points
@@ -43,9 +42,7 @@ def test_points_on_disk_and_tiles_give_the_same_light_mesh(
     assert (report["tiles"], report["watertight"]) == (1, True)
     assert 1000 < report["faces"] <= 1500
     assert "simplify" in report["stages"]
-    monkeypatch.setattr(storage, "fits_memory", lambda *_: False)
-    for module in (run, site):
-        monkeypatch.setattr(module, "choose_tile", lambda *_: 2000)
+    leave_little_memory(monkeypatch, 2000)
     settings = JobSettings(scan, str(outputs[1]), grid=48, faces=1500, backend="threads", workers=2)
     assert run_job(settings, Progress())["tiles"] > 1
     assert outputs[0].read_bytes() == outputs[1].read_bytes()

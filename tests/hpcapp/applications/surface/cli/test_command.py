@@ -32,7 +32,7 @@ def test_every_setting_can_be_typed() -> None:
     own = {name for method in METHODS for name in option_names(find_method(method))}
     settings = JobSettings.__dataclass_fields__.keys() - {"inputs", "command", "crop"}
     parts = {"box", "around", "polygon", "classes", "not_classes", "ground"}
-    assert typed == {*settings, *own, *WATCHED, "as_json", "sample", *parts}
+    assert typed == {*settings, *own, *WATCHED, "as_json", "plan", "sample", *parts}
     assert not own & JobSettings.__dataclass_fields__.keys()
 
 

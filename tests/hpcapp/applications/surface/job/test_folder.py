@@ -1,4 +1,4 @@
-"""Which clouds go through a folder though memory would hold them, and who works there."""
+"""Who goes through a cloud in a folder."""
 
 from __future__ import annotations
 
@@ -6,14 +6,13 @@ import contextlib
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import ParamSpec, TypeVar
 
 import numpy as np
 import pytest
 
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
-from hpcapp.applications.surface.job import folder
-from hpcapp.applications.surface.job.folder import find_point_workers, may_pay_in_folder
+from hpcapp.applications.surface.job.folder import find_point_workers
 from hpcapp.applications.surface.job.scan import PointFolder
 from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.pipeline import load
@@ -28,46 +27,10 @@ R = TypeVar("R")
 
 
 @pytest.fixture
-def scan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(folder, "FOLDER_FROM_POINTS", 1_000)
+def scan(tmp_path: Path) -> Path:
     normals = np.random.default_rng(1).normal(size=(1_500, 3))
-    for suffix in (".ply", ".xyz"):
-        write_points(tmp_path / f"scan{suffix}", PointCloud(normals, normals))
+    write_points(tmp_path / "scan.ply", PointCloud(normals, normals))
     return tmp_path / "scan.ply"
-
-
-@pytest.mark.parametrize(
-    ("asked", "pays"),
-    [
-        ({"backend": "zmq"}, True),
-        ({"backend": "processes"}, True),
-        ({"workers": 2}, True),
-        ({"workers": 1}, False),
-        ({"backend": "serial"}, False),
-        ({"backend": "threads"}, False),
-        ({"backend": "zmq", "denoise": True}, False),
-        ({"backend": "loky:ProcessPoolExecutor"}, False),  # who knows where they are
-        ({"backend": "loky:ProcessPoolExecutor", "temp_dir": "/shared"}, True),
-        ({"backend": "loky:ProcessPoolExecutor", "temp_dir": "s3://bucket"}, False),
-        ({"cluster": Path("cluster.json")}, False),
-        ({"cluster": Path("cluster.json"), "temp_dir": "/shared"}, True),
-    ],
-)
-def test_points_go_where_other_processes_read_them(
-    scan: Path, asked: dict[str, Any], pays: bool
-) -> None:
-    assert may_pay_in_folder(JobSettings(scan, "mesh.ply", **asked)) == pays
-    text = JobSettings(scan.with_suffix(".xyz"), "mesh.ply", **asked)
-    assert not may_pay_in_folder(text)
-
-
-def test_few_points_or_no_room_stay_in_memory(scan: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    settings = JobSettings(scan, "mesh.ply", backend="zmq")
-    monkeypatch.setattr(folder, "_BYTES_PER_POINT", 1 << 60)
-    assert not may_pay_in_folder(settings)
-    monkeypatch.undo()
-    assert not may_pay_in_folder(settings)
-    assert not may_pay_in_folder(JobSettings(scan.with_name("none.ply"), "mesh.ply", backend="zmq"))
 
 
 @pytest.mark.parametrize("sees", [True, False])

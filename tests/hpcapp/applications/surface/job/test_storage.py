@@ -16,11 +16,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from little_memory import leave_little_memory
 
-from hpcapp.applications.surface.cli import run
 from hpcapp.applications.surface.cli.run import run_job
 from hpcapp.applications.surface.hierarchical import all_tiles
-from hpcapp.applications.surface.job import site, storage
+from hpcapp.applications.surface.job import storage
+from hpcapp.applications.surface.job.plan import Place
 from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.tiles import tasks as region
 from hpcapp.geometry.points import PointCloud
@@ -228,8 +229,10 @@ def _pid(folder: Path) -> int:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("end", ["fail", "interrupt", "terminate"])
-@pytest.mark.parametrize("resumes", [False, True])
+@pytest.mark.parametrize(
+    ("end", "resumes"),
+    [("fail", False), ("fail", True), ("interrupt", True), ("terminate", False)],
+)
 def test_a_job_that_fails_leaves_only_what_it_was_asked_to_keep(
     commands: Commands, whole: bytes, end: str, resumes: bool
 ) -> None:
@@ -254,10 +257,9 @@ def test_a_job_that_fails_leaves_only_what_it_was_asked_to_keep(
 
 @pytest.mark.slow
 @pytest.mark.leaks_allowed  # Dask keeps a thread
-@pytest.mark.parametrize("resumes", [False, True])
-def test_a_job_that_fails_early_leaves_nothing(scan: Path, tmp_path: Path, resumes: bool) -> None:
+def test_a_job_that_fails_early_leaves_nothing(scan: Path, tmp_path: Path) -> None:
     place = tmp_path / "room"
-    common: dict[str, Any] = {"grid": 64, "temp_dir": str(place), "resume": resumes}
+    common: dict[str, Any] = {"grid": 64, "temp_dir": str(place), "resume": True}
     bad = tmp_path / "bad.ply"
     bad.write_bytes(scan.read_bytes()[:-7])
     for error, settings in (
@@ -296,9 +298,7 @@ def _settings(scan: Path, place: Path) -> JobSettings:
 
 
 def _let_tiles_be_small(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(storage, "fits_memory", lambda *_: False)
-    for module in (run, site):
-        patch.setattr(module, "choose_tile", lambda *_: 5_000)
+    leave_little_memory(patch, 5_000)
 
 
 def _count_tiles(patch: pytest.MonkeyPatch, fail_at: int | None = None) -> list[int]:
@@ -367,8 +367,10 @@ KINDS: dict[str, Callable[[Path], Iterable[Path]]] = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("damage", DAMAGES)
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    ("kind", "damage"),
+    [(kind, damage) for n, kind in enumerate(KINDS) for damage in DAMAGES[n % 2 :: 2]],
+)
 def test_what_is_damaged_is_made_again(
     kind: str,
     damage: Callable[[Path, random.Random], None],
@@ -468,7 +470,7 @@ def test_whatever_decides_the_mesh_is_part_of_the_name_of_a_job(scan: Path, tmp_
     ]  # fmt: skip
     found = []
     for other in [{}, *others, {"backend": "threads", "workers": 2}]:
-        with storage.open_storage(replace(settings, **other)) as opened:
+        with storage.open_storage(replace(settings, **other), Place.MEMORY) as opened:
             assert opened.checkpoint is not None
             found.append(opened.checkpoint.job.rpartition("-")[0])
     assert len(set(found)) == 1 + len(others)

@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from little_memory import leave_little_memory
 from numpy.typing import NDArray
 
 import hpcapp
 from hpcapp.applications.surface.attributes.choice import parse_attributes
-from hpcapp.applications.surface.cli import run
 from hpcapp.applications.surface.cli.run import run_job
-from hpcapp.applications.surface.job import site, storage
 from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.normals.orientation import SURE
 from hpcapp.applications.surface.stitching import surface
@@ -165,11 +164,11 @@ def test_estimated_normals_carry_their_confidence_only_where_it_is_named(
     given = tmp_path / "given.ply"
     write_points(given, cloud)
     assert "attributes='confidence': left out" in run("given-mesh.ply", "confidence", given)[1]
-    monkeypatch.setattr(storage, "fits_memory", lambda *_: False)
+    leave_little_memory(monkeypatch)
     for name in ("auto,confidence", "confidence,support"):
         run("memory.ply", name)
         with monkeypatch.context() as small:
-            small.setattr(storage, "fits_memory", lambda *_: False)
+            leave_little_memory(small)
             assert "confidence" in run("folder.ply", name)[0]
         assert (tmp_path / "folder.ply").read_bytes() == (tmp_path / "memory.ply").read_bytes()
 
@@ -226,9 +225,7 @@ def test_tiles_and_workers_give_the_bytes_of_memory(
     chosen = parse_attributes("auto,normals,support")
     whole, tiled = tmp_path / f"whole-{name}", tmp_path / f"tiled-{name}"
     run_job(JobSettings(painted_file, str(whole), grid=64, attributes=chosen), SILENT)
-    monkeypatch.setattr(storage, "fits_memory", lambda *_: False)
-    for module in (run, site):
-        monkeypatch.setattr(module, "choose_tile", lambda *_: 6_000)
+    leave_little_memory(monkeypatch, 6_000)
     settings = JobSettings(
         painted_file,
         str(tiled),
@@ -258,15 +255,13 @@ def test_a_column_that_is_not_there_is_refused_before_the_work(
             UsageError, match=r"painted.ply has colours, intensity, classification, row;"
         ):
             run_job(settings, SILENT)
-        monkeypatch.setattr(storage, "fits_memory", lambda *_: False)
+        leave_little_memory(monkeypatch)
 
 
 def test_tiles_carry_what_needs_no_other_tile(
     painted_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(storage, "fits_memory", lambda *_: False)
-    for module in (run, site):
-        monkeypatch.setattr(module, "choose_tile", lambda *_: 6_000)
+    leave_little_memory(monkeypatch, 6_000)
     chosen = parse_attributes("auto,normals")
     settings = JobSettings(painted_file, str(tmp_path / "m.tiles"), grid=48, attributes=chosen)
     run_job(settings, SILENT)
@@ -293,9 +288,7 @@ def test_a_job_that_is_resumed_carries_the_same(
         attributes=parse_attributes("auto,confidence"),
     )
     run_job(settings, SILENT)
-    monkeypatch.setattr(storage, "fits_memory", lambda *_: False)
-    for module in (run, site):
-        monkeypatch.setattr(module, "choose_tile", lambda *_: 6_000)
+    leave_little_memory(monkeypatch, 6_000)
     settings = replace(settings, output=str(again), temp_dir=str(tmp_path / "temp"), resume=True)
 
     def fail(*_: object) -> None:

@@ -1,0 +1,205 @@
+"""What a job will do, decided before its points are read: where they lie, who works, what it takes.
+
+::
+
+    sizes of the files, settings ──> plan_job ──> Plan ──┬─> where points and tiles lie (`storage`)
+                                                         ├─> whether to wait for workers (`cli.run`)
+                                                         └─> what ``--plan`` prints
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Sequence
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+from hpcapp.applications.surface.job.backend_choice import SQUARE, Choice, Job, choose_backend
+from hpcapp.applications.surface.job.settings import (
+    JobSettings,
+    Settings,
+    choose_steps,
+    name_backend,
+)
+from hpcapp.applications.surface.methods.method import TILE_POINTS
+from hpcapp.applications.surface.resolution.asked import guess_grid
+from hpcapp.applications.surface.resolution.memory import (
+    BYTES_OF_PROGRAM,
+    BYTES_PER_POINT,
+    BYTES_PER_SURFACE_CELL,
+    BYTES_PER_TILE_POINT,
+    count_most_points,
+    fitting_tile,
+)
+from hpcapp.backends import BACKENDS, IN_PROCESS
+from hpcapp.backends.selection import Backend
+from hpcapp.io import open_points
+from hpccomponent.dataclass import dataclass
+from hpccomponent.limits import available_cores, available_memory
+
+FOLDER_FROM_POINTS = 200_000
+"""With fewer, what is saved by workers that read for themselves is less than what files cost."""
+_BYTES_ON_DISK = 200  # a point: two copies of it, and finished tiles
+_CELLS_OF_A_POINT = 0.5  # of the surface, where the grid is chosen
+
+
+class Place(Enum):
+    """Where a job has its points."""
+
+    MEMORY = "in the memory of this process"
+    SHARED = "in a folder, where workers read them"
+    DISK = "in a folder, as memory does not hold them"
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What a job will do and take, at most.
+
+    `tile` is how many points a tile may have; `memory`, `worker_memory` and `disk` are in bytes,
+    of this process, of each worker in another, and of the temporary folder. `available` is the
+    memory that may be had here, None where nothing says so.
+    """
+
+    job: Job
+    place: Place
+    choice: Choice
+    tile: int | None
+    memory: float
+    worker_memory: float
+    disk: float
+    available: float | None
+
+    @property
+    def tiles(self) -> int:
+        """Return how many tiles there are at least."""
+        workers = 1 if self.choice.backend in IN_PROCESS else self.choice.workers
+        return max(workers, -(-self.job.points // self.tile) if self.tile else 1)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what ``--plan --json`` prints."""
+        return {
+            "points": self.job.points,
+            "grid": self.job.grid,
+            "is_grid_chosen": self.job.is_chosen,
+            "points_lie": self.place.value,
+            "choice": self.choice.to_json(),
+            "tiles": self.tiles,
+            "points_of_a_tile": self.tile,
+            "memory": int(self.memory),
+            "memory_of_a_worker": int(self.worker_memory),
+            "disk": int(self.disk),
+            "memory_available": None if self.available is None else int(self.available),
+        }
+
+    def describe(self) -> list[tuple[str, str]]:
+        """Return the same as rows of two words each."""
+        grid = f"{self.job.grid}, as asked"
+        if not self.job.is_chosen:
+            grid = f"at most {self.job.grid}, chosen when the points are measured"
+        tiles = "one" if self.tiles == 1 else f"{self.tiles} or more"
+        if self.tile:
+            tiles += f", of at most {self.tile:,} points"
+        available = "" if self.available is None else f" of {_say(self.available)} available"
+        rows = [
+            ("points", f"at most {self.job.points:,}, {self.place.value}"),
+            ("grid", grid),
+            ("backend", f"{self.choice.backend}, workers {self.choice.workers}: "
+                        f"{self.choice.reason}"),
+            ("tiles", tiles),
+            ("memory", f"about {_say(self.memory)}{available}"),
+        ]  # fmt: skip
+        if self.worker_memory:
+            rows.append(("each worker", f"about {_say(self.worker_memory)}"))
+        if self.disk:
+            rows.append(("disk", f"up to {_say(self.disk)} in the temporary folder"))
+        return rows
+
+
+def _say(size: float) -> str:
+    return f"{size / 1e9:.1f} GB" if size >= 1e9 else f"{size / 1e6:.0f} MB"
+
+
+def plan_job(settings: JobSettings, files: Sequence[Path]) -> Plan:
+    """Plan a job on files, of which only the sizes and the heads are looked at.
+
+    Raise InputError where the inventory of a cluster cannot be read.
+    """
+    job = guess_job(settings, files)
+    choice = choose_backend(settings, job)
+    limit, points = settings.max_memory, job.points
+    available = available_memory() if limit is None else limit
+    place = Place.MEMORY
+    if not settings.method.needs_whole_cloud:
+        if not fits_memory(points, available):
+            place = Place.DISK
+        elif choice.backend not in IN_PROCESS and _may_pay_in_folder(settings, files, points):
+            place = Place.SHARED
+    at_once = choice.workers if choice.backend in IN_PROCESS else 1
+    tile = None if limit is None else fitting_tile(limit, at_once)
+    memory, worker = _estimate_memory(job, place, choice, tile)
+    disk = 0.0 if place is Place.MEMORY else _BYTES_ON_DISK * float(points)
+    return Plan(job, place, choice, tile, memory, worker, disk, available)
+
+
+def _estimate_memory(
+    job: Job, place: Place, choice: Choice, tile: int | None
+) -> tuple[float, float]:
+    """Return the bytes of this process, and of each worker in another."""
+    own = BYTES_OF_PROGRAM + (BYTES_PER_POINT * job.points if place is Place.MEMORY else 0.0)
+    if choice.backend not in IN_PROCESS:
+        most = min(tile or TILE_POINTS, max(1, job.points // choice.workers))
+        return own, BYTES_OF_PROGRAM + BYTES_PER_TILE_POINT * most
+    if tile or place is Place.DISK:
+        most = min(tile or TILE_POINTS, job.points)
+        return own + BYTES_PER_TILE_POINT * most * choice.workers, 0.0
+    cells = SQUARE * float(job.grid) ** 2 if job.is_chosen else _CELLS_OF_A_POINT * job.points
+    return own + BYTES_PER_SURFACE_CELL * cells, 0.0
+
+
+def guess_job(settings: JobSettings, files: Sequence[Path]) -> Job:
+    """Return what can be known of a job before its points are read: as much as it may be."""
+    points = sum(map(count_most_points, files))
+    is_chosen = settings.depth is not None or settings.grid is not None
+    return Job(points, guess_grid(settings, points), is_read=False, is_chosen=is_chosen)
+
+
+def fits_memory(points: int, available: float | None) -> bool:
+    """Tell whether so many points fit into so many bytes; None where nothing says how many."""
+    return available is None or BYTES_OF_PROGRAM + BYTES_PER_POINT * points <= available
+
+
+def _may_pay_in_folder(settings: JobSettings, files: Sequence[Path], points: int) -> bool:
+    """Tell whether points that fit into memory should lie where other processes read them.
+
+    That is where workers may be processes that will see the folder: those of this machine see any,
+    others one that was named, and where they can read the input from the middle.
+    """
+    name, place = name_backend(settings), settings.temp_dir
+    is_here = works_here(settings)
+    if name is None and is_here:
+        name = "zmq" if (settings.workers or available_cores()) > 1 else "serial"
+    if points < FOLDER_FROM_POINTS or name in IN_PROCESS or choose_steps(settings):
+        return False
+    if place is None or "://" in place:
+        free = shutil.disk_usage(tempfile.gettempdir()).free
+        if not is_here or free < _BYTES_ON_DISK * points:
+            return False
+    if len(files) > 1:  # they are made one PLY
+        return True
+    is_ply = files[0].suffix.lower() == ".ply"
+    return is_ply and open_points(files[0]).isotropic().records is not None
+
+
+def works_here(settings: Settings) -> bool:
+    """Tell whether all workers are of this machine."""
+    return settings.cluster is None and (name_backend(settings) or "zmq") in BACKENDS
+
+
+def choose_tile(settings: Settings, backend: Backend) -> int | None:
+    """Return how many points of a tile fit the memory of a process; None if it has no limit."""
+    if settings.max_memory is None:
+        return None
+    workforce = backend.workforce
+    return fitting_tile(settings.max_memory, workforce.workers if workforce.in_process else 1)

@@ -1,0 +1,127 @@
+"""What a job will do is told before its points are read, and is what it does."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from little_memory import leave_little_memory
+
+from hpcapp.applications.surface.cli.run import run_job
+from hpcapp.applications.surface.job import plan
+from hpcapp.applications.surface.job.plan import Place, plan_job
+from hpcapp.applications.surface.job.settings import JobSettings
+from hpcapp.applications.surface.paper.settings import Paper
+from hpcapp.geometry.points import PointCloud
+from hpcapp.io import write_points
+from hpcapp.progress import Progress
+
+Run = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def scan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(plan, "FOLDER_FROM_POINTS", 1_000)
+    normals = np.random.default_rng(1).normal(size=(1_500, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    for suffix in (".ply", ".xyz"):
+        write_points(tmp_path / f"scan{suffix}", PointCloud(normals, normals))
+    return tmp_path / "scan.ply"
+
+
+def find_place(scan: Path, **asked: Any) -> Place:
+    return plan_job(JobSettings(scan, "mesh.ply", **asked), [scan]).place
+
+
+@pytest.mark.parametrize(
+    ("asked", "place"),
+    [
+        ({"backend": "zmq"}, Place.SHARED),
+        ({"backend": "processes"}, Place.SHARED),
+        ({"workers": 2}, Place.MEMORY),  # too few points to start them
+        ({"workers": 1}, Place.MEMORY),
+        ({"backend": "serial"}, Place.MEMORY),
+        ({"backend": "threads"}, Place.MEMORY),
+        ({"backend": "zmq", "denoise": True}, Place.MEMORY),
+        ({"backend": "zmq", "method": Paper()}, Place.MEMORY),
+        ({"backend": "loky:ProcessPoolExecutor"}, Place.MEMORY),  # who knows where they are
+        ({"backend": "loky:ProcessPoolExecutor", "temp_dir": "/shared"}, Place.SHARED),
+        ({"backend": "loky:ProcessPoolExecutor", "temp_dir": "s3://bucket"}, Place.MEMORY),
+        ({"backend": "zmq", "cluster": Path("cluster.json")}, Place.MEMORY),
+        ({"backend": "zmq", "cluster": Path("cluster.json"), "temp_dir": "/shared"}, Place.SHARED),
+    ],
+)
+def test_points_go_where_other_processes_read_them(
+    scan: Path, asked: dict[str, Any], place: Place
+) -> None:
+    assert find_place(scan, **asked) is place
+    assert find_place(scan.with_suffix(".xyz"), **asked) is Place.MEMORY
+
+
+def test_few_points_or_no_room_stay_in_memory(scan: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plan, "_BYTES_ON_DISK", 1 << 60)
+    assert find_place(scan, backend="zmq") is Place.MEMORY
+    monkeypatch.undo()
+    assert find_place(scan, backend="zmq") is Place.MEMORY
+    assert find_place(scan.with_name("none.ply"), backend="zmq") is Place.MEMORY
+
+
+def test_points_that_memory_does_not_hold_lie_on_disk(
+    scan: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(plan, "BYTES_PER_POINT", 1e6)
+    settings = JobSettings(scan, "mesh.ply", max_memory=1.4e9)
+    planned = plan_job(settings, [scan])
+    assert planned.place is Place.DISK
+    assert planned.available == 1.4e9
+    assert planned.disk > 0.0
+    assert find_place(scan, max_memory=1.7e9, workers=1) is Place.MEMORY
+
+
+@pytest.mark.parametrize("is_little", [False, True])
+def test_a_job_does_what_was_planned(
+    scan: Path, monkeypatch: pytest.MonkeyPatch, is_little: bool
+) -> None:
+    settings = JobSettings(
+        scan, str(scan.with_name("mesh.ply")), grid=48, backend="threads", workers=2, max_memory=1e9
+    )
+    if is_little:
+        leave_little_memory(monkeypatch)
+    monkeypatch.setattr(plan, "fitting_tile", lambda *_: 600)
+    planned = plan_job(settings, [scan])
+    assert planned.place is (Place.DISK if is_little else Place.MEMORY)
+    report = run_job(settings, Progress())
+    assert (report["backend"], report["workers"]) == (
+        planned.choice.backend, planned.choice.workers,
+    )  # fmt: skip
+    assert (report["grid"], report["points"]) == (planned.job.grid, planned.job.points)
+    assert report["tiles"] >= planned.tiles == 3
+
+
+def test_a_plan_is_printed_and_nothing_is_done(run: Run, scan: Path) -> None:
+    words = ("reconstruct", "scan.ply", "-o", "mesh.ply", "--workers", "1", "--plan")
+    code, out, _ = run(*words)
+    assert code == 0
+    rows = dict(line.split(None, 1) for line in out.splitlines())
+    assert rows.keys() == {"points", "grid", "backend", "tiles", "memory"}
+    assert rows["points"] == "at most 1,500, in the memory of this process"
+    assert rows["grid"].endswith("chosen when the points are measured")
+    code, out, _ = run(*words, "--json", "--grid", "512")
+    assert code == 0
+    told = json.loads(out)
+    assert (told["points"], told["grid"], told["is_grid_chosen"]) == (1_500, 512, True)
+    assert told["memory"] > 1e8
+    assert not (scan.parent / "mesh.ply").exists()
+    code, out, _ = run(*words, "scan.xyz")
+    assert code == 0
+    assert int(out.split()[3].strip(",").replace(",", "")) >= 3_000
+
+
+def test_a_plan_of_what_is_not_there_is_one_line(run: Run) -> None:
+    code, out, said = run("reconstruct", "none.ply", "-o", "mesh.ply", "--plan")
+    assert (code, out) == (3, "")
+    assert len(said.splitlines()) == 1
