@@ -14,13 +14,13 @@ __all__ = ["hollow_wheels", "mesh", "wheels"]  # fixtures
 
 
 @pytest.fixture
-def make_site(wheels: Path, tmp_path: Path) -> Iterator[MakeSite]:
-    """Make the one test bed of a test."""
+def make_site(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[MakeSite]:
+    """Make the one test bed of a test; the machines of an idle one do no work."""
     beds: list[TestBed] = []
 
-    def make(profile: str = "aws") -> Site:
+    def make(profile: str = "aws", idle: bool = False) -> Site:
         beds.append(TestBed(tmp_path, profile))
-        return Site(beds[0], wheels)
+        return Site(beds[0], request.getfixturevalue("hollow_wheels" if idle else "wheels"))
 
     yield make
     for bed in beds:
@@ -33,7 +33,5 @@ def site(make_site: MakeSite) -> Site:
 
 
 @pytest.fixture
-def idle_site(hollow_wheels: Path, tmp_path: Path) -> Iterator[Site]:
-    """A site whose machines do no work."""
-    with TestBed(tmp_path) as bed:
-        yield Site(bed, hollow_wheels)
+def idle_site(make_site: MakeSite) -> Site:
+    return make_site(idle=True)

@@ -23,8 +23,7 @@ from hpccomponent.errors import NoWorkersError
 StartCommand = Callable[..., "subprocess.Popen[str]"]
 
 WORKERS = 3
-KILLS = 20
-QUICK = 4  # of these, in which nothing is marked slow
+KILLS = 10
 CUSTOMIZE = """
 import atexit, os, signal, sys
 
@@ -98,13 +97,8 @@ def count_steps(folder: Path, role: str) -> int:
     return min(int(path.read_text()) for path in folder.glob(f"{role}.*.steps"))
 
 
-SEEDS = [
-    pytest.param(seed, marks=[] if seed < QUICK else [pytest.mark.slow]) for seed in range(KILLS)
-]
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", range(KILLS))
 def test_a_loader_that_dies_at_any_step_costs_its_machine_and_no_more(
     reconstruct: Callable[..., tuple[bytes, str]],
     counting: Path,

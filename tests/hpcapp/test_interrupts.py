@@ -33,14 +33,13 @@ def check_end(process: subprocess.Popen[str], helpers: set[int], folder: Path) -
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("signum", SIGNALS)
 @pytest.mark.parametrize(
-    ("moment", "options"),
+    ("moment", "options", "signum"),
     [
-        ("build native chosen", ZMQ),  # by the first loader
-        ("component", ZMQ),
-        ("fit: done", ZMQ),
-        ("clean: done", ("--backend", "processes", "--workers", "2")),
+        ("build native chosen", ZMQ, signal.SIGINT),  # by the first loader
+        ("component", ZMQ, signal.SIGTERM),
+        *(("fit: done", ZMQ, signum) for signum in SIGNALS),
+        ("clean: done", ("--backend", "processes", "--workers", "2"), signal.SIGINT),
     ],
 )
 def test_the_first_signal_ends_in_order(
@@ -91,7 +90,7 @@ def test_a_signal_that_comes_twice_at_once_is_one(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("signum", SIGNALS)
+@pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM])
 def test_the_second_signal_ends_at_once(
     start_command: StartCommand,
     stop_after: StopAfter,

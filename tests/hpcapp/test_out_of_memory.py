@@ -22,9 +22,9 @@ from hpcapp.io import write_points
 from hpccomponent.limits import control_groups, read_text
 
 MEBIBYTE = 1 << 20
-GROUPS = (60, 70, 80, 90, 100, 110, 120, 130, 140, 200)  # MiB
+GROUPS = (60, 90, 120, 200)  # MiB
 TOO_SMALL = 100  # for any of its tasks
-SPACES = (120, 200, 220, 260, 300)  # MiB, of which libraries map most
+SPACES = (120, 220)  # MiB, of which libraries map most
 OPTIONS = ("--backend", "zmq", "--method", "hierarchical", "--grid", "256")
 
 

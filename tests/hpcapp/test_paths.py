@@ -6,9 +6,12 @@ import os
 import socket
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
+Run = Callable[..., tuple[int, str, str]]
 
 LOCAL = "version: 1\ncluster: paths\nprovider: {type: local}\nworkers: {count: 1}\n"
 
@@ -51,12 +54,12 @@ def _run(place: Path, *words: str, home: str | None = None) -> subprocess.Comple
         "submit {}.yaml good.ply -o mesh.ply",
     ],
 )
-def test_what_is_no_file_is_one_clear_line(place: Path, words: str, kind: str) -> None:
+def test_what_is_no_file_is_one_clear_line(place: Path, run: Run, words: str, kind: str) -> None:
     if (kind == "folder" and "--temp-dir" in words) or (kind == "loop" and " -o {}" in words):
         pytest.skip("that will do")
-    done = _run(place, *words.format(kind).split())
-    assert done.returncode in (2, 3), done.stderr
-    [line] = done.stderr.splitlines()
+    code, _, said = run(*words.format(kind).split())
+    assert code in (2, 3), said
+    [line] = said.splitlines()
     assert kind.partition("/")[0] in line or "the folder cannot be made" in line
     assert "Traceback" not in line
     assert "internal error" not in line
@@ -64,15 +67,17 @@ def test_what_is_no_file_is_one_clear_line(place: Path, words: str, kind: str) -
 
 
 @pytest.mark.parametrize("flag", ["--events", "--trace"])
-def test_what_is_watched_goes_to_a_pipe_that_somebody_reads(place: Path, flag: str) -> None:
+def test_what_is_watched_goes_to_a_pipe_that_somebody_reads(
+    place: Path, run: Run, flag: str
+) -> None:
     words = ("reconstruct", "good.ply", "--grid", "32", "-o", "mesh.ply", flag, "pipe.json")
-    done = _run(place, *words)
-    assert done.returncode == 2
-    assert "pipe.json: cannot be written" in done.stderr
+    code, _, said = run(*words)
+    assert code == 2
+    assert "pipe.json: cannot be written" in said
     reader = os.open(place / "pipe.json", os.O_RDONLY | os.O_NONBLOCK)
     try:
-        done = _run(place, *words)
-        assert done.returncode == 0, done.stderr
+        code, _, said = run(*words)
+        assert code == 0, said
         assert b'": "extract"' in os.read(reader, 1 << 16)
     finally:
         os.close(reader)
@@ -85,10 +90,11 @@ def test_an_empty_standard_input_is_one_clear_line(place: Path, name: str) -> No
     assert "the standard input is empty" in done.stderr
 
 
-def test_a_mesh_does_not_replace_the_standard_output(place: Path) -> None:
-    done = _run(place, "reconstruct", "good.ply", "-o", "/dev/stdout")
-    assert done.returncode == 2
-    assert "give -o - for a PLY there" in done.stderr
+@pytest.mark.usefixtures("place")
+def test_a_mesh_does_not_replace_the_standard_output(run: Run) -> None:
+    code, _, said = run("reconstruct", "good.ply", "-o", "/dev/stdout")
+    assert code == 2
+    assert "give -o - for a PLY there" in said
 
 
 @pytest.mark.slow

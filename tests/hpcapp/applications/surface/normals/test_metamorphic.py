@@ -190,7 +190,7 @@ CHANGES = {
 def test_a_reading_stays_where_what_is_seen_stays(scene: str, change: str) -> None:
     scan, before = find_scene(scene)
 
-    @settings(max_examples=6, derandomize=True)
+    @settings(max_examples=3, derandomize=True)
     @given(CHANGES[change])
     def check(apply: Callable[[Scan], Scan]) -> None:
         check_same(before, read_scan(apply(scan)))
@@ -208,7 +208,7 @@ def test_turned_over_only_habits_change(scene: str) -> None:
         check_same(before, after)
 
 
-@pytest.mark.parametrize("length", [20.0, 40.0, 60.0, 120.0, 200.0])
+@pytest.mark.parametrize("length", [20.0, 60.0, 200.0])
 def test_a_corridor_is_seen_from_inside_however_long_it_is(length: float) -> None:
     told = read_scan(scan_corridor(length))
     assert (told.how, told.is_sure) == ("from inside", True)
