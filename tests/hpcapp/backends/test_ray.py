@@ -24,7 +24,7 @@ from hpcapp.applications.surface.kernels.build import kernel_id
 from hpcapp.backends.engines import RAY
 from hpcapp.backends.selection import Backend, open_executor
 from hpcapp.workforce import map_batches
-from hpccomponent.errors import NoWorkersError, TaskError, UsageError, WorkerLostError
+from hpccomponent.errors import NoWorkersError, TaskError, UsageError
 
 # Ray keeps threads as long as it runs. It is not imported here: that is the backend's to do.
 pytestmark = [
@@ -151,13 +151,6 @@ def test_tasks_of_a_killed_worker_run_again(
     Path(released).touch()
     assert victim not in {future.result(60) for future in futures}
     assert "died" not in "".join(capfd.readouterr())
-
-
-@pytest.mark.slow
-def test_a_task_that_kills_its_workers_is_given_up(backend: Backend, tasks: ModuleType) -> None:
-    with pytest.raises(WorkerLostError, match=r"4 worker\(s\) died .*; look at Ray's logs"):
-        map_batches(backend.workforce, tasks.kill_worker, [()])
-    assert map_batches(backend.workforce, pow, [(2, 3)]) == [8]
 
 
 def test_what_a_task_raises_is_the_tasks(backend: Backend, tasks: ModuleType) -> None:
@@ -299,9 +292,10 @@ class StandingRay:
     def wait_until_it_listens(self) -> None:
         for port in (self.port, self.client_port):
             while True:
-                assert self.head.poll() is None, "Ray has not started"
                 with suppress(OSError), socket.create_connection(("127.0.0.1", port)):
                     break
+                with suppress(subprocess.TimeoutExpired):  # between two looks
+                    raise AssertionError(f"Ray has not started: {self.head.wait(0.05)}")
 
     def close(self) -> None:
         self.head.terminate()
@@ -325,18 +319,14 @@ def start_ray(tmp_path: Path) -> Iterator[Callable[..., StandingRay]]:
 
 
 @pytest.mark.slow
-def test_a_ray_that_runs_gives_the_same_bytes_by_either_address(
+def test_a_ray_that_runs_gives_the_same_bytes(
     start_ray: Callable[..., StandingRay],
     sphere_file: Path,
     tmp_path: Path,
     start_command: StartCommand,
 ) -> None:
     ray = start_ray()
-    backends = {
-        "node": f"ray=127.0.0.1:{ray.port}",
-        "client": f"ray=ray://127.0.0.1:{ray.client_port}",
-        "here": "serial",
-    }
+    backends = {"there": f"ray=ray://127.0.0.1:{ray.client_port}", "here": "serial"}
     for name, backend in backends.items():
         command = start_command(
             "reconstruct", str(sphere_file), "-o", f"{name}.ply", "--grid", "32",
