@@ -24,13 +24,13 @@ import numpy as np
 
 import hpcapp
 from hpcapp.applications.compare.truth import sample_mesh
-from hpcapp.applications.compare.volume.epochs import Epoch
 from hpcapp.applications.compare.volume.measure import Change, SolidChange
 from hpcapp.applications.heights.grid import grid_heights
 from hpcapp.applications.surface.stitching.topology import signed_volume, surface_area
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import BoolArray, FloatArray, PointCloud
 from hpcapp.lab.simulate.raw.scan import RawSettings, scan_scene
+from hpcapp.terrain.epoch import Epoch
 
 Surface = Callable[[FloatArray, FloatArray], FloatArray]
 FINE = 1000  # places along a side that the truth is summed over

@@ -12,6 +12,9 @@ from typing import Any
 from hpccomponent.cli.named_files import InputFile, OutputFile
 from hpccomponent.files.outputs import Role, Written
 
+SHAPE = "shape:"
+"""In front of the name of a shape, where a file may be named."""
+
 
 def _find_beside(path: Path) -> Iterator[Path]:
     """Yield what is read beside a mesh."""

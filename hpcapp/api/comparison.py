@@ -14,12 +14,14 @@ from numpy.typing import ArrayLike
 from hpcapp.api.arrays import check_cloud
 from hpcapp.api.mesh import Mesh, unwrap_mesh
 from hpcapp.applications.compare.metrics import F_THRESHOLDS, Measures, as_json, measure_mesh
-from hpcapp.applications.compare.truth import MeshTruth, PointTruth, Truth, check_usable, open_truth
-from hpcapp.applications.compare.volume.epochs import Epoch, measure_epochs, open_epoch
+from hpcapp.applications.compare.truth import MeshTruth, PointTruth, Truth, open_truth
+from hpcapp.applications.compare.volume.epochs import measure_epochs
 from hpcapp.applications.compare.volume.measure import Change, SolidChange
 from hpcapp.geometry import mesh as plain
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import formats
+from hpcapp.io.usable_mesh import check_usable
+from hpcapp.terrain.epoch import Epoch, open_epoch
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.ranges import check_range
 

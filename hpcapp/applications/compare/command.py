@@ -168,11 +168,12 @@ def _measure_volume(
     as_json: bool,
 ) -> None:
     from hpcapp.applications.compare.volume import page
-    from hpcapp.applications.compare.volume.epochs import measure_epochs, open_epoch
+    from hpcapp.applications.compare.volume.epochs import measure_epochs
     from hpcapp.applications.compare.volume.measure import as_json as to_json
     from hpcapp.pages.page import write_page
     from hpcapp.progress import Progress, StageClock
     from hpcapp.progress_display import open_progress
+    from hpcapp.terrain.epoch import open_epoch
 
     with open_progress(sys.stderr) as display:
         clock = StageClock(Progress(display))
@@ -215,8 +216,9 @@ def _compare(
 ) -> tuple[Measures, str]:
     """Return the measures and the unit of length, and write the page that is asked for."""
     from hpcapp.applications.compare.metrics import measure_mesh
-    from hpcapp.applications.compare.truth import check_usable, open_truth
+    from hpcapp.applications.compare.truth import open_truth
     from hpcapp.io import read_mesh
+    from hpcapp.io.usable_mesh import check_usable
 
     with clock.stage("read"):
         surface = read_mesh(mesh)

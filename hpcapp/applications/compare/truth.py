@@ -18,15 +18,14 @@ from hpcapp.geometry.faces import cross_edges
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import holds_faces, open_points, read_mesh, read_points, take_finite
+from hpcapp.io.usable_mesh import check_usable
 from hpcapp.lab.simulate.implicit import Shape, diagonal_of
 from hpcapp.lab.simulate.rays import closest_points
 from hpcapp.lab.simulate.scanner import sample_surface
 from hpcapp.lab.simulate.shapes import find_shape
+from hpcapp.named_files import SHAPE
 from hpccomponent.errors import InputError
 
-SHAPE = "shape:"
-"""In front of the name of a shape that is the truth."""
-_LARGEST = 1e150  # of a coordinate: the square of a distance is a double, too
 _GUESSES = 50_000  # points on a shape, from which its nearest one is sought
 
 
@@ -211,16 +210,3 @@ def read_mesh_at(path: Path, origin: FloatArray | None = None) -> Mesh:
     check_usable(mesh, path)
     target = np.zeros(3) if origin is None else origin
     return replace(mesh, vertices=mesh.vertices + (mesh.origin - target), origin=target)
-
-
-def check_usable(mesh: Mesh, path: Path) -> None:
-    """Refuse a mesh of which no distances can be taken.
-
-    Raise InputError where it has no faces, or a face's vertex or its square is not finite.
-    """
-    if not len(mesh.faces):
-        raise InputError(f"{path}: holds no faces", "give a mesh")
-    if not (np.abs(mesh.vertices[mesh.faces]) < _LARGEST).all():
-        raise InputError(
-            f"{path}: has vertices that are NaN, infinite or beyond {_LARGEST:g}", "leave them out"
-        )

@@ -72,12 +72,12 @@ def heights(
         raise UsageError("--contours and --interval belong together", "give both, or none")
     import numpy as np
 
-    from hpcapp.applications.compare.volume.epochs import open_epoch
     from hpcapp.applications.heights.contours import write_contours
     from hpcapp.applications.heights.geotiff import load_rasterio, read_crs, write_geotiff
     from hpcapp.applications.heights.grid import grid_heights
     from hpcapp.progress import Progress, StageClock
     from hpcapp.progress_display import open_progress
+    from hpcapp.terrain.epoch import open_epoch
     from hpcapp.wording import say_number
 
     load_rasterio(output)

@@ -9,13 +9,13 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 from scipy.stats import norm
 
-from hpcapp.applications.compare.volume.epochs import FEW_LAYERS, MOST_CELLS, PER_CELL, Epoch
-from hpcapp.applications.compare.volume.errors import CONFIDENCE
-from hpcapp.applications.compare.volume.heights import PLANE, Heights
-from hpcapp.applications.compare.volume.lattice import Lattice
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.points import FloatArray
 from hpcapp.io.crs import Crs
+from hpcapp.terrain.epoch import FEW_LAYERS, MOST_CELLS, PER_CELL, Epoch
+from hpcapp.terrain.errors import CONFIDENCE
+from hpcapp.terrain.heights import PLANE, Heights
+from hpcapp.terrain.lattice import Lattice
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError, UsageError
 

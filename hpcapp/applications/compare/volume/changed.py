@@ -6,8 +6,8 @@ import numpy as np
 from scipy.ndimage import label, uniform_filter
 from scipy.stats import norm
 
-from hpcapp.applications.compare.volume.errors import CONFIDENCE
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
+from hpcapp.terrain.errors import CONFIDENCE
 from hpccomponent.dataclass import dataclass
 
 _NARROWEST = 3

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import asdict, fields
 
-from hpcapp.applications.compare.volume.errors import CONFIDENCE
 from hpcapp.geometry.points import FloatArray
+from hpcapp.terrain.errors import CONFIDENCE
 from hpccomponent.dataclass import dataclass
 
 

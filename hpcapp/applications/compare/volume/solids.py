@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from hpcapp.applications.compare.truth import MeshTruth, sample_mesh
-from hpcapp.applications.compare.volume.errors import LIKELY, STAYED, find_registration
 from hpcapp.applications.compare.volume.measure import SolidChange, Volume, name_shift
 from hpcapp.applications.surface.stitching.topology import signed_volume, surface_area
 from hpcapp.geometry.lattice import pack_places
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray
+from hpcapp.terrain.errors import LIKELY, STAYED, find_registration
 
 _SAMPLES = 10_000  # of the new surface: an offset is known to a hundredth of the noise
 _SWOLLEN = 0.085

@@ -9,16 +9,16 @@ import numpy as np
 from scipy.ndimage import binary_erosion, maximum_filter, minimum_filter, uniform_filter
 
 from hpcapp.applications.compare.volume.changed import Rise, find_changed, find_least
-from hpcapp.applications.compare.volume.errors import (
+from hpcapp.applications.compare.volume.measure import Change, Volume, name_shift
+from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
+from hpcapp.terrain.errors import (
     LIKELY,
     Registration,
     find_narrowest,
     find_registration,
 )
-from hpcapp.applications.compare.volume.heights import PLANE, Heights
-from hpcapp.applications.compare.volume.lattice import Lattice
-from hpcapp.applications.compare.volume.measure import Change, Volume, name_shift
-from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
+from hpcapp.terrain.heights import PLANE, Heights
+from hpcapp.terrain.lattice import Lattice
 
 FEWEST_CELLS = 30
 """Common cells that tell noise and registration."""

@@ -14,6 +14,7 @@ import numpy as np
 
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, PointCloud
+from hpcapp.geometry.support import SUPPORT
 from hpcapp.geometry.vertex_normals import add_face_normals, scale_normals
 from hpcapp.io.crs import UNKNOWN, Crs
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream, make_array, scale_mesh_heights
@@ -23,9 +24,6 @@ from hpccomponent.dataclass import dataclass
 if TYPE_CHECKING:
     from hpcapp.applications.surface.attributes.carry import Carried
 
-
-SUPPORT = "support"
-"""Attribute of a vertex: distance of the nearest point, in spacings of the points."""
 
 Evaluate = Callable[[FloatArray], "Carried"]
 """Returns what places take from the points near them: see `AttributeField.evaluate`."""

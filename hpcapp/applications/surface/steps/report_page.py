@@ -12,12 +12,13 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from hpcapp.applications.surface.attributes.carrying import SUPPORT, Carrying
+from hpcapp.applications.surface.attributes.carrying import Carrying
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.geometry.axis_names import AXES
 from hpcapp.geometry.faces import cross_edges
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
+from hpcapp.geometry.support import GUESSED, SUPPORT
 from hpcapp.io import open_points, read_mesh, read_whole, take_finite
 from hpcapp.io.crs import UNKNOWN
 from hpcapp.io.frame import scale_heights
@@ -36,8 +37,6 @@ if TYPE_CHECKING:
     from hpcapp.applications.surface.job.scan import Loaded
 
 
-GUESSED = 6.0
-"""Spacings from the nearest point, beyond which a vertex is guesswork, if the job does not tell."""
 _LEAST_SHARE = 0.002  # of the area, that a place must have to be marked
 _MOST_MARKERS = 8
 _WIDEST = 8.0  # spacings at the end of the scale of colours

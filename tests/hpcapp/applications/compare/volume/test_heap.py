@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import hpcapp
-from hpcapp.applications.compare.volume.epochs import FEW_LAYERS
 from hpcapp.applications.compare.volume.measure import Change, Volume
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray
 from hpcapp.lab.simulate.raw.scan import RawSettings, scan_scene
 from hpcapp.lab.simulate.raw.scenes import HEAP, PIT, SCENES
+from hpcapp.terrain.epoch import FEW_LAYERS
 from hpccomponent.errors import InputError, UsageError
 
 HEAP_AT, HEAP_RADIUS = (24.0, 22.0), 5.0

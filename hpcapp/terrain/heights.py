@@ -7,10 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from hpcapp.applications.compare.volume.cover import cover_cells
-from hpcapp.applications.compare.volume.lattice import Lattice
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
+from hpcapp.terrain.cover import cover_cells
+from hpcapp.terrain.lattice import Lattice
 from hpccomponent.dataclass import dataclass
 
 PLANE = 9.0

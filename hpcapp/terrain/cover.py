@@ -7,8 +7,8 @@ from math import ceil
 import numpy as np
 from scipy.ndimage import distance_transform_edt, uniform_filter
 
-from hpcapp.applications.compare.volume.lattice import Lattice
 from hpcapp.geometry.points import FloatArray
+from hpcapp.terrain.lattice import Lattice
 
 _REACH = 2.0
 """Spacings: gaps up to double of it are closed. Of points at random a disc of that radius is empty

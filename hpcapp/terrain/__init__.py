@@ -1,0 +1,1 @@
+"""Terrain as heights over a lattice: what `compare --volume` and `heights` stand on."""
