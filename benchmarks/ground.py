@@ -14,11 +14,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 import hpcapp
-from hpcapp.applications.points.ground import GROUND, take_ground
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io.points.mesh_points import slice_cloud
 from hpcapp.io.points.mesh_samples import sample_faces
 from hpcapp.lab.simulate.raw.scan import RawScan, RawSettings, scan_scene
+from hpcapp.parts.ground import GROUND, take_ground
 
 SCENES = ("terrain", "forest", "town", "yard")
 _POINTS, _PLACES = 100_000, 400_000

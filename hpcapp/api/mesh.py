@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hpcapp.api.arrays import check_colours, check_column, check_faces, check_rows
-from hpcapp.applications.points.crop import make_crop
 from hpcapp.applications.surface.stitching.topology import (
     Topology,
     check_mesh,
@@ -36,6 +35,7 @@ from hpcapp.pages.page import build_page, write_page
 from hpcapp.pages.scene import Scene, fields_of
 from hpcapp.pages.templates import render
 from hpcapp.pages.thin import MOST_FACES, thin_mesh
+from hpcapp.parts.crop import make_crop
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
 from hpccomponent.files.outputs import check_files

@@ -25,7 +25,6 @@ from numpy.typing import ArrayLike
 
 from hpcapp.api.arrays import check_cloud, check_rows
 from hpcapp.api.mesh import JobRecord, Mesh, wrap_mesh
-from hpcapp.applications.points.crop import Crop, make_crop
 from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.attributes.labels import find_labels
 from hpcapp.applications.surface.cli.run import load_stored
@@ -60,6 +59,7 @@ from hpcapp.io.points.inputs import find_paths, gather_points
 from hpcapp.io.points.mesh_points import slice_cloud
 from hpcapp.io.points.survey import is_flown_over
 from hpcapp.io.points.usable import refuse_too_few
+from hpcapp.parts.crop import Crop, make_crop
 from hpcapp.progress import Progress, ProgressObserver, StageClock
 from hpccomponent.errors import UsageError
 from hpccomponent.ranges import FARTHEST, check_range, is_place

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hpcapp.applications.points.command import AROUND, BOX, POLYGON
-from hpcapp.applications.points.crop import parse_crop
 from hpcapp.mending.options import PIECES, SMALLEST
+from hpcapp.parts.crop import parse_crop
+from hpcapp.parts.options import AROUND, BOX, POLYGON
 from hpcapp.simplification.command import MESH, Output, with_output
 from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import UsageError

@@ -7,11 +7,11 @@ from dataclasses import field
 
 import numpy as np
 
-from hpcapp.applications.points.crop import Crop
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.pieces import PieceChoice, find_small, say_dropped, say_small
 from hpcapp.mending.holes import fill_holes
 from hpcapp.mending.pieces import keep_faces, measure_pieces
+from hpcapp.parts.crop import Crop
 from hpcapp.wording import say_count
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError

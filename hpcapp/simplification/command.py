@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hpcapp.applications.points.command import AROUND, BOX, POLYGON
-from hpcapp.applications.points.crop import parse_crop
 from hpcapp.geometry.axis_names import AXES
 from hpcapp.named_files import MESH as MESH_FILE
 from hpcapp.named_files import SCAN
+from hpcapp.parts.crop import parse_crop
+from hpcapp.parts.options import AROUND, BOX, POLYGON
 from hpccomponent.cli.verb import Verb
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError

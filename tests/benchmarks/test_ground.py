@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from ground import measure_mesh, measure_points, scan
 
-from hpcapp.applications.points import ground
+from hpcapp.parts import ground
 
 
 def test_wrong_returns_do_not_hold_the_cloth_up(monkeypatch: pytest.MonkeyPatch) -> None:

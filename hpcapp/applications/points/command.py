@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hpcapp.applications.points.crop import parse_crop
-from hpcapp.named_files import FILE_OR_WORD, PICTURE, POINTS, SCANS
+from hpcapp.named_files import PICTURE, POINTS
+from hpcapp.parts.crop import parse_crop
+from hpcapp.parts.options import AROUND, BOX, CLASSES, GROUND, INPUTS, NOT_CLASSES, POLYGON, SAMPLE
 from hpccomponent.cli.named_files import json_option
 from hpccomponent.cli.terminal import echo, echo_json, visible_line
 from hpccomponent.cli.verb import Verb
@@ -25,53 +26,6 @@ if TYPE_CHECKING:
 log = logging.getLogger("hpcapp")
 
 _LONGEST = 120  # characters of a coordinate system that are shown to people
-INPUTS = click.argument(
-    "points",
-    nargs=-1,
-    required=True,
-    type=SCANS,
-    help="Files of any format that is read (.ply, .las, .laz, .e57, .xyz and others), or patterns "
-    "as 'scans/*.laz', in quotes; several are one cloud. - is the standard input.",
-)
-SAMPLE = click.option(
-    "--sample",
-    type=click.IntRange(10),
-    metavar="N",
-    help="POINTS is a mesh: take N points on its faces in place of its vertices. A surface is made "
-    "so of 100,000 where the vertices are too few for the faces.",
-)
-BOX = click.option(
-    "--box",
-    metavar="X0,Y0,Z0,X1,Y1,Z1",
-    help="Only what lies between two corners, in the coordinates of the input.",
-)
-AROUND = click.option(
-    "--around",
-    metavar="X,Y,Z,R",
-    help="Only what lies within a distance R of a place.",
-)
-POLYGON = click.option(
-    "--polygon",
-    type=FILE_OR_WORD,
-    metavar="FILE",
-    help="Only what lies above and below polygons: .geojson, .wkt or .shp, or WKT itself.",
-)
-CLASSES = click.option(
-    "--classes",
-    metavar="N,N",
-    help="Only points of these classes, as 2,6: ground and buildings of LAS.",
-)
-NOT_CLASSES = click.option(
-    "--not-classes",
-    metavar="N,N",
-    help="No points of these classes. Noise of LAS, 7 and 18, is left out in any case, unless "
-    "--classes names it.",
-)
-GROUND = click.option(
-    "--ground",
-    is_flag=True,
-    help="Only the bare ground: class 2 of the file, or what a cloth simulation finds.",
-)
 
 
 @click.command(

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import click
 
-from hpcapp.applications.points.command import AROUND, BOX, POLYGON
-from hpcapp.applications.points.crop import parse_crop
 from hpcapp.geometry.axis_names import AXES
 from hpcapp.named_files import PAGE, PICTURE, SCAN
+from hpcapp.parts.crop import parse_crop
+from hpcapp.parts.options import AROUND, BOX, POLYGON
 from hpccomponent.cli.named_files import InputFile
 from hpccomponent.cli.terminal import echo_output
 from hpccomponent.cli.verb import Verb

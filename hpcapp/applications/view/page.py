@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from hpcapp.applications.points.crop import EVERYTHING, Crop
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.mesh import Mesh
@@ -30,6 +29,7 @@ from hpcapp.pages.page import build_page, tabulate
 from hpcapp.pages.report import read_report
 from hpcapp.pages.scene import Field, Scene, fields_of
 from hpcapp.pages.thin import thin_mesh
+from hpcapp.parts.crop import EVERYTHING, Crop
 
 
 def read_shown(path: Path, crop: Crop = EVERYTHING) -> Mesh | PointCloud:

@@ -15,18 +15,7 @@ from typing import Any
 
 import click
 
-from hpcapp.applications.points.command import (
-    AROUND,
-    BOX,
-    CLASSES,
-    GROUND,
-    INPUTS,
-    NOT_CLASSES,
-    POLYGON,
-    SAMPLE,
-    readable,
-)
-from hpcapp.applications.points.crop import CROPPED, Crop, parse_crop
+from hpcapp.applications.points.command import readable
 from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.methods.options import (
@@ -42,6 +31,8 @@ from hpcapp.applications.surface.methods.options import (
 from hpcapp.applications.surface.methods.table import DEFAULT_METHOD, METHODS, find_method
 from hpcapp.dashboard import DEFAULT_ADDRESS
 from hpcapp.mending.options import PIECES, SMALLEST
+from hpcapp.parts.crop import CROPPED, Crop, parse_crop
+from hpcapp.parts.options import AROUND, BOX, CLASSES, GROUND, INPUTS, NOT_CLASSES, POLYGON, SAMPLE
 from hpcapp.progress import Progress
 from hpcapp.simplification.command import ORIGIN, UP
 from hpcapp.texture.request import check_library, check_texture

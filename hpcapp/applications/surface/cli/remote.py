@@ -12,7 +12,6 @@ from typing import Any
 import click
 import numpy as np
 
-from hpcapp.applications.points.crop import CROPPED, parse_crop
 from hpcapp.applications.surface.job.source import MARGIN
 from hpcapp.applications.surface.methods.options import typed_command, typed_options
 from hpcapp.applications.surface.normals.viewpoint import parse_viewpoint, type_viewpoint
@@ -23,6 +22,7 @@ from hpcapp.io.output import open_output
 from hpcapp.io.placement import Place, note_origin
 from hpcapp.io.points.inputs import gather_points
 from hpcapp.io.registry import find_mesh_writer
+from hpcapp.parts.crop import CROPPED, parse_crop
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.foreign_json import convert

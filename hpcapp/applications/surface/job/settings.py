@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Self, TypeAlias
 
 import click
 
-from hpcapp.applications.points.crop import Crop
 from hpcapp.applications.surface.attributes.choice import AttributeChoice, parse_attributes
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
 from hpcapp.applications.surface.methods.method import MAX_GRID, MIN_GRID, MethodSettings
@@ -21,6 +20,7 @@ from hpcapp.applications.surface.methods.options import check_options, option
 from hpcapp.applications.surface.normals.viewpoint import Viewpoint, parse_viewpoint
 from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY, POLICIES
 from hpcapp.named_files import FILE_OR_WORD, MESH, PAGE, PICTURE, STORAGE
+from hpcapp.parts.crop import Crop
 from hpcapp.simplification.target import Target
 from hpcapp.texture.request import LEAST_PIXELS, MOST_PIXELS
 from hpcapp.workforce import Workforce

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from hpcapp.applications.points.crop import Crop
 from hpcapp.applications.surface.attributes.search import evaluate_blocks
 from hpcapp.applications.surface.boundary.support import Support
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
@@ -19,6 +18,7 @@ from hpcapp.geometry.clipping import Cutter, clip_mesh, find_beyond
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.region import say_place
 from hpcapp.io.meshes.mesh_stream import MeshStream
+from hpcapp.parts.crop import Crop
 from hpcapp.progress import StageClock
 from hpccomponent.errors import InputError
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import shared_data
 
-from hpcapp.applications.points.ground import take_ground
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import open_points, read_whole, write_points
 from hpcapp.io.points.no_data import find_no_data
+from hpcapp.parts.ground import take_ground
 
 MAP = np.array([476_000.0, 5_200_000.0, 0.0])
 RANDOM = np.random.default_rng(8)

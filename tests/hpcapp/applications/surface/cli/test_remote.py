@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from hpcapp.applications.points.crop import make_crop
 from hpcapp.applications.surface.cli import remote
 from hpcapp.applications.surface.cli.command import reconstruct
 from hpcapp.applications.surface.cli.remote_check import check_job
@@ -18,6 +17,7 @@ from hpcapp.applications.surface.normals.viewpoint import parse_viewpoint
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import PointCloud
 from hpcapp.io import find_mesh_crs, read_mesh, read_points, write_mesh, write_points
+from hpcapp.parts.crop import make_crop
 from hpccomponent.errors import InputError, UsageError
 
 

@@ -95,7 +95,7 @@ class Crop:
         source = self.narrow(source, margin)
         if not self.ground:
             return source
-        from hpcapp.applications.points.ground import take_ground
+        from hpcapp.parts.ground import take_ground
 
         return take_ground(source, (self, margin))
 

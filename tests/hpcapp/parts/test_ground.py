@@ -12,9 +12,6 @@ from click.testing import CliRunner
 from on_earth import put_on_earth
 
 import hpcapp as package
-from hpcapp.applications.points import cloth
-from hpcapp.applications.points.crop import make_crop, parse_crop
-from hpcapp.applications.points.ground import take_ground
 from hpcapp.applications.surface.cli.run import run_job
 from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.stitching.topology import check_mesh
@@ -22,6 +19,9 @@ from hpcapp.cli import hpcapp
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import open_points, read_mesh, read_points, write_points
 from hpcapp.io.points.mesh_points import slice_cloud
+from hpcapp.parts import cloth
+from hpcapp.parts.crop import make_crop, parse_crop
+from hpcapp.parts.ground import take_ground
 from hpcapp.progress import Progress
 from hpccomponent.errors import InputError, MissingLibraryError, UsageError
 

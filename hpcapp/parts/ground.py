@@ -14,12 +14,12 @@ from functools import lru_cache
 import numpy as np
 from scipy.spatial import cKDTree
 
-from hpcapp.applications.points.cloth import STEP, Cloth, drape
 from hpcapp.geometry.axes import rotate
 from hpcapp.geometry.points import BoolArray, FloatArray, PointCloud
 from hpcapp.io.batches import batch_points
 from hpcapp.io.crs import METRES
 from hpcapp.io.points.point_source import CLASSES, NOT_GROUND, PointSource
+from hpcapp.parts.cloth import STEP, Cloth, drape
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from hpcapp.applications.points.crop import make_crop, parse_crop
 from hpcapp.cli import hpcapp
 from hpcapp.geometry.points import PointCloud
 from hpcapp.io import open_points, read_points, write_points
 from hpcapp.io.points.inputs import gather_points
+from hpcapp.parts.crop import make_crop, parse_crop
 from hpccomponent.errors import InputError, UsageError
 
 
