@@ -65,7 +65,7 @@ def evaluate(node: ast.expr, names: dict[str, Any]) -> Any:
 
 
 BY_HAND = {
-    "hpcapp/applications/surface/kernels/digest.py": "sees our own sources alone",
+    "hpcapp/kernels/digest.py": "sees our own sources alone",
     "deploy/hpcdeploy/install/probe.py": "a table of patterns of one repeat each",
     "deploy/hpcdeploy/providers/ec2/bucket.py": "what follows a name has one repeat",
 }

@@ -16,7 +16,13 @@ CLONE = Path(__file__).parents[1]
 FOLDERS = ("e2e", "systemd", "testbed", "deploy", "machines")
 PACKAGES = ("hpcapp", "hpccomponent", "loader", "deploy")
 HANGING = ("tests/e2e/test_e2e.py", "tests/machines/test_machines.py")
-HIDDEN = ("VENV", "PYTEST_XDIST_WORKER", "PYTEST_XDIST_WORKER_COUNT", "PYTEST_CURRENT_TEST")
+HIDDEN = (
+    "VENV",
+    "READY",
+    "PYTEST_XDIST_WORKER",
+    "PYTEST_XDIST_WORKER_COUNT",
+    "PYTEST_CURRENT_TEST",
+)
 TESTS = """
 import os, signal, subprocess, sys
 import pytest

@@ -75,7 +75,7 @@ class Build:
 _COMPONENT = ("{python}", "-P", "-m", "hpccomponent")
 
 BUILDS: tuple[Build, ...] = (
-    Build("native", _COMPONENT, Requirements(module="hpcapp.applications.surface.kernels._native")),
+    Build("native", _COMPONENT, Requirements(module="hpcapp.kernels._native")),
     Build("portable", _COMPONENT),
 )
 """The builds that come with the loader, best first."""

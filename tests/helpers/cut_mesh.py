@@ -9,14 +9,14 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from hpcapp.applications.surface.extraction.parts import MeshPart
-from hpcapp.applications.surface.kernels import label_components
-from hpcapp.applications.surface.kernels.portable.surface.bricks import grow_bricks
-from hpcapp.applications.surface.kernels.portable.surface.marching_cubes import extract_surface
 from hpcapp.applications.surface.stitching.plan import find_large
-from hpcapp.applications.surface.types.grid import BRICK, OWN, BrickKinds, Grid
 from hpcapp.geometry.lattice import pack_places, unpack_keys
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
+from hpcapp.kernels import label_components
+from hpcapp.kernels.portable.surface.bricks import grow_bricks
+from hpcapp.kernels.portable.surface.marching_cubes import extract_surface
+from hpcapp.kernels.types.grid import BRICK, OWN, BrickKinds, Grid
 
 SMALL, CRUMB = (0.75, 0.75, 0.75), (13 / 24, 12 / 24, 5 / 24)
 GRID = Grid(np.array([-1.0, -1.0, -1.0]), 1 / 24, (6, 6, 6))

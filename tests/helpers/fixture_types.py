@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.types.grid import Grid
 from hpcapp.geometry.points import FloatArray, IntArray
+from hpcapp.kernels.types.grid import Grid
 
 StartComponent = Callable[..., "subprocess.Popen[str]"]
 StartCommand = Callable[..., "subprocess.Popen[str]"]

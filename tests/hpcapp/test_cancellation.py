@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.kernels.build import load_native
-from hpcapp.applications.surface.kernels.parallel import run_batches
 from hpcapp.cancellation import Cancellation, JobThreads, check_cancelled
+from hpcapp.kernels.build import load_native
+from hpcapp.kernels.parallel import run_batches
 from hpccomponent.errors import JobCancelledError
 
 

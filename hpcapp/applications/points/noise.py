@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.cloud.arranged import Measured, arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
 from hpcapp.applications.surface.cloud.measure import SAMPLED_BOX, first_share

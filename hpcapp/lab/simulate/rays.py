@@ -7,8 +7,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from hpcapp.applications.surface.kernels.parallel import run_batches
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
+from hpcapp.kernels.parallel import run_batches
 from hpcapp.lab.simulate.implicit import Shape, diagonal_of
 from hpcapp.lab.simulate.tracing import Tracer
 from hpccomponent.limits import available_cores

@@ -22,9 +22,9 @@ from cryptography.x509.oid import NameOID
 from standing import StartDask
 
 import hpcapp
-from hpcapp.applications.surface.kernels.build import kernel_id
 from hpcapp.backends.selection import open_backend, open_executor
 from hpcapp.geometry.points import PointCloud
+from hpcapp.kernels.build import kernel_id
 from hpcapp.workforce import map_batches
 from hpccomponent.errors import JobError, NoWorkersError, TaskError, UsageError, WorkerLostError
 

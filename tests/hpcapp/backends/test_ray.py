@@ -20,9 +20,9 @@ import numpy as np
 import pytest
 from process_tree import are_gone, descendants
 
-from hpcapp.applications.surface.kernels.build import kernel_id
 from hpcapp.backends.engines import RAY
 from hpcapp.backends.selection import Backend, open_executor
+from hpcapp.kernels.build import kernel_id
 from hpcapp.workforce import map_batches
 from hpccomponent.errors import NoWorkersError, TaskError, UsageError
 

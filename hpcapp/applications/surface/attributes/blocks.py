@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, find_runs
 from hpcapp.applications.surface.cloud.arrangement import snap_points
 from hpcapp.geometry.lattice import find_keys

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.geometry.points import BoolArray, Float32Array, FloatArray, IntArray, PointCloud
 from hpccomponent.dataclass import dataclass

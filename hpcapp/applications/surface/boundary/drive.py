@@ -41,9 +41,9 @@ from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
 from hpcapp.applications.surface.tiles.halo import mark_near
 from hpcapp.applications.surface.tiles.patterns import surface_box
 from hpcapp.applications.surface.tiles.plan import Plan
-from hpcapp.applications.surface.types.grid import BRICK
 from hpcapp.geometry.lattice import pack_places, unique_keys, unpack_keys
 from hpcapp.geometry.points import IntArray
+from hpcapp.kernels.types.grid import BRICK
 from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.cli.option_names import name_option
 from hpccomponent.dataclass import dataclass

@@ -23,7 +23,7 @@ from typing import Annotated
 
 import numpy as np
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.extraction.part_places import starts_of
 from hpcapp.applications.surface.extraction.parts import ForeignBricks, ForeignNumbers, MeshPart
 from hpcapp.applications.surface.types.result_patterns import ComponentBoxes

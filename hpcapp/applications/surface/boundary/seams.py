@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.boundary.opening import OpeningSeams
 from hpcapp.applications.surface.extraction.part_places import starts_of
 from hpcapp.applications.surface.stitching.plan import StitchingPlan

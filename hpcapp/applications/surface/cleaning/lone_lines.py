@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.scale.scan_lines import measure_spread
 from hpcapp.geometry.lattice import lay_lattice, unique_keys
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray

@@ -17,7 +17,7 @@ from typing import Annotated
 
 import numpy as np
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.cleaning.outliers import (
     EDGE,
     ISLAND_LEVEL,

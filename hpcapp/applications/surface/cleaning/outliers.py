@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.geometry.lattice import (
     BITS,
     ancestor_keys,

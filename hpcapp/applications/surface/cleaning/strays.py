@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.geometry.lattice import lay_lattice, unpack_keys
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray

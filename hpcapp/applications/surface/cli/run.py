@@ -23,7 +23,6 @@ from hpcapp.applications.surface.job.scan import Loaded, PointFolder
 from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.job.site import Site, open_site
 from hpcapp.applications.surface.job.storage import JobStorage, open_storage
-from hpcapp.applications.surface.kernels.freed_memory import keep_memory
 from hpcapp.applications.surface.methods.method import TILE_POINTS
 from hpcapp.applications.surface.pipeline import deliver, load, reconstruct_cloud
 from hpcapp.applications.surface.steps.report import describe_outcome
@@ -32,6 +31,7 @@ from hpcapp.cancellation import Cancellation
 from hpcapp.communicator.scheduling.verification import Verification, attempt, repeat_until_trusted
 from hpcapp.io import describe_losses, place_mesh
 from hpcapp.io.output import open_output
+from hpcapp.kernels.freed_memory import keep_memory
 from hpcapp.progress import Progress, StageClock
 from hpcapp.timeline import Timeline
 

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.cloud.arrangement import (
     Arrangement,
     PackedPoints,

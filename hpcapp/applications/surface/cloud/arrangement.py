@@ -19,7 +19,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.geometry.lattice import lay_lattice, unpack_keys
 from hpcapp.geometry.points import Float32Array, FloatArray, IntArray
 from hpccomponent.dataclass import dataclass

@@ -30,7 +30,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, Measured, Place, Points
 from hpcapp.applications.surface.cloud.arrangement import (
     RECORDS_AT_ONCE,

@@ -18,7 +18,7 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.cloud.arrangement import PackedPoints, interleave
 from hpcapp.geometry.points import ByteArray, Float32Array, IntArray
 from hpccomponent.dataclass import dataclass

@@ -7,8 +7,7 @@ from math import sqrt
 
 import numpy as np
 
-from hpcapp.applications.surface import kernels
-from hpcapp.applications.surface.kernels.parallel import run_batches
+from hpcapp import kernels
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.lattice import (
     are_sampled,
@@ -19,6 +18,7 @@ from hpcapp.geometry.lattice import (
     unique_keys,
 )
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
+from hpcapp.kernels.parallel import run_batches
 from hpccomponent.cutting import cut_equal
 from hpccomponent.errors import InputError
 

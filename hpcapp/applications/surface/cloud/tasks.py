@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.cloud.arranged import Place
 from hpcapp.applications.surface.cloud.disk import open_place
 from hpcapp.applications.surface.cloud.patterns import (

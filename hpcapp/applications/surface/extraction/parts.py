@@ -7,12 +7,12 @@ from typing import Annotated
 
 import numpy as np
 
-from hpcapp.applications.surface.types.brick_mesh import BrickMesh
-from hpcapp.applications.surface.types.grid import OWN, BrickKinds
 from hpcapp.applications.surface.types.result_patterns import LENGTH
 from hpcapp.geometry.lattice import find_keys, number_keys
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import BoolArray, FloatArray, Int32Array, IntArray
+from hpcapp.kernels.types.brick_mesh import BrickMesh
+from hpcapp.kernels.types.grid import OWN, BrickKinds
 from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.columns import Column
 from hpccomponent.protocol.records import record

@@ -14,11 +14,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpcapp.applications.surface.kernels import spread_keys
-from hpcapp.applications.surface.types.field import Features
 from hpcapp.geometry.faces import cross_edges
 from hpcapp.geometry.lattice import find_keys, pack_places
 from hpcapp.geometry.points import BoolArray, ByteArray, FloatArray, IntArray
+from hpcapp.kernels import spread_keys
+from hpcapp.kernels.types.field import Features
 from hpccomponent.cutting import cut_equal
 from hpccomponent.dataclass import dataclass
 

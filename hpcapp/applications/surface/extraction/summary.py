@@ -10,7 +10,7 @@ from typing import Annotated
 
 import numpy as np
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.extraction.parts import (
     BrickCounts,
     BrickFlags,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.geometry.lattice import (
     step_keys,
 )

@@ -14,10 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface import kernels
-from hpcapp.applications.surface.kernels import COLUMNS
-from hpcapp.applications.surface.kernels.parallel import run_batches
-from hpcapp.applications.surface.types.grid import Grid
+from hpcapp import kernels
 from hpcapp.geometry.lattice import (
     BITS,
     ancestor_keys,
@@ -31,6 +28,9 @@ from hpcapp.geometry.points import (
     IntArray,
     PointCloud,
 )
+from hpcapp.kernels import COLUMNS
+from hpcapp.kernels.parallel import run_batches
+from hpcapp.kernels.types.grid import Grid
 from hpccomponent.dataclass import dataclass
 
 _SLAB = 1 << 11  # cells whose moments are summed at once: 0.7 MB, which stays in the cache

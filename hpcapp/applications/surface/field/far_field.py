@@ -16,8 +16,6 @@ from typing import Annotated
 import numpy as np
 
 from hpcapp.applications.surface.field.hull import find_hull
-from hpcapp.applications.surface.kernels import integrate_normals, sample_grid
-from hpcapp.applications.surface.types.field import FarField
 from hpcapp.applications.surface.types.result_patterns import LENGTH
 from hpcapp.geometry.lattice import (
     OCTANTS,
@@ -28,6 +26,8 @@ from hpcapp.geometry.lattice import (
     pack_places,
 )
 from hpcapp.geometry.points import Float32Array, FloatArray, IntArray
+from hpcapp.kernels import integrate_normals, sample_grid
+from hpcapp.kernels.types.field import FarField
 from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.columns import Column
 from hpccomponent.protocol.records import record

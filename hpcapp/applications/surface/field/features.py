@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.field.cell_points import SortedPoints
-from hpcapp.applications.surface.kernels import BASIS
-from hpcapp.applications.surface.types.field import PIECES, Features
 from hpcapp.geometry.lattice import ancestor_keys, find_layers, unpack_keys
 from hpcapp.geometry.points import Float32Array, IntArray
+from hpcapp.kernels import BASIS
+from hpcapp.kernels.types.field import PIECES, Features
 
 _REACH = 3  # cells on each side of a vertex that the fits look at (see `fit_features`)
 _ROUND = 0.04  # misfit of a quadric (see `hermite.evaluate_misfits`), some 11 degrees

@@ -19,7 +19,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.field.cell_points import SortedPoints
 from hpcapp.applications.surface.field.features import (
     find_features,
@@ -35,10 +35,6 @@ from hpcapp.applications.surface.field.pyramid import (
 )
 from hpcapp.applications.surface.field.support import crowd_vertices
 from hpcapp.applications.surface.field.weights import Weights, trust_vertices
-from hpcapp.applications.surface.kernels import BASIS
-from hpcapp.applications.surface.kernels.parallel import run_batches
-from hpcapp.applications.surface.types.field import FarField, Features, Field, FieldLevel
-from hpcapp.applications.surface.types.grid import BRICK, Grid
 from hpcapp.geometry.lattice import (
     ancestor_keys,
     find_keys,
@@ -48,6 +44,10 @@ from hpcapp.geometry.lattice import (
     unpack_keys,
 )
 from hpcapp.geometry.points import BoolArray, Float32Array, FloatArray, IntArray
+from hpcapp.kernels import BASIS
+from hpcapp.kernels.parallel import run_batches
+from hpcapp.kernels.types.field import FarField, Features, Field, FieldLevel
+from hpcapp.kernels.types.grid import BRICK, Grid
 from hpccomponent.cutting import cut_equal
 from hpccomponent.dataclass import dataclass
 

@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.field.weights import SAME_NOISE, tell_noise
 from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.geometry.lattice import ancestor_keys, unique_keys

@@ -13,7 +13,7 @@ from dataclasses import field, replace
 
 import numpy as np
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.field.cell_points import (
     CellMoments,
     PartMoments,
@@ -31,8 +31,6 @@ from hpcapp.applications.surface.field.weights import (
     find_agreement,
     localise_noise,
 )
-from hpcapp.applications.surface.kernels import BASIS
-from hpcapp.applications.surface.kernels.parallel import run_batches
 from hpcapp.geometry.lattice import (
     BITS,
     OCTANTS,
@@ -46,6 +44,8 @@ from hpcapp.geometry.points import (
     IntArray,
     PointCloud,
 )
+from hpcapp.kernels import BASIS
+from hpcapp.kernels.parallel import run_batches
 from hpccomponent.cutting import cut_equal
 from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.records import record

@@ -16,14 +16,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.field.cell_points import SortedPoints
-from hpcapp.applications.surface.kernels.parallel import run_batches
 from hpcapp.geometry.lattice import (
     ancestor_keys,
     number_keys,
 )
 from hpcapp.geometry.points import Float32Array, FloatArray, IntArray
+from hpcapp.kernels.parallel import run_batches
 from hpccomponent.cutting import cut_equal
 
 Blend = tuple[IntArray, Float32Array, Float32Array]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.geometry.lattice import OCTANTS, ancestor_keys, step_keys
 from hpcapp.geometry.points import BoolArray, Float32Array, FloatArray, IntArray
 

@@ -24,9 +24,9 @@ from hpcapp.applications.surface.stitching.surface import Surface
 from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
 from hpcapp.applications.surface.tiles.patterns import tile_surface
 from hpcapp.applications.surface.tiles.tasks import mesh_gap, mesh_tile
-from hpcapp.applications.surface.types.grid import BRICK
 from hpcapp.geometry.lattice import find_keys, find_overlapping, unique_keys
 from hpcapp.geometry.points import FloatArray, IntArray
+from hpcapp.kernels.types.grid import BRICK
 from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.errors import JobError
 

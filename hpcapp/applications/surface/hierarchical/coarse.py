@@ -26,8 +26,6 @@ from hpcapp.applications.surface.field.pyramid import (
 from hpcapp.applications.surface.tiles.halo import halo_steps, mark_near
 from hpcapp.applications.surface.tiles.plan import CoarseLattice, CoarseLevels, Plan, Samples
 from hpcapp.applications.surface.tiles.tasks import solve_far
-from hpcapp.applications.surface.types.field import FarField, FieldLevel
-from hpcapp.applications.surface.types.grid import BRICK, Grid
 from hpcapp.geometry.lattice import (
     ancestor_keys,
     cells_of,
@@ -38,6 +36,8 @@ from hpcapp.geometry.lattice import (
     unpack_keys,
 )
 from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
+from hpcapp.kernels.types.field import FarField, FieldLevel
+from hpcapp.kernels.types.grid import BRICK, Grid
 from hpcapp.workforce import Workforce, begin_batch
 from hpccomponent.dataclass import dataclass
 

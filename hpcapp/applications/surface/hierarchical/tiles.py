@@ -17,9 +17,9 @@ from hpcapp.applications.surface.tiles.halo import mark_near
 from hpcapp.applications.surface.tiles.plan import Plan
 from hpcapp.applications.surface.tiles.points import CellPoints, PointsThere, pack_cells
 from hpcapp.applications.surface.tiles.tasks import KEPT_TILES
-from hpcapp.applications.surface.types.grid import BRICK
 from hpcapp.geometry.lattice import find_overlapping, pack_places, unique_keys, unpack_keys
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
+from hpcapp.kernels.types.grid import BRICK
 
 # What a finest cell on the surface, and a cell of the grid there, take beside the points, in what a
 # point takes: from scans of bunny, table and rocker arm, whose finest cells were 1 to 6.5 cells of

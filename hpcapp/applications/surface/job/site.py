@@ -16,11 +16,11 @@ from hpcapp.applications.surface.job.backend_choice import Choice, Job, Opener
 from hpcapp.applications.surface.job.folder import all_see_folder
 from hpcapp.applications.surface.job.plan import choose_tile
 from hpcapp.applications.surface.job.settings import Settings, choose_steps, choose_threads
-from hpcapp.applications.surface.kernels.build import kernel_id
 from hpcapp.applications.surface.methods.method import Method, Resources, show_nothing
 from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
 from hpcapp.backends.selection import Backend
 from hpcapp.cancellation import Cancellation
+from hpcapp.kernels.build import kernel_id
 from hpcapp.progress import StageClock
 from hpccomponent.cli.option_names import name_option
 from hpccomponent.dataclass import dataclass

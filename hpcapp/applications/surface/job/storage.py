@@ -24,8 +24,8 @@ from pathlib import Path
 
 from hpcapp.applications.surface.job.plan import Place, works_here
 from hpcapp.applications.surface.job.settings import JobSettings
-from hpcapp.applications.surface.kernels.build import kernel_id
 from hpcapp.applications.surface.tiles.checkpoint import SUMS, Checkpoint, digest
+from hpcapp.kernels.build import kernel_id
 from hpccomponent.cli.terminal import visible_text
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import DistrustError, HpcError, InputError, OutputError, UsageError

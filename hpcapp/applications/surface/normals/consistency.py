@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpcapp.applications.surface import kernels
-from hpcapp.applications.surface.kernels import UNSURE, WRONG
+from hpcapp import kernels
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.lattice import (
     cells_of,
@@ -18,6 +17,7 @@ from hpcapp.geometry.points import (
     FloatArray,
     IntArray,
 )
+from hpcapp.kernels import UNSURE, WRONG
 from hpccomponent.dataclass import dataclass
 
 FOLLOWING, TORN = 0.975, 0.07

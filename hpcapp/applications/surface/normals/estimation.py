@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpcapp.applications.surface.kernels import fit_planes
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.lattice import cells_of, pack_places
 from hpcapp.geometry.points import BoolArray, Float32Array, FloatArray
+from hpcapp.kernels import fit_planes
 
 _REACH = 12.0  # spacings: farther points are no neighbours
 _CELL = 5.0  # spacings: the noise is that of the median point of a cell

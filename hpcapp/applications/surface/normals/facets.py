@@ -11,7 +11,7 @@ from typing import Annotated
 
 import numpy as np
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.normals.patches import CELL, Patches
 from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.applications.surface.types.result_patterns import CellKeys

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.normals.patches import CELL, Patches, quarter_patches
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 from hpccomponent.dataclass import dataclass

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.normals.patches import Links, Patches
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 

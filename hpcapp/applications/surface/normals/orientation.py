@@ -13,7 +13,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hpcapp.applications.surface.kernels import integrate_normals, sample_grid
 from hpcapp.applications.surface.normals.evidence import Evidence, areas_of, hear_user
 from hpcapp.applications.surface.normals.linked import LinkedPatches
 from hpcapp.applications.surface.normals.patches import CELL, Links, Patches, Sides
@@ -28,6 +27,7 @@ from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.types import reading
 from hpcapp.applications.surface.types.reading import Measurement
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
+from hpcapp.kernels import integrate_normals, sample_grid
 from hpccomponent.dataclass import dataclass
 
 SURE = 0.3

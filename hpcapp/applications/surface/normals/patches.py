@@ -18,7 +18,6 @@ from typing import Annotated
 
 import numpy as np
 
-from hpcapp.applications.surface.kernels import SHEETS, group_sheets, link_groups
 from hpcapp.applications.surface.normals.estimation import refuse_wide
 from hpcapp.applications.surface.types.result_patterns import LENGTH, UNIT
 from hpcapp.geometry.axes import rotate
@@ -30,6 +29,7 @@ from hpcapp.geometry.lattice import (
     unique_keys,
 )
 from hpcapp.geometry.points import BoolArray, Float32Array, FloatArray, IntArray
+from hpcapp.kernels import SHEETS, group_sheets, link_groups
 from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.columns import Column
 from hpccomponent.protocol.records import record

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.cloud.cloud_pass import CloudPass
 from hpcapp.applications.surface.normals.facets import Shape, choose_edge, merge_facets
 from hpcapp.applications.surface.normals.orientation import Verdict, read_given

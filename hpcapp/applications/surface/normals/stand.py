@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.normals.evidence import areas_of
 from hpcapp.applications.surface.normals.patches import CELL, Patches
 from hpcapp.geometry.lattice import lay_lattice

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.normals.patches import Patches
 from hpcapp.geometry.points import BoolArray, FloatArray, Int8Array
 

@@ -20,9 +20,9 @@ from hpcapp.applications.surface.field.weights import believe_noise
 from hpcapp.applications.surface.methods.method import MARGIN
 from hpcapp.applications.surface.resolution.estimates import Scale, choose_scale
 from hpcapp.applications.surface.resolution.strides import choose_strides
-from hpcapp.applications.surface.types.grid import BRICK, MOST_SHIFT, Grid
 from hpcapp.geometry.lattice import lay_lattice
 from hpcapp.geometry.points import FloatArray
+from hpcapp.kernels.types.grid import BRICK, MOST_SHIFT, Grid
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 

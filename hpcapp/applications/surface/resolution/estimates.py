@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.cloud.arranged import Measured
 from hpcapp.applications.surface.field.cell_points import SortedPoints
 from hpcapp.applications.surface.field.local_noise import (

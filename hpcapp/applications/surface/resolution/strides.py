@@ -11,7 +11,6 @@ import numpy as np
 
 from hpcapp.applications.surface.field.far_field import FEWEST_NODES, far_step
 from hpcapp.applications.surface.field.refinement import Refinement
-from hpcapp.applications.surface.types.grid import BRICK, MOST_SHIFT, BrickStrides, Grid
 from hpcapp.geometry.lattice import (
     NEIGHBOURS,
     find_first,
@@ -19,6 +18,7 @@ from hpcapp.geometry.lattice import (
     unpack_keys,
 )
 from hpcapp.geometry.points import IntArray
+from hpcapp.kernels.types.grid import BRICK, MOST_SHIFT, BrickStrides, Grid
 
 _STEPS = 1.25  # of the grid, across the smallest cells that points are dense enough for
 _EARLY = 0.25  # doublings: steps are up to a fifth larger than the spacing

@@ -19,7 +19,7 @@ from typing import Annotated
 
 import numpy as np
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.types.result_patterns import CellCounts, CellKeys
 from hpcapp.geometry.lattice import (
     BITS,

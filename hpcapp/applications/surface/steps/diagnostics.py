@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 from typing import Any
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.boundary.closing import SURE
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.job.outcome import Reconstruction

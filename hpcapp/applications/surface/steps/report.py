@@ -8,9 +8,9 @@ from hpcapp.applications.surface.attributes.carrying import Carrying
 from hpcapp.applications.surface.job.outcome import Outcome
 from hpcapp.applications.surface.job.scan import Loaded
 from hpcapp.applications.surface.job.settings import Settings
-from hpcapp.applications.surface.kernels.build import kernel_id
 from hpcapp.applications.surface.steps.summary import summarize
 from hpcapp.applications.surface.stitching.topology import Topology
+from hpcapp.kernels.build import kernel_id
 
 
 def describe_outcome(

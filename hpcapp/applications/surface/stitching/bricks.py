@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.extraction.part_places import starts_of
 from hpcapp.applications.surface.extraction.summary import PartSummary
 from hpcapp.geometry.lattice import find_keys, unique_keys, unpack_keys

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.geometry.lattice import number_keys, pack_places
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 from hpcapp.mending.loops import pair_sides

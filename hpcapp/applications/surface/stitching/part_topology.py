@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.extraction.part_places import starts_of
 from hpcapp.applications.surface.extraction.summary import PartSummary
 from hpcapp.applications.surface.stitching.bricks import PartBricks

@@ -20,9 +20,9 @@ from hpcapp.applications.surface.extraction.part_places import (
     place_vertices,
 )
 from hpcapp.applications.surface.extraction.parts import MeshPart
-from hpcapp.applications.surface.kernels.freed_memory import leave_for_files
 from hpcapp.applications.surface.types.result_patterns import SMALL_BYTES, WRITTEN
 from hpcapp.geometry.ply_rows import SharedPly, face_rows, vertex_rows
+from hpcapp.kernels.freed_memory import leave_for_files
 from hpccomponent.cutting import cut_equal
 from hpccomponent.errors import OutputError
 from hpccomponent.files.checksum import note_written

@@ -13,11 +13,11 @@ import numpy as np
 
 from hpcapp.applications.surface.extraction.part_places import PartPlaces, place_faces
 from hpcapp.applications.surface.extraction.parts import MeshPart
-from hpcapp.applications.surface.kernels.freed_memory import leave_for_files
 from hpcapp.applications.surface.types.result_patterns import SMALL_BYTES, WRITTEN
 from hpcapp.geometry.lattice import number_keys, unique_keys
 from hpcapp.geometry.ply_rows import face_rows, mesh_header, vertex_rows
 from hpcapp.geometry.points import FloatArray, IntArray
+from hpcapp.kernels.freed_memory import leave_for_files
 from hpccomponent.errors import OutputError
 from hpccomponent.files.checksum import note_written
 from hpccomponent.runtime.tasks import declare

@@ -10,12 +10,12 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface import kernels
-from hpcapp.applications.surface.types.brick_mesh import Survey
+from hpcapp import kernels
 from hpcapp.geometry.faces import cross_edges
 from hpcapp.geometry.lattice import number_keys
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import IntArray
+from hpcapp.kernels.types.brick_mesh import Survey
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import JobError
 

@@ -11,8 +11,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpcapp.applications.surface import kernels
-from hpcapp.applications.surface.types.grid import (
+from hpcapp import kernels
+from hpcapp.geometry.lattice import find_keys, unpack_keys
+from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
+from hpcapp.kernels.types.grid import (
     BESIDE,
     BRICK,
     FOREIGN,
@@ -22,8 +24,6 @@ from hpcapp.applications.surface.types.grid import (
     BrickKinds,
     Grid,
 )
-from hpcapp.geometry.lattice import find_keys, unpack_keys
-from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 
 
 def halo_steps(grid: Grid) -> int:

@@ -14,13 +14,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.cloud.arrangement import (
     Arrangement,
     PackedPoints,
     unpacking_arguments,
 )
-from hpcapp.applications.surface.types.grid import Grid
 from hpcapp.geometry.points import (
     BoolArray,
     ByteArray,
@@ -28,6 +27,7 @@ from hpcapp.geometry.points import (
     FloatArray,
     IntArray,
 )
+from hpcapp.kernels.types.grid import Grid
 from hpccomponent.dataclass import dataclass
 
 

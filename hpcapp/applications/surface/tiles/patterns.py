@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.extraction.part_places import starts_of
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.extraction.summary import PartSummary
@@ -19,7 +19,6 @@ from hpcapp.applications.surface.field.far_field import (
 )
 from hpcapp.applications.surface.tiles.plan import CoarseLattice, CoarseLevels, Plan, Samples
 from hpcapp.applications.surface.tiles.points import estimate_work
-from hpcapp.applications.surface.types.grid import BRICK
 from hpcapp.applications.surface.types.result_patterns import (
     SMALL_BYTES,
     Box,
@@ -30,6 +29,7 @@ from hpcapp.applications.surface.types.result_patterns import (
 )
 from hpcapp.geometry.lattice import ancestor_keys, find_keys, unique_keys
 from hpcapp.geometry.points import FloatArray, IntArray
+from hpcapp.kernels.types.grid import BRICK
 from hpccomponent.protocol.columns import Bounds, Column, pattern_of
 from hpccomponent.protocol.declared import (
     Declared,

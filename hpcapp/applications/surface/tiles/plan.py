@@ -15,12 +15,12 @@ from hpcapp.applications.surface.field.far_field import FarFieldPart
 from hpcapp.applications.surface.field.pyramid import Parents
 from hpcapp.applications.surface.field.refinement import Refinement
 from hpcapp.applications.surface.field.weights import FIELD_LEVELS, Weights, weigh_levels
-from hpcapp.applications.surface.kernels import COLUMNS
 from hpcapp.applications.surface.tiles.halo import halo_steps
-from hpcapp.applications.surface.types.field import FieldLevel
-from hpcapp.applications.surface.types.grid import BrickStrides, Grid
 from hpcapp.applications.surface.types.result_patterns import CellKeys
 from hpcapp.geometry.points import Float32Array, FloatArray, IntArray
+from hpcapp.kernels import COLUMNS
+from hpcapp.kernels.types.field import FieldLevel
+from hpcapp.kernels.types.grid import BrickStrides, Grid
 from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.columns import Column
 from hpccomponent.protocol.records import record

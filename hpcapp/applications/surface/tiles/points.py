@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, Place
 from hpcapp.applications.surface.cloud.arrangement import (
     PackedPoints,
@@ -19,7 +19,6 @@ from hpcapp.applications.surface.field.cell_points import SortedPoints
 from hpcapp.applications.surface.field.pyramid import Level
 from hpcapp.applications.surface.tiles.packed_cells import sort_tile
 from hpcapp.applications.surface.tiles.plan import Plan
-from hpcapp.applications.surface.types.grid import Grid
 from hpcapp.geometry.lattice import (
     cells_of,
     find_keys,
@@ -28,6 +27,7 @@ from hpcapp.geometry.lattice import (
     unique_keys,
 )
 from hpcapp.geometry.points import ByteArray, FloatArray, IntArray
+from hpcapp.kernels.types.grid import Grid
 from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.records import record
 

@@ -16,14 +16,14 @@ from typing import TypeVar
 
 import numpy as np
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.field.pyramid import lay_vertices, raise_levels
-from hpcapp.applications.surface.kernels.freed_memory import bound_free_memory
 from hpcapp.applications.surface.tiles.halo import near_bricks, plan_tile
 from hpcapp.applications.surface.tiles.plan import Plan
 from hpcapp.applications.surface.tiles.points import CellPoints, TilePoints, take_points
-from hpcapp.applications.surface.types.grid import BrickKinds
 from hpcapp.geometry.points import BoolArray, IntArray
+from hpcapp.kernels.freed_memory import bound_free_memory
+from hpcapp.kernels.types.grid import BrickKinds
 
 Found = TypeVar("Found")
 Corners = list[IntArray]

@@ -18,15 +18,15 @@ from itertools import pairwise
 
 import numpy as np
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.extraction.parts import MeshPart, cut_part, join_parts
 from hpcapp.applications.surface.extraction.sharpening import sharpen_vertices
 from hpcapp.applications.surface.field.levels import SlabFields
 from hpcapp.applications.surface.tiles.halo import cut_slab
-from hpcapp.applications.surface.types.brick_mesh import BrickMesh
-from hpcapp.applications.surface.types.grid import FOREIGN, OPEN, OWN, BrickKinds
 from hpcapp.geometry.lattice import unique_keys
 from hpcapp.geometry.points import IntArray
+from hpcapp.kernels.types.brick_mesh import BrickMesh
+from hpcapp.kernels.types.grid import FOREIGN, OPEN, OWN, BrickKinds
 
 SLAB_QUADRICS = 150_000
 """Of the finest level, in a slab; no result depends on it.

@@ -34,8 +34,6 @@ from hpcapp.applications.surface.field.pyramid import (
     raise_levels,
 )
 from hpcapp.applications.surface.field.weights import FIELD_LEVELS
-from hpcapp.applications.surface.kernels import BASIS, mark_ancestors
-from hpcapp.applications.surface.kernels.freed_memory import leave_for_files
 from hpcapp.applications.surface.tiles.cache import TileCache
 from hpcapp.applications.surface.tiles.halo import plan_gap
 from hpcapp.applications.surface.tiles.patterns import (
@@ -50,11 +48,13 @@ from hpcapp.applications.surface.tiles.plan import CoarseLattice, CoarseLevels, 
 from hpcapp.applications.surface.tiles.points import CellPoints, estimate_work, take_points
 from hpcapp.applications.surface.tiles.prepared import PreparedTile, finish, lay_corners
 from hpcapp.applications.surface.tiles.slabs import grow_tile
-from hpcapp.applications.surface.types.field import FarField, Features, FieldLevel
-from hpcapp.applications.surface.types.grid import BrickKinds
 from hpcapp.applications.surface.types.result_patterns import SMALL_BYTES
 from hpcapp.geometry.lattice import ancestor_keys, unique_keys, unpack_keys
 from hpcapp.geometry.points import IntArray
+from hpcapp.kernels import BASIS, mark_ancestors
+from hpcapp.kernels.freed_memory import leave_for_files
+from hpcapp.kernels.types.field import FarField, Features, FieldLevel
+from hpcapp.kernels.types.grid import BrickKinds
 from hpccomponent.runtime.background import worker_background
 from hpccomponent.runtime.tasks import declare
 from hpccomponent.store.places import hold_store

@@ -11,9 +11,9 @@ from hpcapp.applications.surface.cleaning.outlier_regions import (
     rank_region,
 )
 from hpcapp.applications.surface.cloud.spacing import estimate_spacing
-from hpcapp.applications.surface.kernels import portable
 from hpcapp.geometry.lattice import pack_places, unique_keys, unpack_keys
 from hpcapp.geometry.points import FloatArray
+from hpcapp.kernels import portable
 
 
 def sphere(count: int, seed: int = 0) -> FloatArray:

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from hpcapp.applications.surface.extraction import sharpening
 from hpcapp.applications.surface.extraction.sharpening import sharpen_vertices
 from hpcapp.applications.surface.stitching.topology import check_mesh
-from hpcapp.applications.surface.types.field import Features
 from hpcapp.geometry.lattice import pack_places, unpack_keys
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
+from hpcapp.kernels.types.field import Features
 
 LATTICE = (np.array([-1.1, -1.1, -1.1]), 1.5 * GRID.step)
 BALL = 0.8

@@ -3,12 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.field.ancestors import corners_at
 from hpcapp.applications.surface.field.pyramid import lay_vertices
-from hpcapp.applications.surface.kernels.portable.lattice.keys import mark_ancestors
 from hpcapp.geometry.lattice import pack_places, unique_keys, unpack_keys
 from hpcapp.geometry.points import IntArray
+from hpcapp.kernels.portable.lattice.keys import mark_ancestors
 
 
 @pytest.fixture(scope="module")

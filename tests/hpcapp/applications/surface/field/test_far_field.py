@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.surface.field.far_field import solve_far_field, spread_samples
-from hpcapp.applications.surface.kernels.portable.field.coarse_grid import sample_grid
-from hpcapp.applications.surface.types.field import FarField
 from hpcapp.geometry.points import FloatArray
+from hpcapp.kernels.portable.field.coarse_grid import sample_grid
+from hpcapp.kernels.types.field import FarField
 
 RADIUS = 3.0
 BOX = (np.full(3, -3.2), np.full(3, 3.2))

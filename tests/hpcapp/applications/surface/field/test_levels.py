@@ -16,11 +16,11 @@ from hpcapp.applications.surface.field.pyramid import (
     fit_levels,
 )
 from hpcapp.applications.surface.field.weights import weigh_levels
-from hpcapp.applications.surface.types.field import FarField
-from hpcapp.applications.surface.types.grid import Grid
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.lattice import unpack_keys
 from hpcapp.geometry.points import PointCloud
+from hpcapp.kernels.types.field import FarField
+from hpcapp.kernels.types.grid import Grid
 
 CELL_SIZE = 0.06
 

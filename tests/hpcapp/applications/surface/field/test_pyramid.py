@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.field.cell_points import CellMoments, PartMoments
 from hpcapp.applications.surface.field.pyramid import (
     Pyramid,
@@ -16,10 +16,10 @@ from hpcapp.applications.surface.field.pyramid import (
     raise_levels,
 )
 from hpcapp.applications.surface.field.weights import Weights, weigh_levels
-from hpcapp.applications.surface.kernels.portable.quadrics.moments import accumulate_moments
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.lattice import find_keys, unpack_keys
 from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
+from hpcapp.kernels.portable.quadrics.moments import accumulate_moments
 
 CELL_SIZE = 0.05
 CENTRE = np.array([10.0, 0.0, -3.0])

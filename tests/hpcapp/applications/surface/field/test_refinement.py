@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface import kernels
+from hpcapp import kernels
 from hpcapp.applications.surface.field.local_noise import LocalNoise
 from hpcapp.applications.surface.field.refinement import Refinement
 from hpcapp.applications.surface.scale.local_scale import LocalScale, count_scale, make_scale

@@ -7,9 +7,9 @@ import pytest
 
 from hpcapp.applications.surface.field.cell_points import CloudRows, SortedPoints, sort_cloud
 from hpcapp.applications.surface.field.robust import find_tolerance, tell_kurtosis, weigh_points
-from hpcapp.applications.surface.kernels.portable.quadrics.robust import rate_points
 from hpcapp.geometry.lattice import pack_places, spread_keys
 from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
+from hpcapp.kernels.portable.quadrics.robust import rate_points
 
 SIZE = 0.25
 

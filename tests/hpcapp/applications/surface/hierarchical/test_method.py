@@ -30,11 +30,11 @@ from hpcapp.applications.surface.tiles import slabs as slab_growth
 from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
 from hpcapp.applications.surface.tiles.plan import Plan
 from hpcapp.applications.surface.tiles.slabs import grow_slabs
-from hpcapp.applications.surface.types.grid import BRICK, BrickKinds, BrickStrides
 from hpcapp.geometry.lattice import pack_places, unpack_keys
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
 from hpcapp.io import read_points
+from hpcapp.kernels.types.grid import BRICK, BrickKinds, BrickStrides
 from hpcapp.lab.simulate.scanner import simulate_scan
 from hpcapp.lab.simulate.settings import ScanSettings
 from hpcapp.lab.simulate.shapes import SHAPES

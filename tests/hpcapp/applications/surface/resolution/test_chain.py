@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.surface.resolution.chain import plan_grid
-from hpcapp.applications.surface.types.grid import BRICK
+from hpcapp.kernels.types.grid import BRICK
 
 
 @pytest.mark.parametrize("margin", [4, 32])

@@ -9,11 +9,11 @@ from hpcapp.applications.surface.cloud.measure import find_scale
 from hpcapp.applications.surface.field.far_field import FEWEST_NODES, far_step
 from hpcapp.applications.surface.field.local_noise import LocalNoise
 from hpcapp.applications.surface.field.refinement import Refinement
-from hpcapp.applications.surface.kernels import seed_bricks
 from hpcapp.applications.surface.resolution.strides import choose_strides
-from hpcapp.applications.surface.types.grid import BRICK, BrickStrides, Grid
 from hpcapp.geometry.lattice import NEIGHBOURS, step_keys, unpack_keys
 from hpcapp.geometry.points import FloatArray, IntArray
+from hpcapp.kernels import seed_bricks
+from hpcapp.kernels.types.grid import BRICK, BrickStrides, Grid
 
 
 def sheet(low: float, high: float, spacing: float) -> FloatArray:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.surface.tiles.halo import cut_slab
-from hpcapp.applications.surface.types.grid import BESIDE, FOREIGN, OPEN, OUT, OWN, BrickKinds, Grid
+from hpcapp.kernels.types.grid import BESIDE, FOREIGN, OPEN, OUT, OWN, BrickKinds, Grid
 
 GRID = Grid(np.zeros(3), 0.1, (20, 20, 20))
 LAYERS = [OUT, OPEN, OWN, FOREIGN, OWN, BESIDE]

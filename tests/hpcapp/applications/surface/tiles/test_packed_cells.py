@@ -18,14 +18,14 @@ from hpcapp.applications.surface.cloud.arrangement import (
     unpacking_arguments,
 )
 from hpcapp.applications.surface.field.cell_points import CloudRows
-from hpcapp.applications.surface.kernels import portable
-from hpcapp.applications.surface.kernels.build import load_native
-from hpcapp.applications.surface.kernels.portable.lattice.points import sort_points
 from hpcapp.applications.surface.tiles import packed_cells
 from hpcapp.applications.surface.tiles.packed_cells import sort_tile
-from hpcapp.applications.surface.types.grid import Grid
 from hpcapp.geometry.lattice import cells_of, find_keys, pack_places, unique_keys
 from hpcapp.geometry.points import PointCloud
+from hpcapp.kernels import portable
+from hpcapp.kernels.build import load_native
+from hpcapp.kernels.portable.lattice.points import sort_points
+from hpcapp.kernels.types.grid import Grid
 
 BUILDS = [build for build in (portable, load_native()) if build is not None]
 

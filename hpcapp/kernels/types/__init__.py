@@ -1,0 +1,1 @@
+"""What kernels take and give: grids, fields, and the parts of a mesh in bricks."""

@@ -1,0 +1,156 @@
+"""The native kernels of outliers, strays and normals: numpy's results, the same bits, no crash."""
+
+from __future__ import annotations
+
+import contextlib
+from types import ModuleType
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hpcapp.kernels import portable
+
+
+@given(st.integers(0, 2**32), st.integers(1, 300), st.floats(0.05, 5.0))
+@settings(deadline=None, max_examples=40)
+def test_cells_and_their_neighbours(native: ModuleType, seed: int, count: int, edge: float) -> None:
+    random = np.random.default_rng(seed)
+    positions = random.normal(size=(count, 3))
+    low = positions.min(axis=0)
+    expected = portable.count_cells(positions, low, edge)
+    for one, other in zip(native.count_cells(positions, low, edge), expected, strict=True):
+        np.testing.assert_array_equal(one, other)
+    keys = expected[0]
+    values = random.integers(-9, 9, (len(keys), 3))
+    wanted = random.integers(0, len(keys), 20)
+    np.testing.assert_array_equal(
+        native.sum_neighbours(keys, values, wanted),
+        portable.sum_neighbours(keys, values, wanted),
+    )
+
+
+@given(st.integers(0, 2**32), st.integers(1, 300), st.floats(0.05, 5.0), st.integers(0, 9))
+@settings(deadline=None, max_examples=40)
+def test_halved_cells(native: ModuleType, seed: int, count: int, edge: float, depth: int) -> None:
+    random = np.random.default_rng(seed)
+    positions = np.round(random.normal(size=(count, 3)), random.integers(0, 9))
+    given = positions, random.normal(size=3), edge, depth
+    for one, other in zip(native.count_halved(*given), portable.count_halved(*given), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@given(st.integers(0, 2**32), st.integers(1, 400), st.booleans())
+@settings(deadline=None, max_examples=40)
+def test_neighbours(native: ModuleType, seed: int, points: int, is_gridded: bool) -> None:
+    random = np.random.default_rng(seed)
+    positions = random.normal(size=(points, 3)) * (1.0, 1.0, 0.1)
+    if is_gridded:  # many are equally far away
+        positions = np.round(4.0 * positions) / 4.0
+    edge = random.uniform(0.1, 1.5)
+    cells = portable.sort_points(positions, positions.min(axis=0) - 0.01, edge)
+    radii = edge * random.uniform(0.1, 1.0, len(cells[0]))
+    sparse = native.find_sparse(positions, *cells, radii, 5, 1)
+    np.testing.assert_array_equal(sparse, portable.find_sparse(positions, *cells, radii, 5))
+    assert native.find_sparse(positions, *cells, radii, 5, 3).tobytes() == sparse.tobytes()
+    asked = random.integers(0, points, random.integers(0, 40))
+    count, limit = int(random.integers(1, 30)), float(edge * random.uniform(0.3, 6.0))
+    found = native.find_nearest(positions, *cells, edge, asked, count, limit, 2)
+    expected = portable.find_nearest(positions, *cells, edge, asked, count, limit)
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@given(st.integers(0, 2**32), st.floats(0.1, 0.6), st.floats(0.01, 0.3))
+@settings(deadline=None, max_examples=25)
+def test_polls(native: ModuleType, seed: int, reach: float, tolerance: float) -> None:
+    random = np.random.default_rng(seed)
+    directions = random.normal(size=(600, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    positions = directions * (1.0, 0.7, 0.2)
+    given_normals = directions * np.where(random.random(600) < 0.2, -1.0, 1.0)[:, None]
+    keys, _, cell_of = portable.count_cells(positions, positions.min(axis=0), reach)
+    asked = (random.random(600) < 0.9).astype(np.uint8)
+    poll = (positions, given_normals, keys, cell_of, asked, reach, tolerance, 0.5 * tolerance)
+    verdicts = native.poll_normals(*poll, 1)
+    np.testing.assert_array_equal(verdicts, portable.poll_normals(*poll))
+    assert native.poll_normals(*poll, 3).tobytes() == verdicts.tobytes()
+
+
+@given(st.integers(0, 2**32))
+@settings(deadline=None, max_examples=25)
+def test_normals_are_polled_alike_however_they_are_held(native: ModuleType, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    positions = random.normal(size=(600, 3)) * (1.0, 0.7, 0.02)
+    singles = random.normal(size=(600, 3)).astype(np.float32)
+    keys, _, cell_of = portable.count_cells(positions, positions.min(axis=0), 0.4)
+    rest = keys, cell_of, np.ones(600, np.uint8), 0.4, 0.1, 0.05
+    wide = native.poll_normals(positions, singles.astype(np.float64), *rest, 1)
+    assert native.poll_normals(positions, singles, *rest, 1).tobytes() == wide.tobytes()
+    assert len(np.unique(wide)) > 1
+
+
+@given(st.data())
+@settings(deadline=None, max_examples=100)
+def test_contradictory_arguments(native: ModuleType, data: st.DataObject) -> None:
+    random = np.random.default_rng(data.draw(st.integers(0, 2**16)))
+    points = random.normal(size=(9, 3)) * data.draw(st.sampled_from([1.0, 1e300, np.nan]))
+    keys = np.unique(random.integers(0, 2**63 - 1, data.draw(st.integers(0, 9))))
+    rows = random.integers(-1, 9, 9)
+    lengths = [data.draw(st.sampled_from([0.0, 0.1, 1e300, np.nan])) for _ in range(3)]
+    asked = np.ones(data.draw(st.integers(8, 9)), np.uint8)
+    calls = [
+        ("count_cells", points, points[0], lengths[0]),
+        ("count_halved", points, points[0], lengths[0], int(random.integers(-1, 22))),
+        ("sum_neighbours", keys, random.integers(-(2**62), 2**62, (len(keys), 4)), rows),
+        ("poll_normals", points, points, keys, rows, asked, *lengths, 2),
+        ("find_sparse", points, keys, rows, rows.astype(np.uint32), points[0], 3, 2),
+        (
+            "find_nearest",
+            points,
+            keys,
+            rows,
+            rows.astype(np.uint32),
+            lengths[0],
+            rows,
+            3,
+            lengths[1],
+            2,
+        ),
+    ]
+    name, *values = data.draw(st.sampled_from(calls))
+    with contextlib.suppress(ValueError):
+        getattr(native, name)(*values)
+
+
+def test_messages_name_the_argument(native: ModuleType) -> None:
+    keys = np.array([5, 9])
+    with pytest.raises(ValueError, match="wanted: a row is out of range"):
+        native.sum_neighbours(keys, np.ones((2, 1), np.int64), np.array([2]))
+    with pytest.raises(ValueError, match="cells: expected sorted"):
+        native.sum_neighbours(keys[::-1].copy(), np.ones((2, 1), np.int64), np.array([0]))
+
+
+@given(st.integers(0, 2**32), st.integers(0, 300), st.integers(0, 60))
+@settings(deadline=None, max_examples=40)
+def test_support(native: ModuleType, seed: int, points: int, places: int) -> None:
+    random = np.random.default_rng(seed)
+    positions = random.normal(size=(points, 3)) * (1.0, 1.0, 0.1)
+    normals = random.normal(size=(points, 3)) * 0.2 + (0.0, 0.0, 1.0)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    radii = random.uniform(0.05, 0.8, points)
+    cloud = positions, normals, radii, radii * random.uniform(0.1, 1.0, points)
+    asked = random.normal(size=(places, 3)) * (1.5, 1.5, 0.1)
+    ways = random.normal(size=(places, 8, 3))
+    counts, sums = native.count_supporting(asked, *cloud, 1)
+    wanted_counts, wanted_sums = portable.count_supporting(asked, *cloud)
+    np.testing.assert_array_equal(counts, wanted_counts)
+    np.testing.assert_array_equal(sums, wanted_sums)
+    for enough in (1, 3):
+        bounds = enough, 0.7, 2.25
+        squares = native.measure_aside(asked, ways, *cloud, *bounds, 1)
+        expected = portable.measure_aside(asked, ways, *cloud, *bounds)
+        np.testing.assert_array_equal(squares, expected)
+        assert native.measure_aside(asked, ways, *cloud, *bounds, 3).tobytes() == squares.tobytes()
+    assert native.count_supporting(asked, *cloud, 3)[1].tobytes() == sums.tobytes()
