@@ -36,14 +36,20 @@ from worlds import FAMILIES, load_tool, make_worlds
 
 import hpcapp
 from hpcapp.applications.surface.normals import drive
-from hpcapp.applications.surface.normals.evidence import areas_of
-from hpcapp.applications.surface.normals.likelihood import FITTED, FLOOR, SENSED, UPS, Likelihood
-from hpcapp.applications.surface.normals.linked import LinkedPatches
-from hpcapp.applications.surface.normals.readings import (
+from hpcapp.applications.surface.normals.evidence.likelihood import (
+    FITTED,
+    FLOOR,
+    SENSED,
+    UPS,
+    Likelihood,
+)
+from hpcapp.applications.surface.normals.evidence.linked import LinkedPatches
+from hpcapp.applications.surface.normals.evidence.readings import (
     find_readings,
     follow_reading,
     measure_level,
 )
+from hpcapp.applications.surface.normals.evidence.seen_sides import areas_of
 from hpcapp.geometry.axes import rotate
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 from hpccomponent.errors import HpcError

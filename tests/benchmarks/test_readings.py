@@ -15,7 +15,7 @@ from readings import RIGHT, Table, follow_world
 from shared_data import shared
 from worlds import SEED, make_worlds
 
-from hpcapp.applications.surface.normals.likelihood import FITTED, Features
+from hpcapp.applications.surface.normals.evidence.likelihood import FITTED, Features
 from hpcapp.geometry.points import FloatArray
 
 RESULTS = Path(__file__).parents[2] / "benchmarks/results"

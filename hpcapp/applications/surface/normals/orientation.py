@@ -13,16 +13,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hpcapp.applications.surface.normals.evidence import Evidence, areas_of, hear_user
-from hpcapp.applications.surface.normals.linked import LinkedPatches
-from hpcapp.applications.surface.normals.patches import CELL, Links, Patches, Sides
-from hpcapp.applications.surface.normals.readings import (
+from hpcapp.applications.surface.normals.evidence.linked import LinkedPatches
+from hpcapp.applications.surface.normals.evidence.readings import (
     Followed,
     Hypothesis,
     follow,
     weigh_given,
     weigh_readings,
 )
+from hpcapp.applications.surface.normals.evidence.seen_sides import Evidence, areas_of, hear_user
+from hpcapp.applications.surface.normals.patches import CELL, Links, Patches, Sides
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.types import reading
 from hpcapp.applications.surface.types.reading import Measurement

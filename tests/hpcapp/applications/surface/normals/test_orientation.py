@@ -9,7 +9,7 @@ import pytest
 
 from hpcapp.applications.surface.cloud.spacing import estimate_spacing
 from hpcapp.applications.surface.normals.estimation import estimate_normals
-from hpcapp.applications.surface.normals.linked import LinkedPatches
+from hpcapp.applications.surface.normals.evidence.linked import LinkedPatches
 from hpcapp.applications.surface.normals.orientation import SURE, orient_patches
 from hpcapp.applications.surface.normals.patches import find_patches, merge_patches, turn_points
 from hpcapp.applications.surface.normals.sensor import Sensor

@@ -6,22 +6,22 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.surface.cloud.spacing import estimate_spacing
-from hpcapp.applications.surface.normals import visibility
 from hpcapp.applications.surface.normals.estimation import estimate_normals
-from hpcapp.applications.surface.normals.inside import (
+from hpcapp.applications.surface.normals.evidence import visibility
+from hpcapp.applications.surface.normals.evidence.inside import (
     AMID,
     AMPLE,
     INSIDE,
     TIGHT,
     find_inside,
 )
-from hpcapp.applications.surface.normals.likelihood import FITTED, Features
-from hpcapp.applications.surface.normals.linked import LinkedPatches
+from hpcapp.applications.surface.normals.evidence.likelihood import FITTED, Features
+from hpcapp.applications.surface.normals.evidence.linked import LinkedPatches
+from hpcapp.applications.surface.normals.evidence.readings import Followed, weigh_readings
+from hpcapp.applications.surface.normals.evidence.stand import Density
 from hpcapp.applications.surface.normals.orientation import SURE, Orientation, orient_patches
 from hpcapp.applications.surface.normals.patches import Links, Patches, find_patches, turn_points
-from hpcapp.applications.surface.normals.readings import Followed, weigh_readings
 from hpcapp.applications.surface.normals.sensor import Sensor
-from hpcapp.applications.surface.normals.stand import Density
 from hpcapp.geometry.points import Float32Array, FloatArray
 from hpccomponent.errors import InputError
 

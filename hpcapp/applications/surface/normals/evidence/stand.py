@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from hpcapp import kernels
-from hpcapp.applications.surface.normals.evidence import areas_of
+from hpcapp.applications.surface.normals.evidence.seen_sides import areas_of
 from hpcapp.applications.surface.normals.patches import CELL, Patches
 from hpcapp.geometry.lattice import lay_lattice
 from hpcapp.geometry.points import FloatArray, IntArray

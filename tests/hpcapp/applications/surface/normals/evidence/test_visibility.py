@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.normals.evidence import Views
-from hpcapp.applications.surface.normals.inside import TIGHT, find_inside
+from hpcapp.applications.surface.normals.evidence.inside import TIGHT, find_inside
+from hpcapp.applications.surface.normals.evidence.seen_sides import Views
+from hpcapp.applications.surface.normals.evidence.visibility import look, surround
 from hpcapp.applications.surface.normals.patches import Patches
-from hpcapp.applications.surface.normals.visibility import look, surround
 from hpcapp.geometry.points import BoolArray, FloatArray, Int8Array
 
 SPACING = 0.02

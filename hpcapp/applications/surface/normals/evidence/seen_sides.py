@@ -11,10 +11,16 @@ from __future__ import annotations
 import numpy as np
 
 from hpcapp import kernels
-from hpcapp.applications.surface.normals.inside import AMID, INSIDE, TIGHT, Places, find_inside
+from hpcapp.applications.surface.normals.evidence.inside import (
+    AMID,
+    INSIDE,
+    TIGHT,
+    Places,
+    find_inside,
+)
+from hpcapp.applications.surface.normals.evidence.visibility import look, surround
 from hpcapp.applications.surface.normals.patches import CELL, Patches
 from hpcapp.applications.surface.normals.sensor import Sensor
-from hpcapp.applications.surface.normals.visibility import look, surround
 from hpcapp.geometry.points import BoolArray, FloatArray, Int8Array, IntArray
 from hpcapp.kernels import WHOLE
 from hpccomponent.cli.option_names import name_option

@@ -20,7 +20,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from hpcapp.applications.surface.normals.evidence import (
+from hpcapp.applications.surface.normals.evidence.inside import AMID, AMPLE, INSIDE, find_inside
+from hpcapp.applications.surface.normals.evidence.likelihood import (
+    FITTED,
+    Features,
+    Likelihood,
+)
+from hpcapp.applications.surface.normals.evidence.linked import LinkedPatches
+from hpcapp.applications.surface.normals.evidence.seen_sides import (
     Evidence,
     Outside,
     Views,
@@ -30,16 +37,9 @@ from hpcapp.applications.surface.normals.evidence import (
     look_outside,
     share_of,
 )
-from hpcapp.applications.surface.normals.inside import AMID, AMPLE, INSIDE, find_inside
-from hpcapp.applications.surface.normals.likelihood import (
-    FITTED,
-    Features,
-    Likelihood,
-)
-from hpcapp.applications.surface.normals.linked import LinkedPatches
+from hpcapp.applications.surface.normals.evidence.stand import Density
 from hpcapp.applications.surface.normals.patches import Links, Patches
 from hpcapp.applications.surface.normals.sensor import Sensor
-from hpcapp.applications.surface.normals.stand import Density
 from hpcapp.geometry.points import BoolArray, FloatArray
 from hpccomponent.dataclass import dataclass
 

@@ -1,0 +1,1 @@
+"""What is measured of a scan, the hypotheses that explain it, and how probable each is."""
