@@ -15,10 +15,10 @@ from scipy.spatial import cKDTree
 
 import hpcapp
 from hpcapp.api.mesh import Mesh
-from hpcapp.geometry.clipping import clip_mesh
 from hpcapp.geometry.mesh import Mesh as Plain
 from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
-from hpcapp.geometry.region import Region
+from hpcapp.geometry.regions.clipping import clip_mesh
+from hpcapp.geometry.regions.region import Region
 
 Box = tuple[float, float, float, float, float, float]
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from hpcapp.applications.surface.cleaning.drive import drop_strays, mend_normals, thin_lines
-from hpcapp.applications.surface.cloud.folder_pass import FolderPass, make_cloud_folder
+from hpcapp.applications.surface.cloud.folder.folder_pass import FolderPass, make_cloud_folder
 from hpcapp.applications.surface.cloud.measure import measure_cloud
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.methods.method import TILE_POINTS

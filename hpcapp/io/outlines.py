@@ -12,7 +12,7 @@ import numpy as np
 from msgspec import Meta
 
 from hpcapp.extras import how_to_install
-from hpcapp.geometry.prism import load_shapely
+from hpcapp.geometry.regions.prism import load_shapely
 from hpcapp.io.points.point_source import translated
 from hpccomponent.cli.option_names import name_option
 from hpccomponent.errors import InputError, MissingLibraryError, UsageError

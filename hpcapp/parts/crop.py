@@ -17,7 +17,7 @@ from hpccomponent.ranges import FARTHEST, is_place
 
 if TYPE_CHECKING:
     from hpcapp.geometry.mesh import Mesh
-    from hpcapp.geometry.region import Area
+    from hpcapp.geometry.regions.region import Area
     from hpcapp.io import PointSource
 
 Number = TypeVar("Number", int, float)
@@ -70,8 +70,8 @@ class Crop:
         """Return the part, given how long a unit of z is in units of x and y."""
         import numpy as np
 
-        from hpcapp.geometry.prism import Prism
-        from hpcapp.geometry.region import Region
+        from hpcapp.geometry.regions.prism import Prism
+        from hpcapp.geometry.regions.region import Region
 
         if self.polygon:
             return Prism.of_text(self.polygon)
@@ -107,8 +107,8 @@ class Crop:
         import numpy as np
 
         from hpcapp.geometry.bounds import bound_points
-        from hpcapp.geometry.clipping import clip_mesh
-        from hpcapp.geometry.region import say_place
+        from hpcapp.geometry.regions.clipping import clip_mesh
+        from hpcapp.geometry.regions.region import say_place
 
         if not self.has_region:
             return mesh

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from hpcapp.applications.surface.cloud.arrangement import Arrangement, pack_points, unpack_points
-from hpcapp.applications.surface.cloud.disk import DiskCloud, write_index
-from hpcapp.applications.surface.cloud.disk_parts import Part, write_part
-from hpcapp.applications.surface.cloud.layout import FoldedLayout
+from hpcapp.applications.surface.cloud.folder.disk import DiskCloud, write_index
+from hpcapp.applications.surface.cloud.folder.layout import FoldedLayout
+from hpcapp.applications.surface.cloud.folder.parts import Part, write_part
 from hpcapp.geometry.points import Float32Array, FloatArray
 
 

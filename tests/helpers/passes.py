@@ -9,7 +9,7 @@ from disk_clouds import DiskCloudWriter
 
 from hpcapp.applications.surface.cloud.arranged import MemoryCloud, arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
-from hpcapp.applications.surface.cloud.folder_pass import FolderPass, make_cloud_folder
+from hpcapp.applications.surface.cloud.folder.folder_pass import FolderPass, make_cloud_folder
 from hpcapp.applications.surface.cloud.measure import measure_cloud, measure_scale
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.normals.reading import read_scan

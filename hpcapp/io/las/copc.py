@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.geometry.region import Area
+from hpcapp.geometry.regions.region import Area
 from hpcapp.io.las.header import LasHeader
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError

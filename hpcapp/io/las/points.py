@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.geometry.points import ByteArray, PointCloud
-from hpcapp.geometry.region import Area
+from hpcapp.geometry.regions.region import Area
 from hpcapp.io.batches import batch_points
 from hpcapp.io.las.copc import Chunk, find_chunks, has_octree
 from hpcapp.io.las.decompression import Take, find_library, open_chunks, open_decompressor

@@ -25,7 +25,7 @@ from hpcapp.geometry.axes import turn_up
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, IntArray
 from hpcapp.io.batches import join_points
-from hpcapp.io.meshes.glb import say_frame, write_glb
+from hpcapp.io.glb.writer import say_frame, write_glb
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream, find_vertices, make_mesh
 from hpcapp.io.staging import replacing_folder
 from hpcapp.simplification.parts import collapse, join_parts

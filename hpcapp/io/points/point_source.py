@@ -16,7 +16,7 @@ import numpy as np
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.point_records import PointRecords
 from hpcapp.geometry.points import FloatArray, PointCloud
-from hpcapp.geometry.region import Area, Region, say_place
+from hpcapp.geometry.regions.region import Area, Region, say_place
 from hpcapp.io.batches import batch_points, cut_points, join_points
 from hpcapp.io.crs import Crs
 from hpcapp.io.frame import finite_bounds, scale_heights, to_local

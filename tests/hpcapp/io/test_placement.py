@@ -12,7 +12,7 @@ import pytest
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.io import find_mesh_crs, read_mesh, write_mesh
 from hpcapp.io.crs import UNKNOWN, Crs
-from hpcapp.io.meshes.glb_reader import read_glb
+from hpcapp.io.glb.reader import read_glb
 from hpcapp.io.meshes.mesh_stream import as_stream
 from hpcapp.io.meshes.obj import read_obj
 from hpcapp.io.meshes.stl import read_stl

@@ -32,7 +32,7 @@ from hpcapp.applications.surface.boundary.patterns import (
     opening_seams,
 )
 from hpcapp.applications.surface.cloud.arranged import Place
-from hpcapp.applications.surface.cloud.disk import open_place
+from hpcapp.applications.surface.cloud.folder.disk import open_place
 from hpcapp.applications.surface.extraction.part_places import starts_of
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.extraction.summary import PartSummary, summarize_part

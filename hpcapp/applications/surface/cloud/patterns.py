@@ -21,7 +21,7 @@ from hpcapp.applications.surface.cloud.arrangement import (
     BlockKeys,
     PackedPoints,
 )
-from hpcapp.applications.surface.cloud.disk import open_disk_cloud, open_place
+from hpcapp.applications.surface.cloud.folder.disk import open_disk_cloud, open_place
 from hpcapp.applications.surface.cloud.regions import SentBlocks, StoredBlocks
 from hpcapp.applications.surface.scale.local_scale import ScaleCounts
 from hpcapp.applications.surface.types.result_patterns import (

@@ -13,7 +13,7 @@ from typing import Any
 
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.cloud.cutting import cut_even, cut_regions
-from hpcapp.applications.surface.cloud.disk import DiskCloud
+from hpcapp.applications.surface.cloud.folder.disk import DiskCloud
 from hpcapp.applications.surface.cloud.regions import SentBlocks, StoredBlocks, pack_region
 from hpcapp.applications.surface.cloud.tasks import count_block_cells, merge_cells
 from hpcapp.backends.serial import SerialExecutor

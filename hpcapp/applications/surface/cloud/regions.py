@@ -19,8 +19,8 @@ from hpcapp.applications.surface.cloud.arrangement import (
     PackedPoints,
     unpack_near,
 )
-from hpcapp.applications.surface.cloud.disk import DiskCloud, open_disk_cloud
-from hpcapp.applications.surface.cloud.disk_parts import write_part
+from hpcapp.applications.surface.cloud.folder.disk import DiskCloud, open_disk_cloud
+from hpcapp.applications.surface.cloud.folder.parts import write_part
 from hpcapp.geometry.lattice import find_keys, unpack_keys
 from hpcapp.geometry.points import BoolArray, Float32Array, FloatArray, IntArray
 from hpccomponent.dataclass import dataclass

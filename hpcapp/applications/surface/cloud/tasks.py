@@ -6,7 +6,7 @@ import numpy as np
 
 from hpcapp import kernels
 from hpcapp.applications.surface.cloud.arranged import Place
-from hpcapp.applications.surface.cloud.disk import open_place
+from hpcapp.applications.surface.cloud.folder.disk import open_place
 from hpcapp.applications.surface.cloud.patterns import (
     SampleNormals,
     SamplePositions,

@@ -10,7 +10,7 @@ from pathlib import Path
 from hpcapp.applications.surface.cleaning.drive import (
     Cleaned,
 )
-from hpcapp.applications.surface.cloud.disk import open_disk_cloud
+from hpcapp.applications.surface.cloud.folder.disk import open_disk_cloud
 from hpcapp.applications.surface.job.columns import Columns
 from hpcapp.applications.surface.job.scan import Loaded, PointFolder
 from hpcapp.applications.surface.job.settings import JobSettings

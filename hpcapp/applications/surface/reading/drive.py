@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 
 from hpcapp.applications.surface.cloud.arrangement import choose_arrangement, snap_points
-from hpcapp.applications.surface.cloud.disk import DiskCloud, write_index
-from hpcapp.applications.surface.cloud.disk_parts import Part
+from hpcapp.applications.surface.cloud.folder.disk import DiskCloud, write_index
+from hpcapp.applications.surface.cloud.folder.parts import Part
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.reading.patterns import RangeSurvey
 from hpcapp.applications.surface.reading.reach import EvenSample, even_step, find_reach

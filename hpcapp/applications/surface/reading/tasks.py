@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from hpcapp.applications.surface.cloud.arrangement import Arrangement, PackedPoints, pack_points
-from hpcapp.applications.surface.cloud.disk_parts import write_part
+from hpcapp.applications.surface.cloud.folder.parts import write_part
 from hpcapp.applications.surface.reading.patterns import (
     RangeSurvey,
     arranged_range,
@@ -31,7 +31,7 @@ from hpcapp.applications.surface.types.result_patterns import (
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.point_records import PointRecords
 from hpcapp.geometry.points import FloatArray, PointCloud
-from hpcapp.geometry.region import Region
+from hpcapp.geometry.regions.region import Region
 from hpcapp.geometry.validity import Dropped, Reach, are_usable, select_usable
 from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.records import record

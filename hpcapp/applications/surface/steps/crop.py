@@ -14,9 +14,9 @@ from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.job.outcome import Reconstruction
 from hpcapp.applications.surface.job.scan import Loaded
 from hpcapp.applications.surface.stitching.surface import Surface
-from hpcapp.geometry.clipping import Cutter, clip_mesh, find_beyond
 from hpcapp.geometry.mesh import Mesh
-from hpcapp.geometry.region import say_place
+from hpcapp.geometry.regions.clipping import Cutter, clip_mesh, find_beyond
+from hpcapp.geometry.regions.region import say_place
 from hpcapp.io.meshes.mesh_stream import MeshStream
 from hpcapp.parts.crop import Crop
 from hpcapp.progress import StageClock

@@ -15,7 +15,7 @@ from hpcapp.applications.surface.cleaning.drive import (
 )
 from hpcapp.applications.surface.cloud.arranged import MemoryCloud, arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
-from hpcapp.applications.surface.cloud.folder_pass import FolderPass, make_cloud_folder
+from hpcapp.applications.surface.cloud.folder.folder_pass import FolderPass, make_cloud_folder
 from hpcapp.applications.surface.job.columns import Columns
 from hpcapp.applications.surface.job.scan import PointFolder, Scan
 from hpcapp.applications.surface.job.settings import JobSettings, Settings, count_own_threads

@@ -14,7 +14,7 @@ from hpcapp.applications.surface.cloud.arrangement import (
     unpack_points,
     unpacking_arguments,
 )
-from hpcapp.applications.surface.cloud.disk import open_place
+from hpcapp.applications.surface.cloud.folder.disk import open_place
 from hpcapp.applications.surface.field.cell_points import SortedPoints
 from hpcapp.applications.surface.field.pyramid import Level
 from hpcapp.applications.surface.tiles.packed_cells import sort_tile

@@ -15,7 +15,7 @@ import hpcapp as package
 from hpcapp.applications.surface.cli.run import run_job
 from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.geometry.points import PointCloud
-from hpcapp.geometry.prism import Prism
+from hpcapp.geometry.regions.prism import Prism
 from hpcapp.io import read_mesh, write_points
 from hpcapp.parts.crop import Crop, make_crop
 from hpcapp.progress import Progress

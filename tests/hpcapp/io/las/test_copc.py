@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from copc_files import write_copc
 
-from hpcapp.geometry.prism import Prism
-from hpcapp.geometry.region import Area, Region
+from hpcapp.geometry.regions.prism import Prism
+from hpcapp.geometry.regions.region import Area, Region
 from hpcapp.io import open_points
 from hpcapp.io.las.copc import find_chunks
 from hpcapp.io.las.header import read_header

@@ -13,7 +13,7 @@ from hpcapp.applications.surface.attributes.carry import AttributeField
 from hpcapp.applications.surface.attributes.search import evaluate_blocks
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.cloud.arrangement import choose_arrangement
-from hpcapp.applications.surface.cloud.disk import DiskCloud
+from hpcapp.applications.surface.cloud.folder.disk import DiskCloud
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpccomponent.errors import JobError
 

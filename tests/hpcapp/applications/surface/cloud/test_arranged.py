@@ -16,13 +16,13 @@ from hpcapp.applications.surface.cloud.arranged import (
     arrange_cloud,
 )
 from hpcapp.applications.surface.cloud.arrangement import interleave, pack_points
-from hpcapp.applications.surface.cloud.disk import (
+from hpcapp.applications.surface.cloud.folder.disk import (
     DiskCloud,
     open_disk_cloud,
     open_place,
     write_index,
 )
-from hpcapp.applications.surface.cloud.disk_parts import Part, write_part
+from hpcapp.applications.surface.cloud.folder.parts import Part, write_part
 from hpcapp.geometry.points import PointCloud
 from hpccomponent.errors import JobError, OutputError
 

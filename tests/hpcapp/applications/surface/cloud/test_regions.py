@@ -10,7 +10,7 @@ from disk_clouds import DiskCloudWriter, read_part
 
 from hpcapp.applications.surface.cloud.arranged import MemoryCloud, arrange_cloud
 from hpcapp.applications.surface.cloud.arrangement import PackedPoints
-from hpcapp.applications.surface.cloud.disk import DiskCloud
+from hpcapp.applications.surface.cloud.folder.disk import DiskCloud
 from hpcapp.applications.surface.cloud.regions import (
     MemoryRegion,
     Region,

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from hpcapp.extras import how_to_install
-from hpcapp.geometry.clipping import Piece
 from hpcapp.geometry.points import BoolArray, FloatArray
-from hpcapp.geometry.region import Region, say_place
-from hpcapp.geometry.splitting import Walls
+from hpcapp.geometry.regions.clipping import Piece
+from hpcapp.geometry.regions.region import Region, say_place
+from hpcapp.geometry.regions.splitting import Walls
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import MissingLibraryError
 

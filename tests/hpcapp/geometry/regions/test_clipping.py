@@ -7,10 +7,10 @@ import pytest
 from clipped_meshes import area, make_sphere, sample
 
 from hpcapp.applications.surface.stitching.topology import check_mesh
-from hpcapp.geometry.clipping import clip_mesh, find_beyond
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, IntArray
-from hpcapp.geometry.region import Region
+from hpcapp.geometry.regions.clipping import clip_mesh, find_beyond
+from hpcapp.geometry.regions.region import Region
 
 BOX = Region.box(np.array([0.9, 0.2, 2.0]), np.array([-0.5, -0.3, -0.21]))
 BALL = Region.ball(np.array([0.5, 0.1, 0.0]), 0.7)

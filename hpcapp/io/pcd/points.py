@@ -18,7 +18,8 @@ import numpy as np
 from hpcapp.geometry.point_records import Column, PointRecords
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io.columns import Numbers
-from hpcapp.io.points.lzf import MOST_EXPANSION, expand_lzf
+from hpcapp.io.pcd.header import PcdField, PcdHeader, read_pcd_header
+from hpcapp.io.pcd.lzf import MOST_EXPANSION, expand_lzf
 from hpcapp.io.points.named_columns import (
     ColumnPlan,
     add_grid,
@@ -27,7 +28,6 @@ from hpcapp.io.points.named_columns import (
     plan_columns,
 )
 from hpcapp.io.points.packed_colours import PACKED, unpack_float_text, unpack_words
-from hpcapp.io.points.pcd_header import PcdField, PcdHeader, read_pcd_header
 from hpcapp.io.points.point_source import Findings, PointSource, Scan
 from hpcapp.io.rows import numbered, parse_table, take_lines
 from hpccomponent.dataclass import dataclass

@@ -18,7 +18,7 @@ from hpcapp.geometry.points import ByteArray, FloatArray, IntArray
 from hpcapp.io.batches import find_different
 from hpcapp.io.columns import Numbers
 from hpcapp.io.frame import check_coordinates, choose_origin, finite_bounds
-from hpcapp.io.meshes.glb_document import (
+from hpcapp.io.glb.document import (
     MEMORY,
     Accessor,
     Document,
@@ -29,7 +29,7 @@ from hpcapp.io.meshes.glb_document import (
     pick,
     read_extras,
 )
-from hpcapp.io.meshes.linear_colours import to_bytes
+from hpcapp.io.glb.linear_colours import to_bytes
 from hpcapp.io.meshes.mesh_stream import find_vertices, make_mesh
 from hpccomponent.dataclass import dataclass
 from hpccomponent.decoding.claims import Claims

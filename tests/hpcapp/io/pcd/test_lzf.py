@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpcapp.io.points.lzf import MOST_EXPANSION, expand_lzf
+from hpcapp.io.pcd.lzf import MOST_EXPANSION, expand_lzf
 
 
 @pytest.mark.parametrize(

@@ -40,9 +40,9 @@ from hpcapp.applications.surface.cloud.arrangement import (
     unpack_points,
     unpacking_arguments,
 )
-from hpcapp.applications.surface.cloud.disk_parts import Part, translated
-from hpcapp.applications.surface.cloud.layout import FoldedLayout, Layout, SingleLayout
-from hpcapp.applications.surface.cloud.part_check import check_part
+from hpcapp.applications.surface.cloud.folder.layout import FoldedLayout, Layout, SingleLayout
+from hpcapp.applications.surface.cloud.folder.part_check import check_part
+from hpcapp.applications.surface.cloud.folder.parts import Part, translated
 from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.applications.surface.types.reading import Reading
 from hpcapp.geometry.lattice import find_keys, merge_counts

@@ -14,7 +14,7 @@ from hpcapp.applications.surface.cloud.arrangement import (
     PackedPoints,
     pack_points,
 )
-from hpcapp.applications.surface.cloud.disk_parts import write_part
+from hpcapp.applications.surface.cloud.folder.parts import write_part
 from hpccomponent.files.checksum import PAGE
 from hpccomponent.store.value import DamagedError
 

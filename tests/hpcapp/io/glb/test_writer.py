@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from hpcapp.geometry.axis_names import AXES
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.io import find_mesh_up, read_mesh, write_mesh
-from hpcapp.io.meshes.glb import write_glb
+from hpcapp.io.glb.writer import write_glb
 from hpcapp.io.meshes.mesh_stream import as_stream
 from hpcapp.io.placement import Placement
 from hpccomponent.errors import OutputError

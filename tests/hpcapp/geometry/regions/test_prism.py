@@ -8,10 +8,10 @@ import shapely
 from clipped_meshes import area, make_sphere, sample
 
 from hpcapp.applications.surface.stitching.topology import check_mesh
-from hpcapp.geometry.clipping import clip_mesh
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, IntArray
-from hpcapp.geometry.prism import Prism
+from hpcapp.geometry.regions.clipping import clip_mesh
+from hpcapp.geometry.regions.prism import Prism
 
 STAR = [(0.9, 0.0), (0.2, 0.15), (0.1, 0.8), (-0.2, 0.2), (-0.7, -0.1), (0.1, -0.3)]
 HOLE = [(-0.1, -0.1), (0.1, -0.05), (0.05, 0.1)]

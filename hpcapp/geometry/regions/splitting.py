@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from hpcapp.geometry.clipping import Piece
 from hpcapp.geometry.points import FloatArray, IntArray
+from hpcapp.geometry.regions.clipping import Piece
 
 _SAME = 1e-9
 """What is nearer, in the largest coordinate, is one place: rounding is some 1e-16 of that."""

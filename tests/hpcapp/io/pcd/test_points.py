@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hpcapp.geometry.points import PointCloud
-from hpcapp.io.points.pcd import open_pcd
+from hpcapp.io.pcd.points import open_pcd
 from hpcapp.io.points.point_source import PointSource, read_whole
 from hpccomponent.errors import InputError
 

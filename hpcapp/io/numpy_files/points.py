@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from hpcapp.geometry.point_records import Column, PointRecords
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io.columns import Numbers
+from hpcapp.io.numpy_files.arrays import is_archive, map_array, read_archive
 from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS
 from hpcapp.io.points.named_columns import (
     ColumnPlan,
@@ -32,7 +33,6 @@ from hpcapp.io.points.named_columns import (
     describe_records,
     plan_columns,
 )
-from hpcapp.io.points.numpy_arrays import is_archive, map_array, read_archive
 from hpcapp.io.points.packed_colours import PACKED, unpack_words
 from hpcapp.io.points.point_source import Findings, PointSource, Scan
 from hpcapp.io.text.columns import assign_by_value

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from hpcapp.applications.surface.cloud.arrangement import PackedPoints
-from hpcapp.applications.surface.cloud.layout import FoldedLayout
-from hpcapp.applications.surface.cloud.part_check import with_check
+from hpcapp.applications.surface.cloud.folder.layout import FoldedLayout
+from hpcapp.applications.surface.cloud.folder.part_check import with_check
 from hpcapp.geometry.lattice import find_keys, merge_counts
 from hpcapp.geometry.points import Float32Array, IntArray
 from hpccomponent.dataclass import dataclass

@@ -7,9 +7,9 @@ from typing import Protocol
 
 import numpy as np
 
-from hpcapp.geometry.clipping import Cutter, Piece, clip_ball, clip_box
 from hpcapp.geometry.points import BoolArray, FloatArray
-from hpcapp.geometry.splitting import refine_at_sphere
+from hpcapp.geometry.regions.clipping import Cutter, Piece, clip_ball, clip_box
+from hpcapp.geometry.regions.splitting import refine_at_sphere
 from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.records import record
 

@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from hpcapp.geometry.points import PointCloud
-from hpcapp.io.points.npy import open_npy
-from hpcapp.io.points.npz_writer import write_npz_points
+from hpcapp.io.numpy_files.points import open_npy
+from hpcapp.io.numpy_files.writer import write_npz_points
 from hpcapp.io.points.point_source import read_whole
 from hpccomponent.errors import InputError
 

@@ -14,8 +14,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from hpcapp.applications.surface.cloud.arranged import Measured
-from hpcapp.applications.surface.cloud.disk import DiskCloud, write_index
-from hpcapp.applications.surface.cloud.disk_parts import Part, write_attribute, write_part
+from hpcapp.applications.surface.cloud.folder.disk import DiskCloud, write_index
+from hpcapp.applications.surface.cloud.folder.parts import Part, write_attribute, write_part
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.cloud.tasks import bound_region
 from hpcapp.geometry.points import FloatArray

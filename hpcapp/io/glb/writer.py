@@ -22,8 +22,8 @@ from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import PointCloud
 from hpcapp.io.columns import Numbers
 from hpcapp.io.frame import choose_origin
-from hpcapp.io.meshes.glb_texture import add_texture
-from hpcapp.io.meshes.linear_colours import to_light
+from hpcapp.io.glb.linear_colours import to_light
+from hpcapp.io.glb.texture import add_texture
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.staging import replacing
 from hpccomponent.cli.option_names import name_option

@@ -1,0 +1,1 @@
+"""An arranged cloud in a folder."""

@@ -1,0 +1,1 @@
+"""Parts of space that a user asks for, and meshes cut along their borders."""

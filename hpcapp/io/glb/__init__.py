@@ -1,0 +1,1 @@
+"""Binary glTF: meshes to be shown."""

@@ -1,0 +1,1 @@
+"""PCD, the files of the Point Cloud Library."""
