@@ -22,7 +22,9 @@ if TYPE_CHECKING:
     from hpcapp.api.mesh import Mesh, read_mesh
     from hpcapp.api.reconstruction import reconstruct
     from hpcapp.api.simulation import simulate
+    from hpcapp.api.terrain import heights
     from hpcapp.applications.compare.volume.measure import Change, SolidChange
+    from hpcapp.applications.heights.grid import HeightGrid
     from hpcapp.applications.surface.hierarchical.settings import Hierarchical
     from hpcapp.applications.surface.paper.settings import Paper
     from hpcapp.backends.selection import open_executor
@@ -43,6 +45,7 @@ __all__ = [
     "Cancellation",
     "Change",
     "Comparison",
+    "HeightGrid",
     "Hierarchical",
     "HpcError",
     "InputError",
@@ -57,6 +60,7 @@ __all__ = [
     "UsageError",
     "compare",
     "compare_epochs",
+    "heights",
     "open_executor",
     "read_mesh",
     "read_points",
@@ -73,7 +77,9 @@ _HOMES = {
     "hpcapp.api.mesh": ("Mesh", "read_mesh"),
     "hpcapp.api.reconstruction": ("reconstruct",),
     "hpcapp.api.simulation": ("simulate",),
+    "hpcapp.api.terrain": ("heights",),
     "hpcapp.applications.compare.volume.measure": ("Change", "SolidChange"),
+    "hpcapp.applications.heights.grid": ("HeightGrid",),
     "hpcapp.applications.surface.hierarchical.settings": ("Hierarchical",),
     "hpcapp.applications.surface.paper.settings": ("Paper",),
     "hpcapp.geometry.points": ("PointCloud",),

@@ -213,11 +213,12 @@ def compare_epochs(
         check_range("cell", cell, 0.0, is_open=True)
     if registration is not None:
         check_range("registration", registration, 0.0)
-    epochs = _open_epoch(new, "new"), _open_epoch(old, "old")
+    epochs = take_epoch(new, "new"), take_epoch(old, "old")
     return measure_epochs(*epochs, up, cell, registration).change
 
 
-def _open_epoch(epoch: Mesh | PointCloud | ArrayLike | str | PathLike[str], name: str) -> Epoch:
+def take_epoch(epoch: Mesh | PointCloud | ArrayLike | str | PathLike[str], name: str) -> Epoch:
+    """Return one scan of a place: read, or checked."""
     if isinstance(epoch, str | PathLike):
         return open_epoch(fspath(epoch))
     if isinstance(epoch, Mesh):

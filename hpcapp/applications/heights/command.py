@@ -72,8 +72,7 @@ def heights(
         raise UsageError("--contours and --interval belong together", "give both, or none")
     import numpy as np
 
-    from hpcapp.applications.heights.contours import write_contours
-    from hpcapp.applications.heights.geotiff import load_rasterio, read_crs, write_geotiff
+    from hpcapp.applications.heights.geotiff import load_rasterio
     from hpcapp.applications.heights.grid import grid_heights
     from hpcapp.progress import Progress, StageClock
     from hpcapp.progress_display import open_progress
@@ -88,11 +87,9 @@ def heights(
         with clock.stage("measure"):
             grid = grid_heights(ground, step)
         with clock.stage("write"):
-            crs = read_crs(grid.crs.text, output)
-            with write_geotiff(output, grid, crs):
-                if contours is not None and interval is not None:
-                    count = write_contours(contours, grid, interval, crs)
-                    log.info("%s: %d contours", contours, count)
+            count = grid.save(output, contours=contours, interval=interval)
+    if contours is not None:
+        log.info("%s: %d contours", contours, count)
     known = grid.values[np.isfinite(grid.values)]
     rows, columns = grid.values.shape
     unit = grid.crs.height_unit or grid.crs.unit or ""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import logging
 from math import ceil, floor, log10
+from os import PathLike
+from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import uniform_filter
@@ -16,8 +18,10 @@ from hpcapp.terrain.epoch import FEW_LAYERS, MOST_CELLS, PER_CELL, Epoch
 from hpcapp.terrain.errors import CONFIDENCE
 from hpcapp.terrain.heights import PLANE, Heights
 from hpcapp.terrain.lattice import Lattice
+from hpccomponent.cli.option_names import name_option
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError, UsageError
+from hpccomponent.ranges import check_range
 
 log = logging.getLogger("hpcapp")
 
@@ -58,6 +62,30 @@ class HeightGrid:
     crs: Crs
     uncertainty: float
 
+    def save(
+        self,
+        path: str | PathLike[str],
+        *,
+        contours: str | PathLike[str] | None = None,
+        interval: float | None = None,
+    ) -> int:
+        """Write a GeoTIFF, and contours as GeoJSON where both are given; return how many.
+
+        Raise OutputError where a file cannot be written, UsageError where the interval is too
+        small, and MissingLibraryError where rasterio is not installed.
+        """
+        from hpcapp.applications.heights.contours import write_contours
+        from hpcapp.applications.heights.geotiff import read_crs, write_geotiff
+
+        if (contours is None) != (interval is None):
+            raise UsageError("contours and their interval belong together", "give both, or none")
+        crs = read_crs(self.crs.text, Path(path))
+        with write_geotiff(Path(path), self, crs):
+            if contours is None or interval is None:
+                return 0
+            check_range("interval", interval, 0.0, is_open=True)
+            return write_contours(Path(contours), self, interval, crs)
+
 
 def grid_heights(ground: Epoch, step: float | None) -> HeightGrid:
     """Return the heights of a mesh, or of points, in cells whose borders are multiples of a step.
@@ -85,9 +113,10 @@ def grid_heights(ground: Epoch, step: float | None) -> HeightGrid:
         for along, start in zip(high[:2].tolist(), (west, south), strict=True)
     )
     if columns * rows > MOST_CELLS:
+        least = _round_up(width * (columns * rows / MOST_CELLS) ** 0.5)
         raise UsageError(
             f"{columns:,} by {rows:,} cells {width:.3g} wide are more than {MOST_CELLS:,}",
-            f"give a --step of {_round_up(width * (columns * rows / MOST_CELLS) ** 0.5):g} or more",
+            f"give {name_option('step', least)} or more",
         )
     parts = _split(width, need, MOST_CELLS / (columns * rows))
     lattice = Lattice(
@@ -101,7 +130,8 @@ def grid_heights(ground: Epoch, step: float | None) -> HeightGrid:
     if not is_known.any():
         raise InputError(
             f"{ground.name}: has no height at the middles of cells {width:.3g} wide",
-            f"give another --step: its points are dense enough for {_round_up(need):g}",
+            f"give another {name_option('step')}: its points are dense enough for "
+            f"{_round_up(need):g}",
         )
     layered = float(heights.is_layered[heights.cover > 0.0].mean())
     if layered > FEW_LAYERS:

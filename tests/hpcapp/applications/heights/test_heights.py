@@ -14,8 +14,9 @@ import pytest
 from click.testing import CliRunner
 from on_earth import put_on_earth
 
+import hpcapp
 from hpcapp.applications.heights.command import heights
-from hpcapp.cli import hpcapp
+from hpcapp.cli import hpcapp as program
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import BoolArray, FloatArray, PointCloud
 from hpcapp.io import write_mesh, write_points
@@ -148,6 +149,21 @@ def test_contours_lie_at_their_heights(survey: Path, tmp_path: Path) -> None:
     assert image.transform[0] in (0.5, 1.0)  # eight points for each of the latter
 
 
+def test_python_writes_the_same_files(survey: Path, tmp_path: Path) -> None:
+    typed, called = tmp_path / "typed", tmp_path / "called"
+    for folder in (typed, called):
+        folder.mkdir()
+    run(survey, "-o", typed / "a.tif", "--contours", typed / "a.json", "--interval", "0.5")
+    grid = hpcapp.heights(survey)
+    assert grid.save(called / "a.tif", contours=called / "a.json", interval=0.5) > 0
+    for name in ("a.tif", "a.json"):
+        assert (called / name).read_bytes() == (typed / name).read_bytes()
+    with pytest.raises(UsageError, match="belong together"):
+        grid.save(called / "b.tif", contours=called / "b.json")
+    with pytest.raises(UsageError, match=r"are more than .* give step=.* or more"):
+        hpcapp.heights(survey, step=1e-3)
+
+
 def test_contours_name_what_epsg_has_no_code_for(survey: Path, tmp_path: Path) -> None:
     rasterio = pytest.importorskip("rasterio")
     own = (
@@ -220,7 +236,7 @@ def test_from_the_centre_of_the_earth_z_is_no_height(tmp_path: Path, suffix: str
     terrain, output = tmp_path / f"terrain{suffix}", tmp_path / "dtm.tif"
     write_points(terrain, earth, "EPSG:4978" if suffix == ".laz" else None)
     for command in (["heights", "-o", str(output)], ["compare", str(terrain), "--volume"]):
-        run = CliRunner().invoke(hpcapp, [*command, str(terrain)])
+        run = CliRunner().invoke(program, [*command, str(terrain)])
         assert isinstance(run.exception, InputError)
         assert "centre of the earth (ECEF), and z is no height" in str(run.exception)
     assert not output.exists()
