@@ -52,6 +52,14 @@ def children() -> set[int]:
     return found
 
 
+FIRST = ("tests/e2e", "tests/systemd", "tests/testbed", "tests/deploy/hpcdeploy/test_killed.py")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with what mostly waits, and takes longest, where files are handed out to processes."""
+    items.sort(key=lambda item: not item.nodeid.startswith(FIRST))
+
+
 def pytest_collection_finish() -> None:
     """Set aside what is imported by now: after each test it would be looked through again."""
     gc.collect()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import selectors
-import shutil
 import signal
 import sys
 from collections.abc import Iterator
@@ -25,7 +24,7 @@ def give_terminal(channel: paramiko.Channel, command: str) -> None:
     """
     is_terminal = os.isatty(0)
     if is_terminal:
-        size = shutil.get_terminal_size()
+        size = os.get_terminal_size(0)
         channel.get_pty(os.environ.get("TERM", "vt100"), size.columns, size.lines)
     if command:
         channel.exec_command(os.fsencode(command))
@@ -43,7 +42,7 @@ def _raw_terminal(channel: paramiko.Channel) -> Iterator[None]:
 
     def resize(signum: int, frame: FrameType | None) -> None:
         del signum, frame
-        size = shutil.get_terminal_size()
+        size = os.get_terminal_size(0)
         with contextlib.suppress(OSError, paramiko.SSHException):
             channel.resize_pty(size.columns, size.lines)
 

@@ -58,7 +58,7 @@ class Terminal:
             stderr=self.screen,
             start_new_session=True,
             preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
-            env={**os.environ, "TERM": "vt100"},
+            env={**os.environ, "TERM": "vt100", "COLUMNS": "7", "LINES": "7"},  # of another window
         )
 
     def resize(self, rows: int, columns: int) -> None:
