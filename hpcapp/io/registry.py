@@ -246,7 +246,7 @@ def _is_unit_in_las(unit: str, crs: str | None) -> bool:
 
 
 _TEXT = PointReader("text.points:open_text", 6)
-_NUMPY = PointReader("points.npy:open_npy", 3, states_count=True)
+_NUMPY = PointReader("numpy_files.points:open_npy", 3, states_count=True)
 _LAS = PointWriter(
     "las.writer:write_las",
     ("crs", "unit", "height_unit"),
@@ -330,16 +330,16 @@ FORMATS = (
         MeshWriter("meshes.stl:write_stl", is_near=True, is_bare=True),
     ),
     Format((".vtk",), PointReader("points.vtk:open_vtk", 6)),
-    Format((".pcd",), PointReader("points.pcd:open_pcd", 3, states_count=True)),
+    Format((".pcd",), PointReader("pcd.points:open_pcd", 3, states_count=True)),
     Format((".npy",), _NUMPY),
-    Format((".npz",), _NUMPY, None, PointWriter("points.npz_writer:write_npz_points")),
+    Format((".npz",), _NUMPY, None, PointWriter("numpy_files.writer:write_npz_points")),
     Format(
         (".glb",),
         None,
-        MeshReader("meshes.glb_reader:read_glb", finds_up="meshes.glb_reader:find_glb_up"),
+        MeshReader("glb.reader:read_glb", finds_up="glb.reader:find_glb_up"),
         None,
         MeshWriter(
-            "meshes.glb:write_glb", True, True, True, is_near=True, turns=True, textures=True
+            "glb.writer:write_glb", True, True, True, is_near=True, turns=True, textures=True
         ),
     ),
     Format(

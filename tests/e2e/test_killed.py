@@ -14,7 +14,7 @@ from testbed.sites import Site
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
-POINTS_OF_DEATH = 6
+POINTS_OF_DEATH = 4
 SEED = 20
 
 

@@ -190,7 +190,7 @@ def test_an_error_of_the_job_itself_comes_again_and_is_told(
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize(("lie", "how"), zip(LIES, cycle(product(WHERE, [None, 1.0]))))
+@pytest.mark.parametrize(("lie", "how"), list(zip(LIES, cycle(product(WHERE, [None, 1.0])))))
 def test_no_lie_about_all_tasks_changes_the_mesh(
     scan: Path,
     truth: bytes,

@@ -335,4 +335,4 @@ TestTwoUsers = TwoUsers.TestCase
 TestTwoUsers.settings = schedules(60)
 
 TestManySchedules = pytest.mark.slow(pytest.mark.timeout(900)(ManySchedules.TestCase))
-TestManySchedules.settings = schedules(1000)
+TestManySchedules.settings = schedules(300)

@@ -505,10 +505,12 @@ def test_moments_of_tiles_go_through_the_folder_that_points_are_read_from(
 
 @pytest.mark.parametrize(
     ("steps", "noise", "tiles"),
-    zip(
-        [1.2, 1.46, 1.52, 1.57, 1.65, 1.8, 2.2, 3.1] * 2,
-        cycle([0.0, 0.001, 0.003]),  # with heavy tails: points are weighed
-        cycle([2, 7]),
+    list(
+        zip(
+            [1.2, 1.46, 1.52, 1.57, 1.65, 1.8, 2.2, 3.1] * 2,
+            cycle([0.0, 0.001, 0.003]),  # with heavy tails: points are weighed
+            cycle([2, 7]),
+        )
     ),
 )
 def test_tiles_hold_all_that_they_ask_for_whatever_a_cell_has_of_steps(
