@@ -5,6 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from hpcapp.applications.surface.boundary.lengths import parse_length
+from hpcapp.applications.surface.methods.method import (
+    BYTES_OF_PROGRAM,
+    BYTES_PER_POINT,
+    BYTES_PER_SURFACE_CELL,
+)
 from hpcapp.applications.surface.methods.options import check_options, option
 from hpccomponent.cli.option_names import name_option
 from hpccomponent.dataclass import dataclass
@@ -13,7 +18,6 @@ from hpccomponent.errors import UsageError
 if TYPE_CHECKING:
     from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
     from hpcapp.applications.surface.methods.method import Method, Resolution, Resources
-    from hpcapp.geometry.points import PointCloud
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,18 +108,10 @@ class Hierarchical:
         """See `clean`."""
         return self.clean
 
-    def estimate_memory(self, grid: int, cloud: PointCloud) -> float:
-        """Return what the points and the bricks along their surface take, in bytes.
-
-        Parameters
-        ----------
-        grid : int
-            Cells along the longest side.
-        cloud : PointCloud
-        """
-        from hpcapp.applications.surface.resolution.memory import estimate_surface
-
-        return estimate_surface(grid, cloud)
+    def estimate_memory(self, grid: int, points: int, cells: float) -> float:
+        """Return what the points and the bricks along their surface take, in bytes."""
+        del grid
+        return BYTES_OF_PROGRAM + BYTES_PER_POINT * points + BYTES_PER_SURFACE_CELL * cells
 
     def suggest_grid(self, cloud: ArrangedCloud) -> Resolution:
         """Return the grid that shows what the scan resolves.

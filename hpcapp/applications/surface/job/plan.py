@@ -23,12 +23,14 @@ from hpcapp.applications.surface.job.settings import (
     choose_steps,
     name_backend,
 )
-from hpcapp.applications.surface.methods.method import TILE_POINTS
-from hpcapp.applications.surface.resolution.asked import guess_grid
-from hpcapp.applications.surface.resolution.memory import (
+from hpcapp.applications.surface.methods.method import (
     BYTES_OF_PROGRAM,
     BYTES_PER_POINT,
-    BYTES_PER_SURFACE_CELL,
+    TILE_POINTS,
+    MethodSettings,
+)
+from hpcapp.applications.surface.resolution.asked import guess_grid
+from hpcapp.applications.surface.resolution.memory import (
     BYTES_PER_TILE_POINT,
     count_most_points,
     fitting_tile,
@@ -138,24 +140,24 @@ def plan_job(settings: JobSettings, files: Sequence[Path]) -> Plan:
             place = Place.SHARED
     at_once = choice.workers if choice.backend in IN_PROCESS else 1
     tile = None if limit is None else fitting_tile(limit, at_once)
-    memory, worker = _estimate_memory(job, place, choice, tile)
+    memory, worker = _estimate_memory(settings.method, job, place, choice, tile)
     disk = 0.0 if place is Place.MEMORY else _BYTES_ON_DISK * float(points)
     return Plan(job, place, choice, tile, memory, worker, disk, available)
 
 
 def _estimate_memory(
-    job: Job, place: Place, choice: Choice, tile: int | None
+    method: MethodSettings, job: Job, place: Place, choice: Choice, tile: int | None
 ) -> tuple[float, float]:
     """Return the bytes of this process, and of each worker in another."""
+    is_here, most = choice.backend in IN_PROCESS, min(tile or TILE_POINTS, job.points)
+    if is_here and place is Place.MEMORY and tile is None:
+        cells = SQUARE * float(job.grid) ** 2 if job.is_chosen else _CELLS_OF_A_POINT * job.points
+        return method.estimate_memory(job.grid, job.points, cells), 0.0
     own = BYTES_OF_PROGRAM + (BYTES_PER_POINT * job.points if place is Place.MEMORY else 0.0)
-    if choice.backend not in IN_PROCESS:
-        most = min(tile or TILE_POINTS, max(1, job.points // choice.workers))
-        return own, BYTES_OF_PROGRAM + BYTES_PER_TILE_POINT * most
-    if tile or place is Place.DISK:
-        most = min(tile or TILE_POINTS, job.points)
+    if is_here:
         return own + BYTES_PER_TILE_POINT * most * choice.workers, 0.0
-    cells = SQUARE * float(job.grid) ** 2 if job.is_chosen else _CELLS_OF_A_POINT * job.points
-    return own + BYTES_PER_SURFACE_CELL * cells, 0.0
+    each = min(most, max(1, job.points // choice.workers))
+    return own, BYTES_OF_PROGRAM + BYTES_PER_TILE_POINT * each
 
 
 def guess_job(settings: JobSettings, files: Sequence[Path]) -> Job:

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
     from hpcapp.applications.surface.methods.method import Method, Resources
     from hpcapp.applications.surface.paper.method import PaperPartition
-    from hpcapp.geometry.points import FloatArray, PointCloud
+    from hpcapp.geometry.points import FloatArray
 
 
 _GRID = 256
@@ -77,9 +77,9 @@ class Paper:
         """The paper has its own steps for that, which are asked for one by one."""
         return False
 
-    def estimate_memory(self, grid: int, cloud: PointCloud) -> float:
+    def estimate_memory(self, grid: int, points: int, cells: float) -> float:
         """Return what the nodes of the grid take, in bytes."""
-        del cloud
+        del points, cells
         return _BYTES_PER_NODE * float(grid) ** 3
 
     def suggest_grid(self, cloud: ArrangedCloud) -> Resolution:

@@ -16,12 +16,7 @@ from hpccomponent.errors import HpcError, UsageError
 from hpccomponent.limits import available_memory
 from hpccomponent.units import parse_size
 
-#: The default method holds the points, sorted too, and bricks along the surface; measured from
-#: above on 36 thousand to 10 million points and grids of 256 to 1024, mesh and check included.
-BYTES_OF_PROGRAM = 1e8
 LEAST_MEMORY = 256 * 2.0**20
-BYTES_PER_POINT = 150.0
-BYTES_PER_SURFACE_CELL = 350.0
 #: The boxes along the surface are counted on a sample of them, with about so many points.
 SAMPLED_POINTS = 1_000_000
 #: Below this a job fits on any machine that runs it.
@@ -87,8 +82,7 @@ def check_memory(method: MethodSettings, grid: int, cloud: ArrangedCloud) -> Non
     fitting = fit_memory(method, grid, cloud)
     if fitting >= grid:
         return
-    points = cloud.take_columns(cloud.keys)
-    needed, available = method.estimate_memory(grid, points), available_memory() or 0
+    needed, available = _estimate(method, grid, cloud), available_memory() or 0
     raise UsageError(
         f"{name_option('grid', grid)} needs about {needed / 2**30:.0f} GB of memory, "
         f"{available / 2**30:.1f} GB are available",
@@ -104,15 +98,20 @@ def fit_memory(method: MethodSettings, grid: int, cloud: ArrangedCloud) -> int:
     available = available_memory()
     if grid <= SMALL_GRID or available is None or not cloud.is_here:
         return grid
-    needed = method.estimate_memory(grid, cloud.take_columns(cloud.keys))
+    needed = _estimate(method, grid, cloud)
     if needed <= available:
         return grid
     fitting = int(grid * (available / needed) ** (1 / method.memory_power)) // 16 * 16
     return max(SMALL_GRID, fitting)
 
 
-def estimate_surface(grid: int, cloud: PointCloud) -> float:
-    """Estimate the bytes that a job holds at its peak whose memory grows with the surface.
+def _estimate(method: MethodSettings, grid: int, cloud: ArrangedCloud) -> float:
+    points = cloud.take_columns(cloud.keys)
+    return method.estimate_memory(grid, len(points), count_surface_cells(grid, points))
+
+
+def count_surface_cells(grid: int, cloud: PointCloud) -> float:
+    """Estimate how many cells of a grid lie along the surface of points.
 
     Positions are finite, and not all at one place. The surface's area is that of the boxes that
     hold points, wide enough for several each, else they would miss what lies between these.
@@ -122,5 +121,4 @@ def estimate_surface(grid: int, cloud: PointCloud) -> float:
     box = max(8.0 * step, 3.0 * estimate_spacing(cloud.positions))
     one_in = len(cloud) // SAMPLED_POINTS + 1
     _, boxes = kernels.count_boxes(cloud.positions, low, box, one_in)
-    surface = BYTES_PER_SURFACE_CELL * one_in * boxes * (box / step) ** 2
-    return BYTES_OF_PROGRAM + BYTES_PER_POINT * len(cloud) + surface
+    return float(one_in * boxes * (box / step) ** 2)

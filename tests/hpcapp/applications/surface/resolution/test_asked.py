@@ -71,7 +71,8 @@ def test_memory_makes_a_chosen_grid_coarser_and_refuses_one_that_is_asked_for(
 ) -> None:
     cloud = sphere(400_000)
     wanted = find_grid(Settings(), cloud)
-    needed = Hierarchical().estimate_memory(wanted, cloud.points)
+    cells = memory.count_surface_cells(wanted, cloud.points)
+    needed = Hierarchical().estimate_memory(wanted, len(cloud), cells)
     monkeypatch.setattr(memory, "available_memory", lambda: int(0.7 * needed))
     with caplog.at_level(logging.INFO, "hpcapp"):
         assert 256 <= find_grid(Settings(), cloud) < wanted

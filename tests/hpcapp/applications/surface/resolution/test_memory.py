@@ -8,7 +8,7 @@ from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
 from hpcapp.applications.surface.paper.settings import Paper
 from hpcapp.applications.surface.resolution import memory
-from hpcapp.applications.surface.resolution.memory import check_memory
+from hpcapp.applications.surface.resolution.memory import check_memory, count_surface_cells
 from hpcapp.geometry.points import PointCloud
 from hpccomponent.errors import UsageError
 
@@ -17,7 +17,11 @@ def test_a_volume_grows_with_the_third_power_and_a_surface_with_the_second(
     sphere: PointCloud,
 ) -> None:
     for method, power in ((Paper(), 3), (Hierarchical(), 2)):
-        ratio = method.estimate_memory(2048, sphere) / method.estimate_memory(1024, sphere)
+        fine, coarse = (
+            method.estimate_memory(grid, len(sphere), count_surface_cells(grid, sphere))
+            for grid in (2048, 1024)
+        )
+        ratio = fine / coarse
         assert method.memory_power == power
         assert ratio == pytest.approx(2.0**power, rel=0.2)
 
