@@ -110,10 +110,10 @@ class Plan:
             ("backend", f"{self.choice.backend}, workers {self.choice.workers}: "
                         f"{self.choice.reason}"),
             ("tiles", tiles),
-            ("memory", f"about {_say(self.memory)}{available}"),
+            ("memory", f"up to {_say(self.memory)}{available}"),
         ]  # fmt: skip
         if self.worker_memory:
-            rows.append(("each worker", f"about {_say(self.worker_memory)}"))
+            rows.append(("each worker", f"up to {_say(self.worker_memory)}"))
         if self.disk:
             rows.append(("disk", f"up to {_say(self.disk)} in the temporary folder"))
         return rows
