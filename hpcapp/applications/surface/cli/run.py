@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from hpcapp.applications.surface.job.backend_choice import Opener, approach_workers
 from hpcapp.applications.surface.job.folder import find_point_workers
-from hpcapp.applications.surface.job.plan import Plan, choose_tile, plan_job
+from hpcapp.applications.surface.job.plan import JobPlan, choose_tile, plan_job
 from hpcapp.applications.surface.job.scan import Loaded, PointFolder
 from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.job.site import Site, open_site
@@ -76,7 +76,7 @@ def run_job(
 
 def _run_once(
     settings: JobSettings,
-    plan: Plan,
+    plan: JobPlan,
     clock: StageClock,
     machines: LocalMachines | None,
     verification: Verification,
@@ -98,7 +98,7 @@ def _run_once(
 
 def _run_in(
     settings: JobSettings,
-    plan: Plan,
+    plan: JobPlan,
     storage: JobStorage,
     target: Path,
     clock: StageClock,
@@ -120,7 +120,7 @@ def _run_in(
 @contextmanager
 def load_stored(
     settings: JobSettings,
-    plan: Plan,
+    plan: JobPlan,
     storage: JobStorage,
     opener: Opener,
     clock: StageClock,

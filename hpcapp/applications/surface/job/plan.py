@@ -2,9 +2,9 @@
 
 ::
 
-    sizes of the files, settings ──> plan_job ──> Plan ──┬─> where points and tiles lie (`storage`)
-                                                         ├─> whether to wait for workers (`cli.run`)
-                                                         └─> what ``--plan`` prints
+    sizes of files, settings ──> plan_job ──> JobPlan ──┬─> where points and tiles lie (`storage`)
+                                                        ├─> whether to wait for workers (`cli.run`)
+                                                        └─> what ``--plan`` prints
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Place(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class JobPlan:
     """What a job will do and take, at most.
 
     `tile` is how many points a tile may have; `memory`, `worker_memory` and `disk` are in bytes,
@@ -123,7 +123,7 @@ def _say(size: float) -> str:
     return f"{size / 1e9:.1f} GB" if size >= 1e9 else f"{size / 1e6:.0f} MB"
 
 
-def plan_job(settings: JobSettings, files: Sequence[Path]) -> Plan:
+def plan_job(settings: JobSettings, files: Sequence[Path]) -> JobPlan:
     """Plan a job on files, of which only the sizes and the heads are looked at.
 
     Raise InputError where the inventory of a cluster cannot be read.
@@ -142,7 +142,7 @@ def plan_job(settings: JobSettings, files: Sequence[Path]) -> Plan:
     tile = None if limit is None else fitting_tile(limit, at_once)
     memory, worker = _estimate_memory(settings.method, job, place, choice, tile)
     disk = 0.0 if place is Place.MEMORY else _BYTES_ON_DISK * float(points)
-    return Plan(job, place, choice, tile, memory, worker, disk, available)
+    return JobPlan(job, place, choice, tile, memory, worker, disk, available)
 
 
 def _estimate_memory(
