@@ -56,7 +56,7 @@ def clone(tmp_path: Path) -> Path:
         text = TESTS.format(fifo=str(tmp_path / "fifo"))
         (tmp_path / name).write_text(text)
     (tmp_path / "pytest.ini").write_text(
-        "[pytest]\nmarkers = slow\naddopts = -p no:cacheprovider\n"
+        "[pytest]\nmarkers = slow\n    long\naddopts = -p no:cacheprovider\n"
     )
     for name, does in (("python", "exit 0"), ("pytest", f'exec {sys.executable} -m pytest "$@"')):
         program = tmp_path / ".venv/bin" / name

@@ -22,8 +22,14 @@ def data() -> Path:
     return folders[0].parent
 
 
+QUICK = {"streets", "works", "sheets", "plants", "volumes", "solids"}  # a fifth of the time of all
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize(
+    "family",
+    [pytest.param(name, marks=[] if name in QUICK else [pytest.mark.long]) for name in FAMILIES],
+)
 def test_as_many_are_right_as_were_and_no_more_are_wrong_in_silence(
     family: str, data: Path
 ) -> None:

@@ -334,5 +334,5 @@ def schedules(count: int) -> settings:
 TestTwoUsers = TwoUsers.TestCase
 TestTwoUsers.settings = schedules(60)
 
-TestManySchedules = pytest.mark.slow(pytest.mark.timeout(900)(ManySchedules.TestCase))
-TestManySchedules.settings = schedules(300)
+TestManySchedules = pytest.mark.long(pytest.mark.timeout(1800)(ManySchedules.TestCase))
+TestManySchedules.settings = schedules(1000)
