@@ -797,11 +797,11 @@ def schedules(count: int) -> settings:
 
 
 FAULTS = schedules(60)
-TestManySchedules = pytest.mark.slow(pytest.mark.timeout(900)(ManySchedules.TestCase))
+TestManySchedules = pytest.mark.long(pytest.mark.timeout(1800)(ManySchedules.TestCase))
 TestManySchedules.settings = schedules(1000)
 TestClusterWithALiar = ClusterWithALiar.TestCase
 TestClusterWithALiar.settings = FAULTS
-TestManyLies = pytest.mark.slow(ManyLies.TestCase)
+TestManyLies = pytest.mark.long(pytest.mark.timeout(1800)(ManyLies.TestCase))
 TestManyLies.settings = schedules(300)
 TestClusterWithABadMachine = ClusterWithABadMachine.TestCase
 TestClusterWithABadMachine.settings = FAULTS
