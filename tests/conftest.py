@@ -29,6 +29,7 @@ settings.register_profile("untimed", deadline=None)
 settings.load_profile("untimed")
 
 PROC = Path("/proc/self")
+FIRST = ("tests/e2e", "tests/systemd", "tests/testbed", "tests/deploy/hpcdeploy/test_killed.py")
 
 
 def open_files() -> set[str]:
@@ -50,9 +51,6 @@ def children() -> set[int]:
         with suppress(OSError):  # a thread that has ended meanwhile has left its children to others
             found.update(map(int, (thread / "children").read_text().split()))
     return found
-
-
-FIRST = ("tests/e2e", "tests/systemd", "tests/testbed", "tests/deploy/hpcdeploy/test_killed.py")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -16,7 +16,7 @@ CLONE = Path(__file__).parents[1]
 HANGING = ("tests/e2e/test_e2e.py", "tests/machines/test_machines.py")
 HIDDEN = (
     "VENV",
-    "READY",
+    "NO_SET_UP",
     "PYTEST_XDIST_WORKER",
     "PYTEST_XDIST_WORKER_COUNT",
     "PYTEST_CURRENT_TEST",

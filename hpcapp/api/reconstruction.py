@@ -334,7 +334,7 @@ def _run_files(
 ) -> Mesh:
     """Run a job that reads files; they lie in memory unless `max_memory` or `temp_dir` is given."""
     verification = _choose_verification(executor, settings.verify)
-    plan = plan_job(settings, [settings.points])
+    plan = plan_job(settings, is_opened=executor is not None)
 
     def run(is_first: bool) -> Mesh:
         job = settings if is_first else replace(settings, resume=False)

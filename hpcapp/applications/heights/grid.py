@@ -79,11 +79,12 @@ class HeightGrid:
 
         if (contours is None) != (interval is None):
             raise UsageError("contours and their interval belong together", "give both, or none")
+        if interval is not None:
+            check_range("interval", interval, 0.0, is_open=True)
         crs = read_crs(self.crs.text, Path(path))
         with write_geotiff(Path(path), self, crs):
             if contours is None or interval is None:
                 return 0
-            check_range("interval", interval, 0.0, is_open=True)
             return write_contours(Path(contours), self, interval, crs)
 
 

@@ -101,7 +101,7 @@ def gather_points(
     def stays(file: str | Path) -> bool:
         return is_one and samples == [None] and not (goes_elsewhere and _is_special(file))
 
-    if is_one and not _is_packed(files[0]):
+    if is_one and not is_packed(files[0]):
         samples = [choose_sample(Path(files[0]))]
         if stays(files[0]):
             yield Path(files[0])
@@ -169,7 +169,8 @@ def find_sample(path: Path) -> int | None:
     return None
 
 
-def _is_packed(file: str) -> bool:
+def is_packed(file: str) -> bool:
+    """Tell whether a file must be unpacked, or the standard input read, to look into it."""
     return file == _PIPED or Path(file).suffix.lower() == _COMPRESSED
 
 
@@ -180,7 +181,7 @@ def _is_special(file: str | Path) -> bool:
 
 def _fetch(file: str, folder: Path) -> Path:
     """Return a file that can be read as it is."""
-    if not _is_packed(file):
+    if not is_packed(file):
         return Path(file)
     folder.mkdir()
     return _unpack(file, folder)

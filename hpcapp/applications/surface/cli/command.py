@@ -202,8 +202,8 @@ def _add_options(command: click.Command) -> click.Command:
 @click.option(
     "--plan",
     is_flag=True,
-    help="Only print what the job would do at most: where the points lie, who works, and the "
-    "memory and the disk that it takes.",
+    help="Only print what the job would do: where the points lie, who works, and about how much "
+    "memory and disk it takes.",
 )
 @click.option(
     "--events",
@@ -323,7 +323,9 @@ def _read_options(options: dict[str, Any], names: Sequence[str]) -> partial[JobS
 def _print_plan(options: dict[str, Any], as_json: bool) -> None:
     """Print what a job would do here."""
     from hpcapp.applications.surface.job.plan import plan_job
+    from hpcapp.applications.surface.resolution.memory import count_most_points
     from hpcapp.io import open_points
+    from hpcapp.io.points.inputs import find_sample, is_packed
 
     if options["cluster"] is not None:
         raise UsageError(
@@ -332,15 +334,16 @@ def _print_plan(options: dict[str, Any], as_json: bool) -> None:
         )
     for name in WATCHED:
         options.pop(name)
-    names = options.pop("points")
-    del options["sample"]
+    names, sample = options.pop("points"), options.pop("sample")
     make = _read_options(options, names)
     files: tuple[Path, ...] = make.keywords["inputs"]
-    if not files:
-        raise UsageError("--plan needs a file to look at", "write the points to a file")
+    if not files or any(map(is_packed, names)):
+        raise UsageError("--plan needs files to look into", "unpack them, or write them to files")
+    points = 0
     for file in files:
         open_points(file)  # what cannot be read is refused
-    plan = plan_job(make(points=files[0]).for_ground(), files)
+        points += sample or find_sample(file) or count_most_points(file)
+    plan = plan_job(make(points=files[0]).for_ground(), points)
     if as_json:
         echo_json(plan.to_json())
     else:

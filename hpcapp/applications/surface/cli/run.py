@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from hpcapp.applications.surface.job.backend_choice import Opener, approach_workers
 from hpcapp.applications.surface.job.folder import find_point_workers
-from hpcapp.applications.surface.job.plan import JobPlan, choose_tile, plan_job
+from hpcapp.applications.surface.job.plan import JobPlan, Place, choose_tile, plan_job
 from hpcapp.applications.surface.job.scan import Loaded, PointFolder
 from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.job.site import Site, open_site
@@ -61,7 +61,7 @@ def run_job(
     HpcError, whatever went wrong; no output is left half written.
     """
     verification = Verification(settings.verify)
-    plan = plan_job(settings, [settings.points])
+    plan = plan_job(settings)
 
     def run(is_first: bool) -> dict[str, Any]:
         again = settings if is_first else replace(settings, resume=False)
@@ -137,7 +137,10 @@ def load_stored(
         if storage.folder is not None:
             backend, choice = stack.enter_context(opener.open(plan.job, executor))
             opened = backend.record(clock.timeline), choice
-            folder = _open_folder(settings, storage.folder, opened[0])
+            if backend.workforce.in_process and plan.place is Place.SHARED:  # nobody else reads
+                checkpoint = None if settings.temp_dir is None else checkpoint
+            else:
+                folder = _open_folder(settings, storage.folder, opened[0])
         loaded = load(settings, clock, folder)
         loaded.report(settings.shown)
         yield loaded, partial(

@@ -62,8 +62,6 @@ def open_storage(settings: JobSettings, planned: Place) -> Iterator[JobStorage]:
     fails leaves what it has finished. Raise UsageError, OutputError or CloudError if the place
     cannot be had, InputError if the input cannot be looked at.
     """
-    if settings.resume and settings.temp_dir is None:
-        raise UsageError("--resume goes on from what lies in --temp-dir", "give that too")
     in_memory = planned is Place.MEMORY
     if settings.method.needs_whole_cloud or (in_memory and settings.temp_dir is None):
         yield JobStorage(None, None)
