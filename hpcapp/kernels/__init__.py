@@ -14,16 +14,7 @@ to rounding, and the workers of one job run the same one (see `build`).
 from typing import TYPE_CHECKING
 
 from hpcapp.kernels.build import load_native
-from hpcapp.kernels.constants import (
-    BASIS,
-    COLUMNS,
-    FINE,
-    QUANTA,
-    SHEETS,
-    UNSURE,
-    WHOLE,
-    WRONG,
-)
+from hpcapp.kernels.constants import BASIS, COLUMNS, FINE, QUANTA, SHEETS, UNSURE, WHOLE, WRONG
 
 if TYPE_CHECKING or load_native() is None:
     from hpcapp.kernels import portable

@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-from hpcapp.geometry.points import (
-    BoolArray,
-    FloatArray,
-    Int32Array,
-    IntArray,
-)
+from hpcapp.geometry.points import BoolArray, FloatArray, Int32Array, IntArray
 from hpccomponent.dataclass import dataclass
 
 
@@ -44,18 +39,10 @@ class BrickMesh:
 class Survey:
     """What `survey_mesh` counts.
 
-    Parameters
-    ----------
-    boundary, overfull : int
-        Edges with one face, and with more than two.
-    degenerate : int
-        Edges from a vertex to itself.
-    misoriented : int
-        Edges that are run through twice in one direction.
-    fans : int
-        Pieces that the corners of all faces form when joined across shared edges.
-    edges_of : ndarray of int32, shape (v,)
-        Edges of which each vertex is the lower end.
+    There are so many `boundary` edges with one face and `overfull` ones with more than two,
+    `degenerate` ones from a vertex to itself, and `misoriented` ones that are run through twice in
+    one direction. `fans` are pieces that the corners of all faces form when joined across shared
+    edges; `edges_of` (v,) are the edges of which each vertex is the lower end.
     """
 
     boundary: int

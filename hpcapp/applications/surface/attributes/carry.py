@@ -27,15 +27,9 @@ _ROWS_AT_ONCE = 1 << 14  # what is made of them stays in the cache
 class Carried:
     """What places have taken from the points near them.
 
-    Parameters
-    ----------
-    points : PointCloud
-        The places, with colours and attributes as the points have them.
-    nearest : ndarray of float64, shape (n,)
-        Distance of the nearest point, in length units of the input.
-    farthest : ndarray of float64, shape (n,)
-        Distance up to which points were looked at: one that is farther away changes nothing.
-        Infinite where all were.
+    The `points` are the places, with colours and attributes as the points have them; `nearest` (n,)
+    is the distance of the nearest point, in length units of the input, `farthest` (n,) that up to
+    which points were looked at: farther ones change nothing. It is infinite where all were.
     """
 
     points: PointCloud

@@ -31,21 +31,11 @@ Evaluate = Callable[[FloatArray], "Carried"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Carrying:
-    """What a mesh's vertices shall carry.
+    """What a mesh's vertices shall carry, and where the mesh is written.
 
-    Parameters
-    ----------
-    layout : PointCloud
-        Without points: colours and attributes that the points have.
-    evaluate : Evaluate or None
-        None where nothing is taken from the points.
-    spacing : float or None
-        Of the points, where the support is asked for.
-    crs : Crs
-        What the input's coordinates mean. Heights of another unit than x and y, which were scaled
-        for the surface, get their own again.
-    placement : Placement
-        Where the mesh is written, and which way up.
+    The `layout` has the points' colours and attributes, and no points; `evaluate` is None where
+    nothing is taken from these. The `spacing` is None unless the support is asked for. Heights of
+    another unit than x and y, which were scaled for the surface, get their own again by the `crs`.
     """
 
     layout: PointCloud

@@ -28,19 +28,10 @@ _OF_THE_SCAN = ("scan", "row", "column")  # which say where a point stands in th
 class AttributeChoice:
     """Which attributes a mesh's vertices get.
 
-    Parameters
-    ----------
-    is_auto : bool
-        Colours and every other column of the points, but for those that number scans, rows and
-        columns.
-    names : tuple of str
-        Columns by name; ``colours`` are three.
-    has_normals, has_support : bool
-        Normals of the vertices, and distances of the nearest points.
-    has_confidence : bool
-        How sure the sides of the normals are, where they are estimated or mended.
-    is_picture : bool
-        Colours alone: they are for a texture.
+    The columns of the points by their `names`, of which ``colours`` are three; all where `is_auto`,
+    but for those that number scans, rows and columns, and colours alone for a texture
+    (`is_picture`). Beside these normals of the vertices, distances of the nearest points, and,
+    where normals are estimated or mended, how sure their sides are.
     """
 
     is_auto: bool = True

@@ -81,18 +81,10 @@ class OpeningSettings:
 class Closure:
     """How the borders of a surface came about.
 
-    Parameters
-    ----------
-    trim, fill_holes : float
-        In length units of the input; 0 where nothing was cut.
-    holes, crumbs : int
-        Holes that were filled, and pieces that were dropped.
-    certainty : float
-        Probability that it is as it was decided, 0 to 1; 1 where somebody has asked for it.
-    unsupported : float or None
-        Share of the closed surface that no point supports; None where nobody has looked.
-    support : Support or None
-        Of a closed surface; None where nobody has looked.
+    `trim` and `fill_holes` are in length units of the input, 0 where nothing was cut; `holes` were
+    filled, and `crumbs`, small pieces, dropped. The `certainty` is the probability that it is as it
+    was decided; 1 where somebody has asked for it. `unsupported` is the share of the closed surface
+    that no point supports, None where nobody has looked, as is the `support` of a closed one.
     """
 
     is_open: bool

@@ -27,19 +27,8 @@ from hpcapp import kernels
 from hpcapp.applications.surface.extraction.part_places import starts_of
 from hpcapp.applications.surface.extraction.parts import ForeignBricks, ForeignNumbers, MeshPart
 from hpcapp.applications.surface.types.result_patterns import ComponentBoxes
-from hpcapp.geometry.lattice import (
-    find_first,
-    find_keys,
-    number_keys,
-    unique_keys,
-)
-from hpcapp.geometry.points import (
-    BoolArray,
-    Float32Array,
-    FloatArray,
-    Int32Array,
-    IntArray,
-)
+from hpcapp.geometry.lattice import find_first, find_keys, number_keys, unique_keys
+from hpcapp.geometry.points import BoolArray, Float32Array, FloatArray, Int32Array, IntArray
 from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.columns import Column
 from hpccomponent.protocol.records import record
@@ -75,20 +64,10 @@ class OpeningSeams:
 class OpeningSurvey:
     """What `cut_opening` must know of a part; v vertices, g foreign ones, k places of cuts.
 
-    Parameters
-    ----------
-    clearances : ndarray of float32, shape (v + g,)
-        Of the part's vertices and then the foreign ones; supported below 1.
-    labels : ndarray of int32, shape (v + g,)
-        The bare patch of each; -1 where it is supported.
-    places : ndarray of float64, shape (g, 3)
-        Where the foreign vertices are.
-    cut_bricks : ndarray of int64, shape (k,)
-        The brick of each place, as a row of the part; sorted.
-    cut_ends : ndarray of int64, shape (k, 2)
-        The ends of its edge, the lower one first.
-    is_lone : ndarray of bool, shape (k,)
-        Whether the edge has but one face in the part.
+    `clearances` and `labels` (v + g,) are of the part's vertices and then the foreign ones, which
+    are at `places` (g, 3): supported below 1, and the bare patch of each, -1 where it is supported.
+    `cut_bricks` (k,) are the brick of each cut, as a row of the part, sorted; `cut_ends` (k, 2) the
+    ends of its edge, the lower one first; it `is_lone` where the edge has but one face in the part.
     """
 
     clearances: Float32Array

@@ -16,16 +16,10 @@ _ONE_IN = 16  # blocks that bound distances at first
 
 @dataclass(frozen=True, slots=True)
 class Support:
-    """How the points support a closed surface.
+    """How the points support a closed surface: a share of its area, 0 to 1.
 
-    Parameters
-    ----------
-    share : float
-        Of its area that points support, 0 to 1.
-    farthest : float
-        How far the rest is from the nearest point at most, in length units of the input.
-    reach : float
-        Farther away, no point supports anything; in length units of the input.
+    The rest is `farthest` from the nearest point at most, and beyond `reach` no point supports
+    anything; both are in length units of the input.
     """
 
     share: float

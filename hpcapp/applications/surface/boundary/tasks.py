@@ -11,11 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpcapp.applications.surface.boundary.clearance import (
-    SupportRule,
-    find_bare,
-    measure_clearance,
-)
+from hpcapp.applications.surface.boundary.clearance import SupportRule, find_bare, measure_clearance
 from hpcapp.applications.surface.boundary.opening import (
     OpeningSeams,
     OpeningSurvey,
@@ -51,16 +47,10 @@ Part = MeshPart | tuple[str, str]
 @record("surface.near_points")
 @dataclass(frozen=True, slots=True, eq=False)
 class Near:
-    """Points that a task reads where the cloud is.
+    """Points that a task reads where the cloud is: a folder that it sees, or the cloud itself.
 
-    Parameters
-    ----------
-    cloud : Place
-        A folder that the worker sees; in this process the cloud itself.
-    blocks : ndarray of int64
-        Sorted keys of its blocks.
-    box : ndarray of float64, shape (2, 3)
-        In which the points lie that matter, in length units of the input.
+    `blocks` are sorted keys of the cloud's; the points that matter lie in a `box` (2, 3), in length
+    units of the input.
     """
 
     cloud: Place

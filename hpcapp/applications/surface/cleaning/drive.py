@@ -34,25 +34,13 @@ _MANY = 0.001  # of the points are strays: only then they have vouched for other
 
 @dataclass(frozen=True, slots=True)
 class Cleaned:
-    """What was found wrong with a cloud.
+    """What was found wrong with a cloud, in points.
 
-    Parameters
-    ----------
-    outliers, strays : int
-        Points that were dropped because they lie far from every surface, or although near one.
-    flipped : int
-        Normals that were turned round.
-    repeated : int
-        Points at the place of another that were dropped.
-    spared : int
-        Points along scan lines that were not needed.
-    lone_lines : int
-        Points along lone lines, as wires, that were dropped.
-    smoothed : int
-        Of a depth image, whose depth came in steps: see `depth_image.smooth_steps`.
-    line_gap, line_step : float
-        From line to line, and from point to point along one, in length units of the input: the
-        medians over the cells that hold lines; 0 where none does.
+    Dropped were `outliers`, far from every surface, `strays` near one, those `repeated` at the
+    place of another, `spared` along scan lines and on `lone_lines`, as of wires. Normals were
+    `flipped`, and steps of depths `smoothed` (see `depth_image.smooth_steps`). `line_gap` and
+    `line_step` are from line to line, and from point to point along one, in length units of the
+    input: medians over the cells that hold lines; 0 where none does.
     """
 
     outliers: int = 0

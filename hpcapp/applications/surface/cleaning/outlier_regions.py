@@ -72,16 +72,9 @@ class RegionRanks:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judgement:
-    """What the master finds.
+    """What the master finds: the rank of most points, and the stray cells.
 
-    Parameters
-    ----------
-    base : int
-        The rank of most points.
-    stray_cells : ndarray of int64, shape (s,)
-        Sorted keys of the finest cells that are stray.
-    island_cells : ndarray of int64, shape (i,)
-        Sorted keys of the cells of `ISLAND_LEVEL` on islands.
+    Those are sorted keys of finest cells (s,), and of cells of `ISLAND_LEVEL` on islands (i,).
     """
 
     base: int
@@ -92,16 +85,10 @@ class Judgement:
 @record("surface.dropped_cells")
 @dataclass(frozen=True, slots=True, eq=False)
 class DroppedCells:
-    """Cells whose points are outliers.
+    """Cells whose points are outliers: `strays` of the finest, and `islands` of `ISLAND_LEVEL`.
 
-    Parameters
-    ----------
-    low : ndarray of float64, shape (3,)
-        The least coordinates of the cloud.
-    spacing : float
-        Of the cloud: from both the cells follow.
-    strays, islands : ndarray of int64
-        Sorted keys of finest cells, and of cells of `ISLAND_LEVEL`.
+    Both are sorted keys; the cells follow from the cloud's least coordinates `low` (3,) and
+    `spacing`.
     """
 
     low: FloatArray

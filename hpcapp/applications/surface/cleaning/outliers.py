@@ -16,13 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from hpcapp import kernels
-from hpcapp.geometry.lattice import (
-    BITS,
-    ancestor_keys,
-    number_keys,
-    pack_places,
-    unpack_keys,
-)
+from hpcapp.geometry.lattice import BITS, ancestor_keys, number_keys, pack_places, unpack_keys
 from hpcapp.geometry.points import BoolArray, IntArray
 from hpccomponent.dataclass import dataclass
 

@@ -150,11 +150,7 @@ def _show(ctx: click.Context, report: dict[str, Any], mesh: Path, points: Path) 
     page, png = ctx.params["report"], ctx.params["png"]
     if page is None and png is None:
         return
-    from hpcapp.applications.surface.steps.report_page import (
-        find_up,
-        show_files,
-        write_job_page,
-    )
+    from hpcapp.applications.surface.steps.report_page import find_up, show_files, write_job_page
     from hpcapp.pages.picture import write_picture
     from hpcapp.pages.report import check_report
 

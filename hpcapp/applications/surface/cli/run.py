@@ -195,11 +195,7 @@ def _show(
     report: dict[str, Any],
 ) -> None:
     """Write the job's page and picture."""
-    from hpcapp.applications.surface.steps.report_page import (
-        find_up,
-        show_job,
-        write_job_page,
-    )
+    from hpcapp.applications.surface.steps.report_page import find_up, show_job, write_job_page
     from hpcapp.pages.picture import write_picture
 
     shown = show_job(loaded, outcome, carrying)

@@ -22,16 +22,10 @@ Counts = Int32Array | IntArray | BoolArray
 class PartPlaces:
     """The share of a part in the whole mesh; b bricks, g foreign vertices.
 
-    Parameters
-    ----------
-    vertex_starts : ndarray of int64, shape (b,)
-        The number of each brick's first vertex in the whole mesh.
-    face_starts : ndarray of int64, shape (b,)
-        The number of each brick's first face; -1 where another part gives the brick.
-    dropped : ndarray of int32, shape (d,)
-        Vertices (rows of the part, sorted) of components that are dropped.
-    foreign : ndarray of int64, shape (g,)
-        The number of each foreign vertex in the whole mesh, -1 where it is dropped.
+    `vertex_starts` (b,) and `face_starts` (b,) number each brick's first vertex and face in the
+    whole mesh; -1 where another part gives the faces. `dropped` (d,) are vertices, rows of the
+    part, sorted, of components that are dropped; `foreign` (g,) numbers the foreign vertices, -1
+    where one is.
     """
 
     vertex_starts: IntArray
@@ -44,12 +38,8 @@ class PartPlaces:
 class Runs:
     """Rows that stay together on their way into the mesh; k runs.
 
-    Parameters
-    ----------
-    starts : ndarray of int64, shape (k + 1,)
-        Where each run begins among the rows, and the last one's end; none is empty.
-    numbers : ndarray of int64, shape (k,)
-        Which row of the mesh the first of each run is; rising.
+    `starts` (k + 1,) are where each begins among the rows, and the last one's end: none is empty;
+    `numbers` (k,) which row of the mesh the first of each run is, rising.
     """
 
     starts: IntArray

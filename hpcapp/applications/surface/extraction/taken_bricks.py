@@ -6,13 +6,7 @@ import numpy as np
 
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.geometry.lattice import are_sampled, find_keys
-from hpcapp.geometry.points import (
-    BoolArray,
-    ByteArray,
-    FloatArray,
-    Int32Array,
-    IntArray,
-)
+from hpcapp.geometry.points import BoolArray, ByteArray, FloatArray, Int32Array, IntArray
 from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.records import record
 
@@ -20,18 +14,10 @@ from hpccomponent.protocol.records import record
 @record("surface.taken_bricks")
 @dataclass(frozen=True, slots=True, eq=False)
 class TakenBricks:
-    """The bricks of a part that the mesh takes from it.
+    """The bricks of a part that the mesh takes from it: sorted keys, and vertices of each, (k,).
 
-    Parameters
-    ----------
-    keys : ndarray of int64, shape (k,)
-        Sorted.
-    vertex_counts : ndarray of int32, shape (k,)
-        How many vertices each has.
-    exponents : ndarray of uint8, shape (k,)
-        Of their strides, see `types.grid.BrickStrides`.
-    box : ndarray of float64, shape (2, 3)
-        In which the surface lies.
+    `exponents` (k,) are of their strides (see `types.grid.BrickStrides`); the surface lies in a
+    `box` (2, 3).
     """
 
     keys: IntArray

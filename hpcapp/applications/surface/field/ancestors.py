@@ -6,9 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp import kernels
-from hpcapp.geometry.lattice import (
-    step_keys,
-)
+from hpcapp.geometry.lattice import step_keys
 from hpcapp.geometry.points import IntArray
 
 Marks = NDArray[np.uint32]

@@ -15,19 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp import kernels
-from hpcapp.geometry.lattice import (
-    BITS,
-    ancestor_keys,
-    number_keys,
-    unique_keys,
-)
-from hpcapp.geometry.points import (
-    BoolArray,
-    Float32Array,
-    FloatArray,
-    IntArray,
-    PointCloud,
-)
+from hpcapp.geometry.lattice import BITS, ancestor_keys, number_keys, unique_keys
+from hpcapp.geometry.points import BoolArray, Float32Array, FloatArray, IntArray, PointCloud
 from hpcapp.kernels import COLUMNS
 from hpcapp.kernels.parallel import run_batches
 from hpcapp.kernels.types.grid import Grid
@@ -148,16 +137,9 @@ class CloudRows:
 class SortedPoints:
     """The points of each cell of the finest level.
 
-    Parameters
-    ----------
-    held : CellRows
-        Those of other cells may be among them.
-    origin : ndarray of float64, shape (3,)
-        Where corner (0, 0, 0) of the lattice lies.
-    offsets : ndarray of int64, shape (c + 1,)
-        Cell i holds the points offsets[i] to offsets[i + 1].
-    weights : ndarray of float64, shape (n,), optional
-        How much each of these counts; 1 by default.
+    Cell i holds those from offsets[i] to offsets[i + 1]; what is `held` may have points of other
+    cells, too. Corner (0, 0, 0) of the lattice lies at `origin` (3,); by `weights` (n,) points do
+    not count alike.
     """
 
     held: CellRows

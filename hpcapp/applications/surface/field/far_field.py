@@ -117,19 +117,10 @@ def solve_far_field(
 ) -> FarField:
     """Solve for the coarse field of some cells of points, at the cost of four FFTs of all nodes.
 
-    Parameters
-    ----------
-    centroids, normals : ndarray of float64, shape (c, 3)
-        In length units of the input; normals are means, pointing out of the object.
-    box : tuple of two ndarray of float64, shape (3,)
-        Low and high corner of what the field must cover.
-    size : float
-        Edge of the cells, and the standard deviation of the Gaussian that the samples are smeared
-        with, but at least one grid step.
-    nodes : int
-        Along each side, a power of two.
-    missing : ndarray of float64, shape (3,)
-        As of the cloud's `Reading`.
+    Centroids and mean normals, pointing out of the object, are (c, 3), in length units of the
+    input; the `box` has the corners of what the field must cover, by so many `nodes` along each
+    side, a power of two. The samples are smeared with a Gaussian whose standard deviation is the
+    `size` of the cells, but at least one grid step. `missing` (3,) is as of the cloud's `Reading`.
     """
     low, high = box
     origin, step = lay_far_field(low, high, nodes)

@@ -98,18 +98,9 @@ def _find_features_above(
 class SlabFields:
     """The field, whose finest level is fitted for a slab of the grid at a time.
 
-    Parameters
-    ----------
-    pyramid : Pyramid
-        Its only level is 0, or none where that has no vertices.
-    weights : list of Weights
-        Of every level.
-    parents : Parents or None
-        Of level 1, where there is one.
-    above : tuple of FieldLevel
-        All coarser levels, finest first.
-    features_above : tuple of Features
-        Of the first of these.
+    The only level of the `pyramid` is 0, or none where that has no vertices; `weights` are of every
+    level, `parents` of level 1, where there is one. `above` are all coarser levels, finest first,
+    and `features_above` those of the first of these.
     """
 
     pyramid: Pyramid

@@ -40,14 +40,8 @@ _UNTOLD = 0.2  # spacings: below that the residuals of clean scans scatter, by r
 class LocalNoise:
     """How far points lie off their surface, from place to place.
 
-    Parameters
-    ----------
-    whole : float
-        Standard deviation over the whole cloud, in length units of the input.
-    untold : float
-        Deviations up to this cannot be told from relief.
-    places : LocalScale
-        Its spacings are the deviations.
+    `whole` is the standard deviation over the whole cloud, in length units of the input; deviations
+    up to `untold` cannot be told from relief. The spacings of `places` are the deviations.
     """
 
     whole: float

@@ -31,19 +31,8 @@ from hpcapp.applications.surface.field.weights import (
     find_agreement,
     localise_noise,
 )
-from hpcapp.geometry.lattice import (
-    BITS,
-    OCTANTS,
-    find_layers,
-    step_keys,
-)
-from hpcapp.geometry.points import (
-    BoolArray,
-    Float32Array,
-    FloatArray,
-    IntArray,
-    PointCloud,
-)
+from hpcapp.geometry.lattice import BITS, OCTANTS, find_layers, step_keys
+from hpcapp.geometry.points import BoolArray, Float32Array, FloatArray, IntArray, PointCloud
 from hpcapp.kernels import BASIS
 from hpcapp.kernels.parallel import run_batches
 from hpccomponent.cutting import cut_equal
@@ -64,16 +53,10 @@ _DETAIL = np.float32(0.25)  # of what fits leave over: where they miss shape, po
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Level:
-    """One lattice of the pyramid.
+    """One lattice of the pyramid: sorted keys of the occupied cells, (c,).
 
-    Parameters
-    ----------
-    cells : ndarray of int64, shape (c,)
-        Sorted keys of the occupied cells.
-    points : SortedPoints, CellMoments or PartMoments
-        What the fits know of the points in each cell: those of the finest level themselves.
-    squares : ndarray of float64, shape (c,)
-        Sums of the squared counts of each cell's children; none at the finest level.
+    Of the points in each is what the fits know: those of the finest level themselves. `squares`
+    (c,) sums the squared counts of each cell's children; none at the finest level.
     """
 
     cells: IntArray
@@ -83,24 +66,13 @@ class Level:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pyramid:
-    """Lattices from a finer to a coarser one.
+    """Lattices from a finer to a coarser one; `height` levels has the whole cloud, from level 0 on.
 
-    Parameters
-    ----------
-    origin : ndarray of float64, shape (3,)
-        Where corner (0, 0, 0) of every level lies.
-    cell_size : float
-        Edge of the cells of level 0.
-    levels : list of Level
-        `fit_levels` takes the points out of each as it goes: they are most of the memory.
-    vertices : list of ndarray of int64
-        Of each level, the sorted keys of the corners that carry a quadric (see `lay_vertices`).
-    first : int
-        The level that is first in the list.
-    height : int
-        How many levels the whole cloud has, from level 0 on.
-    refinement : Refinement
-        Of the whole cloud's lattice.
+    Corner (0, 0, 0) of every level lies at `origin` (3,), and the cells of level 0 are of
+    `cell_size`. The first of the `levels` is level `first`; `fit_levels` takes the points out of
+    each as it goes, for they are most of the memory. Of each level `vertices` has the sorted keys
+    of the corners that carry a quadric (see `lay_vertices`). The `refinement` is of the whole
+    cloud's lattice.
     """
 
     origin: FloatArray
@@ -143,18 +115,11 @@ class VertexQuadrics:
 @record("surface.parents")
 @dataclass(frozen=True, slots=True, eq=False)
 class Parents:
-    """What the vertices of the next finer level take from a level.
+    """What the vertices of the next finer level take from a level: v of them, sorted by key.
 
-    Parameters
-    ----------
-    keys : ndarray of int64, shape (v,)
-        Sorted.
-    coefficients : ndarray of float32, shape (v, 10)
-    support : ndarray of float32, shape (v,)
-        The count of each vertex, 0 where points do not surround it, plus a quarter of what it
-        inherited.
-    variances : ndarray of float32, shape (v, 2)
-        Its own, and the mean of its parents', in cells of this level squared.
+    The `support` (v,) is the count of each vertex, 0 where points do not surround it, plus a
+    quarter of what it inherited; `variances` (v, 2) are its own, and the mean of its parents', in
+    cells of this level squared.
     """
 
     keys: IntArray

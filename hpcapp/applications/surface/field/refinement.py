@@ -28,16 +28,9 @@ from hpccomponent.protocol.records import record
 class Refinement:
     """Which cells of a lattice are divided, by the scale and the noise of its points.
 
-    Parameters
-    ----------
-    levels : int
-        Below the base.
-    spacings : float
-        Across a cell that points are dense enough for, at least.
-    origin : ndarray of float64, shape (3,)
-        Where corner (0, 0, 0) of every level lies.
-    cell_size : float
-        Edge of the finest cells.
+    There are so many `levels` below the base, whose finest cells are of `cell_size`; corner (0, 0,
+    0) of each lies at `origin` (3,). A cell that points are dense enough for is `spacings` wide at
+    least.
     """
 
     levels: int

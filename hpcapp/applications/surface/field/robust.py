@@ -18,10 +18,7 @@ import numpy as np
 
 from hpcapp import kernels
 from hpcapp.applications.surface.field.cell_points import SortedPoints
-from hpcapp.geometry.lattice import (
-    ancestor_keys,
-    number_keys,
-)
+from hpcapp.geometry.lattice import ancestor_keys, number_keys
 from hpcapp.geometry.points import Float32Array, FloatArray, IntArray
 from hpcapp.kernels.parallel import run_batches
 from hpccomponent.cutting import cut_equal

@@ -55,16 +55,9 @@ _OVERRULED_FROM, _OVERRULED_AT = 0.6, 1.2  # steps of the far field from its sur
 class Weights:
     """The weights of one level's fits (see `hermite.fit_vertices` and `hermite.weigh_priors`).
 
-    Parameters
-    ----------
-    least_lam : float
-        Of the normals against the positions, at least, dimensionless.
-    noise : float
-        Variance of the positions along the normals, in cells of the level squared.
-    least_mu, most_mu : float
-        Between which the weight of a prior lies, in points.
-    tolerance : float
-        How far off a point may lie until it counts half, in variances (see `robust`).
+    Normals count `least_lam` against the positions at least, dimensionless, a prior from `least_mu`
+    to `most_mu` points. The `noise` is the variance of the positions along the normals, in cells of
+    the level squared; a point that is `tolerance` of these off counts half (see `robust`).
     """
 
     least_lam: float

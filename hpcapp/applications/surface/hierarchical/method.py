@@ -11,16 +11,13 @@ from __future__ import annotations
 import logging
 import secrets
 from collections.abc import Iterator
+from dataclasses import field
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from hpcapp.applications.surface.boundary.drive import (
-    Closure,
-    OpeningSettings,
-    close_surface,
-)
+from hpcapp.applications.surface.boundary.drive import Closure, OpeningSettings, close_surface
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.field.far_field import FEWEST_NODES
@@ -58,7 +55,6 @@ from hpccomponent.errors import InputError, UsageError
 
 log = logging.getLogger("hpcapp")
 
-_LEAST_GRID = 16
 _POINTS_AT_ONCE = 2_000_000
 _ROBUST_LEVELS = 2  # whose fits ask the points themselves, where these are weighed
 
@@ -81,60 +77,24 @@ class HierarchicalPartition:
     mended: Mended | None = None
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class HierarchicalMethod:
-    """Reconstruct with hierarchical Hermite quadrics.
+    """Reconstruct with hierarchical Hermite quadrics; see `settings.Hierarchical` and `Resources`.
 
-    A UsageError is raised where the grid is too small, or a factor is not positive.
-
-    Parameters
-    ----------
-    grid : int
-        Cells of the evaluation grid along its longest side, 16 or more.
-    smoothness : float
-        Above 1, noise is taken for larger than it is estimated: smoother.
-    detail : float
-        Above 1, cells are smaller: more detail, less averaging.
-    threads : int
-        Of the far field and the extraction.
-    tile_points : int, optional
-        Of a tile at most, about; the mesh does not depend on it. By default a cloud in memory is
-        one tile where tasks run in this process.
-    checkpoint : Checkpoint, optional
-        Where finished tiles are kept; by default they come back to this process.
-    opening : OpeningSettings
-        Whether, and where, the surface is cut open; by default it is closed.
-    uniform : bool
-        Whether the grid has one step, however uneven the points lie.
+    The `grid` has so many cells along its longest side, margins included. Without `tile_points` a
+    cloud in memory is one tile where tasks run in this process; without a checkpoint, finished
+    tiles come back to it. By default the surface is closed.
     """
 
-    def __init__(
-        self,
-        grid: int = 256,
-        smoothness: float = 1.0,
-        detail: float = 1.0,
-        threads: int = 1,
-        tile_points: int | None = None,
-        checkpoint: Checkpoint | None = None,
-        show_part: ShowPart = show_nothing,
-        opening: OpeningSettings | None = None,
-        uniform: bool = False,
-    ) -> None:
-        if grid < _LEAST_GRID:
-            raise UsageError(
-                f"a grid of {grid} cells is too coarse", f"ask for {_LEAST_GRID} or more"
-            )
-        for word, factor in (("smoothness", smoothness), ("detail", detail)):
-            if not (factor > 0.0 and np.isfinite(factor)):
-                raise UsageError(f"{word} is {factor}", "give a positive number; 1 is the default")
-        self.grid = grid
-        self.smoothness = smoothness
-        self.detail = detail
-        self.threads = threads
-        self.tile_points = tile_points
-        self.checkpoint = checkpoint
-        self.show_part = show_part
-        self.opening = OpeningSettings() if opening is None else opening
-        self.uniform = uniform
+    grid: int
+    smoothness: float = 1.0
+    detail: float = 1.0
+    threads: int = 1
+    tile_points: int | None = None
+    checkpoint: Checkpoint | None = None
+    show_part: ShowPart = show_nothing
+    opening: OpeningSettings = field(default_factory=OpeningSettings)
+    uniform: bool = False
 
     def partition(self, cloud: ArrangedCloud, workforce: Workforce) -> HierarchicalPartition:
         """Find spacing, noise and cell size, and cut the cloud into tiles.
@@ -152,7 +112,7 @@ class HierarchicalMethod:
         noise = self.smoothness * scale.noise.whole
         height = scale.finer + count_levels(float((high - low).max()), scale.cell_size)
         height = max(height, below + 1)
-        nodes = choose_nodes(grid.box, scale.finest, noise, found.measured)
+        nodes = choose_nodes(grid.box, scale.finest, noise, cloud.measured)
         far = far_level(grid, nodes, scale.finest, scale.finer, height)
         count = self._count_tiles(cloud, height - below, workforce)
         tolerance = scale.tolerance if height > _ROBUST_LEVELS else np.inf
@@ -202,11 +162,7 @@ class HierarchicalMethod:
 
         def batches() -> Iterator[tuple[Any, ...]]:
             for index, ticket in enumerate(tiling.tickets):
-                keep = (
-                    None
-                    if checkpoint is None
-                    else (checkpoint.place, checkpoint.name_sums(run, index))
-                )
+                keep = checkpoint and (checkpoint.place, checkpoint.name_sums(run, index))
                 yield plan, tiling.core(index), ticket, keep, own(index)
 
         lattices: list[CoarseLattice] = []

@@ -30,11 +30,7 @@ overlap by makes the extraction of these a third longer, and no byte of the mesh
 
 
 def mesh_one_tile(
-    cloud: PointCloud,
-    plan: Plan,
-    threads: int,
-    advance: Advance,
-    show_part: ShowPart = show_nothing,
+    cloud: PointCloud, plan: Plan, threads: int, advance: Advance, show_part: ShowPart
 ) -> tuple[Surface, int]:
     """Reconstruct the surface of a cloud with normals as one tile, in this process.
 

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 class Hierarchical:
     """Hierarchical Hermite quadrics, blended by a partition of unity.
 
+    UsageError where a factor is beyond its range, or a length is none.
+
     Parameters
     ----------
     smoothness : float
@@ -44,11 +46,6 @@ class Hierarchical:
         Holes of an open mesh that are no larger than this are filled; likewise.
     uniform : bool
         Whether the grid has one step, however uneven the points lie.
-
-    Raises
-    ------
-    UsageError
-        A factor is beyond its range, or a length is none.
     """
 
     smoothness: float = option(
@@ -79,7 +76,6 @@ class Hierarchical:
         "Holes of an open mesh up to this size are filled: a length, or spacings as 10s.",
         group="Surface",
     )
-
     uniform: bool = option(
         False,
         "One step for the whole grid; without it, cells are larger where points are sparse.",
@@ -114,37 +110,14 @@ class Hierarchical:
         return BYTES_OF_PROGRAM + BYTES_PER_POINT * points + BYTES_PER_SURFACE_CELL * cells
 
     def suggest_grid(self, cloud: ArrangedCloud) -> Resolution:
-        """Return the grid that shows what the scan resolves.
-
-        Parameters
-        ----------
-        cloud : ArrangedCloud
-            With unit normals.
-
-        Raises
-        ------
-        InputError
-            There are no normals, or all points are the same.
-        """
+        """Return the grid that shows what the scan resolves."""
         from hpcapp.applications.surface.resolution.estimates import suggest_grid
 
         longest = float((cloud.high - cloud.low).max())
         return suggest_grid(cloud.measured, longest, self.smoothness, self.detail)
 
     def open(self, grid: int, resources: Resources) -> Method[Any, Any]:
-        """Return the strategy.
-
-        Parameters
-        ----------
-        grid : int
-            Cells along the longest side.
-        resources : Resources
-
-        Raises
-        ------
-        UsageError
-            The grid is too small.
-        """
+        """Return the strategy."""
         from hpcapp.applications.surface.boundary.drive import OpeningSettings
         from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
 

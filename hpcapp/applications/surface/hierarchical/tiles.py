@@ -28,25 +28,15 @@ _CELL_WORK, _STEP_WORK = 2.0, 0.4
 
 
 class Tiling:
-    """A cloud cut into tiles.
+    """A cloud cut into tiles, `count` of them, or fewer where there are fewer coarse cells.
 
-    Parameters
-    ----------
-    count : int
-        How many tiles there shall be; fewer where there are fewer coarse cells.
-    workers : PointWorkers
-        Where they do not see the points, these are sent with the tasks.
-    is_short : bool
-        Whether memory is: of tiles, which then have about as many points each instead of as much
-        work, a worker keeps one prepared until it is meshed, and else `tiles.KEPT_TILES`.
+    Where `workers` do not see the points, these are sent with the tasks. If memory `is_short`,
+    tiles have about as many points each instead of as much work, and a worker keeps one of them
+    prepared until it is meshed; else `tiles.KEPT_TILES`.
 
-    Attributes
-    ----------
-    cells : ndarray of int64, shape (c,)
-        Sorted keys of the coarse cells that hold points.
-    tickets : list of str or None
-        Of the tiles, where workers may keep them: each prepares its points once then (see
-        `tiles.sum_tile`). Not where they are sent from a disk, which is done twice.
+    `cells` (c,) are sorted keys of the coarse cells that hold points. `tickets` are of the tiles,
+    where workers may keep them: each prepares its points once then (see `tiles.sum_tile`). Not
+    where they are sent from a disk, which is done twice.
     """
 
     def __init__(

@@ -50,16 +50,9 @@ WAIT_S = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """What there is to do.
+    """What there is to do: so many points, and cells of the grid along the longest side.
 
-    Parameters
-    ----------
-    points : int
-        As many as there may be, where they are not read yet.
-    grid : int
-        Cells along the longest side; as many as there may be, where they are not chosen yet.
-    is_read, is_chosen : bool
-        Whether the points are read, and whether the grid is chosen.
+    They are as many as there may be, while points are not read, and the grid is not chosen yet.
 
     Examples
     --------

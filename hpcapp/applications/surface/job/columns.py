@@ -25,14 +25,9 @@ from hpccomponent.files.private_files import make_private_folder
 class Columns:
     """The colours and attributes of points that a mesh is to carry.
 
-    Parameters
-    ----------
-    layout : PointCloud
-        Without points: those of the input.
-    labels : frozenset of str
-        Attributes of which no mean is to be taken; of a file they are found as it is read again.
-    file : JobSettings or None
-        Of the job whose input has the columns; None where they lie beside the points.
+    The `layout` is that of the input, without points. Of the attributes in `labels` no mean is to
+    be taken; of a file they are found as it is read again. `file` is the job whose input has the
+    columns; None where they lie beside the points.
     """
 
     layout: PointCloud

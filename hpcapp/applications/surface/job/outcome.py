@@ -25,20 +25,10 @@ class Reconstruction:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outcome:
-    """What came of a job, while its backend is open.
+    """What came of a job, while its backend, whose workers may write the mesh, is open.
 
-    Parameters
-    ----------
-    grid : int
-        Cells along the longest side.
-    backend : Backend
-        That the workers are behind, who may write the mesh.
-    choice : Choice
-        Why it is this one.
-    warnings : list of str
-        What should make the user doubt the mesh; logged already.
-    fine : Surface or None
-        What the surface was before it was simplified, where a texture is made of it.
+    The `warnings` are logged already; `fine` is what the surface was before it was simplified,
+    where a texture is made of it.
     """
 
     result: Reconstruction

@@ -7,9 +7,7 @@ import os
 from dataclasses import asdict
 from pathlib import Path
 
-from hpcapp.applications.surface.cleaning.drive import (
-    Cleaned,
-)
+from hpcapp.applications.surface.cleaning.drive import Cleaned
 from hpcapp.applications.surface.cloud.folder.disk import open_disk_cloud
 from hpcapp.applications.surface.job.columns import Columns
 from hpcapp.applications.surface.job.scan import Loaded, PointFolder

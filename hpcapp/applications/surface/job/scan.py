@@ -39,24 +39,10 @@ class PointFolder:
 class Scan:
     """Points as they were read, each place once, and what is known of them.
 
-    Parameters
-    ----------
-    dropped : Dropped
-        Points that cannot be used.
-    cleaned : Cleaned
-        Points that were dropped because they lie far away or at the place of another.
-    columns : Columns
-        What is to be carried to the mesh.
-    has_normals, is_oriented : bool
-        Whether the points have normals, and whether the input says that these have a side.
-    sensor : Sensor
-        Where they were measured from.
-    is_upright : bool
-        Whether z is known to point up, as on a map.
-    crs : Crs
-        What the file's coordinates mean; heights are in the unit of x and y here.
-    findings : Findings
-        What is odd about the file.
+    Left out so far were points that cannot be used (`dropped`), and such as lie far away or at the
+    place of another (`cleaned`). Where there are normals, `is_oriented` says that the input gives
+    them a side; `is_upright`, that z is known to point up, as on a map. Heights are in the unit of
+    x and y here.
     """
 
     cloud_pass: CloudPass
@@ -78,20 +64,10 @@ class Scan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Loaded:
-    """A cloud, and what was left out of it.
+    """A cloud, what was left out of it, and how its normals came about.
 
-    Parameters
-    ----------
-    columns : Columns
-        Colours and attributes that are to be carried to the mesh.
-    oriented : Oriented
-        How its normals came about.
-    findings : Findings
-        What is odd about the file.
-    crs : Crs
-        What the file's coordinates mean.
-    described : dict
-        What the input is, see `describe_input`; empty where it is no file.
+    The `findings` are what is odd about the file, `described` what the input is (see
+    `describe_input`), empty where it is no file.
     """
 
     cloud: ArrangedCloud

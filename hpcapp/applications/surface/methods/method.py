@@ -52,18 +52,10 @@ QuadricsT = TypeVar("QuadricsT")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Resources:
-    """What a job gives its method to work with.
+    """What a job gives its method to work with; no mesh depends on it.
 
-    Parameters
-    ----------
-    threads : int
-        Of this process; no mesh depends on it.
-    tile_points : int, optional
-        Of a tile at most, about.
-    checkpoint : Checkpoint, optional
-        Where finished tiles are kept.
-    show_part : callable
-        Told of each `MeshPart` as it comes, by what returns it (see `Progress.show_part`).
+    A tile has about `tile_points` at most, where memory is short, and is kept by the `checkpoint`
+    when it is finished. `show_part` is told of each `MeshPart` as it comes, by what returns it.
     """
 
     threads: int = 1
@@ -74,15 +66,7 @@ class Resources:
 
 @dataclass(frozen=True, slots=True)
 class Resolution:
-    """The evaluation grid that a method chooses.
-
-    Parameters
-    ----------
-    grid : int
-        Cells along the longest side, margins included.
-    reason : str
-        Why, for people.
-    """
+    """The cells of the grid along the longest side, margins included, and for people why."""
 
     grid: int
     reason: str
@@ -107,139 +91,45 @@ class MethodSettings(Protocol):
     @property
     def cleans(self) -> bool:
         """Whether outliers are dropped and inconsistent normals flipped first."""
-        ...
 
     def estimate_memory(self, grid: int, points: int, cells: float) -> float:
-        """Return the bytes that a job holds at its peak.
+        """Return the bytes that a job holds at its peak, all points in memory.
 
-        Parameters
-        ----------
-        grid : int
-            Cells along the longest side.
-        points : int
-            All of them in memory.
-        cells : float
-            Of the grid, along the surface.
+        The `grid` has so many cells along the longest side, and `cells` along the surface.
         """
-        ...
 
     def suggest_grid(self, cloud: ArrangedCloud) -> Resolution:
-        """Return the resolution that suits a cloud, where the user asks for none.
-
-        Parameters
-        ----------
-        cloud : ArrangedCloud
-            With unit normals.
-
-        Raises
-        ------
-        InputError
-            There are no normals, or all points are the same.
-        """
-        ...
+        """Return the resolution that suits a cloud with normals, where the user asks for none."""
 
     def open(self, grid: int, resources: Resources) -> Method[Any, Any]:
-        """Return the strategy for one job; UsageError where options contradict each other.
-
-        Parameters
-        ----------
-        grid : int
-            Cells along the longest side, margins included.
-        resources : Resources
-
-        Raises
-        ------
-        UsageError
-            Options contradict each other.
-        """
-        ...
+        """Return the strategy for one job, whose grid has so many cells, margins included."""
 
 
 class Method(Protocol[PartitionT, QuadricsT]):
-    """One way to turn oriented points into a mesh, in four stages."""
+    """One way to turn oriented points into a mesh, in four stages.
+
+    Each is given what the stages before it have returned, and tells `advance` (parts done, parts in
+    all).
+    """
 
     def partition(self, cloud: ArrangedCloud, workforce: Workforce) -> PartitionT:
-        """Cut the cloud into parts.
-
-        Parameters
-        ----------
-        cloud : ArrangedCloud
-            With unit normals.
-        workforce : Workforce
-            Where tasks run.
-
-        Returns
-        -------
-        object
-            The parts, as `fit` and `extract` want them.
-
-        Raises
-        ------
-        InputError
-            The cloud is nothing that a surface can be made of.
-        """
-        ...
+        """Cut a cloud with unit normals into parts; InputError where it is of no surface."""
 
     def fit(self, partition: PartitionT, workforce: Workforce, advance: Advance) -> QuadricsT:
-        """Fit quadrics on the workers: all of them, or what the parts must know of the whole.
-
-        Parameters
-        ----------
-        partition : object
-            What `partition` has returned.
-        workforce : Workforce
-        advance : callable
-            Told (parts done, parts in all).
-
-        Returns
-        -------
-        object
-            The quadrics, as `extract` wants them.
-        """
-        ...
+        """Fit quadrics on the workers: all of them, or what the parts must know of the whole."""
 
     def extract(
         self, partition: PartitionT, quadrics: QuadricsT, workforce: Workforce, advance: Advance
     ) -> Surface:
-        """Fit what is left, blend the quadrics and extract the 0-level iso-surface.
-
-        Parameters
-        ----------
-        partition : object
-            What `partition` has returned.
-        quadrics : object
-            What `fit` has returned.
-        workforce : Workforce
-        advance : callable
-            Told (parts done, parts in all).
-        """
-        ...
+        """Fit what is left, blend the quadrics and extract the 0-level iso-surface."""
 
     def close(
         self, partition: PartitionT, surface: Surface, workforce: Workforce, advance: Advance
     ) -> Surface:
-        """Close the borders of a surface, or cut it open, as the user or the points ask.
-
-        Parameters
-        ----------
-        partition : object
-            What `partition` has returned.
-        surface : Surface
-            What `extract` has returned.
-        workforce : Workforce
-        advance : callable
-            Told (parts done, parts in all).
-        """
-        ...
+        """Close the borders of a surface, or cut it open, as the user or the points ask."""
 
     def facts(self, partition: PartitionT) -> dict[str, Any]:
-        """Return what was chosen or found by the way, for the job's report: JSON values.
+        """Return what was chosen or found up to `close`, for the job's report: JSON values.
 
         The key ``patches`` (parts that the quadrics stand for) is always there.
-
-        Parameters
-        ----------
-        partition : object
-            After `close`.
         """
-        ...

@@ -6,17 +6,8 @@ import numpy as np
 
 from hpcapp import kernels
 from hpcapp.geometry.bounds import bound_points
-from hpcapp.geometry.lattice import (
-    cells_of,
-    number_keys,
-    pack_places,
-)
-from hpcapp.geometry.points import (
-    BoolArray,
-    Float32Array,
-    FloatArray,
-    IntArray,
-)
+from hpcapp.geometry.lattice import cells_of, number_keys, pack_places
+from hpcapp.geometry.points import BoolArray, Float32Array, FloatArray, IntArray
 from hpcapp.kernels import UNSURE, WRONG
 from hpccomponent.dataclass import dataclass
 

@@ -88,16 +88,10 @@ def merge_facets(found: Sequence[Facets]) -> Facets:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shape:
-    """The facets of a whole cloud.
+    """The facets of a whole cloud, and minus their mean normal by area (3,): what is `missing`.
 
-    Parameters
-    ----------
-    patches : Patches
-        Facets; `CELL` squared points are the area of a face of a cell.
-    spacing : float
-        `CELL` of which are the edge of a cell.
-    missing : ndarray of float64, shape (3,)
-        Minus the mean normal by area.
+    `CELL` squared points are the area of a face of a cell, and `CELL` times the `spacing` is its
+    edge.
     """
 
     patches: Patches

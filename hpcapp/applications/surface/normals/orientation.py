@@ -44,16 +44,10 @@ _SETTLED = 1e-3  # share of patches that still change sides
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """How a scan was seen.
+    """How a scan was seen; for the kinds see `types.reading.Reading`.
 
-    Parameters
-    ----------
-    kind : str
-        See `types.reading.Reading`.
-    certainty : float
-        Its probability, 0 to 1, with all readings that give the same sides.
-    rivals : tuple of (str, float)
-        Other readings, and the probability of each; the likeliest first.
+    The `certainty` is its probability, 0 to 1, with all readings that give the same sides; `rivals`
+    are other readings with theirs, the likeliest first.
     """
 
     kind: str

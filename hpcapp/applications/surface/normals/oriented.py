@@ -46,18 +46,10 @@ class Unsure:
 class Oriented:
     """How the normals of a cloud came about.
 
-    Parameters
-    ----------
-    source : str
-        ``file`` or ``estimated``.
-    sure : float
-        Share of the points whose side is sure, 0 to 1.
-    flipped : int
-        How many normals of the file were turned round, patch by patch.
-    judgement : str
-        Whether those of a file agree on a side.
-    how : str
-        What tells their side, where it was looked for: ``from above``.
+    They are of the ``file`` or ``estimated``, by `source`. The side of a share of the points is
+    `sure`; `flipped` normals of the file were turned round, patch by patch. The `judgement` tells
+    whether those of a file agree on a side, `how` what tells it where it was looked for: ``from
+    above``.
     """
 
     source: str

@@ -21,13 +21,7 @@ import numpy as np
 from hpcapp.applications.surface.normals.estimation import refuse_wide
 from hpcapp.applications.surface.types.result_patterns import LENGTH, UNIT
 from hpcapp.geometry.axes import rotate
-from hpcapp.geometry.lattice import (
-    find_first,
-    find_keys,
-    merge_counts,
-    number_keys,
-    unique_keys,
-)
+from hpcapp.geometry.lattice import find_first, find_keys, merge_counts, number_keys, unique_keys
 from hpcapp.geometry.points import BoolArray, Float32Array, FloatArray, IntArray
 from hpcapp.kernels import SHEETS, group_sheets, link_groups
 from hpccomponent.dataclass import dataclass

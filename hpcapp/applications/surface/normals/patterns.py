@@ -7,14 +7,7 @@ from typing import Annotated
 from hpcapp.applications.surface.cloud.patterns import AssignedPoints
 from hpcapp.applications.surface.cloud.regions import StoredBlocks
 from hpcapp.applications.surface.normals.facets import Facets
-from hpcapp.applications.surface.normals.patches import (
-    CELL,
-    LINKED,
-    MARGIN,
-    Links,
-    Patches,
-    Sides,
-)
+from hpcapp.applications.surface.normals.patches import CELL, LINKED, MARGIN, Links, Patches, Sides
 from hpcapp.applications.surface.types.result_patterns import (
     UNIT,
     are_units,

@@ -40,19 +40,9 @@ def read_scan(
 ) -> Reading:
     """Judge what a scan is of, and how it was seen.
 
-    Parameters
-    ----------
-    cloud_pass : CloudPass
-        Through points whose normals have their side.
-    scale : LocalScale
-        Of its points.
-    sensor : Sensor
-        Where they were measured from.
-    is_upright : bool
-        Whether z is known to point up.
-    verdict : Verdict, optional
-        How it was seen, where that has given the normals their side; of known places, whether
-        they are among the points is asked here.
+    The points' normals have their side; `is_upright` says that z is known to point up. The verdict
+    is how it was seen, where that has given the normals their side; of known places, whether they
+    are among the points is asked here.
     """
     cloud = cloud_pass.cloud
     edge = choose_edge(len(cloud), scale.spacing)
@@ -88,18 +78,9 @@ def read_scan(
 def measure_drawn(patches: Patches, missing: FloatArray, edge: float) -> float:
     """Return how far a surface goes on, at its border, towards what is missing: a mean cosine.
 
-    Parameters
-    ----------
-    patches : Patches
-        With their sides.
-    missing : ndarray of float64, shape (3,)
-    edge : float
-        Of their cells, in length units of the input.
-
-    Notes
-    -----
     At the border of an object that stood on a table the surface goes on towards the table; at that
-    of a terrain or of a view it goes on sideways, along itself.
+    of a terrain or of a view it goes on sideways, along itself. The patches have their sides, and
+    lie in cells of an `edge`; `missing` is (3,).
     """
     length = float(np.sqrt(missing @ missing))
     if len(patches) < _FEWEST or not length:

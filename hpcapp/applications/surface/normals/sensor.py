@@ -29,19 +29,11 @@ _BEFORE = 0.2  # share of the points that lie before a camera
 class Sensor:
     """What is known of where points were measured from.
 
-    Parameters
-    ----------
-    kind : str
-        ``above`` and ``below`` mean along what is up, ``inside`` a room or a tunnel, ``outside``
-        all around.
-    places : ndarray of float64, shape (s, 3), or None
-        Where it stood, in the file's coordinates; with the kind ``places``, and only there.
-    axes : ndarray of float64, shape (s, 3), or None
-        Along which direction cameras looked from there; zero where nobody knows.
-    is_told : bool
-        Whether the user has said so; else the file has.
-    upright : ndarray of float64, shape (3, 3), or None
-        Rows to the east, to the north and up, where z is not up: see `find_upright`.
+    The kinds ``above`` and ``below`` mean along what is up, ``inside`` a room or a tunnel,
+    ``outside`` all around. With the kind ``places``, and only there, `places` (s, 3) are where it
+    stood, in the file's coordinates, and `axes` (s, 3) along which direction cameras looked from
+    there; zero where nobody knows. It `is_told` by the user, or else by the file. Where z is not
+    up, the rows of `upright` (3, 3) are to the east, to the north and up: see `find_upright`.
     """
 
     kind: SensorKind = "unknown"

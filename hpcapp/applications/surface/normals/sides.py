@@ -39,18 +39,10 @@ def orient_cloud(
 ) -> tuple[PassT, Oriented, Reading]:
     """Give points normals where they have none, or such that contradict each other, and read them.
 
-    Points with unit normals, how these came about, and the reading of this job are returned.
-
-    Parameters
-    ----------
-    wanted : str
-        ``file``: they are taken as they are, where there are some.
-    has_normals, is_oriented : bool
-        Whether the points have normals, and whether the file says that these have a side.
-    is_upright : bool
-        Whether z is known to point up.
-    attribute : str, optional
-        By which name the points keep how sure their side is, 0 to 1.
+    Normals that are there are taken as they are if ``file`` is `wanted`; `is_oriented` says that
+    the file gives them a side, `is_upright` that z is known to point up. By the name of an
+    `attribute` points keep how sure their side is, 0 to 1. Returned are points with unit normals,
+    how these came about, and the reading of this job.
     """
     from hpcapp.applications.surface.normals.reading import read_scan
 

@@ -26,11 +26,7 @@ from hpcapp.applications.surface.paper.indicator_blend import (
     settle_zeros,
 )
 from hpcapp.applications.surface.paper.iso_surface import extract_iso_surface
-from hpcapp.applications.surface.paper.kdtree import (
-    Patches,
-    partition_by_count,
-    partition_by_rule,
-)
+from hpcapp.applications.surface.paper.kdtree import Patches, partition_by_count, partition_by_rule
 from hpcapp.applications.surface.paper.patch_quadrics import (
     evaluate_quadrics,
     fit_patches,
@@ -42,7 +38,7 @@ from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.workforce import Workforce, map_batches
 from hpccomponent.dataclass import dataclass
-from hpccomponent.errors import InputError, UsageError
+from hpccomponent.errors import InputError
 
 #: Residuals are measured on no more points than these: three digits need no more.
 MOST_MEASURED = 200_000
@@ -63,25 +59,9 @@ class PaperPartition:
 
 @dataclass(slots=True)
 class PaperMethod:
-    """The paper's algorithm.
+    """The paper's algorithm, with the options of `settings.Paper`.
 
-    A UsageError is raised where a value is outside its range, or `patches` beside `max_points`.
-
-    Parameters
-    ----------
-    delta : float
-        Threshold on the normal cone, in [-1, 1].
-    max_points : int, optional
-        The most points a patch may hold.
-    cone : {"paper", "complement", "none"}
-        How `delta` is read; see `SplitRule`.
-    root : {"cube", "box", "tight"}
-        The root of the tree; see `partition_by_rule`.
-    patches : int, optional
-        Split the box with the most points until there are so many; takes the place of the cone
-        and of `max_points`.
-    norm : {"consistent", "printed"}
-        Which constraint the fit obeys; see `fit_patches`.
+    Beside these, `cone` may be "none" (see `SplitRule`); for the `root` see `partition_by_rule`.
     """
 
     delta: float = 0.1
@@ -92,23 +72,6 @@ class PaperMethod:
     norm: str = "consistent"
     grid: int = 64
     show_part: ShowPart = show_nothing
-
-    def __post_init__(self) -> None:
-        SplitRule(self.delta, self.cone, self.max_points)
-        if self.patches is not None and self.max_points is not None:
-            raise UsageError("patches and max_points exclude each other", "give one of them")
-        if self.patches is not None and self.patches < 1:
-            raise UsageError(f"patches is {self.patches}", "give 1 or more")
-        if self.grid < 1:
-            raise UsageError(f"grid is {self.grid}", "give 1 cell or more, such as 64")
-        for option, value, allowed in (
-            ("root", self.root, ("cube", "box", "tight")),
-            ("norm", self.norm, ("consistent", "printed")),
-        ):
-            if value not in allowed:
-                raise UsageError(
-                    f"{option} is {value!r}", f"choose {', '.join(allowed[:-1])} or {allowed[-1]}"
-                )
 
     def partition(self, cloud: ArrangedCloud, workforce: Workforce) -> PaperPartition:  # noqa: ARG002 - the protocol's; the tree grows on the master
         """Cut a cloud with unit normals into patches, in this process."""
@@ -214,7 +177,5 @@ def measure_residuals(partition: PaperPartition, quadrics: FloatArray) -> dict[s
 
 
 def _normals(partition: PaperPartition) -> FloatArray:
-    normals = partition.points.normals
-    if normals is None:
-        raise InputError("the cloud has no normals", "give an oriented cloud")
-    return normals
+    assert partition.points.normals is not None  # noqa: S101 - or there would be no partition
+    return partition.points.normals

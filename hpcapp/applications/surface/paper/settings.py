@@ -24,6 +24,8 @@ _BYTES_PER_NODE = 16.0
 class Paper:
     """The paper's algorithm: one quadric for each leaf of a kd-tree, blended by their boxes.
 
+    UsageError where a value is beyond its range, or `patches` beside what it takes the place of.
+
     Parameters
     ----------
     delta : float
@@ -36,11 +38,6 @@ class Paper:
         Split the fullest box until there are so many; takes the place of the three above.
     norm : {"consistent", "printed"}
         Whether the columns of D have the factor sqrt(2), or stand as printed.
-
-    Raises
-    ------
-    UsageError
-        A value is beyond its range, or `patches` stands beside what it takes the place of.
     """
 
     delta: float = option(0.1, "The normal cone's condition.", low=-1, high=1)

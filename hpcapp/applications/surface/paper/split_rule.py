@@ -10,16 +10,10 @@ from hpccomponent.errors import UsageError
 class SplitRule:
     """When a box of the tree is split; a UsageError is raised where a value is outside its range.
 
-    Parameters
-    ----------
-    delta : float
-        The paper's threshold on the normal cone, in [-1, 1], dimensionless.
-    cone : {"paper", "complement", "none"}
-        A box is split while some normal has ``n . n_mean <= limit``, `n_mean` being normalised.
-        "paper": limit = delta, as the paper prints it. "complement": limit = 1 - delta, as its
-        text and its Figures 2 and 4 ask. "none": normals do not matter.
-    max_points : int, optional
-        A box is split while it holds more points.
+    It is where it holds more than `max_points`, or some normal has ``n . n_mean <= limit``,
+    `n_mean` being normalised. By the `cone` "paper" the limit is `delta`, from -1 to 1, as the
+    paper prints it; by "complement" 1 - delta, as its text and its Figures 2 and 4 ask; by "none"
+    normals do not matter.
     """
 
     delta: float = 0.1

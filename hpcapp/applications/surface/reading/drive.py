@@ -35,17 +35,10 @@ from hpcapp.applications.surface.reading.tasks import (
     unite_boxes,
 )
 from hpcapp.geometry.points import FloatArray
-from hpcapp.geometry.validity import (
-    Dropped,
-    select_usable,
-)
+from hpcapp.geometry.validity import Dropped, select_usable
 from hpcapp.io.frame import choose_origin
 from hpcapp.io.points.point_source import PointSource
-from hpcapp.io.points.usable import (
-    refuse_degenerate,
-    refuse_line,
-    refuse_too_few,
-)
+from hpcapp.io.points.usable import refuse_degenerate, refuse_line, refuse_too_few
 from hpccomponent.cli.terminal import visible_text
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError

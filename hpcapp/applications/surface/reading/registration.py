@@ -38,16 +38,10 @@ AGREEING = 0.7
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Planes:
-    """Planes of scans in cells, sorted by cell.
+    """Planes of scans in cells, sorted by cell: p of them.
 
-    Parameters
-    ----------
-    cells, scans : ndarray of int64, shape (p,)
-    centres, normals : ndarray of float64, shape (p, 3)
-    noises : ndarray of float64, shape (p,)
-        In length units of the input.
-    sides : ndarray of float64, shape (p,)
-        Positive where the scanner was on the side of the normal; 0 where nothing tells.
+    `noises` are in length units of the input; `sides` are positive where the scanner was on the
+    side of the normal, 0 where nothing tells.
     """
 
     cells: IntArray
@@ -60,14 +54,9 @@ class _Planes:
 
 @dataclass(frozen=True, slots=True)
 class PairOfScans:
-    """Two scans, by number, that have a surface in the same cells.
+    """Two scans, by number, that have a surface in so many cells, `agreeing` in some.
 
-    Parameters
-    ----------
-    cells, agreeing : int
-        In how many cells both have one, and in how many of these it is the same.
-    is_sided : bool
-        Whether it is known of all planes which side was seen.
+    `is_sided` says that it is known of all planes which side was seen.
     """
 
     first: int

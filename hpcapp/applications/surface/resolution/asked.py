@@ -21,27 +21,23 @@ _LEAST_GUESS = 256
 
 
 class Asked(Protocol):
-    """What a user asks of the resolution: at most one of the three (see `job.settings`)."""
+    """What a user asks of the resolution: at most one of three, or that the method chooses.
+
+    They are cells along the longest side, margins included, as a number or its binary logarithm
+    (`depth`), and the edge of one, in length units of the input.
+    """
 
     @property
-    def method(self) -> MethodSettings:
-        """That chooses, where nothing is asked."""
-        ...
+    def method(self) -> MethodSettings: ...  # noqa: D102 - see the class
 
     @property
-    def grid(self) -> int | None:
-        """Cells along the longest side, margins included."""
-        ...
+    def grid(self) -> int | None: ...  # noqa: D102 - see the class
 
     @property
-    def depth(self) -> int | None:
-        """Their binary logarithm."""
-        ...
+    def depth(self) -> int | None: ...  # noqa: D102 - see the class
 
     @property
-    def voxel_size(self) -> float | None:
-        """Edge of a cell, in length units of the input."""
-        ...
+    def voxel_size(self) -> float | None: ...  # noqa: D102 - see the class
 
 
 def find_grid(settings: Asked, cloud: ArrangedCloud) -> int:

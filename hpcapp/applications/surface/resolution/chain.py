@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, Measured
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.field.refinement import Refinement
 from hpcapp.applications.surface.field.weights import believe_noise
@@ -37,7 +37,6 @@ class Resolved:
     where the lattice has which; the grid has strides where bricks ask for unlike steps.
     """
 
-    measured: Measured
     scale: Scale
     refinement: Refinement
     grid: Grid
@@ -71,21 +70,16 @@ def resolve(
         seeds, _ = workers.count_cells(cloud, wide.origin, BRICK * wide.step)
         if (strides := choose_strides(wide, seeds, refinement)) is not None:
             grid = replace(wide, strides=strides)
-    return Resolved(measured, scale, refinement, grid)
+    return Resolved(scale, refinement, grid)
 
 
 def plan_grid(low: FloatArray, high: FloatArray, cells: int, margin: int = MARGIN) -> Grid:
     """Lay the evaluation grid around a cloud, whose box has the corners `low` and `high`, (3,).
 
-    It is centred on the cloud but for a part of a step: flat sides lie on no nodes. Each side is a
-    whole number of bricks. InputError where all points are the same.
-
-    Parameters
-    ----------
-    cells : int
-        Along the longest side, with about four to spare at each end.
-    margin : int
-        So many are in fact to spare. Where strides differ, a cell may be as large as a brick.
+    It has so many `cells` along the longest side, with about four to spare at each end; in fact it
+    is the `margin` that is to spare: where strides differ, a cell may be as large as a brick. It is
+    centred on the cloud but for a part of a step: flat sides lie on no nodes. Each side is a whole
+    number of bricks. InputError where all points are the same.
     """
     longest = float((high - low).max())
     if longest <= 0.0:

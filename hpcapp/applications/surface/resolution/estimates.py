@@ -55,18 +55,10 @@ _ROUNDING = 1e-4  # cells: points that lie so exactly have no outliers among the
 class Scale:
     """The cell size, and what led to it.
 
-    Parameters
-    ----------
-    spacing, cell_size : float
-        By the whole cloud.
-    noise : LocalNoise
-        Along the normals.
-    tolerance : float
-        How far off a point may lie until it counts half, in variances of the noise.
-    finer, coarser : int
-        So often cells are halved where points are dense, and doubled where they are sparse.
-    spacings : float
-        Of the points around it, across a cell, at least.
+    `spacing` and `cell_size` are by the whole cloud, `noise` is along the normals. A point that is
+    `tolerance` variances of the noise off counts half. Cells are halved `finer` times where points
+    are dense, and doubled `coarser` times where they are sparse: `spacings` of the points around
+    lie across one, at least.
     """
 
     spacing: float

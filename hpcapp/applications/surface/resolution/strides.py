@@ -11,12 +11,7 @@ import numpy as np
 
 from hpcapp.applications.surface.field.far_field import FEWEST_NODES, far_step
 from hpcapp.applications.surface.field.refinement import Refinement
-from hpcapp.geometry.lattice import (
-    NEIGHBOURS,
-    find_first,
-    step_keys,
-    unpack_keys,
-)
+from hpcapp.geometry.lattice import NEIGHBOURS, find_first, step_keys, unpack_keys
 from hpcapp.geometry.points import IntArray
 from hpcapp.kernels.types.grid import BRICK, MOST_SHIFT, BrickStrides, Grid
 

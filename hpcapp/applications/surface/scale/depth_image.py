@@ -37,14 +37,8 @@ _ROUNDS = 20  # with 60 and 200 the frame of a Kinect agrees with the truth as m
 
 
 def has_pixels(positions: FloatArray) -> bool:
-    """Tell whether points are the pixels of a camera at (0, 0, 0).
+    """Tell whether points (n, 3) are the pixels of a camera at (0, 0, 0).
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-
-    Notes
-    -----
     Along the axis that most points lie at, y / x and z / x lie on a lattice: on columns and rows.
     Where y and z themselves do so as much, points lie on a lattice in space.
     """
@@ -105,21 +99,9 @@ def find_step(inverse: FloatArray) -> float:
 def smooth_steps(positions: FloatArray) -> tuple[FloatArray, int]:
     """Smooth the depth of an image whose layers are far apart, each point by half a step at most.
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-
-    Returns
-    -------
-    positions : ndarray of float64, shape (n, 3)
-        The same array where there is nothing to be smoothed; else points on the same rays.
-    moved : int
-        How many may have moved.
-
-    Notes
-    -----
     Each reciprocal becomes the mean of those of the pixels around it that are a layer or less away,
-    and stays within its own layer, some rounds long.
+    and stays within its own layer, some rounds long. Returned are points (n, 3) on the same rays,
+    and how many may have moved: the very array where there is nothing to be smoothed.
     """
     if len(positions) > MOST or not has_pixels(positions):
         return positions, 0

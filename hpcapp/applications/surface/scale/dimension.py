@@ -32,12 +32,8 @@ _GROWTH = 2.3  # power of the distance: 2 on a surface, 3 in a volume, less at i
 class Neighbourhoods:
     """The nearest neighbours of q points, for k rising counts of them.
 
-    Parameters
-    ----------
-    radii : ndarray of float64, shape (q, k)
-        How far away the last of them lies, in length units of the input.
-    variances : ndarray of float64, shape (q, k, 3)
-        Along their principal directions, rising.
+    `radii` (q, k) are how far away the last of them lies, in length units of the input; `variances`
+    (q, k, 3) those along their principal directions, rising.
     """
 
     counts: tuple[int, ...]

@@ -67,21 +67,10 @@ class ScaleCounts:
 class LocalScale:
     """The spacing of a cloud's points, from place to place; c cells.
 
-    Parameters
-    ----------
-    spacing : float
-        Of the whole cloud, in length units of the input, as all spacings here.
-    origin : ndarray of float64, shape (3,)
-        Corner of a cell of any size.
-    edge : float
-        Of the finest cells.
-    levels : ndarray of int64, shape (c,)
-        Of each cell, how often its edge is doubled; rising.
-    keys : ndarray of int64, shape (c,)
-        Sorted within each level.
-    points : ndarray of int64, shape (c,)
-        That each cell speaks for: those in no smaller one.
-    spacings : ndarray of float64, shape (c,)
+    The whole cloud has the `spacing`, in length units of the input, as all spacings here. A cell of
+    any size has a corner at `origin` (3,); the finest are of `edge`, which is doubled `levels` (c,)
+    times, rising. Sorted within each level are the keys, the points (c,) that each cell speaks for,
+    those in no smaller one, and the spacings (c,).
     """
 
     spacing: float

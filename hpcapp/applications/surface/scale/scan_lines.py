@@ -64,20 +64,10 @@ _AROUND = 1024  # points that are asked together
 class GapBoxes:
     """Where points may lie along lines, and of which boxes there one is enough; c cells.
 
-    Parameters
-    ----------
-    origin : ndarray of float64, shape (3,)
-        Corner of a box of any size.
-    edge : float
-        Of the finest boxes, in length units of the input.
-    depth : int
-        So often the finest cells of the local scale are halved for these.
-    keys : ndarray of int64, shape (c,)
-        Of the finest cells, sorted.
-    doublings : ndarray of int64, shape (c,)
-        So often the finest boxes are doubled there.
-    gaps, steps : ndarray of float64, shape (c,)
-        From line to line, and from point to point along them, in length units of the input.
+    A box of any size has a corner at `origin` (3,); the finest are of `edge`, in length units of
+    the input. The finest cells of the local scale, of sorted `keys` (c,), are halved `depth` times
+    for these, which are doubled `doublings` (c,) times there. `gaps` and `steps` (c,) are from line
+    to line, and from point to point along them.
     """
 
     origin: FloatArray

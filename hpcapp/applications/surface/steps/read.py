@@ -9,10 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from hpcapp.applications.surface.attributes.labels import find_labels
-from hpcapp.applications.surface.cleaning.drive import (
-    Cleaned,
-    drop_repeated,
-)
+from hpcapp.applications.surface.cleaning.drive import Cleaned, drop_repeated
 from hpcapp.applications.surface.cloud.arranged import MemoryCloud, arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
 from hpcapp.applications.surface.cloud.folder.folder_pass import FolderPass, make_cloud_folder

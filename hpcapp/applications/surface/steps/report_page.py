@@ -46,18 +46,9 @@ _WIDEST = 8.0  # spacings at the end of the scale of colours
 class Shown:
     """What a job's page draws.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        With as many faces as a page shows.
-    faces : int
-        Of the mesh itself.
-    points : PointCloud
-        A sample, in the frame of the mesh.
-    distances : ndarray of float64, shape (v,)
-        From the vertices to the nearest of all points, in length units of the input.
-    labels : tuple of Field
-        Tiles and workers.
+    The `mesh` has as many faces as a page shows, of all its `faces`; `points` are a sample, in its
+    frame. `distances` (v,) are from its vertices to the nearest of all points, in length units of
+    the input; `labels` tell tiles and workers.
     """
 
     mesh: Mesh

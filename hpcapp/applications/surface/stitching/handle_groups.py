@@ -32,13 +32,7 @@ from hpcapp.applications.surface.stitching.handles import (
 )
 from hpcapp.applications.surface.stitching.surface import Surface
 from hpcapp.cancellation import check_cancelled
-from hpcapp.geometry.lattice import (
-    find_keys,
-    number_keys,
-    pack_places,
-    unique_keys,
-    unpack_keys,
-)
+from hpcapp.geometry.lattice import find_keys, number_keys, pack_places, unique_keys, unpack_keys
 from hpcapp.geometry.points import FloatArray, IntArray
 from hpcapp.wording import say_count
 from hpccomponent.dataclass import dataclass

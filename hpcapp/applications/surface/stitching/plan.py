@@ -19,11 +19,7 @@ from hpcapp.applications.surface.stitching.bricks import (
     collect_bricks,
     join_labels,
 )
-from hpcapp.applications.surface.stitching.part_topology import (
-    Components,
-    judge_parts,
-    sum_areas,
-)
+from hpcapp.applications.surface.stitching.part_topology import Components, judge_parts, sum_areas
 from hpcapp.applications.surface.stitching.topology import Topology
 from hpcapp.geometry.lattice import find_first, unique_keys
 from hpcapp.geometry.points import FloatArray, IntArray
@@ -40,20 +36,12 @@ _CLUMP = 24.0  # points, by the faces that a point has: a clump of strays has no
 class StitchingPlan:
     """How parts become one mesh; B bricks in all.
 
-    Parameters
-    ----------
-    kept : ndarray of bool
-        Which of the parts' components stay, part after part.
-    vertex_starts, face_starts : ndarray of int64, shape (B + 1,)
-        Where the vertices and faces of each brick begin in the mesh, in the order of the keys.
-    box : ndarray of float64, shape (2, 3)
-        The lowest and highest coordinates of the vertices, in the local frame; zeros without any.
-    component : ndarray of int64
-        Of each of the parts' components, the one of the mesh that it belongs to.
-    entries : Components
-        What each brick has of the mesh's components that stay.
-    dropped : int
-        Components with faces that do not.
+    It is `kept` which of the parts' components stay, part after part; `component` is the one of the
+    mesh that each belongs to. In the order of the keys, `vertex_starts` and `face_starts` (B + 1,)
+    are where the vertices and faces of each brick begin in the mesh; `entries` are what each brick
+    has of the components that stay, and `dropped` counts those with faces that do not. The `box`
+    (2, 3) has the lowest and highest coordinates of the vertices, in the local frame; zeros without
+    any.
     """
 
     summaries: tuple[PartSummary, ...]

@@ -50,21 +50,16 @@ def write_kept_tile(
 ) -> bool:
     """Write a part that is kept into a folder of tiles (a task); tell if that was done.
 
-    It was, too, if the part has no faces, but not where this process does not see the parts, or
-    sees no such folder or may not write there. Run twice, even at once, it writes the same bytes to
-    the same places. OutputError where the file cannot be written, JobError or CloudError where a
-    part cannot be read.
+    `kept` has the store (see `store.places`) and the name of what `tiles.mesh_tile` put there,
+    `foreign` the names of other parts, and of each foreign vertex which of them has it, and in
+    which row. `ply` has the file, in a folder that has another name while it is written; the name
+    that the folder will have; whether coordinates are ``double``; what is to be added to them;
+    comments of the header.
 
-    Parameters
-    ----------
-    kept : tuple of str
-        The store (see `store.places`) and the name of what `tiles.mesh_tile` put there.
-    foreign : tuple
-        Names of other parts, and of each foreign vertex which of them has it, and in which row.
-    ply : tuple
-        The file, in a folder that has another name while it is written; the name that the folder
-        will have; whether coordinates are ``double``; what is to be added to them; comments of
-        the header.
+    It was done, too, if the part has no faces, but not where this process does not see the parts,
+    or sees no such folder or may not write there. Run twice, even at once, it writes the same bytes
+    to the same places. OutputError where the file cannot be written, JobError or CloudError where a
+    part cannot be read.
     """
     leave_for_files()  # what tiles have left
     (place, name), (path, target, is_double, origin, comments) = kept, ply

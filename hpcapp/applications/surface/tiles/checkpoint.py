@@ -48,20 +48,12 @@ def digest(*values: Any) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Checkpoint:
-    """Where the tiles of a job are kept.
+    """Where the tiles of a job are kept: see `hpccomponent.store.places.open_store`.
 
-    Parameters
-    ----------
-    place : str
-        See `hpccomponent.store.places.open_store`.
-    job : str
-        A hash of the input, the settings and the kernels, and a name of the run: the folder of the
-        job, or the prefix of its names.
-    resumes : bool
-        Whether to take what is there already.
-    is_shared : bool
-        Whether workers see the place: then they put their tiles there themselves, and read points
-        from a folder in it.
+    The `job` is a hash of the input, the settings and the kernels, and a name of the run: the
+    folder of the job, or the prefix of its names. What is there already is taken if it `resumes`.
+    Where the place `is_shared`, workers see it: then they put their tiles there themselves, and
+    read points from a folder in it.
     """
 
     place: str

@@ -14,16 +14,7 @@ import numpy as np
 from hpcapp import kernels
 from hpcapp.geometry.lattice import find_keys, unpack_keys
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
-from hpcapp.kernels.types.grid import (
-    BESIDE,
-    BRICK,
-    FOREIGN,
-    OPEN,
-    OUT,
-    OWN,
-    BrickKinds,
-    Grid,
-)
+from hpcapp.kernels.types.grid import BESIDE, BRICK, FOREIGN, OPEN, OUT, OWN, BrickKinds, Grid
 
 
 def halo_steps(grid: Grid) -> int:

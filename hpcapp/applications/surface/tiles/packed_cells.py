@@ -20,13 +20,7 @@ from hpcapp.applications.surface.cloud.arrangement import (
     PackedPoints,
     unpacking_arguments,
 )
-from hpcapp.geometry.points import (
-    BoolArray,
-    ByteArray,
-    Float32Array,
-    FloatArray,
-    IntArray,
-)
+from hpcapp.geometry.points import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from hpcapp.kernels.types.grid import Grid
 from hpccomponent.dataclass import dataclass
 
@@ -35,16 +29,9 @@ from hpccomponent.dataclass import dataclass
 class PackedRows:
     """Packed points in the order of their cells; see `cell_points.CellRows`.
 
-    Parameters
-    ----------
-    records : ndarray of float32, shape (n, 6)
-        Offset within its block, in blocks, and normal of each point.
-    blocks : ndarray of uint32, shape (n,)
-        Where the corner of each point's block stands.
-    corners : ndarray of float64, shape (b, 3)
-        Of the blocks, in length units of the input.
-    edge : float
-        Of a block.
+    `records` (n, 6) are the offset of each point within its block, in blocks, and its normal;
+    `blocks` (n,) tells where the corner of its block stands among `corners` (b, 3), in length units
+    of the input, and `edge` is that of a block.
     """
 
     records: Float32Array

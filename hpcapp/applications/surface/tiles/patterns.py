@@ -31,15 +31,7 @@ from hpcapp.geometry.lattice import ancestor_keys, find_keys, unique_keys
 from hpcapp.geometry.points import FloatArray, IntArray
 from hpcapp.kernels.types.grid import BRICK
 from hpccomponent.protocol.columns import Bounds, Column, pattern_of
-from hpccomponent.protocol.declared import (
-    Declared,
-    Exactly,
-    Fixed,
-    Nothing,
-    Number,
-    Where,
-    Whole,
-)
+from hpccomponent.protocol.declared import Declared, Exactly, Fixed, Nothing, Number, Where, Whole
 
 MOST_VERTICES, MOST_FACES = 3 * BRICK**3, 5 * BRICK**3
 """Of a brick: a vertex on each edge, five faces in each cell.

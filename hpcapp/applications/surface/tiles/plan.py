@@ -31,31 +31,14 @@ from hpccomponent.protocol.records import record
 class Plan:
     """What all tiles of a cloud have in common.
 
-    Parameters
-    ----------
-    origin : ndarray of float64, shape (3,)
-        Where corner (0, 0, 0) of every lattice lies.
-    cell_size : float
-        Edge of the finest cells.
-    height : int
-        How many levels the cloud has.
-    coarse : int
-        The level of whose cells tiles are made; `height` where there is but one tile.
-    noise : float
-        Standard deviation of the positions along the normals, in length units of the input.
-    far : int
-        The level whose cells the far field is made of; of tiles, no coarser than theirs.
-    far_nodes : int
-        How many nodes the far field has along a side.
-    missing : ndarray of float64, shape (3,)
-        As of the cloud's `Reading`.
-    tolerance : float
-        How far off a point may lie until it counts half (see `weights.Weights`); not infinite only
-        where `coarse` is 2 or more.
-    refinement : Refinement
-        Its base has the level of its number of levels; the tiles' one is coarser than that.
-    strides : BrickStrides, optional
-        See `Grid`.
+    Corner (0, 0, 0) of every lattice lies at `origin` (3,), and the finest cells are of
+    `cell_size`. Of the `height` levels of the cloud, tiles are made of the cells of level `coarse`,
+    which is `height` where there is but one tile; the far field, with `far_nodes` along a side, of
+    those of level `far`: of tiles, no coarser than theirs. The `noise` is the standard deviation of
+    the positions along the normals, in length units of the input; a point that is `tolerance`
+    variances off counts half: it is not infinite only where `coarse` is 2 or more. `missing` (3,)
+    is as of the cloud's `Reading`. The base of the `refinement` has the level of its number of
+    levels; the tiles' one is coarser than that. For `strides` see `Grid`.
     """
 
     origin: FloatArray

@@ -19,13 +19,7 @@ from hpcapp.applications.surface.field.cell_points import SortedPoints
 from hpcapp.applications.surface.field.pyramid import Level
 from hpcapp.applications.surface.tiles.packed_cells import sort_tile
 from hpcapp.applications.surface.tiles.plan import Plan
-from hpcapp.geometry.lattice import (
-    cells_of,
-    find_keys,
-    find_overlapping,
-    pack_places,
-    unique_keys,
-)
+from hpcapp.geometry.lattice import cells_of, find_keys, find_overlapping, pack_places, unique_keys
 from hpcapp.geometry.points import ByteArray, FloatArray, IntArray
 from hpcapp.kernels.types.grid import Grid
 from hpccomponent.dataclass import dataclass

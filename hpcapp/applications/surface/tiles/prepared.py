@@ -33,12 +33,8 @@ Laid = tuple[BrickKinds | None, Corners]
 class PreparedTile:
     """What both tasks of a tile make of its points, those of its halo among them.
 
-    Attributes
-    ----------
-    groups : ndarray of uint8, shape (c,)
-        Of the finest cells (see `TilePoints`).
-    levels : list of Level
-        Finest first; `mesh_tile` asks for those below the coarse one, `sum_tile` for that, too.
+    `groups` (c,) are of the finest cells (see `TilePoints`). Of the levels, finest first,
+    `mesh_tile` asks for those below the coarse one, `sum_tile` for that, too.
     """
 
     def __init__(self, plan: Plan, points: CellPoints, levels: int, threads: int) -> None:

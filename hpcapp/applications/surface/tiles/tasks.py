@@ -28,11 +28,7 @@ from hpcapp.applications.surface.field.far_field import (
     solve_far_field,
 )
 from hpcapp.applications.surface.field.levels import SlabFields, fit_above
-from hpcapp.applications.surface.field.pyramid import (
-    Level,
-    Pyramid,
-    raise_levels,
-)
+from hpcapp.applications.surface.field.pyramid import Level, Pyramid, raise_levels
 from hpcapp.applications.surface.field.weights import FIELD_LEVELS
 from hpcapp.applications.surface.tiles.cache import TileCache
 from hpcapp.applications.surface.tiles.halo import plan_gap
@@ -54,7 +50,6 @@ from hpcapp.geometry.points import IntArray
 from hpcapp.kernels import BASIS, mark_ancestors
 from hpcapp.kernels.freed_memory import leave_for_files
 from hpcapp.kernels.types.field import FarField, Features, FieldLevel
-from hpcapp.kernels.types.grid import BrickKinds
 from hpccomponent.runtime.background import worker_background
 from hpccomponent.runtime.tasks import declare
 from hpccomponent.store.places import hold_store
@@ -88,24 +83,16 @@ def sum_tile(
     """Sum the moments of a tile's points in the cells of the coarse level (a task).
 
     Return the lattice, what `sample_cells` gives of the level that the far field is made of, and
-    the number of finest cells with points; where it keeps them, None for the lattice, and the store
-    and the name of the samples.
+    the number of finest cells with points. With `keep`, a store (see `store.places`) and a name,
+    the lattice is put there, and the samples beside it, if nothing has that name: a tile that is
+    summed twice must not replace what is being read. Returned are then None, and the store and the
+    name of the samples.
 
-    Parameters
-    ----------
-    points : tuple
-        Of the tile alone; with a ticket, those that `mesh_tile` will be given.
-    ticket : str, optional
-        A name that nothing else has: what is prepared of the points waits for `mesh_tile` with this
-        ticket, until the process has summed `KEPT_TILES` more. What either task returns does not
-        depend on it.
-    keep : tuple of str, optional
-        A store (see `store.places`) and a name, under which the lattice is put there, and the
-        samples beside it, if nothing has that name: a tile that is summed twice must not replace
-        what is being read.
-    own : tuple of ndarray of int64, optional
-        Keys of the coarse cells that hold the tile's own points, and how many each holds: whoever
-        knows them holds the lattice against these.
+    The points are of the tile alone; with a `ticket`, a name that nothing else has, those that
+    `mesh_tile` will be given: what is prepared of them waits for it, until the process has summed
+    `KEPT_TILES` more. What either task returns does not depend on it. `own` are keys of the coarse
+    cells that hold the tile's own points, and how many each holds: whoever knows them holds the
+    lattice against these.
     """
     del own  # it is for who declares, and checks
     prepared = PreparedTile(plan, points, plan.coarse + 1, threads)
@@ -199,7 +186,8 @@ def mesh_tile(
         return _give(MeshPart.empty(), np.empty(0, np.int64), keep)
     levels = prepared.levels[: plan.coarse]
     del prepared
-    return _give(*_mesh_region(plan, levels, corners, kinds, coarse, threads), keep, is_last)
+    grown = grow_tile(_fit_fields(plan, levels, corners, coarse, threads), kinds)
+    return _give(*grown, keep, is_last)
 
 
 @declare(
@@ -232,19 +220,7 @@ def mesh_gap(
         levels = raise_levels(taken.finest, plan.coarse, threads)
         corners = finish(lay_corners(plan, taken.finest.cells, kinds))
     del taken  # the points leave memory with their level
-    return _give(*_mesh_region(plan, levels, corners, kinds, coarse, threads), keep)
-
-
-def _mesh_region(
-    plan: Plan,
-    levels: list[Level],
-    corners: list[IntArray],
-    kinds: BrickKinds,
-    coarse: CoarseLevels,
-    threads: int,
-) -> tuple[MeshPart, IntArray]:
-    """Fit the fine levels where bricks may be evaluated, and extract the surface there."""
-    return grow_tile(_fit_fields(plan, levels, corners, coarse, threads), kinds)
+    return _give(*grow_tile(_fit_fields(plan, levels, corners, coarse, threads), kinds), keep)
 
 
 def _fit_fields(

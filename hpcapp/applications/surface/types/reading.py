@@ -33,17 +33,7 @@ worlds that are checked, and two more are warned of that are right."""
 
 @dataclass(frozen=True, slots=True)
 class Rival:
-    """What a scan may be instead.
-
-    Parameters
-    ----------
-    kind : str
-        See `Reading`.
-    probability : float
-        0 to 1.
-    option : str
-        What ``--viewpoint`` says so; empty where none does.
-    """
+    """What a scan may be instead, how probably, and what ``--viewpoint`` says so, if anything."""
 
     kind: str
     probability: float

@@ -8,12 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from hpcapp.geometry.points import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
-from hpcapp.kernels.portable.around.nearest import (
-    UNITS,
-    Nearest,
-    cells_of_units,
-    round_positions,
-)
+from hpcapp.kernels.portable.around.nearest import UNITS, Nearest, cells_of_units, round_positions
 from hpccomponent.dataclass import dataclass
 
 __all__ = ["fit_planes"]
@@ -103,18 +98,12 @@ def fit_planes(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Planes:
-    """Planes through several neighbourhoods of each point, in units.
+    """Planes through several neighbourhoods of each point, in units; (n, k) each.
 
-    Parameters
-    ----------
-    held, squares, extent : ndarray of float64, shape (n, k)
-        Points in each; the variance across the plane; that along it, of both directions together,
-        zero where there is no plane.
-    spread : ndarray of float64, shape (6, n, k)
-        Covariances, in the order of `_PAIRS`.
-    sheets : ndarray of float64, shape (n, 4)
-        Where neighbours lie on two sheets the normal of the point's, and the variance across both;
-        else NaN.
+    So many points are `held` in each; `squares` is the variance across the plane, `extent` that
+    along it, of both directions together, zero where there is no plane; `spread` (6, n, k) are
+    covariances, in the order of `_PAIRS`. Where neighbours lie on two sheets, `sheets` (n, 4) has
+    the normal of the point's, and the variance across both; else NaN.
     """
 
     held: FloatArray

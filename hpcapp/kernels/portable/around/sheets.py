@@ -4,12 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpcapp.geometry.lattice import (
-    cells_of,
-    find_first,
-    number_keys,
-    pack_places,
-)
+from hpcapp.geometry.lattice import cells_of, find_first, number_keys, pack_places
 from hpcapp.geometry.points import ByteArray, Float32Array, FloatArray, IntArray
 from hpcapp.kernels.constants import SHEETS
 

@@ -7,13 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.geometry.lattice import (
-    NEIGHBOURS,
-    find_keys,
-    number_keys,
-    pack_places,
-    step_keys,
-)
+from hpcapp.geometry.lattice import NEIGHBOURS, find_keys, number_keys, pack_places, step_keys
 from hpcapp.geometry.points import FloatArray, IntArray
 from hpcapp.kernels.portable.lattice.points import sort_points
 from hpccomponent.dataclass import dataclass
@@ -88,15 +82,10 @@ def measure_aside(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pairs:
-    """Places, each with a point near it.
+    """Places, each with a point near it; q pairs.
 
-    Parameters
-    ----------
-    at, points : ndarray of int64, shape (q,)
-    along : ndarray of float64, shape (q, 3)
-        From the point to the place along the point's plane, in radii.
-    squares : ndarray of float64, shape (q,)
-        Of the distance, in the axes of the point's ellipsoid.
+    `along` (q, 3) is from the point to the place along the point's plane, in radii; `squares` (q,)
+    are of the distance, in the axes of the point's ellipsoid.
     """
 
     at: IntArray

@@ -15,13 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from hpcapp.geometry.lattice import find_keys, pack_places, unpack_keys
-from hpcapp.geometry.points import (
-    BoolArray,
-    ByteArray,
-    Float32Array,
-    FloatArray,
-    IntArray,
-)
+from hpcapp.geometry.points import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from hpcapp.kernels.constants import BASIS
 from hpcapp.kernels.portable.field.feature_blend import join_pieces
 from hpcapp.kernels.types.field import PIECES

@@ -19,11 +19,7 @@ import numpy as np
 from hpcapp.geometry.lattice import find_keys, pack_places
 from hpcapp.geometry.points import BoolArray, Float32Array, FloatArray, IntArray
 from hpcapp.kernels.portable.field.feature_blend import blend_features
-from hpcapp.kernels.portable.field.strides import (
-    fill_missing,
-    finest_shifts,
-    line_shifts,
-)
+from hpcapp.kernels.portable.field.strides import fill_missing, finest_shifts, line_shifts
 from hpcapp.kernels.types.field import Field
 from hpcapp.kernels.types.grid import BRICK, NODES, Grid
 

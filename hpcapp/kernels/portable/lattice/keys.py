@@ -17,13 +17,7 @@ from hpcapp.geometry.lattice import (
     unite_keys,
     unpack_keys,
 )
-from hpcapp.geometry.points import (
-    BoolArray,
-    ByteArray,
-    FloatArray,
-    Int32Array,
-    IntArray,
-)
+from hpcapp.geometry.points import BoolArray, ByteArray, FloatArray, Int32Array, IntArray
 from hpcapp.kernels.portable.mesh.topology import label_components
 from hpcapp.kernels.types.grid import OUT
 

@@ -5,20 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.geometry.lattice import (
-    cells_of,
-    find_keys,
-    merge_counts,
-    pack_places,
-    unique_keys,
-)
-from hpcapp.geometry.points import (
-    BoolArray,
-    ByteArray,
-    Float32Array,
-    FloatArray,
-    IntArray,
-)
+from hpcapp.geometry.lattice import cells_of, find_keys, merge_counts, pack_places, unique_keys
+from hpcapp.geometry.points import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from hpcapp.kernels.constants import QUANTA
 from hpcapp.kernels.portable.lattice.points import sort_points
 from hpcapp.kernels.portable.surface.bricks import seed_bricks

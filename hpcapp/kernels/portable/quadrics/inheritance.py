@@ -4,12 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpcapp.geometry.lattice import (
-    OCTANTS,
-    corner_parents,
-    find_keys,
-    unpack_keys,
-)
+from hpcapp.geometry.lattice import OCTANTS, corner_parents, find_keys, unpack_keys
 from hpcapp.geometry.points import Float32Array, FloatArray, IntArray
 from hpcapp.kernels.constants import BASIS
 

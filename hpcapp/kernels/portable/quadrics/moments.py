@@ -17,13 +17,7 @@ from math import comb
 
 import numpy as np
 
-from hpcapp.geometry.lattice import (
-    OCTANTS,
-    find_keys,
-    pack_places,
-    unique_keys,
-    unpack_keys,
-)
+from hpcapp.geometry.lattice import OCTANTS, find_keys, pack_places, unique_keys, unpack_keys
 from hpcapp.geometry.points import FloatArray, IntArray
 from hpcapp.kernels.constants import COLUMNS
 

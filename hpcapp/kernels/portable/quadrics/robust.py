@@ -4,13 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpcapp.geometry.lattice import (
-    OCTANTS,
-    find_keys,
-    pack_places,
-    step_keys,
-    unpack_keys,
-)
+from hpcapp.geometry.lattice import OCTANTS, find_keys, pack_places, step_keys, unpack_keys
 from hpcapp.geometry.points import Float32Array, FloatArray, IntArray
 
 __all__ = ["rate_points"]

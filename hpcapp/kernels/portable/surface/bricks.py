@@ -12,13 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hpcapp.geometry.lattice import (
-    cells_of,
-    pack_places,
-    step_keys,
-    unique_keys,
-    unpack_keys,
-)
+from hpcapp.geometry.lattice import cells_of, pack_places, step_keys, unique_keys, unpack_keys
 from hpcapp.geometry.points import BoolArray, Float32Array, FloatArray, IntArray
 from hpcapp.kernels.portable.field.field import evaluate_bricks
 from hpcapp.kernels.portable.surface.marching_cubes import extract_surface

@@ -22,12 +22,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hpcapp.geometry.points import (
-    BoolArray,
-    ByteArray,
-    FloatArray,
-    IntArray,
-)
+from hpcapp.geometry.points import BoolArray, ByteArray, FloatArray, IntArray
 from hpcapp.kernels.portable.field.strides import ENDS
 from hpcapp.kernels.types.grid import BRICK
 from hpccomponent.dataclass import dataclass
@@ -40,16 +35,10 @@ _Edge = tuple[int, _Node]  # along an axis, from its lower node
 class Loop:
     """A closed line on the faces of a cell, of n vertices.
 
-    Parameters
-    ----------
-    edges : ndarray of int64, shape (n, 4)
-        The axis and the lower node, in its brick, of the edge that each vertex lies on.
-    quads : ndarray of int64, shape (n,)
-        The quad that the line crosses from each vertex to the next.
-    sides : ndarray of int64, shape (n,)
-        The edge of the cell that each vertex lies on; different negative numbers where none.
-    owned : ndarray of bool, shape (n,)
-        Whether diagonals along that edge to others of these are the cell's to make.
+    `edges` (n, 4) are the axis and the lower node, in its brick, of the edge that each vertex lies
+    on; `quads` (n,) the quad that the line crosses from each to the next; `sides` (n,) the edge of
+    the cell that each lies on, different negative numbers where none. Where it is `owned` (n,),
+    diagonals along that edge to others of these are the cell's to make.
     """
 
     edges: IntArray

@@ -26,11 +26,7 @@ from hpcapp.applications.surface.job import plan, site
 from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.resolution.memory import fitting_tile, parse_limit
 from hpcapp.applications.surface.steps import read
-from hpcapp.applications.surface.stitching import (
-    shared_ply,
-    surface,
-    tile_ply,
-)
+from hpcapp.applications.surface.stitching import shared_ply, surface, tile_ply
 from hpcapp.applications.surface.stitching.handle_groups import Mended
 from hpcapp.applications.surface.tiles import tasks as region
 from hpcapp.geometry.points import PointCloud

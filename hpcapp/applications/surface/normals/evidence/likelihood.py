@@ -29,19 +29,12 @@ UPS = (2, 1.0), (1, 1.0), (1, -1.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Features:
-    """What counts for a reading.
+    """What counts for a reading, of a `kind` that is ``outside`` or a field of `Likelihood`.
 
-    Parameters
-    ----------
-    kind : str
-        ``outside``, or a field of `Likelihood`.
-    cost : float
-        Share of the area that was seen from behind, or not at all.
-    evenness : float
-        How much more evenly points lie as seen from the sensor than on the surface: a logarithm.
-    facing : ndarray of float64, shape (3,)
-        Of what lies level along each axis, how much more faces along it than against it, as a
-        share of the area.
+    The `cost` is the share of the area that was seen from behind, or not at all; `evenness` says
+    how much more evenly points lie as seen from the sensor than on the surface, as a logarithm.
+    `facing` (3,) is how much more of what lies level along an axis faces along it than against it,
+    as a share of the area.
     """
 
     kind: str

@@ -21,11 +21,7 @@ from dataclasses import replace
 import numpy as np
 
 from hpcapp.applications.surface.normals.evidence.inside import AMID, AMPLE, INSIDE, find_inside
-from hpcapp.applications.surface.normals.evidence.likelihood import (
-    FITTED,
-    Features,
-    Likelihood,
-)
+from hpcapp.applications.surface.normals.evidence.likelihood import FITTED, Features, Likelihood
 from hpcapp.applications.surface.normals.evidence.linked import LinkedPatches
 from hpcapp.applications.surface.normals.evidence.seen_sides import (
     Evidence,
@@ -56,24 +52,12 @@ _SIDES = [np.array(step) / np.linalg.norm(step) for step in itertools.product((1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hypothesis:
-    """Where a scan may have been taken from.
+    """Where a scan may have been taken from; `name` is as the kind of a `Reading`.
 
-    Parameters
-    ----------
-    name : str
-        ``outside``, ``around z``, ``inside``, ``amid``, the axes of a side (``above``, ``below``,
-        ``+y-z``), ``sensor`` (at zero), or ``places`` that the file tells.
-    views : Views
-        What is seen from there.
-    evidence : Evidence
-    unseen : float
-        Share of the area that is seen from none of its viewpoints, and should be.
-    known : Features
-        What counts for it whichever the sides are.
-    place : ndarray of float64, shape (3,), or None
-        A place on the side that it is seen from, in the frame of the patches.
-    word : str
-        ``above`` or ``below`` for one that looks more up or down than across.
+    From there `views` are seen; `unseen` is the share of the area that none of its viewpoints sees,
+    and should. `known` counts for it whichever the sides are. `place` (3,) is on the side that it
+    is seen from, in the frame of the patches; `word` is ``above`` or ``below`` for one that looks
+    more up or down than across.
     """
 
     name: str
@@ -96,16 +80,9 @@ class Hypothesis:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Followed:
-    """A hypothesis, and what follows of it.
+    """A hypothesis, and what follows of it: sides (p,) over the links, and its features.
 
-    Parameters
-    ----------
-    hypothesis : Hypothesis
-    sides : ndarray of float64, shape (p,)
-        Over the links.
-    features : Features
-    share : float
-        Its probability, 0 to 1; of all that were weighed.
+    Its `share` is its probability, 0 to 1, among all that were weighed.
     """
 
     hypothesis: Hypothesis
@@ -152,22 +129,8 @@ def weigh_readings(
 ) -> list[Followed]:
     """Weigh what a cloud may be; the reading whose sides are most probable comes first.
 
-    Parameters
-    ----------
-    patches : Patches
-        Of a whole cloud.
-    linked : LinkedPatches
-    spacing : float
-        Of the cloud, in length units of the input.
-    zero : ndarray of float64, shape (3,)
-        Where the input has (0, 0, 0), in the frame of the patches.
-    sensor : Sensor
-        What the file tells.
-
-    Returns
-    -------
-    list of Followed
-        What their shares lack to 1 is that none is true; some of next to no share may be missing.
+    The patches are of the whole cloud; `zero` (3,) is where the input has (0, 0, 0), in their
+    frame. What the shares lack to 1 is that none is true; some of next to no share may be missing.
     """
     hypotheses = find_readings(patches, linked, spacing, zero, sensor, threads)
     given = areas, _ = areas_of(patches), measure_level(patches)

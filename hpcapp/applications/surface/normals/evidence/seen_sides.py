@@ -43,14 +43,9 @@ _CLOSED = 0.1  # share of a shell that may be seen from both sides
 class Evidence:
     """What is known of the sides of patches; `how` says where it comes from, for people.
 
-    Parameters
-    ----------
-    leanings : ndarray of float64, shape (p,)
-        From -1, the normal points into what is solid, to 1: it points to where the sensor was.
-    weights : ndarray of float64, shape (p,)
-        How much is known, 0 to 1.
-    is_sensed : bool
-        Whether it is of the sensor that took the points; else of views that might have been.
+    `leanings` (p,) go from -1, the normal points into what is solid, to 1: it points to where the
+    sensor was; `weights` (p,) tell how much is known, 0 to 1. It is of the sensor that took the
+    points where it `is_sensed`; else of views that might have been.
     """
 
     leanings: FloatArray
@@ -63,14 +58,9 @@ class Evidence:
 class Views:
     """How much of the two sides of each patch some viewpoints see.
 
-    Parameters
-    ----------
-    front, back : ndarray of float64, shape (p,)
-        Cosines between the normal, or its opposite, and the directions it is seen from, summed.
-    whole : float
-        The sum that is clear evidence.
-    is_hidden : ndarray of bool, shape (p,)
-        Of which patches none of the viewpoints shows anything.
+    `front` and `back` (p,) are cosines between the normal, or its opposite, and the directions it
+    is seen from, summed; a sum of `whole` is clear evidence. Of what `is_hidden` (p,) none of the
+    viewpoints shows anything.
     """
 
     front: FloatArray
@@ -208,22 +198,11 @@ def look_from(
 class Outside:
     """What is seen from all around.
 
-    Parameters
-    ----------
-    cosines : ndarray of int8, shape (v, p)
-    is_seen : ndarray of bool, shape (v, p)
-        What each viewpoint sees of the whole; see `look`.
-    directions : ndarray of float64, shape (v, 3)
-        Where the viewpoints are, from the middle; unit length.
-    radius : float
-        And how far.
-    views : Views
-        Of the whole.
-    toggled : Views
-        Of shell after shell. Crossing a surface toggles: what is hidden by a shell is looked at
-        without it, and faces inwards; what is hidden by that, outwards again.
-    is_content : ndarray of bool, shape (p,)
-        Patches that are hidden, and not those of a cavity: of a closed shell inside another one.
+    `cosines` and `is_seen` (v, p) are what each viewpoint sees of the whole; see `look`. Viewpoints
+    are in `directions` (v, 3) from the middle, of unit length, `radius` away; `views` are those of
+    the whole. Those `toggled` are of shell after shell. Crossing a surface toggles: what is hidden
+    by a shell is looked at without it, and faces inwards; what is hidden by that, outwards again.
+    What `is_content` (p,) is hidden, and not of a cavity: of a closed shell inside another one.
     """
 
     cosines: Int8Array

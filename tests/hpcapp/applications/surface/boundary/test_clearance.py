@@ -3,11 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.boundary.clearance import (
-    SupportRule,
-    find_bare,
-    measure_clearance,
-)
+from hpcapp.applications.surface.boundary.clearance import SupportRule, find_bare, measure_clearance
 from hpcapp.applications.surface.scale.local_scale import LocalScale, count_scale, make_scale
 from hpcapp.geometry.points import FloatArray, PointCloud
 

@@ -10,11 +10,7 @@ import numpy as np
 import pytest
 from disk_clouds import DiskCloudWriter
 
-from hpcapp.applications.surface.cloud.arranged import (
-    MemoryCloud,
-    Points,
-    arrange_cloud,
-)
+from hpcapp.applications.surface.cloud.arranged import MemoryCloud, Points, arrange_cloud
 from hpcapp.applications.surface.cloud.arrangement import interleave, pack_points
 from hpcapp.applications.surface.cloud.folder.disk import (
     DiskCloud,

@@ -9,13 +9,7 @@ from hpcapp import kernels
 from hpcapp.applications.surface.field.local_noise import LocalNoise
 from hpcapp.applications.surface.field.refinement import Refinement
 from hpcapp.applications.surface.scale.local_scale import LocalScale, count_scale, make_scale
-from hpcapp.geometry.lattice import (
-    ancestor_keys,
-    find_keys,
-    pack_places,
-    unique_keys,
-    unpack_keys,
-)
+from hpcapp.geometry.lattice import ancestor_keys, find_keys, pack_places, unique_keys, unpack_keys
 from hpcapp.geometry.points import FloatArray, IntArray
 
 ORIGIN = np.zeros(3)

@@ -8,12 +8,7 @@ from hpcapp.applications.surface.field.support import (
     sum_squares,
     surrounded_vertices,
 )
-from hpcapp.geometry.lattice import (
-    pack_places,
-    spread_keys,
-    unique_keys,
-    unpack_keys,
-)
+from hpcapp.geometry.lattice import pack_places, spread_keys, unique_keys, unpack_keys
 from hpcapp.geometry.points import FloatArray, IntArray
 
 LevelCounts = tuple[IntArray, FloatArray, IntArray, IntArray]

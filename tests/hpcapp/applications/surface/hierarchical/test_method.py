@@ -5,7 +5,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import cycle, product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -39,7 +38,7 @@ from hpcapp.lab.simulate.scanner import simulate_scan
 from hpcapp.lab.simulate.settings import ScanSettings
 from hpcapp.lab.simulate.shapes import SHAPES
 from hpcapp.workforce import Workforce
-from hpccomponent.errors import InputError, UsageError
+from hpccomponent.errors import InputError
 
 
 def ignore(done: int, total: int) -> None:
@@ -451,15 +450,6 @@ def test_the_origin_of_the_cloud_stays_with_the_mesh() -> None:
 def test_a_sparse_cloud_gives_one_closed_ball(count: int) -> None:
     mesh, _ = reconstruct(sphere(count), HierarchicalMethod(48))
     assert_closed(mesh, genus=0)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [((8,), "too coarse"), ((64, 0.0), "smoothness"), ((64, 1.0, float("nan")), "detail")],
-)
-def test_impossible_settings_are_refused(arguments: tuple[Any, ...], message: str) -> None:
-    with pytest.raises(UsageError, match=message):
-        HierarchicalMethod(*arguments)
 
 
 def test_a_cloud_that_says_nothing_is_refused() -> None:

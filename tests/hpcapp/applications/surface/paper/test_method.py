@@ -15,7 +15,7 @@ from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.workforce import Workforce
-from hpccomponent.errors import InputError, UsageError
+from hpccomponent.errors import InputError
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -150,22 +150,6 @@ def test_facts_of_a_given_number_of_patches_name_no_cone(workforce: Workforce) -
     facts = method.facts(method.partition(MemoryCloud.as_they_are(sphere()), workforce))
     assert facts["patches"] == 12
     assert "cone" not in facts
-
-
-@pytest.mark.parametrize(
-    ("options", "named"),
-    [
-        ({"delta": 2.0}, "delta"),
-        ({"patches": 0}, "patches"),
-        ({"patches": 5, "max_points": 5}, "exclude"),
-        ({"grid": 0}, "grid"),
-        ({"root": "sphere"}, "cube, box or tight"),
-        ({"norm": "euclidean"}, "consistent or printed"),
-    ],
-)
-def test_bad_options_are_named_before_any_work(options: dict[str, Any], named: str) -> None:
-    with pytest.raises(UsageError, match=named):
-        PaperMethod(**options)
 
 
 def test_a_cloud_without_normals_is_refused(workforce: Workforce) -> None:

@@ -5,11 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.stitching.topology import (
-    check_mesh,
-    require_closed,
-    signed_volume,
-)
+from hpcapp.applications.surface.stitching.topology import check_mesh, require_closed, signed_volume
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import IntArray
 from hpccomponent.errors import JobError

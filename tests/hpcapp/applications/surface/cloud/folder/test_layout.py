@@ -9,11 +9,7 @@ import pytest
 from disk_clouds import read_part
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.cloud.arrangement import (
-    Arrangement,
-    PackedPoints,
-    pack_points,
-)
+from hpcapp.applications.surface.cloud.arrangement import Arrangement, PackedPoints, pack_points
 from hpcapp.applications.surface.cloud.folder.parts import write_part
 from hpccomponent.files.checksum import PAGE
 from hpccomponent.store.value import DamagedError
