@@ -25,12 +25,11 @@ from hpcapp.applications.surface.cleaning.drive import clean, mend_normals
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.cloud.measure import measure_cloud
 from hpcapp.applications.surface.job.outcome import Outcome, Reconstruction
-from hpcapp.applications.surface.job.recognised import describe_input
 from hpcapp.applications.surface.job.resume import find_loaded, note_loaded
 from hpcapp.applications.surface.job.scan import Loaded, PointFolder, Scan
 from hpcapp.applications.surface.job.settings import JobSettings, Settings
 from hpcapp.applications.surface.job.site import Site, open_method, preprocess
-from hpcapp.applications.surface.job.source import open_whole, take_asked
+from hpcapp.applications.surface.job.source import describe_input, open_whole, take_asked
 from hpcapp.applications.surface.methods.method import Method
 from hpcapp.applications.surface.normals.sides import orient_cloud
 from hpcapp.applications.surface.resolution.asked import find_grid

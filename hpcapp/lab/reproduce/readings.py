@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from hpcapp.applications.surface.paper.kdtree import Patches, partition_by_rule
-from hpcapp.applications.surface.paper.split_rule import SplitRule
+from hpcapp.applications.surface.paper.kdtree import Patches, SplitRule, partition_by_rule
 from hpcapp.geometry.points import PointCloud
 from hpccomponent.dataclass import dataclass
 

@@ -5,7 +5,6 @@
     partition ─── kd-tree, by the normal cone and max_points, or by count     kdtree.py
     fit ───────── one quadric for each patch, in equal batches, on workers    patch_quadrics.py
     extract ───── indicator blend on a grid of nodes, marching cubes          indicator_blend.py
-                                                                              iso_surface.py
 
 The preprocessing (outliers, noise, density) is the pipeline's, by the steps of `preprocess.py`.
 
@@ -21,18 +20,22 @@ import numpy as np
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.methods.method import Advance, ShowPart, show_nothing
 from hpcapp.applications.surface.paper.indicator_blend import (
+    extract_iso_surface,
     plan_grid,
     sample_indicator_blend,
     settle_zeros,
 )
-from hpcapp.applications.surface.paper.iso_surface import extract_iso_surface
-from hpcapp.applications.surface.paper.kdtree import Patches, partition_by_count, partition_by_rule
+from hpcapp.applications.surface.paper.kdtree import (
+    Patches,
+    SplitRule,
+    partition_by_count,
+    partition_by_rule,
+)
 from hpcapp.applications.surface.paper.patch_quadrics import (
     evaluate_quadrics,
     fit_patches,
     gradient_quadrics,
 )
-from hpcapp.applications.surface.paper.split_rule import SplitRule
 from hpcapp.applications.surface.stitching.surface import Surface
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.points import FloatArray, PointCloud

@@ -30,7 +30,6 @@ from hpcapp.applications.surface.field.far_field import (
 from hpcapp.applications.surface.field.levels import SlabFields, fit_above
 from hpcapp.applications.surface.field.pyramid import Level, Pyramid, raise_levels
 from hpcapp.applications.surface.field.weights import FIELD_LEVELS
-from hpcapp.applications.surface.tiles.cache import TileCache
 from hpcapp.applications.surface.tiles.halo import plan_gap
 from hpcapp.applications.surface.tiles.patterns import (
     Exits,
@@ -42,7 +41,7 @@ from hpcapp.applications.surface.tiles.patterns import (
 )
 from hpcapp.applications.surface.tiles.plan import CoarseLattice, CoarseLevels, Plan, Samples
 from hpcapp.applications.surface.tiles.points import CellPoints, estimate_work, take_points
-from hpcapp.applications.surface.tiles.prepared import PreparedTile, finish, lay_corners
+from hpcapp.applications.surface.tiles.prepared import PreparedTile, TileCache, finish, lay_corners
 from hpcapp.applications.surface.tiles.slabs import grow_tile
 from hpcapp.applications.surface.types.result_patterns import SMALL_BYTES
 from hpcapp.geometry.lattice import ancestor_keys, unique_keys, unpack_keys

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,8 +9,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from shared_data import shared
 
-from hpcapp.applications.surface.paper.kdtree import partition_by_count, partition_by_rule
-from hpcapp.applications.surface.paper.split_rule import SplitRule
+from hpcapp.applications.surface.paper.kdtree import (
+    SplitRule,
+    partition_by_count,
+    partition_by_rule,
+)
 from hpcapp.geometry.points import FloatArray
 from hpccomponent.errors import InputError, UsageError
 
@@ -200,3 +205,23 @@ def test_bad_options_are_named() -> None:
         partition_by_count(np.zeros((1, 3)), 1, "sphere")
     with pytest.raises(UsageError, match="0 patches"):
         partition_by_count(np.zeros((1, 3)), 0)
+
+
+def test_delta_is_read_by_the_cone() -> None:
+    assert SplitRule(0.1, "paper").limit == 0.1
+    assert SplitRule(0.1, "complement").limit == pytest.approx(0.9)
+    assert SplitRule(1.0, "none").limit < -1.0  # no normal is too far
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        ({"delta": -1.1}, "delta"),
+        ({"delta": float("nan")}, "delta"),
+        ({"cone": "wide"}, "cone"),
+        ({"max_points": 0}, "max_points"),
+    ],
+)
+def test_values_out_of_range_are_named(options: dict[str, Any], named: str) -> None:
+    with pytest.raises(UsageError, match=named):
+        SplitRule(**options)

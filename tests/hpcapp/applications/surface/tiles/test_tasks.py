@@ -21,10 +21,9 @@ from hpcapp.applications.surface.hierarchical.tiles import Tiling
 from hpcapp.applications.surface.tiles import prepared as prepared_tile
 from hpcapp.applications.surface.tiles import slabs as slab_growth
 from hpcapp.applications.surface.tiles import tasks as region
-from hpcapp.applications.surface.tiles.cache import TileCache
 from hpcapp.applications.surface.tiles.plan import Plan
 from hpcapp.applications.surface.tiles.points import PointsThere, TilePoints, take_points
-from hpcapp.applications.surface.tiles.prepared import PreparedTile, lay_corners
+from hpcapp.applications.surface.tiles.prepared import PreparedTile, TileCache, lay_corners
 from hpcapp.applications.surface.tiles.tasks import KEPT_TILES, mesh_tile, solve_far, sum_tile
 from hpcapp.backends.serial import SerialExecutor
 from hpcapp.geometry.points import PointCloud
