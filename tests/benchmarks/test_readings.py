@@ -15,7 +15,7 @@ from readings import RIGHT, Table, follow_world
 from shared_data import shared
 from worlds import SEED, make_worlds
 
-from hpcapp.applications.surface.normals.evidence.likelihood import FITTED, Features
+from hpcapp.applications.surface.normals.evidence.likelihood import FITTED, ReadingFeatures
 from hpcapp.geometry.points import FloatArray
 
 RESULTS = Path(__file__).parents[2] / "benchmarks/results"
@@ -38,7 +38,7 @@ def test_the_fit_weighs_readings_as_a_job_does() -> None:
     shares = WORLDS.shares(NUMBERS)
     for row, found in zip(ROWS, shares, strict=True):
         features = [
-            Features(kind, cost, evenness, np.array(facing))
+            ReadingFeatures(kind, cost, evenness, np.array(facing))
             for kind, cost, evenness, *facing, _ in row[2]
         ]
         expected = FITTED.find_shares(features, row[1])

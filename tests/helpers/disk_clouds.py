@@ -9,7 +9,7 @@ import numpy as np
 from hpcapp.applications.surface.cloud.arrangement import Arrangement, pack_points, unpack_points
 from hpcapp.applications.surface.cloud.folder.disk import DiskCloud, write_index
 from hpcapp.applications.surface.cloud.folder.layout import FoldedLayout
-from hpcapp.applications.surface.cloud.folder.parts import Part, write_part
+from hpcapp.applications.surface.cloud.folder.parts import FilePart, write_part
 from hpcapp.geometry.points import Float32Array, FloatArray
 
 
@@ -28,7 +28,7 @@ class DiskCloudWriter:
         self._folder = folder
         self._arrangement = arrangement
         self._origin = origin
-        self._parts: list[Part] = []
+        self._parts: list[FilePart] = []
         self._low, self._high = np.full(3, np.inf), np.full(3, -np.inf)
 
     def add(self, positions: FloatArray, normals: FloatArray) -> None:
@@ -50,7 +50,7 @@ class DiskCloudWriter:
         self._low = np.minimum(self._low, [column.min() for column in snapped.T])
         self._high = np.maximum(self._high, [column.max() for column in snapped.T])
         number = len(self._parts)
-        self._parts.append(Part.whole(number, *write_part(self._folder, number, [packed])))
+        self._parts.append(FilePart.whole(number, *write_part(self._folder, number, [packed])))
 
     def finish(self) -> DiskCloud:
         """Write the index and return the cloud; see `write_index`."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hpcapp import kernels
-from hpcapp.applications.surface.cloud.arranged import Measured, arrange_cloud
+from hpcapp.applications.surface.cloud.arranged import CloudMeasures, arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
 from hpcapp.applications.surface.cloud.measure import SAMPLED_BOX, first_share
 from hpcapp.applications.surface.field.local_noise import LocalNoise
@@ -29,4 +29,4 @@ def find_noise(cloud: PointCloud, scale: LocalScale) -> LocalNoise:
     if sample.normals is None:
         given = MemoryPass(arrange_cloud(sample)), scale.spacing, Sensor()
         sample = orient_normals(*given, keeps=False)[0].cloud.points
-    return choose_scale(Measured(scale, sample), 0.0, 1.0, 1.0).noise
+    return choose_scale(CloudMeasures(scale, sample), 0.0, 1.0, 1.0).noise

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from hpcapp.applications.surface.paper.kdtree import Patches
+from hpcapp.applications.surface.paper.kdtree import TreePatches
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.lab.reproduce.finding import Finding
 from hpcapp.lab.reproduce.panels import PANEL, Picture, colour_patches, draw_panels
@@ -74,7 +74,7 @@ def make_figure_4(subject: Subject, up: str, clock: StageClock) -> tuple[Finding
     return finding, draw_panels(panels, columns=2)
 
 
-def _colour(mesh: Mesh, patches: Patches, nearest: NDArray[np.int64]) -> Mesh:
+def _colour(mesh: Mesh, patches: TreePatches, nearest: NDArray[np.int64]) -> Mesh:
     """Return the mesh with each vertex in the colour of the patch of the point nearest to it."""
     owner = np.empty(len(patches.order), np.int64)
     owner[patches.order] = np.repeat(np.arange(len(patches)), np.diff(patches.offsets))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hpcapp.applications.surface.paper.kdtree import Patches, SplitRule, partition_by_rule
+from hpcapp.applications.surface.paper.kdtree import SplitRule, TreePatches, partition_by_rule
 from hpcapp.geometry.points import PointCloud
 from hpccomponent.dataclass import dataclass
 
@@ -33,7 +33,7 @@ class Reading:
     root: str = "cube"
     max_points: int | None = None
 
-    def cut(self, points: PointCloud) -> Patches:
+    def cut(self, points: PointCloud) -> TreePatches:
         """Cut points with unit normals into patches."""
         assert points.normals is not None  # noqa: S101 - a subject has them
         rule = SplitRule(DELTA, self.cone, self.max_points)

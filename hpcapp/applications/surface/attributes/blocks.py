@@ -31,8 +31,8 @@ from hpccomponent.files.whole_files import write_whole
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Part:
-    """The blocks of one file; those of `disk.Part`."""
+class _ColumnPart:
+    """The blocks of one file; those of a `FilePart`."""
 
     file: Path
     keys: IntArray
@@ -50,7 +50,7 @@ class ColumnBlocks:
     folder: Path
     cloud: ArrangedCloud
     layout: PointCloud
-    _parts: list[_Part] = field(default_factory=list)
+    _parts: list[_ColumnPart] = field(default_factory=list)
 
     def add(self, points: PointCloud) -> None:
         """Write the next points of the input, in the cloud's frame and with the layout's columns.
@@ -82,7 +82,7 @@ class ColumnBlocks:
                 f"name a temporary folder with {self._dtype.itemsize} bytes of room for each "
                 f"point, or ask for {name_option('attributes', 'none')}",
             ) from error
-        self._parts.append(_Part(path, keys, starts))
+        self._parts.append(_ColumnPart(path, keys, starts))
 
     def take_blocks(self, keys: IntArray) -> PointCloud:
         """Return the points in blocks of sorted, unique keys (k,), in the order of the cloud.
@@ -123,7 +123,7 @@ class ColumnBlocks:
         order = np.argsort(numbers, kind="stable")
         return np.concatenate(found)[order], numbers[order]
 
-    def _map(self, part: _Part) -> NDArray[Any]:
+    def _map(self, part: _ColumnPart) -> NDArray[Any]:
         try:
             records = np.memmap(part.file, self._dtype, "r")
         except (OSError, ValueError) as error:

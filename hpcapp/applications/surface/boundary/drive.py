@@ -40,7 +40,7 @@ from hpcapp.applications.surface.stitching.surface import Surface
 from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
 from hpcapp.applications.surface.tiles.halo import mark_near
 from hpcapp.applications.surface.tiles.patterns import surface_box
-from hpcapp.applications.surface.tiles.plan import Plan
+from hpcapp.applications.surface.tiles.plan import TilePlan
 from hpcapp.geometry.lattice import pack_places, unique_keys, unpack_keys
 from hpcapp.geometry.points import IntArray
 from hpcapp.kernels.types.grid import BRICK
@@ -116,7 +116,7 @@ class Closure:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Parts:
+class _ClosedParts:
     """The parts of a closed surface, and where their tasks run.
 
     `shared` is where workers see both the parts and the points; None where tasks run here.
@@ -124,7 +124,7 @@ class _Parts:
 
     surface: Surface
     cloud: ArrangedCloud
-    plan: Plan
+    plan: TilePlan
     workforce: Workforce
     shared: Checkpoint | None
     threads: int
@@ -184,7 +184,7 @@ class _Parts:
 def close_surface(
     surface: Surface,
     cloud: ArrangedCloud,
-    plan: Plan,
+    plan: TilePlan,
     asked: OpeningSettings,
     workforce: Workforce,
     shared: Checkpoint | None,
@@ -202,7 +202,7 @@ def close_surface(
         return surface, Closure(False, "closed, as asked")
     if not all(isinstance(part, str) for part in surface.parts):
         shared = None  # a cloud that is one tile is made into a mesh here
-    parts = _Parts(surface, cloud, plan, workforce, shared, threads if shared is None else 1)
+    parts = _ClosedParts(surface, cloud, plan, workforce, shared, threads if shared is None else 1)
     scale = cloud.measured.scale
     usual = SupportRule(max(_NOISES * plan.noise, _STEPS * plan.step), _SPACINGS, scale)
     closure = Closure(True, "open, as asked")
@@ -230,7 +230,7 @@ def close_surface(
     return opened, replace(closure, holes=holes, crumbs=crumbs)
 
 
-def _decide(parts: _Parts, rule: SupportRule, advance: Advance) -> Closure:
+def _decide(parts: _ClosedParts, rule: SupportRule, advance: Advance) -> Closure:
     """Tell whether a surface stays closed, by its share without points and by the reading."""
     reading = parts.cloud.measured.reading
     share, support = _judge_support(parts, rule, advance)
@@ -245,7 +245,7 @@ def _decide(parts: _Parts, rule: SupportRule, advance: Advance) -> Closure:
 
 
 def _judge_support(
-    parts: _Parts, rule: SupportRule, advance: Advance
+    parts: _ClosedParts, rule: SupportRule, advance: Advance
 ) -> tuple[float, Callable[[], Support]]:
     """Return the share of a surface that no point supports, 0 to 1, and what tells more of it."""
     one_in = max(1, len(parts.surface.plan.bricks.keys) // _JUDGED_BRICKS)
@@ -265,7 +265,7 @@ def _judge_support(
 
 
 def _cut_parts(
-    parts: _Parts, rule: SupportRule, fill: SupportRule, advance: Advance
+    parts: _ClosedParts, rule: SupportRule, fill: SupportRule, advance: Advance
 ) -> tuple[Surface, int]:
     """Cut all parts; return the open surface, and how many holes of it are filled."""
     surface, whole = parts.surface, _STEPS_OF_PART * len(parts)
@@ -290,7 +290,7 @@ def _cut_parts(
 
 
 def _survey_parts(
-    parts: _Parts, rule: SupportRule
+    parts: _ClosedParts, rule: SupportRule
 ) -> Iterator[tuple[int, tuple[OpeningSurvey, OpeningSeams]]]:
     """Find out part by part where the border is, and what it has at the seams."""
     surface = parts.surface
@@ -305,7 +305,7 @@ def _survey_parts(
 
 
 def _open_parts(
-    parts: _Parts, surveys: dict[int, OpeningSurvey], matched: MatchedSeams
+    parts: _ClosedParts, surveys: dict[int, OpeningSurvey], matched: MatchedSeams
 ) -> Iterator[tuple[int, tuple[MeshPart | str, PartSummary]]]:
     """Cut part by part, and keep each where its closed one was kept."""
     surface, checkpoint = parts.surface, parts.surface.checkpoint

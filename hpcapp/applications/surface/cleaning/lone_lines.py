@@ -46,7 +46,7 @@ def find_lone_lines(
     `positions` (n, 3) are all of the cloud in the region and within `MARGIN` spacings of it, `own`
     (n,) tells which lie in it, and `low` (3,) are the least coordinates of the cloud.
     """
-    lines = _Lines(positions, low, spacing)
+    lines = _LineSearch(positions, low, spacing)
     rows = np.flatnonzero(lines.may_be())
     are_lines, _, nearest = lines.look(rows)
     rows, nearest = rows[are_lines], nearest[are_lines]
@@ -63,7 +63,7 @@ def find_lone_lines(
     return of_own
 
 
-class _Lines:
+class _LineSearch:
     """What lies along a line among the points of a region."""
 
     def __init__(self, positions: FloatArray, low: FloatArray, spacing: float) -> None:

@@ -21,7 +21,7 @@ from hpcapp import kernels
 from hpcapp.applications.surface.cleaning.outliers import (
     EDGE,
     ISLAND_LEVEL,
-    Level,
+    CellLevel,
     coarsen,
     find_base,
     find_islands,
@@ -165,11 +165,11 @@ def judge_sparse(regions: list[RegionRanks]) -> Judgement:
     return Judgement(base, unique_keys(np.concatenate([keys[stray], low])), coarse[0][island])
 
 
-def _levels_of(keys: IntArray, counts: IntArray, coarse: list[Level]) -> list[Level]:
+def _levels_of(keys: IntArray, counts: IntArray, coarse: list[CellLevel]) -> list[CellLevel]:
     """Return the levels above some finest cells; those below `ISLAND_LEVEL` know only these."""
     levels = coarsen(keys, counts, ISLAND_LEVEL)
     places = unpack_keys(keys)
     for number, level in enumerate(coarse, start=ISLAND_LEVEL):
         rows = find_keys(level.keys, pack_places(places >> number))
-        levels.append(Level(level.keys, level.counts, rows))
+        levels.append(CellLevel(level.keys, level.counts, rows))
     return levels

@@ -33,7 +33,7 @@ _ISLANDS_SHARE = 0.05  # of the points: where so many lie on islands, the cells 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Level:
+class CellLevel:
     """The occupied cells of one size: keys, points in each, and where the finest cells lie."""
 
     keys: IntArray
@@ -41,18 +41,20 @@ class Level:
     row_of: IntArray
 
 
-def coarsen(keys: IntArray, counts: IntArray, wanted: int | None = None) -> list[Level]:
+def coarsen(keys: IntArray, counts: IntArray, wanted: int | None = None) -> list[CellLevel]:
     """Return the finest occupied cells, by sorted keys and points in each (c,), and their parents.
 
     There are `wanted` levels, the finest first; by default up to one where a single cell holds all.
     """
-    levels = [Level(keys, counts, np.arange(len(keys)))]
+    levels = [CellLevel(keys, counts, np.arange(len(keys)))]
     # Cells on both sides of 0 never merge: there are none, unless the cloud's box is not its own.
     most = wanted or BITS
     while len(levels) < most and (wanted or len(levels[-1].keys) > 1):
         below = levels[-1]
         merged, rows = number_keys(ancestor_keys(below.keys))
-        levels.append(Level(merged, _sum_rows(rows, below.counts, len(merged)), rows[below.row_of]))
+        levels.append(
+            CellLevel(merged, _sum_rows(rows, below.counts, len(merged)), rows[below.row_of])
+        )
     return levels
 
 
@@ -61,7 +63,7 @@ def _sum_rows(rows: IntArray, values: IntArray, length: int) -> IntArray:
     return np.bincount(rows, values, length).astype(np.int64)
 
 
-def rank_cells(levels: list[Level], rank: IntArray) -> IntArray:
+def rank_cells(levels: list[CellLevel], rank: IntArray) -> IntArray:
     """Return the level of each finest cell, (c,): the first with enough points around it.
 
     `rank` (c,) is what is known: those of the largest are looked at from that level on. It is the
@@ -99,7 +101,7 @@ def find_base(points_by_rank: IntArray) -> int:
     return int(np.searchsorted(summed, 0.5 * summed[-1]))
 
 
-def find_strays(levels: list[Level], rank: IntArray, base: int, numbers: range) -> BoolArray:
+def find_strays(levels: list[CellLevel], rank: IntArray, base: int, numbers: range) -> BoolArray:
     """Find the finest cells whose points are too few and far from others, (c,); see the module.
 
     Cells of ranks in `numbers` are judged. The finest cells may be some of all: these, and what
@@ -120,7 +122,7 @@ def find_strays(levels: list[Level], rank: IntArray, base: int, numbers: range) 
     return stray
 
 
-def _count_companions(level: Level, sparse: IntArray, cells: IntArray) -> IntArray:
+def _count_companions(level: CellLevel, sparse: IntArray, cells: IntArray) -> IntArray:
     """Count the sparse points around some finest cells."""
     rows = _distinct(level.row_of[cells], len(level.keys))
     # (l,): sparse points in each cell of the level; then in the 27 around it.
@@ -130,7 +132,7 @@ def _count_companions(level: Level, sparse: IntArray, cells: IntArray) -> IntArr
     return around[level.row_of[cells]]
 
 
-def _touch_crowd(level: Level, sparse: IntArray, cells: IntArray) -> BoolArray:
+def _touch_crowd(level: CellLevel, sparse: IntArray, cells: IntArray) -> BoolArray:
     """Tell which finest cells have a cell of the base within the gap that holds crowded ones."""
     crowded = level.counts > _sum_rows(level.row_of, sparse, len(level.keys))
     holds = np.append(crowded, np.False_)
@@ -145,7 +147,7 @@ def _touch_crowd(level: Level, sparse: IntArray, cells: IntArray) -> BoolArray:
 
 
 def _lie_on_surface(
-    levels: list[Level], number: int, base: int, sparse: IntArray, cells: IntArray
+    levels: list[CellLevel], number: int, base: int, sparse: IntArray, cells: IntArray
 ) -> BoolArray:
     """Tell which finest cells lie with others as sparse on a plane."""
     level = levels[number]
@@ -177,7 +179,7 @@ def _lie_on_surface(
     return lies
 
 
-def find_islands(levels: list[Level]) -> BoolArray:
+def find_islands(levels: list[CellLevel]) -> BoolArray:
     """Find the cells on small pieces far from larger ones, (c,) of the first level; see the module.
 
     Levels are those from `ISLAND_LEVEL` upward, whose cells are the finest here.
@@ -217,7 +219,7 @@ def _measure_extents(keys: IntArray, label: IntArray, pieces: int) -> IntArray:
     return extents
 
 
-def _meet_others(level: Level, small: BoolArray, asked: BoolArray) -> IntArray:
+def _meet_others(level: CellLevel, small: BoolArray, asked: BoolArray) -> IntArray:
     """Return those of the asked finest cells with cells of large pieces around them."""
     large = _sum_rows(level.row_of, (~small).astype(np.int64), len(level.keys))
     cells = np.flatnonzero(asked)

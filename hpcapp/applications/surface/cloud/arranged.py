@@ -38,7 +38,7 @@ _ENDLESS = Arrangement(np.zeros(3), np.inf)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Measured:
+class CloudMeasures:
     """What a method asks of a cloud before it chooses its cells.
 
     The noise is judged by `sample`, in the cloud's order; `reading` tells what the scan is of.
@@ -89,7 +89,7 @@ class ArrangedCloud(Protocol):
     def place(self) -> Place: ...  # noqa: D102 - see the class
 
     @property
-    def measured(self) -> Measured: ...  # noqa: D102 - see the class
+    def measured(self) -> CloudMeasures: ...  # noqa: D102 - see the class
 
     def __len__(self) -> int: ...
 
@@ -140,7 +140,7 @@ class MemoryCloud:
     offsets: IntArray
     low: FloatArray
     high: FloatArray
-    noted: Measured | None = None
+    noted: CloudMeasures | None = None
 
     @classmethod
     def as_they_are(cls, points: PointCloud) -> MemoryCloud:
@@ -217,7 +217,7 @@ class MemoryCloud:
         return cells, np.diff(offsets)
 
     @property
-    def measured(self) -> Measured:
+    def measured(self) -> CloudMeasures:
         """See `ArrangedCloud`."""
         assert self.noted is not None  # noqa: S101 - or there is nothing to ask
         return self.noted

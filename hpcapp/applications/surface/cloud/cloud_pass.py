@@ -18,7 +18,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, Measured, MemoryCloud
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, CloudMeasures, MemoryCloud
 from hpcapp.applications.surface.cloud.regions import MemoryRegion, ReplacedRows
 from hpcapp.cancellation import check_cancelled
 from hpcapp.geometry.bounds import bound_points
@@ -69,7 +69,7 @@ class CloudPass(Protocol):
         If the pass that is returned is another, this one's points are not there any more.
         """
 
-    def note(self: PassT, measured: Measured) -> PassT:
+    def note(self: PassT, measured: CloudMeasures) -> PassT:
         """Keep what was found out about the cloud with it."""
 
 
@@ -103,7 +103,7 @@ class MemoryPass:
             others = [rest[:-1] for rest in others]
         return self._replace(changes, added) if accepts(others) else self, others
 
-    def note(self, measured: Measured) -> MemoryPass:
+    def note(self, measured: CloudMeasures) -> MemoryPass:
         """See `CloudPass`."""
         return replace(self, cloud=replace(self.cloud, noted=measured))
 

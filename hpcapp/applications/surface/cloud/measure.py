@@ -6,7 +6,7 @@ import numpy as np
 
 from hpcapp.applications.surface.cloud.arranged import (
     ArrangedCloud,
-    Measured,
+    CloudMeasures,
     MemoryCloud,
     Points,
     arrange_cloud,
@@ -86,7 +86,7 @@ def measure_cloud(cloud_pass: PassT, scale: LocalScale, reading: Reading = UNREA
     while True:
         sample = draw_boxes(cloud_pass, SAMPLED_BOX * scale.spacing, one_in)
         if one_in == 1 or len(sample[0]) > _SAMPLED_POINTS // 4:
-            return cloud_pass.note(Measured(scale, PointCloud(*sample), reading))
+            return cloud_pass.note(CloudMeasures(scale, PointCloud(*sample), reading))
         one_in = max(one_in // 8, 1)
 
 

@@ -1,7 +1,7 @@
 """Regions of a cloud: the points that a task works on, wherever they lie, and those around them.
 
-A task is given `RegionPoints`, takes a `Region` of them, and says what becomes of its own points in
-terms of the region. So it is written once, for points in memory and for blocks in a folder.
+A task is given `RegionPoints`, takes a `CloudRegion` of them, and says what becomes of its own
+points in terms of the region: it is written once, for points in memory and for blocks in a folder.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ changed, written there (keys and counts) or to be sent. A block of which nothing
 count 0."""
 
 
-class Region(Protocol):
+class CloudRegion(Protocol):
     """The points of a region and those around it, in the order of the cloud."""
 
     @property
@@ -77,7 +77,7 @@ class Region(Protocol):
 class RegionPoints(Protocol):
     """Where the points of a region are."""
 
-    def take(self) -> Region:
+    def take(self) -> CloudRegion:
         """Return the region; JobError where its folder is not there any more, or not whole."""
 
 
@@ -94,29 +94,29 @@ class MemoryRegion:
     rows: IntArray | slice
     threads: int = 1
 
-    def take(self) -> Region:
+    def take(self) -> CloudRegion:
         """See `RegionPoints`."""
         return self
 
     @property
     def normals(self) -> FloatArray | Float32Array:
-        """See `Region`."""
+        """See `CloudRegion`."""
         assert self.given is not None  # noqa: S101 - or there is nothing to ask
         return self.given
 
     def drop(self, dropped: BoolArray) -> Replaced | None:
-        """See `Region`."""
+        """See `CloudRegion`."""
         return ReplacedRows(self.rows, kept=~dropped) if dropped.any() else None
 
     def flip(self, is_flipped: BoolArray) -> Replaced | None:
-        """See `Region`."""
+        """See `CloudRegion`."""
         if not is_flipped.any():
             return None
         own = self.normals if self.own.all() else self.normals[self.own]
         return ReplacedRows(self.rows, normals=np.where(is_flipped[:, None], -own, own))
 
     def replace_normals(self, normals: FloatArray | Float32Array) -> Replaced:
-        """See `Region`."""
+        """See `CloudRegion`."""
         return ReplacedRows(self.rows, normals=normals)
 
 
@@ -145,7 +145,7 @@ class StoredBlocks:
     margin: float
     target: tuple[str, int] | None = None
 
-    def take(self) -> Region:
+    def take(self) -> CloudRegion:
         """See `RegionPoints`."""
         if isinstance(self.where, SentBlocks):
             arrangement, packed = self.where.arrangement, self.where.packed
@@ -162,7 +162,7 @@ class StoredBlocks:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _StoredRegion:
-    """A region of blocks, see `Region`: the points at `rows` (n,) of what is packed."""
+    """A region of blocks, see `CloudRegion`: the points at `rows` (n,) of what is packed."""
 
     positions: FloatArray
     own: BoolArray

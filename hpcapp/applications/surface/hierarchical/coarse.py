@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpcapp.applications.surface.cloud.arranged import Measured
+from hpcapp.applications.surface.cloud.arranged import CloudMeasures
 from hpcapp.applications.surface.cloud.measure import SAMPLED_BOX
 from hpcapp.applications.surface.field.cell_points import PartMoments
 from hpcapp.applications.surface.field.far_field import (
@@ -24,7 +24,7 @@ from hpcapp.applications.surface.field.pyramid import (
     raise_levels,
 )
 from hpcapp.applications.surface.tiles.halo import halo_steps, mark_near
-from hpcapp.applications.surface.tiles.plan import CoarseLattice, CoarseLevels, Plan, Samples
+from hpcapp.applications.surface.tiles.plan import CoarseLattice, CoarseLevels, Samples, TilePlan
 from hpcapp.applications.surface.tiles.tasks import solve_far
 from hpcapp.geometry.lattice import (
     ancestor_keys,
@@ -57,7 +57,7 @@ class Coarse:
     that the field is made of: that level first, if any.
     """
 
-    plan: Plan
+    plan: TilePlan
     parents: Parents
     levels: tuple[FieldLevel, ...]
     far: FarField
@@ -98,7 +98,7 @@ class Coarse:
 
 
 def choose_nodes(
-    box: tuple[FloatArray, FloatArray], cell_size: float, noise: float, measured: Measured
+    box: tuple[FloatArray, FloatArray], cell_size: float, noise: float, measured: CloudMeasures
 ) -> int:
     """Choose how fine a far field is: no finer than what the points resolve, and than it pays.
 
@@ -142,7 +142,7 @@ def far_level(grid: Grid, nodes: int, cell_size: float, base: int, height: int) 
 
 
 def fit_coarse(
-    plan: Plan,
+    plan: TilePlan,
     lattices: list[CoarseLattice],
     samples: list[Samples | tuple[str, str]],
     workforce: Workforce,
@@ -161,7 +161,7 @@ def fit_coarse(
 
 
 def _fit(
-    plan: Plan, lattices: list[CoarseLattice], threads: int
+    plan: TilePlan, lattices: list[CoarseLattice], threads: int
 ) -> tuple[Pyramid, list[VertexQuadrics], Parents]:
     """Fit the levels from the tiles' one up."""
     keys = [lattice.cells for lattice in lattices]

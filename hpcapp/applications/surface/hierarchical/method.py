@@ -45,7 +45,7 @@ from hpcapp.applications.surface.stitching.handle_groups import Mended, mend_han
 from hpcapp.applications.surface.stitching.surface import Surface
 from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
 from hpcapp.applications.surface.tiles.patterns import coarse_lattice
-from hpcapp.applications.surface.tiles.plan import CoarseLattice, Plan, Samples
+from hpcapp.applications.surface.tiles.plan import CoarseLattice, Samples, TilePlan
 from hpcapp.applications.surface.tiles.tasks import sum_tile
 from hpcapp.geometry.points import IntArray
 from hpcapp.workforce import Workforce, stream_batches
@@ -70,7 +70,7 @@ class HierarchicalPartition:
 
     cloud: ArrangedCloud
     scale: Scale
-    plan: Plan
+    plan: TilePlan
     tiling: Tiling | None
     patches: int = 0
     closure: Closure | None = None
@@ -121,7 +121,7 @@ class HierarchicalMethod:
         lowest = far_level(grid, FEWEST_NODES, scale.finest, below, height)
         coarse = max(least, min(lowest, height - 1)) if count else height
         blocks = cloud.arrangement
-        plan = Plan(
+        plan = TilePlan(
             origin=refinement.origin,
             cell_size=scale.finest,
             height=height,

@@ -19,7 +19,7 @@ from hpcapp.applications.surface.field.pyramid import build_pyramid
 from hpcapp.applications.surface.methods.method import Advance, ShowPart, show_nothing
 from hpcapp.applications.surface.stitching.surface import Surface
 from hpcapp.applications.surface.tiles.halo import plan_whole
-from hpcapp.applications.surface.tiles.plan import Plan
+from hpcapp.applications.surface.tiles.plan import TilePlan
 from hpcapp.applications.surface.tiles.slabs import cut_slabs, grow_slabs
 from hpcapp.applications.surface.tiles.tasks import find_far, sample_cells
 from hpcapp.geometry.points import PointCloud
@@ -30,7 +30,7 @@ overlap by makes the extraction of these a third longer, and no byte of the mesh
 
 
 def mesh_one_tile(
-    cloud: PointCloud, plan: Plan, threads: int, advance: Advance, show_part: ShowPart
+    cloud: PointCloud, plan: TilePlan, threads: int, advance: Advance, show_part: ShowPart
 ) -> tuple[Surface, int]:
     """Reconstruct the surface of a cloud with normals as one tile, in this process.
 

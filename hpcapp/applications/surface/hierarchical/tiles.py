@@ -14,7 +14,7 @@ from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.cloud.cutting import cut_tiles
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.tiles.halo import mark_near
-from hpcapp.applications.surface.tiles.plan import Plan
+from hpcapp.applications.surface.tiles.plan import TilePlan
 from hpcapp.applications.surface.tiles.points import CellPoints, PointsThere, pack_cells
 from hpcapp.applications.surface.tiles.tasks import KEPT_TILES
 from hpcapp.geometry.lattice import find_overlapping, pack_places, unique_keys, unpack_keys
@@ -42,7 +42,7 @@ class Tiling:
     def __init__(
         self,
         cloud: ArrangedCloud,
-        plan: Plan,
+        plan: TilePlan,
         count: int,
         workers: PointWorkers,
         is_short: bool,
@@ -128,7 +128,7 @@ class Tiling:
         return tuple(packed)
 
 
-def weigh_cells(plan: Plan, counts: IntArray) -> FloatArray:
+def weigh_cells(plan: TilePlan, counts: IntArray) -> FloatArray:
     """Estimate the work of coarse cells with so many points (c,) each, in what a point takes, (c,).
 
     The surface crosses a coarse cell as if it were one side of it: where points are few it asks
@@ -138,11 +138,11 @@ def weigh_cells(plan: Plan, counts: IntArray) -> FloatArray:
     return counts.astype(np.float64) + 4.0**plan.coarse * each
 
 
-def mark_halo(plan: Plan, keys: IntArray, cells: IntArray) -> BoolArray:
+def mark_halo(plan: TilePlan, keys: IntArray, cells: IntArray) -> BoolArray:
     """Tell which coarse cells (k,) lie so near a tile's (c,) that its quadrics depend on them.
 
     Both are sorted keys. The tile's bricks are among those that its cells overlap; it evaluates a
-    brick and a rim further at most, and from there its quadrics reach as far as `Plan.reach` says.
+    brick and a rim further at most, and from there its quadrics reach as far as the plan's `reach`.
     """
     size, edge = plan.coarse_size, BRICK * plan.step
     shift, beyond = plan.grid_origin - plan.origin, 1.0 + plan.grid.rim

@@ -78,7 +78,7 @@ class Job:
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
+class BackendChoice:
     """Where a job runs, and why.
 
     `backend` is named as in `hpcapp.backends.selection`, `workers` do the work, `workers_asked` is
@@ -109,14 +109,14 @@ def least_work(workers: int, is_remote: bool = False) -> float:
     return min(rows, default=float("inf")) * (REMOTE if is_remote else 1)
 
 
-def choose_backend(settings: Settings, job: Job) -> Choice:
+def choose_backend(settings: Settings, job: Job) -> BackendChoice:
     """Return where a job runs: as asked for, or as the table says.
 
     Raise InputError where the inventory of the cluster cannot be read.
     """
     if (name := name_backend(settings)) is not None:
         workers = 1 if name == "serial" else settings.workers or available_cores()
-        return Choice(name, workers, "it was asked for", settings.workers)
+        return BackendChoice(name, workers, "it was asked for", settings.workers)
     if not settings.method.pays_on_workers:
         name = settings.method.name
         return _stay(settings, job, f"the tasks of the method {name} are too little work")
@@ -134,13 +134,13 @@ def choose_backend(settings: Settings, job: Job) -> Choice:
         workers = min(workers, carried)
     if job.work < least_work(workers, is_remote=kind == "cluster"):
         return _stay(settings, job, f"{job}: too little for {workers} workers to pay")
-    return Choice(kind, workers, f"{job}: enough for {workers} workers", settings.workers)
+    return BackendChoice(kind, workers, f"{job}: enough for {workers} workers", settings.workers)
 
 
-def _stay(settings: Settings, job: Job, reason: str) -> Choice:
+def _stay(settings: Settings, job: Job, reason: str) -> BackendChoice:
     """Return the backend of this process."""
     name, workers = choose_local(settings, job.points)
-    return Choice(name, workers, reason, workers_asked=settings.workers)
+    return BackendChoice(name, workers, reason, workers_asked=settings.workers)
 
 
 @contextmanager
@@ -184,7 +184,7 @@ class Opener:
     @contextmanager
     def open(
         self, job: Job, executor: Executor | Client | None = None
-    ) -> Iterator[tuple[Backend, Choice]]:
+    ) -> Iterator[tuple[Backend, BackendChoice]]:
         """Open the backend that a job runs on: the `executor`, where the user has opened one."""
         settings, asked = self._settings, self._settings.workers
         name = name_backend(settings)
@@ -206,14 +206,14 @@ class Opener:
             reason = "it was asked for"
         with opened as backend:
             workers = backend.workforce.workers
-            yield backend, Choice(backend.name, workers, reason, workers_asked=asked)
+            yield backend, BackendChoice(backend.name, workers, reason, workers_asked=asked)
 
     def approach(self, guess: Job) -> None:
         """Listen for the workers of the cluster, if they may pay, before the points are read."""
         if choose_backend(self._settings, guess).backend == "cluster":
             self._listen()
 
-    def _open_best(self, job: Job, stack: ExitStack) -> tuple[Backend, Choice]:
+    def _open_best(self, job: Job, stack: ExitStack) -> tuple[Backend, BackendChoice]:
         """Open what pays, and say why."""
         choice = choose_backend(self._settings, job)
         backend = None

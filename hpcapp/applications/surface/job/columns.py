@@ -22,7 +22,7 @@ from hpccomponent.files.private_files import make_private_folder
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Columns:
+class CarriedColumns:
     """The colours and attributes of points that a mesh is to carry.
 
     The `layout` is that of the input, without points. Of the attributes in `labels` no mean is to
@@ -35,7 +35,7 @@ class Columns:
     file: JobSettings | None = None
 
     @classmethod
-    def of_file(cls, settings: JobSettings, source: PointSource) -> Columns:
+    def of_file(cls, settings: JobSettings, source: PointSource) -> CarriedColumns:
         """Return those of a file that are to be carried to the mesh."""
         first = settings.attributes.select(next(source.chunks(1)), settings.shown)
         return cls(first.view(slice(0)), file=settings)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from hpcapp.applications.surface.job.backend_choice import Choice
+from hpcapp.applications.surface.job.backend_choice import BackendChoice
 from hpcapp.applications.surface.stitching.surface import Surface
 from hpcapp.backends.selection import Backend
 from hpccomponent.dataclass import dataclass
@@ -34,6 +34,6 @@ class Outcome:
     result: Reconstruction
     grid: int
     backend: Backend
-    choice: Choice
+    choice: BackendChoice
     warnings: list[str]
     fine: Surface | None = None

@@ -14,7 +14,12 @@ import tempfile
 from enum import Enum
 from typing import Any
 
-from hpcapp.applications.surface.job.backend_choice import SQUARE, Choice, Job, choose_backend
+from hpcapp.applications.surface.job.backend_choice import (
+    SQUARE,
+    BackendChoice,
+    Job,
+    choose_backend,
+)
 from hpcapp.applications.surface.job.settings import (
     JobSettings,
     Settings,
@@ -67,7 +72,7 @@ class JobPlan:
 
     job: Job
     place: Place
-    choice: Choice
+    choice: BackendChoice
     tile: int | None
     memory: float
     worker_memory: float
@@ -154,7 +159,7 @@ def plan_job(
 
 
 def _estimate_memory(
-    method: MethodSettings, job: Job, place: Place, choice: Choice, tile: int | None
+    method: MethodSettings, job: Job, place: Place, choice: BackendChoice, tile: int | None
 ) -> tuple[float, float]:
     """Return the bytes of this process, and of each worker in another."""
     is_here, most = choice.backend in IN_PROCESS, min(tile or TILE_POINTS, job.points)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from hpcapp.applications.surface.cleaning.drive import Cleaned
 from hpcapp.applications.surface.cloud.folder.disk import open_disk_cloud
-from hpcapp.applications.surface.job.columns import Columns
+from hpcapp.applications.surface.job.columns import CarriedColumns
 from hpcapp.applications.surface.job.scan import Loaded, PointFolder
 from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.normals.oriented import Oriented
@@ -59,7 +59,7 @@ def find_loaded(settings: JobSettings, source: PointSource, folder: PointFolder)
         cloud,
         Dropped(**known["dropped"]),
         Cleaned(**known["cleaned"]),
-        Columns.of_file(settings, source),
+        CarriedColumns.of_file(settings, source),
         Oriented.of(known["oriented"]),
         Findings(**known["findings"]),
         source.frame,

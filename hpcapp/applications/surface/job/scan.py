@@ -11,7 +11,7 @@ from hpcapp.applications.surface.cleaning.drive import Cleaned
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.cloud.cloud_pass import CloudPass
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
-from hpcapp.applications.surface.job.columns import Columns
+from hpcapp.applications.surface.job.columns import CarriedColumns
 from hpcapp.applications.surface.normals.oriented import Oriented
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.types.reading import Reading
@@ -48,7 +48,7 @@ class Scan:
     cloud_pass: CloudPass
     dropped: Dropped
     cleaned: Cleaned
-    columns: Columns
+    columns: CarriedColumns
     has_normals: bool
     is_oriented: bool = True
     sensor: Sensor = field(default_factory=Sensor)
@@ -73,7 +73,7 @@ class Loaded:
     cloud: ArrangedCloud
     dropped: Dropped
     cleaned: Cleaned
-    columns: Columns
+    columns: CarriedColumns
     oriented: Oriented
     findings: Findings
     crs: Crs

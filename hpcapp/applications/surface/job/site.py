@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.cloud.measure import replace_points
-from hpcapp.applications.surface.job.backend_choice import Choice, Job, Opener
+from hpcapp.applications.surface.job.backend_choice import BackendChoice, Job, Opener
 from hpcapp.applications.surface.job.folder import all_see_folder
 from hpcapp.applications.surface.job.plan import choose_tile
 from hpcapp.applications.surface.job.settings import Settings, choose_steps, choose_threads
@@ -38,7 +38,7 @@ class Site:
     """A backend that is open, why it is this one, and where finished tiles are kept."""
 
     backend: Backend
-    choice: Choice
+    choice: BackendChoice
     checkpoint: Checkpoint | None
 
 
@@ -50,7 +50,7 @@ def open_site(
     grid: int,
     *,
     checkpoint: Checkpoint | None = None,
-    opened: tuple[Backend, Choice] | None = None,
+    opened: tuple[Backend, BackendChoice] | None = None,
     executor: Executor | Client | None = None,
     cancellation: Cancellation | None = None,
 ) -> Iterator[Site]:

@@ -14,7 +14,7 @@ import numpy as np
 from hpcapp.applications.surface.cloud.cloud_pass import PassT
 from hpcapp.applications.surface.cloud.measure import draw_places
 from hpcapp.applications.surface.normals import estimation, patches
-from hpcapp.applications.surface.normals.orientation import SURE, Doubt, Verdict, orient_patches
+from hpcapp.applications.surface.normals.orientation import SURE, Doubt, ScanVerdict, orient_patches
 from hpcapp.applications.surface.normals.oriented import Oriented, Unsure
 from hpcapp.applications.surface.normals.patterns import CONFIDENCE_BINS
 from hpcapp.applications.surface.normals.sensor import Sensor
@@ -34,7 +34,7 @@ def orient_normals(
     *,
     keeps: bool,
     attribute: str | None = None,
-) -> tuple[PassT, Oriented, Verdict | None]:
+) -> tuple[PassT, Oriented, ScanVerdict | None]:
     """Give points unit normals that are on one side, and tell how the scan was seen, if that told.
 
     Where the normals that are there count (`keeps`), only their side is found; else all is

@@ -87,7 +87,7 @@ def merge_facets(found: Sequence[Facets]) -> Facets:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shape:
+class FacetShape:
     """The facets of a whole cloud, and minus their mean normal by area (3,): what is `missing`.
 
     `CELL` squared points are the area of a face of a cell, and `CELL` times the `spacing` is its
@@ -99,7 +99,7 @@ class Shape:
     missing: FloatArray
 
     @classmethod
-    def of(cls, facets: Facets, low: FloatArray, edge: float, scale: LocalScale) -> Shape:
+    def of(cls, facets: Facets, low: FloatArray, edge: float, scale: LocalScale) -> FacetShape:
         """Describe the facets of a whole cloud, of cells from `low`."""
         cells, facings = np.nonzero(facets.sums[:, :, 0])
         sums = facets.sums[cells, facings]

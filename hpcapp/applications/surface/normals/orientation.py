@@ -43,7 +43,7 @@ _SETTLED = 1e-3  # share of patches that still change sides
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class ScanVerdict:
     """How a scan was seen; for the kinds see `types.reading.Reading`.
 
     The `certainty` is its probability, 0 to 1, with all readings that give the same sides; `rivals`
@@ -56,7 +56,7 @@ class Verdict:
     because: tuple[Measurement, ...] = ()
 
     @classmethod
-    def of(cls, weighed: Sequence[Followed], certainty: float) -> Verdict:
+    def of(cls, weighed: Sequence[Followed], certainty: float) -> ScanVerdict:
         """Return it by what was weighed, of which the first is believed."""
         best, *others = weighed
         others = sorted(others, key=lambda one: -one.share)[:3]
@@ -89,7 +89,7 @@ class Orientation:
     sides: Sides
     how: str
     doubt: Doubt | None
-    verdict: Verdict | None
+    verdict: ScanVerdict | None
 
 
 def orient_patches(
@@ -123,7 +123,7 @@ def orient_patches(
         followed = None if evidence.is_sensed else follow(linked, evidence)
         sides = _settle(patches, linked, spacing, evidence, followed, threads)
         values = np.clip(sides, -1.0, 1.0).astype(np.float32)
-        told = None if sensor.kind == "places" else Verdict(sensor.kind)
+        told = None if sensor.kind == "places" else ScanVerdict(sensor.kind)
         return Orientation(Sides(patches.keys, patches.ranks, values), evidence.how, None, told)
     weighed = weigh_readings(patches, linked, spacing, zero, sensor, threads)
     best, evidence = weighed[0], weighed[0].hypothesis.evidence
@@ -140,19 +140,19 @@ def orient_patches(
     leant: FloatArray = np.copysign(certainty, sides) if evidence.is_sensed else sides
     values = np.clip(leant, -certainty, certainty).astype(np.float32)
     doubt = _find_doubt(patches, linked, np.abs(values) < SURE, weighed, turns)
-    verdict = Verdict.of(weighed, float(np.average(right, weights=areas_of(patches))))
+    verdict = ScanVerdict.of(weighed, float(np.average(right, weights=areas_of(patches))))
     return Orientation(Sides(patches.keys, patches.ranks, values), evidence.how, doubt, verdict)
 
 
 def read_given(
     patches: Patches, spacing: float, zero: FloatArray, sensor: Sensor, threads: int = 1
-) -> Verdict:
+) -> ScanVerdict:
     """Tell how a scan was seen whose patches have their sides; as for `orient_patches`."""
     if sensor.is_told and sensor.kind not in ("unknown", "places"):
-        return Verdict(sensor.kind)
+        return ScanVerdict(sensor.kind)
     weighed = weigh_given(patches, spacing, zero, sensor, threads)
     name = weighed[0].hypothesis.name
-    return Verdict.of(weighed, sum(one.share for one in weighed if one.hypothesis.name == name))
+    return ScanVerdict.of(weighed, sum(one.share for one in weighed if one.hypothesis.name == name))
 
 
 def _find_doubt(

@@ -12,8 +12,8 @@ import numpy as np
 
 from hpcapp import kernels
 from hpcapp.applications.surface.cloud.cloud_pass import CloudPass
-from hpcapp.applications.surface.normals.facets import Shape, choose_edge, merge_facets
-from hpcapp.applications.surface.normals.orientation import Verdict, read_given
+from hpcapp.applications.surface.normals.facets import FacetShape, choose_edge, merge_facets
+from hpcapp.applications.surface.normals.orientation import ScanVerdict, read_given
 from hpcapp.applications.surface.normals.patches import Patches
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.applications.surface.normals.tasks import sum_region
@@ -36,7 +36,7 @@ def read_scan(
     scale: LocalScale,
     sensor: Sensor,
     is_upright: bool,
-    verdict: Verdict | None = None,
+    verdict: ScanVerdict | None = None,
 ) -> Reading:
     """Judge what a scan is of, and how it was seen.
 
@@ -48,7 +48,7 @@ def read_scan(
     edge = choose_edge(len(cloud), scale.spacing)
     corner = lay_lattice(cloud.low, edge)
     facets = merge_facets(cloud_pass.each(sum_region, corner, edge))
-    shape = Shape.of(facets, corner, edge, scale)
+    shape = FacetShape.of(facets, corner, edge, scale)
     if verdict is None or verdict.kind == "places":
         upright = sensor.upright
         given = shape.patches.rotate(upright), shape.spacing, rotate(-cloud.origin, upright)

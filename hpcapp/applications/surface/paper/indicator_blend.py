@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.paper.kdtree import Patches
+from hpcapp.applications.surface.paper.kdtree import TreePatches
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray
 from hpccomponent.dataclass import dataclass
@@ -34,7 +34,7 @@ class NodeGrid:
     shape: tuple[int, int, int]
 
 
-def plan_grid(patches: Patches, grid: int) -> NodeGrid:
+def plan_grid(patches: TreePatches, grid: int) -> NodeGrid:
     """Lay a grid of nodes over all boxes: `grid` cells along their longest side, and margins.
 
     UsageError where these are fewer than one, JobError where the boxes have no extent.
@@ -51,7 +51,7 @@ def plan_grid(patches: Patches, grid: int) -> NodeGrid:
 
 
 def sample_indicator_blend(
-    patches: Patches,
+    patches: TreePatches,
     coefficients: FloatArray,
     nodes: NodeGrid,
     advance: Callable[[int, int], None],

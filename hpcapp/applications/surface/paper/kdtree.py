@@ -50,7 +50,7 @@ class SplitRule:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Patches:
+class TreePatches:
     """The leaves of the tree that hold points, in depth-first order (low side first).
 
     Parameters
@@ -132,7 +132,7 @@ class _Members:
 
 def partition_by_rule(
     positions: FloatArray, normals: FloatArray, rule: SplitRule, root: str = "cube"
-) -> Patches:
+) -> TreePatches:
     """Split boxes at the midpoint of their longest axis for as long as the rule asks.
 
     Positions and unit normals are (n, 3). InputError where there is no point, or arrays do not fit
@@ -170,7 +170,7 @@ def partition_by_rule(
     return _assemble(order, leaves)
 
 
-def partition_by_count(positions: FloatArray, patches: int, root: str = "cube") -> Patches:
+def partition_by_count(positions: FloatArray, patches: int, root: str = "cube") -> TreePatches:
     """Split the box with the most points (n, 3) until exactly `patches` of them hold points.
 
     Of equally full boxes the older is split first. InputError where no point is there or one is not
@@ -306,10 +306,10 @@ def _shrink(boxes: _Boxes, members: _Members, positions: FloatArray) -> _Boxes:
     return _Boxes(boxes.starts, boxes.counts, low, high, high - low)
 
 
-def _assemble(order: IntArray, leaves: list[_Boxes]) -> Patches:
+def _assemble(order: IntArray, leaves: list[_Boxes]) -> TreePatches:
     starts = np.concatenate([boxes.starts for boxes in leaves])
     # (p,): runs of `order` do not overlap, so that their starts are the depth-first order
     by_start = np.argsort(starts)
     low = np.concatenate([boxes.low for boxes in leaves])[by_start]
     high = np.concatenate([boxes.high for boxes in leaves])[by_start]
-    return Patches(order, np.append(starts[by_start], len(order)), low, high)
+    return TreePatches(order, np.append(starts[by_start], len(order)), low, high)

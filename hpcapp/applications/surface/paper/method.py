@@ -26,8 +26,8 @@ from hpcapp.applications.surface.paper.indicator_blend import (
     settle_zeros,
 )
 from hpcapp.applications.surface.paper.kdtree import (
-    Patches,
     SplitRule,
+    TreePatches,
     partition_by_count,
     partition_by_rule,
 )
@@ -56,7 +56,7 @@ class PaperPartition:
     """
 
     points: PointCloud
-    patches: Patches
+    patches: TreePatches
     fitted: list[FloatArray] = field(default_factory=list)
 
 

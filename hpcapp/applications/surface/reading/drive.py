@@ -22,7 +22,7 @@ import numpy as np
 
 from hpcapp.applications.surface.cloud.arrangement import choose_arrangement, snap_points
 from hpcapp.applications.surface.cloud.folder.disk import DiskCloud, write_index
-from hpcapp.applications.surface.cloud.folder.parts import Part
+from hpcapp.applications.surface.cloud.folder.parts import FilePart
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.reading.patterns import RangeSurvey
 from hpcapp.applications.surface.reading.reach import EvenSample, even_step, find_reach
@@ -105,7 +105,7 @@ def ingest_file(
     low, high = snap_points(blocks, box)  # rounding leaves the least the least
     common = found.origin, reach, blocks
     written = _run(source, workers, arrange_range, lambda i: (*common, (str(folder), i)))
-    parts = [Part.whole(i, *arranged) for i, arranged in enumerate(written)]
+    parts = [FilePart.whole(i, *arranged) for i, arranged in enumerate(written)]
     cloud = write_index(folder, blocks, found.origin, (low, high), parts)
     return Ingested(cloud, found.dropped, found.points - points)
 

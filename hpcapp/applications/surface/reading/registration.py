@@ -37,7 +37,7 @@ AGREEING = 0.7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Planes:
+class _ScanPlanes:
     """Planes of scans in cells, sorted by cell: p of them.
 
     `noises` are in length units of the input; `sides` are positive where the scanner was on the
@@ -139,7 +139,7 @@ def _is_spread(places: FloatArray) -> bool:
     return len(places) >= _TELLING and bool((np.ptp(places, axis=0) > 0.0).any())
 
 
-def _fit_planes(samples: Samples, edge: float) -> _Planes:
+def _fit_planes(samples: Samples, edge: float) -> _ScanPlanes:
     """Fit a plane to the points of each scan in each cell where they are flat."""
     middle = np.median(np.concatenate([places for places, _ in samples.values()]), axis=0)
     found = []
@@ -163,7 +163,7 @@ def _fit_planes(samples: Samples, edge: float) -> _Planes:
         found.append([each[good] for each in (cells, scan, means, normals, noises, towards)])
     columns = [np.concatenate(column) for column in zip(*found, strict=True)]
     order = np.argsort(columns[0], kind="stable")  # those of one cell by scan
-    return _Planes(*(column[order] for column in columns))
+    return _ScanPlanes(*(column[order] for column in columns))
 
 
 def _sum_rows(row: IntArray, values: FloatArray) -> FloatArray:
@@ -171,7 +171,7 @@ def _sum_rows(row: IntArray, values: FloatArray) -> FloatArray:
     return np.stack([np.bincount(row, column) for column in values.T], axis=1)
 
 
-def _compare(planes: _Planes, edge: float, scans: int) -> tuple[IntArray, IntArray, IntArray]:
+def _compare(planes: _ScanPlanes, edge: float, scans: int) -> tuple[IntArray, IntArray, IntArray]:
     """Compare the planes of each two scans.
 
     Returns the numbers of two scans (q, 2), how many cells both have (q,), and in how many of these

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from hpcapp import kernels
-from hpcapp.applications.surface.cloud.arranged import Measured
+from hpcapp.applications.surface.cloud.arranged import CloudMeasures
 from hpcapp.applications.surface.field.cell_points import SortedPoints
 from hpcapp.applications.surface.field.local_noise import (
     QUARTILE,
@@ -107,7 +107,7 @@ class _Probe:
         return float(variances[int(QUARTILE * (len(variances) - 1))]) if len(variances) else 0.0
 
 
-def _leave_dense(measured: Measured) -> PointCloud:
+def _leave_dense(measured: CloudMeasures) -> PointCloud:
     """Return the sample without what is much denser than the whole cloud: its cells hold detail."""
     sample, scale = measured.sample, measured.scale
     rows = np.flatnonzero(scale.at(sample.positions) >= _USUAL * scale.spacing)
@@ -188,7 +188,7 @@ def _take_residuals(
 
 
 def choose_scale(
-    measured: Measured, step: float, smoothness: float, detail: float, threads: int = 1
+    measured: CloudMeasures, step: float, smoothness: float, detail: float, threads: int = 1
 ) -> Scale:
     """Choose the cell size, no smaller than the evaluation grid's step.
 
@@ -213,7 +213,7 @@ def _count_halvings(levels: np.floating[Any]) -> int:
 
 
 def suggest_grid(
-    measured: Measured, longest: float, smoothness: float, detail: float, threads: int = 1
+    measured: CloudMeasures, longest: float, smoothness: float, detail: float, threads: int = 1
 ) -> Resolution:
     """Choose the evaluation grid: about as many vertices as points, fewer where noise is large.
 

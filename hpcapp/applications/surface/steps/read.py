@@ -13,7 +13,7 @@ from hpcapp.applications.surface.cleaning.drive import Cleaned, drop_repeated
 from hpcapp.applications.surface.cloud.arranged import MemoryCloud, arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
 from hpcapp.applications.surface.cloud.folder.folder_pass import FolderPass, make_cloud_folder
-from hpcapp.applications.surface.job.columns import Columns
+from hpcapp.applications.surface.job.columns import CarriedColumns
 from hpcapp.applications.surface.job.scan import PointFolder, Scan
 from hpcapp.applications.surface.job.settings import JobSettings, Settings, count_own_threads
 from hpcapp.applications.surface.normals.sensor import Sensor, sensor_of
@@ -93,7 +93,9 @@ def arrange_points(
         whole = MemoryPass(cloud, count_own_threads(settings, len(points)))
         cloud_pass, repeated = drop_repeated(whole)
     cleaned = Cleaned(len(points) - len(near), repeated=repeated, smoothed=smoothed)
-    columns = Columns(points.take(np.empty(0, np.int64)), labels)  # a view would hold the points
+    columns = CarriedColumns(
+        points.take(np.empty(0, np.int64)), labels
+    )  # a view would hold the points
     return Scan(cloud_pass, Dropped(0, 0), cleaned, columns, points.normals is not None)
 
 
@@ -114,7 +116,7 @@ def _read_into_folder(
         cloud_pass,
         ingested.dropped,
         Cleaned(ingested.far, repeated=repeated, smoothed=smoothed),
-        Columns.of_file(settings, source),
+        CarriedColumns.of_file(settings, source),
         source.has_normals,
         source.oriented,
         _find_sensor(settings, source),

@@ -17,7 +17,7 @@ from hpcapp.applications.surface.field.far_field import (
     crop_nodes,
     lay_far_field,
 )
-from hpcapp.applications.surface.tiles.plan import CoarseLattice, CoarseLevels, Plan, Samples
+from hpcapp.applications.surface.tiles.plan import CoarseLattice, CoarseLevels, Samples, TilePlan
 from hpcapp.applications.surface.tiles.points import estimate_work
 from hpcapp.applications.surface.types.result_patterns import (
     SMALL_BYTES,
@@ -54,13 +54,13 @@ _SENT_SQUARE, _KEPT_SQUARE = 128, 32
 _SUMMED_POINT = 768  # of what a tile sums, for each of its points: most often 20 to 70
 
 
-def surface_box(plan: Plan) -> tuple[FloatArray, FloatArray]:
+def surface_box(plan: TilePlan) -> tuple[FloatArray, FloatArray]:
     """Return the box in which all of the surface lies: the grid's, and a brick around it."""
     low, high = plan.grid.box
     return low - BRICK * plan.step, high + BRICK * plan.step
 
 
-def far_field(plan: Plan, *_: Any) -> Declared:
+def far_field(plan: TilePlan, *_: Any) -> Declared:
     """Return the pattern of what `tasks.solve_far` finds."""
     origin, step = lay_far_field(*plan.grid.box, plan.far_nodes)
     first, end = crop_nodes(origin, step, plan.far_nodes, *plan.far_box)
@@ -77,7 +77,7 @@ def far_field(plan: Plan, *_: Any) -> Declared:
 
 
 def summed_tile(
-    plan: Plan,
+    plan: TilePlan,
     _points: Any,
     _ticket: Any = None,
     keep: tuple[str, str] | None = None,
@@ -109,7 +109,7 @@ def summed_tile(
     return Where(pattern, agrees, "cells have the sums of the tile's points")
 
 
-def coarse_lattice(plan: Plan, own: tuple[IntArray, IntArray] | None) -> Declared:
+def coarse_lattice(plan: TilePlan, own: tuple[IntArray, IntArray] | None) -> Declared:
     """Return the pattern of the lattice that a tile adds to; `own` is as of `tasks.sum_tile`."""
     box, size = plan.grid.box, plan.coarse_size
 
@@ -135,7 +135,7 @@ def coarse_lattice(plan: Plan, own: tuple[IntArray, IntArray] | None) -> Declare
 
 
 def summed_bytes(
-    _plan: Plan, points: Any, _ticket: Any = None, keep: tuple[str, str] | None = None, *_: Any
+    _plan: TilePlan, points: Any, _ticket: Any = None, keep: tuple[str, str] | None = None, *_: Any
 ) -> int:
     """Return how large what `tasks.sum_tile` returns may be, in bytes."""
     return SMALL_BYTES + (0 if keep is not None else _SUMMED_POINT * int(estimate_work(points)))
@@ -146,7 +146,7 @@ def _lie_below(rows: FloatArray, most: FloatArray) -> bool:
 
 
 def surface_bytes(
-    plan: Plan, coarse: CoarseLevels, keep: tuple[str, str] | None, spans_gaps: bool = False
+    plan: TilePlan, coarse: CoarseLevels, keep: tuple[str, str] | None, spans_gaps: bool = False
 ) -> int:
     """Return how large what a tile's surface comes to may be, in bytes.
 
@@ -163,7 +163,7 @@ def surface_bytes(
     return SMALL_BYTES + int(squares) * (_SENT_SQUARE if keep is None else _KEPT_SQUARE)
 
 
-def tile_surface(plan: Plan, keep: tuple[str, str] | None) -> Declared:
+def tile_surface(plan: TilePlan, keep: tuple[str, str] | None) -> Declared:
     """Return the pattern of what `tasks.mesh_tile` returns, or keeps by a store and a name."""
     first = np.zeros(3, np.int64)
     last = np.array(plan.bricks) - 1

@@ -28,7 +28,7 @@ from hpccomponent.protocol.records import record
 
 @record("surface.plan")
 @dataclass(frozen=True, slots=True, eq=False)
-class Plan:
+class TilePlan:
     """What all tiles of a cloud have in common.
 
     Corner (0, 0, 0) of every lattice lies at `origin` (3,), and the finest cells are of

@@ -18,7 +18,7 @@ from hpcapp.applications.surface.cloud.folder.disk import open_place
 from hpcapp.applications.surface.field.cell_points import SortedPoints
 from hpcapp.applications.surface.field.pyramid import Level
 from hpcapp.applications.surface.tiles.packed_cells import sort_tile
-from hpcapp.applications.surface.tiles.plan import Plan
+from hpcapp.applications.surface.tiles.plan import TilePlan
 from hpcapp.geometry.lattice import cells_of, find_keys, find_overlapping, pack_places, unique_keys
 from hpcapp.geometry.points import ByteArray, FloatArray, IntArray
 from hpcapp.kernels.types.grid import Grid
@@ -90,7 +90,7 @@ def _count_bytes(value: Any) -> int:
     return sum(getattr(value, field.name).nbytes for field in fields(value))
 
 
-def take_points(points: CellPoints, plan: Plan) -> TilePoints:
+def take_points(points: CellPoints, plan: TilePlan) -> TilePoints:
     """Return the points that a task has been given; there may be none."""
     if isinstance(points, PointsThere):
         cloud, cells = open_place(points.cloud), list(points.groups)
@@ -111,7 +111,7 @@ def take_points(points: CellPoints, plan: Plan) -> TilePoints:
     return TilePoints(Level(keys, sorted_points, np.empty(0)), groups)
 
 
-def _find_cells(packed: PackedPoints, plan: Plan) -> IntArray:
+def _find_cells(packed: PackedPoints, plan: TilePlan) -> IntArray:
     """Return the coarse cells that some points lie in, which hold no others."""
     if not len(packed):
         return np.empty(0, np.int64)

@@ -19,7 +19,7 @@ import numpy as np
 from hpcapp import kernels
 from hpcapp.applications.surface.field.pyramid import lay_vertices, raise_levels
 from hpcapp.applications.surface.tiles.halo import near_bricks, plan_tile
-from hpcapp.applications.surface.tiles.plan import Plan
+from hpcapp.applications.surface.tiles.plan import TilePlan
 from hpcapp.applications.surface.tiles.points import CellPoints, TilePoints, take_points
 from hpcapp.geometry.points import BoolArray, IntArray
 from hpcapp.kernels.freed_memory import bound_free_memory
@@ -37,7 +37,7 @@ class PreparedTile:
     `mesh_tile` asks for those below the coarse one, `sum_tile` for that, too.
     """
 
-    def __init__(self, plan: Plan, points: CellPoints, levels: int, threads: int) -> None:
+    def __init__(self, plan: TilePlan, points: CellPoints, levels: int, threads: int) -> None:
         taken = take_points(points, plan)  # in memory that was touched before, if there is some
         bound_free_memory()  # what this and tiles before it have left
         self.groups = taken.groups
@@ -99,7 +99,7 @@ class TileCache:
             raise
 
 
-def _lay(plan: Plan, taken: TilePoints) -> Generator[str, None, Laid]:
+def _lay(plan: TilePlan, taken: TilePoints) -> Generator[str, None, Laid]:
     kinds = plan_tile(plan.grid, *(taken.seed_bricks(plan.grid, group) for group in range(3)))
     cells = taken.finest.cells
     del taken  # the points leave memory with their level
@@ -107,7 +107,9 @@ def _lay(plan: Plan, taken: TilePoints) -> Generator[str, None, Laid]:
     return kinds, [] if kinds is None else (yield from lay_corners(plan, cells, kinds))
 
 
-def lay_corners(plan: Plan, cells: IntArray, kinds: BrickKinds) -> Generator[str, None, Corners]:
+def lay_corners(
+    plan: TilePlan, cells: IntArray, kinds: BrickKinds
+) -> Generator[str, None, Corners]:
     """Find the corners of each fine level that some bricks ask for, and ancestors, in steps.
 
     `cells` (c,) are sorted keys of the finest cells with points. Yield what was done in a step,
@@ -144,7 +146,7 @@ def lay_corners(plan: Plan, cells: IntArray, kinds: BrickKinds) -> Generator[str
 
 
 def _mark_near(
-    plan: Plan, kinds: BrickKinds, cells: IntArray, size: float, reach: float
+    plan: TilePlan, kinds: BrickKinds, cells: IntArray, size: float, reach: float
 ) -> BoolArray:
     """Tell which cells of a level lie within so many cells of bricks that may be evaluated."""
     return near_bricks(kinds, plan.grid, cells, plan.origin, size, reach * size)

@@ -39,7 +39,7 @@ from hpcapp.applications.surface.tiles.patterns import (
     surface_bytes,
     tile_surface,
 )
-from hpcapp.applications.surface.tiles.plan import CoarseLattice, CoarseLevels, Plan, Samples
+from hpcapp.applications.surface.tiles.plan import CoarseLattice, CoarseLevels, Samples, TilePlan
 from hpcapp.applications.surface.tiles.points import CellPoints, estimate_work, take_points
 from hpcapp.applications.surface.tiles.prepared import PreparedTile, TileCache, finish, lay_corners
 from hpcapp.applications.surface.tiles.slabs import grow_tile
@@ -72,7 +72,7 @@ TILES = TileCache(KEPT_TILES)
     limit=summed_bytes,
 )
 def sum_tile(
-    plan: Plan,
+    plan: TilePlan,
     points: CellPoints,
     ticket: str | None = None,
     keep: tuple[str, str] | None = None,
@@ -128,7 +128,7 @@ def sample_cells(level: Level, rows: IntArray | None = None) -> Samples:
     return Samples(level.cells, sums) if rows is None else Samples(level.cells[rows], sums[rows])
 
 
-def find_far(plan: Plan, samples: Samples, threads: int) -> FarField:
+def find_far(plan: TilePlan, samples: Samples, threads: int) -> FarField:
     """Solve for the far field by the samples of the whole cloud, sorted by key."""
     size = plan.cell_size * 2.0**plan.far
     sums = samples.sums
@@ -144,9 +144,9 @@ def find_far(plan: Plan, samples: Samples, threads: int) -> FarField:
     limit=lambda plan, *_: SMALL_BYTES + 4 * plan.far_nodes**3,
 )
 def solve_far(
-    plan: Plan, samples: Sequence[Samples | tuple[str, str]], threads: int = 1
+    plan: TilePlan, samples: Sequence[Samples | tuple[str, str]], threads: int = 1
 ) -> FarFieldPart:
-    """Solve for the far field in `Plan.far_box`, by what `sum_tile` tells of all tiles (a task)."""
+    """Solve for the far field in the plan's `far_box`, by what `sum_tile` tells (a task)."""
     found = [
         some if isinstance(some, Samples) else hold_store(some[0]).get(some[1]) for some in samples
     ]
@@ -163,7 +163,7 @@ def solve_far(
     limit=lambda plan, _points, _ticket, coarse, keep=None, *_: surface_bytes(plan, coarse, keep),
 )
 def mesh_tile(
-    plan: Plan,
+    plan: TilePlan,
     points: CellPoints,
     ticket: str | None,
     coarse: CoarseLevels,
@@ -197,7 +197,7 @@ def mesh_tile(
     ),
 )
 def mesh_gap(
-    plan: Plan,
+    plan: TilePlan,
     exits: IntArray,
     points: CellPoints,
     missing: IntArray,
@@ -223,7 +223,7 @@ def mesh_gap(
 
 
 def _fit_fields(
-    plan: Plan, levels: list[Level], corners: list[IntArray], coarse: CoarseLevels, threads: int
+    plan: TilePlan, levels: list[Level], corners: list[IntArray], coarse: CoarseLevels, threads: int
 ) -> SlabFields:
     """Fit the fine levels but the finest one, which is fitted slab by slab.
 

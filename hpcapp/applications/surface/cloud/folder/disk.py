@@ -31,7 +31,7 @@ from pathlib import Path
 import numpy as np
 
 from hpcapp import kernels
-from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, Measured, Place, Points
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, CloudMeasures, Place, Points
 from hpcapp.applications.surface.cloud.arrangement import (
     RECORDS_AT_ONCE,
     Arrangement,
@@ -40,9 +40,9 @@ from hpcapp.applications.surface.cloud.arrangement import (
     unpack_points,
     unpacking_arguments,
 )
-from hpcapp.applications.surface.cloud.folder.layout import FoldedLayout, Layout, SingleLayout
+from hpcapp.applications.surface.cloud.folder.layout import FoldedLayout, RecordLayout, SingleLayout
 from hpcapp.applications.surface.cloud.folder.part_check import check_part
-from hpcapp.applications.surface.cloud.folder.parts import Part, translated
+from hpcapp.applications.surface.cloud.folder.parts import FilePart, translated
 from hpcapp.applications.surface.scale.local_scale import LocalScale
 from hpcapp.applications.surface.types.reading import Reading
 from hpcapp.geometry.lattice import find_keys, merge_counts
@@ -55,7 +55,7 @@ from hpccomponent.store.value import DamagedError, from_bytes, to_buffers
 
 _INDEX = "index"
 
-ReadLayout = Callable[[int], Layout]
+ReadLayout = Callable[[int], RecordLayout]
 """Finds the layout of an open file."""
 
 
@@ -70,9 +70,9 @@ class DiskCloud:
     high: FloatArray
     keys: IntArray
     counts: IntArray
-    parts: list[Part]
-    noted: Measured | None = None
-    attributes: Mapping[str, Sequence[Part]] = field(default_factory=dict)
+    parts: list[FilePart]
+    noted: CloudMeasures | None = None
+    attributes: Mapping[str, Sequence[FilePart]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return int(self.counts.sum())
@@ -107,7 +107,7 @@ class DiskCloud:
                     if read_layout(opened.fileno()).end(most) > length:
                         raise DamagedError(f"{path} holds other points")
 
-    def _columns(self) -> Iterator[tuple[Sequence[Part], ReadLayout]]:
+    def _columns(self) -> Iterator[tuple[Sequence[FilePart], ReadLayout]]:
         """Yield the parts of the points and of each attribute, and how they lie there."""
         yield self.parts, FoldedLayout.read
         yield from ((parts, SingleLayout.read) for parts in self.attributes.values())
@@ -145,7 +145,7 @@ class DiskCloud:
         return PackedPoints.from_records(self.keys[rows], self.counts[rows], records)
 
     def _take(
-        self, parts: Sequence[Part], keys: IntArray, kind: type[FoldedLayout | SingleLayout]
+        self, parts: Sequence[FilePart], keys: IntArray, kind: type[FoldedLayout | SingleLayout]
     ) -> tuple[IntArray, Float32Array]:
         """Return which blocks there are of some, and their records."""
         rows = find_keys(self.keys, keys)
@@ -206,13 +206,13 @@ class DiskCloud:
         return kernels.count_packed(*packed, origin, size)
 
     @property
-    def measured(self) -> Measured:
+    def measured(self) -> CloudMeasures:
         """See `ArrangedCloud`."""
         assert self.noted is not None  # noqa: S101 - or there is nothing to ask
         return self.noted
 
     @contextmanager
-    def _opened(self, part: Part) -> Iterator[int]:
+    def _opened(self, part: FilePart) -> Iterator[int]:
         """Open the file of a part, and translate what goes wrong while it is read."""
         path = self.folder / part.file
         try:
@@ -226,7 +226,7 @@ class DiskCloud:
             ) from error
 
 
-def _read_runs(file: int, layout: Layout, begins: IntArray, sizes: IntArray) -> ByteArray:
+def _read_runs(file: int, layout: RecordLayout, begins: IntArray, sizes: IntArray) -> ByteArray:
     """Return the bytes of some records: so many from each of some on, one run after the other."""
     content = np.empty(layout.size * int(sizes.sum()), np.uint8)
     # Blocks that stand side by side in the file are read at once.
@@ -244,7 +244,7 @@ def _read_runs(file: int, layout: Layout, begins: IntArray, sizes: IntArray) -> 
     return content
 
 
-def _count_records(part: Part) -> int:
+def _count_records(part: FilePart) -> int:
     """Return how many points a file must hold for what is taken of it."""
     return int((part.starts + part.counts).max(initial=0))
 
@@ -254,9 +254,9 @@ def write_index(
     arrangement: Arrangement,
     origin: FloatArray,
     box: tuple[FloatArray, FloatArray],
-    parts: Sequence[Part],
-    measured: Measured | None = None,
-    attributes: Mapping[str, Sequence[Part]] | None = None,
+    parts: Sequence[FilePart],
+    measured: CloudMeasures | None = None,
+    attributes: Mapping[str, Sequence[FilePart]] | None = None,
 ) -> DiskCloud:
     """Make a cloud of the parts that have been written.
 
@@ -282,7 +282,7 @@ def write_index(
     return _put_together(folder, arrangement, origin, box, parts, measured, attributes or {})
 
 
-def _tell(part: Part) -> tuple[str, IntArray, IntArray, IntArray]:
+def _tell(part: FilePart) -> tuple[str, IntArray, IntArray, IntArray]:
     return part.file, part.keys, part.counts, part.starts
 
 
@@ -310,15 +310,15 @@ def open_place(place: Place) -> ArrangedCloud:
 def _open(folder: Path, *_version: int) -> DiskCloud:
     with open(folder / _INDEX, "rb", opener=open_at_once) as file:
         index = from_bytes(memoryview(file.read()), folder.name)
-    parts = [Part(*part) for part in index["parts"]]
+    parts = [FilePart(*part) for part in index["parts"]]
     measured = None
     if index["measured"] is not None:
         scale, positions, normals, reading = index["measured"]
         sample = PointCloud(positions, normals)
-        measured = Measured(LocalScale(*scale), sample, Reading.of_json(reading))
+        measured = CloudMeasures(LocalScale(*scale), sample, Reading.of_json(reading))
     arrangement = Arrangement(index["corner"], index["edge"])
     attributes = {
-        name: [Part(*part) for part in some] for name, some in index["attributes"].items()
+        name: [FilePart(*part) for part in some] for name, some in index["attributes"].items()
     }
     return _put_together(
         folder, arrangement, index["origin"], index["box"], parts, measured, attributes
@@ -330,9 +330,9 @@ def _put_together(
     arrangement: Arrangement,
     origin: FloatArray,
     box: tuple[FloatArray, FloatArray] | FloatArray,
-    parts: Sequence[Part],
-    measured: Measured | None,
-    attributes: Mapping[str, Sequence[Part]],
+    parts: Sequence[FilePart],
+    measured: CloudMeasures | None,
+    attributes: Mapping[str, Sequence[FilePart]],
 ) -> DiskCloud:
     """Return the cloud of some parts."""
     keys = np.concatenate([part.keys for part in parts])

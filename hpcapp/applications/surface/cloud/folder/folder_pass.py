@@ -13,9 +13,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from hpcapp.applications.surface.cloud.arranged import Measured
+from hpcapp.applications.surface.cloud.arranged import CloudMeasures
 from hpcapp.applications.surface.cloud.folder.disk import DiskCloud, write_index
-from hpcapp.applications.surface.cloud.folder.parts import Part, write_attribute, write_part
+from hpcapp.applications.surface.cloud.folder.parts import FilePart, write_attribute, write_part
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.cloud.tasks import bound_region
 from hpcapp.geometry.points import FloatArray
@@ -59,8 +59,8 @@ class FolderPass:
     ) -> tuple[FolderPass, list[Any]]:
         """See `CloudPass`."""
         folder = make_cloud_folder(self.place)
-        parts: dict[int, Part] = {}
-        columns: dict[int, Part] = {}
+        parts: dict[int, FilePart] = {}
+        columns: dict[int, FilePart] = {}
         others: dict[int, tuple[Any, ...]] = {}
         for index, is_written, (replaced, *rest) in self.workers.run(
             task, self.cloud, margin, given, folder
@@ -68,7 +68,7 @@ class FolderPass:
             if replaced is not None:
                 # Whoever does not see the folder has sent the blocks, and they are written here.
                 blocks = replaced if is_written else write_part(folder, index, [replaced])
-                parts[index] = part = Part.whole(index, *blocks)
+                parts[index] = part = FilePart.whole(index, *blocks)
                 if attribute is not None:
                     columns[index] = write_attribute(folder, attribute, part, index, rest.pop())
             others[index] = tuple(rest)
@@ -80,14 +80,14 @@ class FolderPass:
         cloud_pass._remove_others()
         return cloud_pass, results
 
-    def note(self, measured: Measured) -> FolderPass:
+    def note(self, measured: CloudMeasures) -> FolderPass:
         """See `CloudPass`."""
         cloud = self.cloud
         box = cloud.low, cloud.high
         return self._index(cloud.folder, box, cloud.parts, cloud.attributes, measured)
 
     def _replace(
-        self, folder: Path, parts: list[Part], added: Mapping[str, list[Part]]
+        self, folder: Path, parts: list[FilePart], added: Mapping[str, list[FilePart]]
     ) -> FolderPass:
         """Return the pass through a cloud some of whose blocks are in new parts."""
         cloud = self.cloud
@@ -113,9 +113,9 @@ class FolderPass:
         self,
         folder: Path,
         box: tuple[FloatArray, FloatArray],
-        parts: list[Part],
-        attributes: Mapping[str, Sequence[Part]],
-        measured: Measured | None = None,
+        parts: list[FilePart],
+        attributes: Mapping[str, Sequence[FilePart]],
+        measured: CloudMeasures | None = None,
     ) -> FolderPass:
         known = self.cloud.arrangement, self.cloud.origin
         indexed = write_index(folder, *known, box, parts, measured, attributes)

@@ -30,7 +30,7 @@ _HEAD = struct.Struct(f"<8s{2 * _COLUMNS}q")  # magic, least of each column, bit
 _MAGIC = b"hpcfold1"
 
 
-class Layout(Protocol):
+class RecordLayout(Protocol):
     """How the records of a file lie there."""
 
     @property
@@ -82,22 +82,22 @@ class FoldedLayout:
 
     @property
     def first(self) -> int:
-        """See `Layout`."""
+        """See `RecordLayout`."""
         return PAGE
 
     @property
     def size(self) -> int:
-        """See `Layout`."""
+        """See `RecordLayout`."""
         return max(1, -(-int(self.widths.sum()) // 8))
 
     def end(self, records: int) -> int:
-        """See `Layout`."""
+        """See `RecordLayout`."""
         return self.first + self.size * records
 
     def place(
         self, content: ByteArray, counts: IntArray, starts: IntArray, records: Float32Array
     ) -> None:
-        """See `Layout`."""
+        """See `RecordLayout`."""
         folded = content.reshape(-1, self.size)
         kernels.unfold_records(folded, self.lows, self.widths, counts, starts, records)
 
@@ -115,16 +115,16 @@ class SingleLayout:
 
     @property
     def first(self) -> int:
-        """See `Layout`."""
+        """See `RecordLayout`."""
         return 0
 
     @property
     def size(self) -> int:
-        """See `Layout`."""
+        """See `RecordLayout`."""
         return 4
 
     def end(self, records: int) -> int:
-        """See `Layout`."""
+        """See `RecordLayout`."""
         return self.size * records
 
     @classmethod
@@ -136,6 +136,6 @@ class SingleLayout:
     def place(
         self, content: ByteArray, counts: IntArray, starts: IntArray, records: Float32Array
     ) -> None:
-        """See `Layout`."""
+        """See `RecordLayout`."""
         moves = np.repeat(starts - (np.cumsum(counts) - counts), counts)
         records[moves + np.arange(len(moves)), 0] = content.view("<f4")

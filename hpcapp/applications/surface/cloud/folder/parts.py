@@ -21,7 +21,7 @@ from hpccomponent.files.whole_files import write_whole
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Part:
+class FilePart:
     """The blocks of one file that belong to a cloud.
 
     `file` is its name as seen from the folder. Of the blocks (b,) there are the sorted keys, the
@@ -34,21 +34,21 @@ class Part:
     starts: IntArray
 
     @classmethod
-    def whole(cls, number: int, keys: IntArray, counts: IntArray) -> Part:
+    def whole(cls, number: int, keys: IntArray, counts: IntArray) -> FilePart:
         """Return all that `write_part` has written as a part of this number."""
         return cls(_name_part(number), keys, counts, np.cumsum(counts) - counts)
 
-    def filled(self) -> Part:
+    def filled(self) -> FilePart:
         """Return it without the blocks that hold no points."""
         return self._take(np.flatnonzero(self.counts), self.file)
 
-    def without(self, keys: IntArray, folder: str) -> Part:
+    def without(self, keys: IntArray, folder: str) -> FilePart:
         """Return it without blocks of sorted keys (k,), for an index that sees it in `folder`."""
         kept = np.flatnonzero(find_keys(keys, self.keys) == len(keys))
         return self._take(kept, os.path.normpath(os.path.join(folder, self.file)))
 
-    def _take(self, rows: IntArray, file: str) -> Part:
-        return Part(file, self.keys[rows], self.counts[rows], self.starts[rows])
+    def _take(self, rows: IntArray, file: str) -> FilePart:
+        return FilePart(file, self.keys[rows], self.counts[rows], self.starts[rows])
 
 
 def write_part(
@@ -70,7 +70,9 @@ def write_part(
     return merge_counts(keys, np.concatenate([piece.counts for piece in pieces]))
 
 
-def write_attribute(folder: Path, name: str, part: Part, number: int, values: Float32Array) -> Part:
+def write_attribute(
+    folder: Path, name: str, part: FilePart, number: int, values: Float32Array
+) -> FilePart:
     """Write one part of an attribute: values (n,) in the order of the points that `part` has.
 
     OutputError where the disk is full, or the folder cannot be written.

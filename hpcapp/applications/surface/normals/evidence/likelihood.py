@@ -28,7 +28,7 @@ UPS = (2, 1.0), (1, 1.0), (1, -1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Features:
+class ReadingFeatures:
     """What counts for a reading, of a `kind` that is ``outside`` or a field of `Likelihood`.
 
     The `cost` is the share of the area that was seen from behind, or not at all; `evenness` says
@@ -42,7 +42,7 @@ class Features:
     evenness: float = 0.0
     facing: FloatArray | None = None
 
-    def with_sides(self, cost: float, facing: FloatArray) -> Features:
+    def with_sides(self, cost: float, facing: FloatArray) -> ReadingFeatures:
         """Return the same with what depends on the sides."""
         return replace(self, cost=cost, facing=facing)
 
@@ -86,7 +86,7 @@ class Likelihood:
     held: float
     tangle: float
 
-    def odds(self, features: Features) -> float:
+    def odds(self, features: ReadingFeatures) -> float:
         """Return the logarithm of the odds of a reading, up to what all have in common."""
         common = 0.0 if features.kind == "outside" else getattr(self, features.kind)
         weight = self.among if features.kind == "amid" else self.evenness
@@ -94,7 +94,7 @@ class Likelihood:
         level = float(np.logaddexp.reduce([0.0, *self.ups(features)]))
         return float(common + told + level - self.power * np.log(FLOOR + features.cost))
 
-    def ups(self, features: Features) -> list[float]:
+    def ups(self, features: ReadingFeatures) -> list[float]:
         """Return the logarithms of the odds that each of `UPS` points up, beside none of them."""
         facing = np.zeros(3) if features.facing is None else features.facing
         commons = self.z_up, self.y_up, self.y_up
@@ -103,12 +103,12 @@ class Likelihood:
             for common, (axis, sign) in zip(commons, UPS, strict=True)
         ]
 
-    def find_shares(self, features: Sequence[Features], broken: float) -> FloatArray:
+    def find_shares(self, features: Sequence[ReadingFeatures], broken: float) -> FloatArray:
         """Return the probabilities of readings; what they lack to 1 is that none is true.
 
         Parameters
         ----------
-        features : sequence of Features
+        features : sequence of ReadingFeatures
         broken : float
             Share of the links that sides break.
         """

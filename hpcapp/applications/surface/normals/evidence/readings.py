@@ -21,7 +21,11 @@ from dataclasses import replace
 import numpy as np
 
 from hpcapp.applications.surface.normals.evidence.inside import AMID, AMPLE, INSIDE, find_inside
-from hpcapp.applications.surface.normals.evidence.likelihood import FITTED, Features, Likelihood
+from hpcapp.applications.surface.normals.evidence.likelihood import (
+    FITTED,
+    Likelihood,
+    ReadingFeatures,
+)
 from hpcapp.applications.surface.normals.evidence.linked import LinkedPatches
 from hpcapp.applications.surface.normals.evidence.seen_sides import (
     Evidence,
@@ -64,11 +68,13 @@ class Hypothesis:
     views: Views
     evidence: Evidence
     unseen: float
-    known: Features
+    known: ReadingFeatures
     place: FloatArray | None = None
     word: str = ""
 
-    def measure(self, areas: FloatArray, level: FloatArray, is_turned: BoolArray) -> Features:
+    def measure(
+        self, areas: FloatArray, level: FloatArray, is_turned: BoolArray
+    ) -> ReadingFeatures:
         """Return what counts for it with some sides; see `measure_level`."""
         views = self.views
         # The area that shows its inner side, were the reading true, by how much of it is seen.
@@ -87,7 +93,7 @@ class Followed:
 
     hypothesis: Hypothesis
     sides: FloatArray
-    features: Features
+    features: ReadingFeatures
     share: float = 0.0
 
 
@@ -192,7 +198,7 @@ def find_readings(
     toggled = outside.toggled.evidence("from outside")
     content = share_of(patches, outside.is_content)
     found = [
-        Hypothesis("outside", outside.views, toggled, content, Features("outside")),
+        Hypothesis("outside", outside.views, toggled, content, ReadingFeatures("outside")),
         *_look_from_sides(patches, outside),
         *_look_around(patches, outside),
     ]
@@ -207,7 +213,7 @@ def find_readings(
         seen_from = places.every
         how = "from inside" if name == "inside" else "from amid the points"
         views = Views.inside(patches, places, spacing, threads)
-        known = Features("amid", evenness=density.favour(patches, places.every))
+        known = ReadingFeatures("amid", evenness=density.favour(patches, places.every))
         unseen = share_of(patches, views.is_hidden)
         # Inside is a word of its own.
         place = None if name == "inside" else places.emptiest[0]
@@ -234,18 +240,18 @@ def _ask_sensor(
     beyond = np.maximum(np.maximum(low - zero, zero - high), 0.0)
     if np.linalg.norm(beyond) < _FARTHEST * np.linalg.norm(high - low):
         views, seen = face_along(patches, zero - patches.centres, "from a sensor at (0, 0, 0)")
-        known = Features("sensor", evenness=density.favour(patches, zero[None]))
+        known = ReadingFeatures("sensor", evenness=density.favour(patches, zero[None]))
         found.append(Hypothesis("sensor", views, seen, 0.0, known, zero))
     if sensor.kind == "above":  # a flight; of the others only users tell
         up = np.array([0.0, 0.0, 1.0])
         views, (_, seen) = _see_from(outside, up), face_along(patches, up, "from above")
-        unseen, known = share_of(patches, views.is_hidden), Features("flown")
+        unseen, known = share_of(patches, views.is_hidden), ReadingFeatures("flown")
         given = views, seen, unseen, known, _lie_beside(patches, outside, up)
         found.append(Hypothesis("above", *given, "above"))
     if sensor.places is not None:
         views, seen = look_from(patches, sensor, spacing, zero, threads)
         place = sensor.places[0] + zero
-        found.append(Hypothesis("places", views, seen, 0.0, Features("places"), place))
+        found.append(Hypothesis("places", views, seen, 0.0, ReadingFeatures("places"), place))
     return found
 
 
@@ -257,7 +263,7 @@ def _look_from_sides(patches: Patches, outside: Outside) -> list[Hypothesis]:
         name = _name_side(side)
         seen, place = views.evidence(f"from {name}"), _lie_beside(patches, outside, side)
         word = "" if abs(side[2]) < _STEEP else "above" if side[2] > 0.0 else "below"
-        unseen, known = share_of(patches, views.is_hidden), Features("side")
+        unseen, known = share_of(patches, views.is_hidden), ReadingFeatures("side")
         found.append(Hypothesis(name, views, seen, unseen, known, place, word))
     return found
 
@@ -272,7 +278,7 @@ def _look_around(patches: Patches, outside: Outside) -> list[Hypothesis]:
         rows = np.flatnonzero(np.abs(outside.directions[:, axis]) < _BELT)
         views = Views.sum(outside.cosines[rows], outside.is_seen[rows], len(rows))
         seen, unseen = views.evidence(f"from all around {name}"), share_of(patches, views.is_hidden)
-        known = Features("around")
+        known = ReadingFeatures("around")
         given = views, seen, unseen, known, None, "outside"
         found.append(Hypothesis(f"around {name}", *given))
     return found

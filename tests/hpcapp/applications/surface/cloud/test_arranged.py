@@ -18,7 +18,7 @@ from hpcapp.applications.surface.cloud.folder.disk import (
     open_place,
     write_index,
 )
-from hpcapp.applications.surface.cloud.folder.parts import Part, write_part
+from hpcapp.applications.surface.cloud.folder.parts import FilePart, write_part
 from hpcapp.geometry.points import PointCloud
 from hpccomponent.errors import JobError, OutputError
 
@@ -129,7 +129,7 @@ def test_an_index_may_leave_out_blocks_of_parts_elsewhere(
     moved = memory.keys[::3]
     written = write_part(tmp_path / "new", 0, [old.take_packed(moved)])
     parts = [part.without(moved, "../old") for part in old.parts]
-    parts.append(Part.whole(0, *written))
+    parts.append(FilePart.whole(0, *written))
     box = old.low, old.high
     new = write_index(tmp_path / "new", old.arrangement, old.origin, box, parts)
     assert new.uses(tmp_path / "old")

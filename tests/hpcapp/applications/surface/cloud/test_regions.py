@@ -12,8 +12,8 @@ from hpcapp.applications.surface.cloud.arranged import MemoryCloud, arrange_clou
 from hpcapp.applications.surface.cloud.arrangement import PackedPoints
 from hpcapp.applications.surface.cloud.folder.disk import DiskCloud
 from hpcapp.applications.surface.cloud.regions import (
+    CloudRegion,
     MemoryRegion,
-    Region,
     ReplacedRows,
     StoredBlocks,
     pack_region,
@@ -45,7 +45,7 @@ def _cut(cloud: DiskCloud, pieces: int) -> list[np.ndarray]:
     return [some for some in np.array_split(cloud.keys, pieces) if len(some)]
 
 
-def _take(cloud: DiskCloud, blocks: np.ndarray, margin: float, is_sent: bool) -> Region:
+def _take(cloud: DiskCloud, blocks: np.ndarray, margin: float, is_sent: bool) -> CloudRegion:
     where = pack_region(cloud, blocks, margin) if is_sent else str(cloud.folder)
     return StoredBlocks(where, blocks, margin).take()
 

@@ -27,7 +27,7 @@ from hpcapp.applications.surface.resolution import estimates
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.applications.surface.tiles import slabs as slab_growth
 from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
-from hpcapp.applications.surface.tiles.plan import Plan
+from hpcapp.applications.surface.tiles.plan import TilePlan
 from hpcapp.applications.surface.tiles.slabs import grow_slabs
 from hpcapp.geometry.lattice import pack_places, unpack_keys
 from hpcapp.geometry.mesh import Mesh
@@ -339,7 +339,10 @@ def test_any_slabs_give_the_same_bits(
 
 
 def reconstruct_strided(
-    cloud: PointCloud, grid: int, choose: Callable[[Plan], BrickStrides], tiles: int | None = None
+    cloud: PointCloud,
+    grid: int,
+    choose: Callable[[TilePlan], BrickStrides],
+    tiles: int | None = None,
 ) -> Mesh:
     """Run the method with strides, as one tile in this process, or in so many tiles on threads."""
     arranged, method = measure_points(cloud), HierarchicalMethod(grid)
@@ -354,18 +357,18 @@ def reconstruct_strided(
         return method.extract(partition, quadrics, workforce, ignore).mesh()
 
 
-def brick_keys(plan: Plan) -> IntArray:
+def brick_keys(plan: TilePlan) -> IntArray:
     places = np.stack(np.meshgrid(*map(np.arange, plan.bricks), indexing="ij"), axis=-1)
     return pack_places(places.reshape(-1, 3))
 
 
-def stride_at_random(plan: Plan) -> BrickStrides:
+def stride_at_random(plan: TilePlan) -> BrickStrides:
     keys, rng = brick_keys(plan), np.random.default_rng(3)
     keys = keys[rng.random(len(keys)) < 0.8]
     return BrickStrides(keys, rng.integers(0, 4, len(keys)).astype(np.uint8))
 
 
-def stride_by_distance(plan: Plan) -> BrickStrides:
+def stride_by_distance(plan: TilePlan) -> BrickStrides:
     """Twice as long for twice the distance from a place on the surface."""
     keys = brick_keys(plan)
     middles = plan.grid_origin + BRICK * plan.step * (unpack_keys(keys) + 0.5)
@@ -379,7 +382,7 @@ def stride_by_distance(plan: Plan) -> BrickStrides:
 )
 def test_any_tiling_gives_the_same_bits_where_strides_differ(
     shape: Callable[[int], PointCloud],
-    choose: Callable[[Plan], BrickStrides],
+    choose: Callable[[TilePlan], BrickStrides],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     cloud = shape(30_000)
@@ -400,7 +403,7 @@ def test_any_tiling_gives_the_same_bits_where_strides_differ(
 
 @pytest.mark.parametrize("shift", [0, 1, 2, 3])
 def test_a_torus_of_one_stride_is_as_good_as_its_cells(shift: int) -> None:
-    def choose(plan: Plan) -> BrickStrides:
+    def choose(plan: TilePlan) -> BrickStrides:
         keys = brick_keys(plan)
         return BrickStrides(keys, np.full(len(keys), shift, np.uint8))
 

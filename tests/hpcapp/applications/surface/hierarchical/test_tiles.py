@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hpcapp.applications.surface.cloud.cutting import cut_tiles
 from hpcapp.applications.surface.hierarchical.tiles import weigh_cells
 from hpcapp.applications.surface.tiles.halo import mark_near
-from hpcapp.applications.surface.tiles.plan import Plan
+from hpcapp.applications.surface.tiles.plan import TilePlan
 from hpcapp.geometry.lattice import pack_places, spread_keys, unique_keys
 
 
@@ -45,7 +45,7 @@ def test_where_points_are_few_the_surface_is_work_still() -> None:
     keys = pack_places(places)
     counts = np.where(places[:, 0] < 32, 4, 400)
     low = np.zeros(3)
-    plan = Plan(low, 1.0, 5, 3, 0.0, low, 0.5, (40, 20, 2), low, 8.0, 3, 128, np.zeros(3))
+    plan = TilePlan(low, 1.0, 5, 3, 0.0, low, 0.5, (40, 20, 2), low, 8.0, 3, 128, np.zeros(3))
     work = weigh_cells(plan, counts)
     assert np.all(work > counts)
     assert np.ptp(work - counts) < 1e-9

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.surface.cloud.measure import find_scale
-from hpcapp.applications.surface.normals.facets import Shape, gather_facets, merge_facets
+from hpcapp.applications.surface.normals.facets import FacetShape, gather_facets, merge_facets
 from hpcapp.geometry.points import FloatArray
 
 LOW = np.full(3, -1.25)
 
 
-def shape_of(positions: FloatArray, normals: FloatArray, edge: float = 0.2) -> Shape:
+def shape_of(positions: FloatArray, normals: FloatArray, edge: float = 0.2) -> FacetShape:
     scale = find_scale(positions)
-    return Shape.of(gather_facets(positions, normals, LOW, edge), LOW, edge, scale)
+    return FacetShape.of(gather_facets(positions, normals, LOW, edge), LOW, edge, scale)
 
 
 def ball(count: int) -> FloatArray:

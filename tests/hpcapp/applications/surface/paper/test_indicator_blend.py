@@ -11,16 +11,16 @@ from hpcapp.applications.surface.paper.indicator_blend import (
     sample_indicator_blend,
     settle_zeros,
 )
-from hpcapp.applications.surface.paper.kdtree import Patches
+from hpcapp.applications.surface.paper.kdtree import TreePatches
 from hpcapp.applications.surface.paper.patch_quadrics import evaluate_quadrics
 from hpcapp.applications.surface.stitching.topology import check_mesh, signed_volume
 from hpcapp.geometry.points import FloatArray
 from hpccomponent.errors import JobError, UsageError
 
 
-def boxes(low: list[list[float]], high: list[list[float]]) -> Patches:
+def boxes(low: list[list[float]], high: list[list[float]]) -> TreePatches:
     corners = np.array(low, float), np.array(high, float)
-    return Patches(np.arange(len(low)), np.arange(len(low) + 1), *corners)
+    return TreePatches(np.arange(len(low)), np.arange(len(low) + 1), *corners)
 
 
 def positions_of(nodes: NodeGrid) -> FloatArray:

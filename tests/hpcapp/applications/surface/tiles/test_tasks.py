@@ -21,7 +21,7 @@ from hpcapp.applications.surface.hierarchical.tiles import Tiling
 from hpcapp.applications.surface.tiles import prepared as prepared_tile
 from hpcapp.applications.surface.tiles import slabs as slab_growth
 from hpcapp.applications.surface.tiles import tasks as region
-from hpcapp.applications.surface.tiles.plan import Plan
+from hpcapp.applications.surface.tiles.plan import TilePlan
 from hpcapp.applications.surface.tiles.points import PointsThere, TilePoints, take_points
 from hpcapp.applications.surface.tiles.prepared import PreparedTile, TileCache, lay_corners
 from hpcapp.applications.surface.tiles.tasks import KEPT_TILES, mesh_tile, solve_far, sum_tile
@@ -55,14 +55,14 @@ def own_of(points: Any) -> tuple[PackedPoints]:
     return own
 
 
-def cut_in_two(method: HierarchicalMethod) -> tuple[Plan, Tiling]:
+def cut_in_two(method: HierarchicalMethod) -> tuple[TilePlan, Tiling]:
     """Plan two tiles of a ball."""
     partition = method.partition(ball(4000), Workforce(SerialExecutor(), 2))
     assert partition.tiling is not None
     return partition.plan, partition.tiling
 
 
-def fit_sums(plan: Plan, sums: Any) -> Coarse:
+def fit_sums(plan: TilePlan, sums: Any) -> Coarse:
     lattices, samples, _ = map(list, zip(*sums, strict=True))
     return fit_coarse(plan, lattices, samples, Workforce(SerialExecutor()), 1)
 

@@ -15,7 +15,7 @@ from hpcapp.applications.surface.normals.evidence.inside import (
     TIGHT,
     find_inside,
 )
-from hpcapp.applications.surface.normals.evidence.likelihood import FITTED, Features
+from hpcapp.applications.surface.normals.evidence.likelihood import FITTED, ReadingFeatures
 from hpcapp.applications.surface.normals.evidence.linked import LinkedPatches
 from hpcapp.applications.surface.normals.evidence.readings import Followed, weigh_readings
 from hpcapp.applications.surface.normals.evidence.stand import Density
@@ -232,13 +232,17 @@ def test_density_favours_no_place_where_points_lie_evenly(even: FloatArray) -> N
 
 
 def test_odds_fall_with_the_cost() -> None:
-    odds = [FITTED.odds(Features("side", cost)) for cost in (0.0, 0.001, 0.01, 0.1, 1.0)]
+    odds = [FITTED.odds(ReadingFeatures("side", cost)) for cost in (0.0, 0.001, 0.01, 0.1, 1.0)]
     assert np.diff(odds).max() < 0.0
 
 
 @pytest.mark.parametrize("broken", [0.0, 0.02, 0.2])
 def test_shares_lack_to_1_what_wrong_links_take(broken: float) -> None:
-    features = [Features("outside", 0.01), Features("amid", 0.0), Features("side", 0.2)]
+    features = [
+        ReadingFeatures("outside", 0.01),
+        ReadingFeatures("amid", 0.0),
+        ReadingFeatures("side", 0.2),
+    ]
     shares = FITTED.find_shares(features, broken)
     assert (shares > 0.0).all()
     assert shares.sum() < 1.0
