@@ -24,6 +24,17 @@ from hpcapp.kernels.types.brick_mesh import BrickMesh, Survey
 from hpcapp.kernels.types.field import PIECES, FarField, Features, Field
 from hpcapp.kernels.types.grid import Grid
 
+
+def assert_alike(native: ModuleType, name: str, *given: Any) -> Any:
+    """Find what both builds give the same, to the last bit, and return it."""
+    found, wanted = (getattr(build, name)(*given) for build in (native, portable))
+    is_one = isinstance(found, np.ndarray)
+    for one, other in zip(*(([found], [wanted]) if is_one else (found, wanted)), strict=True):
+        np.testing.assert_array_equal(one, other)
+        assert np.asarray(one).dtype == np.asarray(other).dtype
+    return found
+
+
 coordinates = arrays.arrays(
     np.int64, st.tuples(st.integers(1, 60), st.just(3)), elements=st.integers(-40, 40)
 )
@@ -35,7 +46,7 @@ def test_sets_of_places(native: ModuleType, places: IntArray, low: int, width: i
     keys = lattice.unique_keys(lattice.pack_places(places))
     spread = native.spread_keys(keys, low, low + width)
     np.testing.assert_array_equal(spread, lattice.spread_keys(keys, low, low + width))
-    np.testing.assert_array_equal(native.parent_keys(keys), portable.parent_keys(keys))
+    assert_alike(native, "parent_keys", keys)
     np.testing.assert_array_equal(native.unite_keys(keys, spread), lattice.unite_keys(keys, spread))
     for wanted in (spread, np.ascontiguousarray(spread[::-1])):
         expected = lattice.find_keys(keys, wanted)
@@ -47,10 +58,7 @@ def test_sets_of_places(native: ModuleType, places: IntArray, low: int, width: i
 @settings(deadline=None, max_examples=60)
 def test_cells_that_touch(native: ModuleType, places: IntArray) -> None:
     keys = lattice.unique_keys(lattice.pack_places(places // 4))
-    pieces, label = native.label_cells(keys)
-    wanted_pieces, wanted = portable.label_cells(keys)
-    assert pieces == wanted_pieces
-    np.testing.assert_array_equal(label, wanted)
+    assert_alike(native, "label_cells", keys)
 
 
 @given(coordinates, st.integers(0, 4))
@@ -58,8 +66,7 @@ def test_cells_that_touch(native: ModuleType, places: IntArray) -> None:
 def test_ancestors(native: ModuleType, places: IntArray, depth: int) -> None:
     keys = lattice.unique_keys(lattice.pack_places(places))
     above = lattice.unique_keys(lattice.pack_places(lattice.unpack_keys(keys) >> depth))[::2].copy()
-    found = native.mark_ancestors(keys, depth, above)
-    np.testing.assert_array_equal(found, portable.mark_ancestors(keys, depth, above))
+    assert_alike(native, "mark_ancestors", keys, depth, above)
 
 
 @given(st.integers(0, 2**32), st.floats(0.05, 3.0), st.floats(0.01, 9.0), st.integers(2, 60))
@@ -72,9 +79,7 @@ def test_looking_near(
     kinds = (random.integers(0, one_in, size=(6, 4, 5)) == 0).astype(np.uint8)
     origin, corner = random.normal(size=(2, 3))
     edge = 1.25
-    given = keys, origin, size, kinds, corner, edge, reach
-    found = native.look_near(*given)
-    np.testing.assert_array_equal(found, portable.look_near(*given))
+    found = assert_alike(native, "look_near", keys, origin, size, kinds, corner, edge, reach)
     # The distance along the axis where it is largest, to the nearest brick that is wanted.
     middles = origin + size * (lattice.unpack_keys(keys) + 0.5)
     low = corner + edge * np.argwhere(kinds)
@@ -93,7 +98,7 @@ def test_rims(native: ModuleType, seed: int, one_in: int, sides: list[int]) -> N
     bricks = random.integers(0, one_in, size=sides) == 0
     cells = (1 << random.integers(0, 4, size=sides)).astype(np.uint8)
     for case in ((bricks, None), (bricks, cells), (bricks, cells.clip(2))):
-        np.testing.assert_array_equal(native.mark_rim(*case), portable.mark_rim(*case))
+        assert_alike(native, "mark_rim", *case)
 
 
 sides = st.lists(st.integers(0, 5), min_size=3, max_size=3).map(np.array)
@@ -109,8 +114,7 @@ def test_boxes_around_cells(
     high: IntArray,
 ) -> None:
     keys, cells = (lattice.unique_keys(lattice.pack_places(each // 2)) for each in (places, others))
-    found = native.mark_near(keys, cells, low, high)
-    np.testing.assert_array_equal(found, portable.mark_near(keys, cells, low, high))
+    found = assert_alike(native, "mark_near", keys, cells, low, high)
     off = lattice.unpack_keys(keys)[:, None] - lattice.unpack_keys(cells)
     boxed = np.any(np.all((off >= -low) & (off <= high), axis=2), axis=1)
     np.testing.assert_array_equal(found, boxed)
@@ -122,25 +126,13 @@ def test_sorting_points(native: ModuleType, seed: int, points: int, size: float)
     random = np.random.default_rng(seed)
     positions, normals = random.normal(size=(2, points, 3))
     origin = random.normal(size=3)
-    expected = portable.sort_points(positions, origin, size)
-    for found, wanted in zip(native.sort_points(positions, origin, size), expected, strict=True):
-        np.testing.assert_array_equal(found, wanted)
-    gathered = (positions, normals, expected[2], origin, size)
-    for found, wanted in zip(
-        native.gather_points(*gathered), portable.gather_points(*gathered), strict=True
-    ):
-        np.testing.assert_array_equal(found, wanted)
-    packed = native.pack_records(positions, normals, origin, size)
-    for found, wanted in zip(
-        packed, portable.pack_records(positions, normals, origin, size), strict=True
-    ):
-        np.testing.assert_array_equal(found, wanted)
+    rows = assert_alike(native, "sort_points", positions, origin, size)[2]
+    assert_alike(native, "gather_points", positions, normals, rows, origin, size)
+    packed = assert_alike(native, "pack_records", positions, normals, origin, size)
     keys, counts, records = packed
-    bounds = native.bound_records(records)
-    np.testing.assert_array_equal(bounds, portable.bound_records(records))
+    bounds = assert_alike(native, "bound_records", records)
     layout = bounds[0], np.array([int(span).bit_length() for span in bounds[1] - bounds[0]])
-    folded = native.fold_records(records, *layout)
-    np.testing.assert_array_equal(folded, portable.fold_records(records, *layout))
+    folded = assert_alike(native, "fold_records", records, *layout)
     # The blocks from the last to the first.
     starts = len(records) - np.cumsum(counts)
     unfolded = np.zeros((2, *records.shape), np.float32)
@@ -149,41 +141,16 @@ def test_sorting_points(native: ModuleType, seed: int, points: int, size: float)
     turned = np.concatenate(np.split(records, np.cumsum(counts)[:-1])[::-1])
     assert unfolded[0].tobytes() == unfolded[1].tobytes() == turned.tobytes()
     places = records, counts, lattice.unpack_keys(keys) * size + origin, size
-    for found, wanted in zip(
-        native.unpack_records(*places), portable.unpack_records(*places), strict=True
-    ):
-        np.testing.assert_array_equal(found, wanted)
-    box = np.quantile(positions, [0.2, 0.9], axis=0)
-    for found, wanted in zip(
-        native.unpack_within(*places, *box), portable.unpack_within(*places, *box), strict=True
-    ):
-        np.testing.assert_array_equal(found, wanted)
+    assert_alike(native, "unpack_records", *places)
+    assert_alike(native, "unpack_within", *places, *np.quantile(positions, [0.2, 0.9], axis=0))
     chosen = keys[::2].copy(), (keys[::2] % 3).astype(np.uint8)
     for lattice_of in ((origin, 0.3 * size, 0), (origin + 0.3 * size, 0.5 * size, 1)):
-        sorted_by_cell: Any = portable.sort_packed(*places, *lattice_of, *chosen)
-        for found, wanted in zip(
-            native.sort_packed(*places, *lattice_of, *chosen), sorted_by_cell, strict=True
-        ):
-            assert found.dtype == wanted.dtype
-            np.testing.assert_array_equal(found, wanted)
-        for found, wanted in zip(
-            native.count_packed(*places, *lattice_of[:2]),
-            portable.count_packed(*places, *lattice_of[:2]),
-            strict=True,
-        ):
-            assert found.dtype == wanted.dtype
-            np.testing.assert_array_equal(found, wanted)
-        scattered = sorted_by_cell[2], sorted_by_cell[3], *places[2:], *lattice_of[:2]
-        for found, wanted in zip(
-            native.place_packed(*scattered), portable.place_packed(*scattered), strict=True
-        ):
-            np.testing.assert_array_equal(found, wanted)
+        sorted_by_cell = assert_alike(native, "sort_packed", *places, *lattice_of, *chosen)
+        assert_alike(native, "count_packed", *places, *lattice_of[:2])
+        assert_alike(native, "place_packed", *sorted_by_cell[2:4], *places[2:], *lattice_of[:2])
     for one_in in (1, 3):
-        counted = native.count_boxes(positions, origin, size, one_in)
-        assert counted == portable.count_boxes(positions, origin, size, one_in)
-        sampled = native.sample_boxes(positions, origin, size, one_in)
-        wanted = portable.sample_boxes(positions, origin, size, one_in)
-        np.testing.assert_array_equal(sampled, wanted)
+        assert_alike(native, "count_boxes", positions, origin, size, one_in)
+        assert_alike(native, "sample_boxes", positions, origin, size, one_in)
 
 
 @given(st.integers(0, 2**32), st.lists(st.integers(0, 9), min_size=1, max_size=30))
@@ -193,12 +160,9 @@ def test_moments_of_points(native: ModuleType, seed: int, counts: list[int]) -> 
     offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
     local = random.uniform(-0.5, 0.5, size=(offsets[-1], 3))
     normals = random.normal(size=(offsets[-1], 3))
-    found = native.accumulate_moments(local, normals, offsets)
-    np.testing.assert_array_equal(found, portable.accumulate_moments(local, normals, offsets))
+    assert_alike(native, "accumulate_moments", local, normals, offsets)
     weights = random.uniform(size=offsets[-1])
-    weighted = native.accumulate_moments(local, normals, offsets, weights)
-    wanted = portable.accumulate_moments(local, normals, offsets, weights)
-    np.testing.assert_array_equal(weighted, wanted)
+    assert_alike(native, "accumulate_moments", local, normals, offsets, weights)
 
 
 @pytest.mark.parametrize("depth", [0, 1])
@@ -448,10 +412,7 @@ def test_balancing_what_folds(native: ModuleType, seed: int) -> None:
 )
 @settings(deadline=None, max_examples=60)
 def test_connectivity(native: ModuleType, faces: IntArray) -> None:
-    count, label = native.label_components(faces, 13)
-    wanted_count, wanted_label = portable.label_components(faces, 13)
-    assert count == wanted_count
-    np.testing.assert_array_equal(label, wanted_label)
+    assert_alike(native, "label_components", faces, 13)
     found = native.survey_mesh(faces, 13)
     assert isinstance(found, Survey)
     wanted = portable.survey_mesh(faces, 13)
