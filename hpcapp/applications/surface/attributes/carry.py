@@ -94,23 +94,6 @@ class AttributeField:
             yield rows, near, np.take_along_axis(squares, order, axis=1)
 
 
-def carry_attributes(
-    vertices: FloatArray, points: PointCloud, labels: Collection[str] = ()
-) -> PointCloud:
-    """Return vertices (n, 3), without normals, with colours and attributes of points near them.
-
-    They are in the frame of the points, of which there is at least one. Attributes in `labels` are
-    taken from the nearest point.
-
-    Examples
-    --------
-    >>> points = PointCloud(np.eye(3), None, None, {"height": np.array([2.0, 4.0, 6.0])})
-    >>> carry_attributes(np.array([[0.0, 1.0, 0.0]]), points).attributes["height"]
-    array([4.])
-    """
-    return AttributeField(points, labels).evaluate(vertices).points
-
-
 def _weigh(squares: FloatArray) -> FloatArray:
     """Return weights by squared distances, which rise along each row; of the last it is zero.
 

@@ -31,9 +31,10 @@ from hpcapp.applications.surface.cloud.arranged import Place
 from hpcapp.applications.surface.cloud.folder.disk import open_place
 from hpcapp.applications.surface.extraction.part_places import starts_of
 from hpcapp.applications.surface.extraction.parts import MeshPart
-from hpcapp.applications.surface.extraction.summary import PartSummary, summarize_part
+from hpcapp.applications.surface.extraction.summary import PartSummary
 from hpcapp.applications.surface.extraction.taken_bricks import TakenBricks
 from hpcapp.applications.surface.tiles.patterns import Exits
+from hpcapp.applications.surface.tiles.tasks import give_part
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray, PointCloud
 from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.records import record
@@ -135,13 +136,7 @@ def open_part(
     # The survey knows where the foreign vertices of what is left are: those of the part need not.
     held = _hold(part)
     held, _ = drop_copies(held, taken.mark(held), np.zeros((len(held.foreign_bricks), 3)))
-    cut, exits = cut_opening(held, survey, *decided), np.empty(0, np.int64)
-    summary = summarize_part(cut)
-    if keep is None:
-        return cut, summary, exits
-    place, name = keep
-    hold_store(place).put(name, (cut, summary, exits))
-    return None, summary, exits
+    return give_part(cut_opening(held, survey, *decided), np.empty(0, np.int64), keep)
 
 
 def _hold(part: Part) -> MeshPart:

@@ -206,14 +206,10 @@ def region_bytes(each: int) -> Callable[..., int]:
     return lambda points, *_: SMALL_BYTES + each * AssignedPoints.of(points).points
 
 
-def run_bytes(each: int) -> Callable[..., int]:
-    """Return the same of tasks that are given a place and blocks there."""
-
-    def limit(place: Place, blocks: IntArray, *_: Any) -> int:
-        cloud = open_place(place)
-        return SMALL_BYTES + each * AssignedPoints.among(cloud.arrangement, cloud, blocks).points
-
-    return limit
+def counted_bytes(place: Place, blocks: IntArray, *_: Any) -> int:
+    """Return how large what `tasks.count_block_cells` counts may be."""
+    cloud = open_place(place)
+    return SMALL_BYTES + 16 * AssignedPoints.among(cloud.arrangement, cloud, blocks).points
 
 
 def bounded_region(points: StoredBlocks) -> Declared:

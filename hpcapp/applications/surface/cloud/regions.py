@@ -7,7 +7,7 @@ points in terms of the region: it is written once, for points in memory and for 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,47 +45,12 @@ changed, written there (keys and counts) or to be sent. A block of which nothing
 count 0."""
 
 
-class CloudRegion(Protocol):
-    """The points of a region and those around it, in the order of the cloud."""
-
-    @property
-    def positions(self) -> FloatArray:
-        """Shape (n, 3), in length units of the input."""
-
-    @property
-    def normals(self) -> FloatArray | Float32Array:
-        """Shape (n, 3)."""
-
-    @property
-    def own(self) -> BoolArray:
-        """Shape (n,): which points are the region's own; m of them."""
-
-    @property
-    def threads(self) -> int:
-        """How many a task may take."""
-
-    def drop(self, dropped: BoolArray) -> Replaced | None:
-        """Leave out some of its own points, of shape (m,); None where there are none."""
-
-    def flip(self, is_flipped: BoolArray) -> Replaced | None:
-        """Turn round the normals of some of its own points, of shape (m,); None where of none."""
-
-    def replace_normals(self, normals: FloatArray | Float32Array) -> Replaced:
-        """Give its own points other normals, of shape (m, 3)."""
-
-
-class RegionPoints(Protocol):
-    """Where the points of a region are."""
-
-    def take(self) -> CloudRegion:
-        """Return the region; JobError where its folder is not there any more, or not whole."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class MemoryRegion:
     """A region of a cloud in memory, with the normals that are `given`, (n, 3).
 
-    Its own points are the cloud's `rows`, (m,) or a slice.
+    Positions (n, 3) are in length units of the input. The region's own points, `own` (n,), are the
+    cloud's `rows`, (m,) or a slice; a task may take so many `threads`.
     """
 
     positions: FloatArray
@@ -95,28 +60,28 @@ class MemoryRegion:
     threads: int = 1
 
     def take(self) -> CloudRegion:
-        """See `RegionPoints`."""
+        """Return the region."""
         return self
 
     @property
     def normals(self) -> FloatArray | Float32Array:
-        """See `CloudRegion`."""
+        """Shape (n, 3)."""
         assert self.given is not None  # noqa: S101 - or there is nothing to ask
         return self.given
 
     def drop(self, dropped: BoolArray) -> Replaced | None:
-        """See `CloudRegion`."""
+        """Leave out some of its own points, of shape (m,); None where there are none."""
         return ReplacedRows(self.rows, kept=~dropped) if dropped.any() else None
 
     def flip(self, is_flipped: BoolArray) -> Replaced | None:
-        """See `CloudRegion`."""
+        """Turn round the normals of some of its own points, of shape (m,); None where of none."""
         if not is_flipped.any():
             return None
         own = self.normals if self.own.all() else self.normals[self.own]
         return ReplacedRows(self.rows, normals=np.where(is_flipped[:, None], -own, own))
 
     def replace_normals(self, normals: FloatArray | Float32Array) -> Replaced:
-        """See `CloudRegion`."""
+        """Give its own points other normals, of shape (m, 3)."""
         return ReplacedRows(self.rows, normals=normals)
 
 
@@ -146,7 +111,7 @@ class StoredBlocks:
     target: tuple[str, int] | None = None
 
     def take(self) -> CloudRegion:
-        """See `RegionPoints`."""
+        """Return the region; JobError where its folder is not there any more, or not whole."""
         if isinstance(self.where, SentBlocks):
             arrangement, packed = self.where.arrangement, self.where.packed
         else:
@@ -162,7 +127,7 @@ class StoredBlocks:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _StoredRegion:
-    """A region of blocks, see `CloudRegion`: the points at `rows` (n,) of what is packed."""
+    """A region of blocks, see `MemoryRegion`: the points at `rows` (n,) of what is packed."""
 
     positions: FloatArray
     own: BoolArray
@@ -217,6 +182,13 @@ class _StoredRegion:
         if self.target is None:
             return packed
         return write_part(Path(self.target[0]), self.target[1], [packed])
+
+
+CloudRegion = MemoryRegion | _StoredRegion
+"""The points of a region and those around it, in the order of the cloud."""
+
+RegionPoints = MemoryRegion | StoredBlocks
+"""Where the points of a region are."""
 
 
 def pack_region(cloud: DiskCloud, blocks: IntArray, margin: float) -> SentBlocks:

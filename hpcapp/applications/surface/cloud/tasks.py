@@ -12,10 +12,10 @@ from hpcapp.applications.surface.cloud.patterns import (
     SamplePositions,
     bounded_region,
     counted_boxes,
+    counted_bytes,
     counted_cells,
     counted_scale,
     region_bytes,
-    run_bytes,
     sampled_places,
     sampled_region,
 )
@@ -83,7 +83,7 @@ def sample_places(
     return sample_positions(points.take().positions, low, edge, one_in)
 
 
-@declare(result=counted_cells, limit=run_bytes(16))
+@declare(result=counted_cells, limit=counted_bytes)
 def count_block_cells(
     place: Place, blocks: IntArray, origin: FloatArray, size: float
 ) -> tuple[CellKeys, CellCounts]:

@@ -182,11 +182,11 @@ def mesh_tile(
         prepared = PreparedTile(plan, points, plan.coarse, threads)
     kinds, corners = prepared.laid()
     if kinds is None:
-        return _give(MeshPart.empty(), np.empty(0, np.int64), keep)
+        return give_part(MeshPart.empty(), np.empty(0, np.int64), keep)
     levels = prepared.levels[: plan.coarse]
     del prepared
     grown = grow_tile(_fit_fields(plan, levels, corners, coarse, threads), kinds)
-    return _give(*grown, keep, is_last)
+    return give_part(*grown, keep, is_last)
 
 
 @declare(
@@ -219,7 +219,7 @@ def mesh_gap(
         levels = raise_levels(taken.finest, plan.coarse, threads)
         corners = finish(lay_corners(plan, taken.finest.cells, kinds))
     del taken  # the points leave memory with their level
-    return _give(*grow_tile(_fit_fields(plan, levels, corners, coarse, threads), kinds), keep)
+    return give_part(*grow_tile(_fit_fields(plan, levels, corners, coarse, threads), kinds), keep)
 
 
 def _fit_fields(
@@ -243,7 +243,7 @@ def _fit_fields(
     return SlabFields(pyramid, plan.weights, parents, above, features, far, plan.grid, threads)
 
 
-def _give(
+def give_part(
     part: MeshPart, exits: IntArray, keep: tuple[str, str] | None, is_last: bool = False
 ) -> tuple[MeshPart | None, PartSummary, Exits]:
     """Return a part with its summary, or put it where it is kept.

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import shapely
 from clipped_meshes import sample
+from directions import random_directions
 from scipy.spatial import cKDTree
 
 import hpcapp as package
@@ -44,8 +45,7 @@ def test_a_mesh_ends_on_the_box_in_the_coordinates_of_a_map(knot: PointCloud) ->
 
 
 def test_a_ball_on_feet_and_metres_is_one_of_feet(tmp_path: Path) -> None:
-    random = np.random.default_rng(4).normal(size=(12_000, 3))
-    directions = random / np.linalg.norm(random, axis=1, keepdims=True)
+    directions = random_directions(12_000, 4)
     scales = np.array([1.0, 1.0, 0.3048])
     path, output = tmp_path / "ball.ply", tmp_path / "mesh.ply"
     centre = np.array([2e6, 5e5, 100.0])

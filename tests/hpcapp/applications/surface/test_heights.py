@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from directions import random_directions
 from little_memory import leave_little_memory
 
 from hpcapp.applications.points.info import describe_file
@@ -35,8 +36,7 @@ SUFFIXES = (".ply", ".tiles", ".obj", ".off", ".stl", ".glb", ".vtp", ".3mf")
 
 @pytest.fixture(scope="module")
 def ball(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    directions = np.random.default_rng(4).normal(size=(12_000, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    directions = random_directions(12_000, 4)
     upright = directions * (1.0, 1.0, METRES)  # in feet and metres
     normals = directions / (1.0, 1.0, METRES)
     path = tmp_path_factory.mktemp("feet") / "ball.ply"

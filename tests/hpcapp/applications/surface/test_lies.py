@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import recorded_tasks
+from directions import random_directions
 from lies import LIES
 from little_memory import leave_little_memory
 from recorded_tasks import Answer, RecordedTasks
@@ -124,8 +125,7 @@ def make_torus(points: int) -> PointCloud:
 
 def make_fog(points: int) -> PointCloud:
     rng = np.random.default_rng(3)
-    normals = rng.normal(size=(points, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = random_directions(points, rng)
     return PointCloud(rng.uniform(-1.0, 1.0, (points, 3)), normals)
 
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from directions import random_directions
 from little_memory import leave_little_memory
 
 from hpcapp.api.reconstruction import reconstruct
@@ -156,8 +157,7 @@ def test_a_view_on_disk_is_cut_open_alike(backend: str, scan: Path, tmp_path: Pa
 def test_a_cloud_of_one_level_is_one_tile(
     points: int, grid: int, backend: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    arms = np.random.default_rng(5).normal(size=(points, 3))
-    arms /= np.linalg.norm(arms, axis=1, keepdims=True)
+    arms = random_directions(points, 5)
     scan, output = tmp_path / "scan.ply", tmp_path / "mesh.ply"
     write_points(scan, PointCloud(1.5 * arms + (7.0, 0.0, 0.0), arms))
     run_job(JobSettings(scan, str(tmp_path / "whole.ply"), grid=grid), SILENT)

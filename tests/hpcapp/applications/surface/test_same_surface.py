@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from directions import random_directions
 
 import hpcapp
 from hpcapp.geometry.points import FloatArray
@@ -56,8 +57,7 @@ def heights() -> Cloud:
 def ripples(noise: float = 0.0) -> Cloud:
     """Return random points on a ball with ripples."""
     random = np.random.default_rng(0)
-    normals = random.normal(size=(12_000, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = random_directions(12_000, random)
     radii = 1.0 + 0.05 * np.sin(8.0 * normals).prod(axis=1) + noise * random.normal(size=12_000)
     return radii[:, None] * normals, normals
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from directions import random_directions
 from little_memory import leave_little_memory
 
 from hpcapp.api.reconstruction import reconstruct
@@ -21,8 +22,7 @@ from hpccomponent.errors import UsageError
 
 
 def make_ball(points: int = 8000) -> PointCloud:
-    normals = np.random.default_rng(3).normal(size=(points, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = random_directions(points, 3)
     colours = np.where(normals[:, :1] > 0, 255, 0).astype(np.uint8) * np.ones(3, np.uint8)
     return PointCloud(normals.copy(), normals, colours, origin=np.array([4e5, 5e6, 0.0]))
 

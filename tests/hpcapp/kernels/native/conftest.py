@@ -7,6 +7,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from directions import random_directions
 
 from hpcapp.geometry.lattice import spread_keys
 from hpcapp.geometry.points import FloatArray, IntArray
@@ -42,8 +43,7 @@ class Cells:
 
 def make_cells(seed: int, points: int, cell_size: float) -> Cells:
     random = np.random.default_rng(seed)
-    normals = random.normal(size=(points, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = random_directions(points, random)
     positions = normals * (1.0, 0.8, 0.6) + 0.01 * random.normal(size=(points, 3))
     origin = positions.min(axis=0)
     cells, offsets, rows = portable.sort_points(positions, origin, cell_size)

@@ -7,6 +7,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from directions import random_directions
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -27,8 +28,7 @@ def _make_points(kind: str, seed: int) -> FloatArray:
         along = random.uniform(0.0, 2.7, size=(1500, 2))
         sides = along[:, 0] * random.choice([-0.27, 0.27], size=1500)
         return np.column_stack([along, sides + 0.005 * random.normal(size=1500)])
-    directions = random.normal(size=(1500, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    directions = random_directions(1500, random)
     if kind == "noisy":  # planes of many points
         directions *= 1.0 + 0.1 * random.normal(size=(1500, 1))
     if kind == "uneven":  # most points lie much closer, some at one place, some far from all

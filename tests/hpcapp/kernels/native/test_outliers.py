@@ -7,6 +7,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from directions import random_directions
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -66,8 +67,7 @@ def test_neighbours(native: ModuleType, seed: int, points: int, is_gridded: bool
 @settings(deadline=None, max_examples=25)
 def test_polls(native: ModuleType, seed: int, reach: float, tolerance: float) -> None:
     random = np.random.default_rng(seed)
-    directions = random.normal(size=(600, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    directions = random_directions(600, random)
     positions = directions * (1.0, 0.7, 0.2)
     given_normals = directions * np.where(random.random(600) < 0.2, -1.0, 1.0)[:, None]
     keys, _, cell_of = portable.count_cells(positions, positions.min(axis=0), reach)

@@ -6,6 +6,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from directions import random_directions
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -19,8 +20,7 @@ from hpcapp.kernels import portable
 def test_views(native: ModuleType, seed: int, patches: int, far: float) -> None:
     """From near, where patches fill pixels of several sizes, and from far away."""
     random = np.random.default_rng(seed)
-    normals = random.normal(size=(patches, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = random_directions(patches, random)
     centres = np.round(normals * (1.0, 0.8, 0.6), 2)  # several are as far away as others
     noise = random.uniform(0.0, 0.1, patches)
     viewpoints = far * random.normal(size=(5, 3))

@@ -14,7 +14,7 @@ from __future__ import annotations
 import os
 import struct
 from collections.abc import Iterator, Sequence
-from typing import ClassVar, Protocol
+from typing import ClassVar
 
 import numpy as np
 
@@ -28,29 +28,6 @@ from hpccomponent.store.value import DamagedError
 _COLUMNS = 7  # as `kernels.fold_records` has them
 _HEAD = struct.Struct(f"<8s{2 * _COLUMNS}q")  # magic, least of each column, bits of each
 _MAGIC = b"hpcfold1"
-
-
-class RecordLayout(Protocol):
-    """How the records of a file lie there."""
-
-    @property
-    def first(self) -> int:
-        """The byte at which they begin."""
-
-    @property
-    def size(self) -> int:
-        """Bytes of each."""
-
-    def end(self, records: int) -> int:
-        """Return the byte behind so many records."""
-
-    def place(
-        self, content: ByteArray, counts: IntArray, starts: IntArray, records: Float32Array
-    ) -> None:
-        """Put what was read, (n * size,), where it belongs in the records (m, columns).
-
-        It has `counts` (b,) records of each block, whose first one goes to row `starts` (b,).
-        """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,22 +59,25 @@ class FoldedLayout:
 
     @property
     def first(self) -> int:
-        """See `RecordLayout`."""
+        """The byte at which they begin."""
         return PAGE
 
     @property
     def size(self) -> int:
-        """See `RecordLayout`."""
+        """Bytes of each."""
         return max(1, -(-int(self.widths.sum()) // 8))
 
     def end(self, records: int) -> int:
-        """See `RecordLayout`."""
+        """Return the byte behind so many records."""
         return self.first + self.size * records
 
     def place(
         self, content: ByteArray, counts: IntArray, starts: IntArray, records: Float32Array
     ) -> None:
-        """See `RecordLayout`."""
+        """Put what was read, (n * size,), where it belongs in the records (m, columns).
+
+        It has `counts` (b,) records of each block, whose first one goes to row `starts` (b,).
+        """
         folded = content.reshape(-1, self.size)
         kernels.unfold_records(folded, self.lows, self.widths, counts, starts, records)
 
@@ -115,16 +95,16 @@ class SingleLayout:
 
     @property
     def first(self) -> int:
-        """See `RecordLayout`."""
+        """See `FoldedLayout`."""
         return 0
 
     @property
     def size(self) -> int:
-        """See `RecordLayout`."""
+        """See `FoldedLayout`."""
         return 4
 
     def end(self, records: int) -> int:
-        """See `RecordLayout`."""
+        """See `FoldedLayout`."""
         return self.size * records
 
     @classmethod
@@ -136,6 +116,10 @@ class SingleLayout:
     def place(
         self, content: ByteArray, counts: IntArray, starts: IntArray, records: Float32Array
     ) -> None:
-        """See `RecordLayout`."""
+        """See `FoldedLayout`."""
         moves = np.repeat(starts - (np.cumsum(counts) - counts), counts)
         records[moves + np.arange(len(moves)), 0] = content.view("<f4")
+
+
+RecordLayout = FoldedLayout | SingleLayout
+"""How the records of a file lie there."""

@@ -23,7 +23,6 @@ import numpy as np
 from hpcapp.applications.surface.normals.evidence.inside import AMID, AMPLE, INSIDE, find_inside
 from hpcapp.applications.surface.normals.evidence.likelihood import (
     FITTED,
-    Likelihood,
     ReadingFeatures,
 )
 from hpcapp.applications.surface.normals.evidence.linked import LinkedPatches
@@ -131,7 +130,6 @@ def weigh_readings(
     zero: FloatArray,
     sensor: Sensor,
     threads: int = 1,
-    likelihood: Likelihood = FITTED,
 ) -> list[Followed]:
     """Weigh what a cloud may be; the reading whose sides are most probable comes first.
 
@@ -142,7 +140,7 @@ def weigh_readings(
     given = areas, _ = areas_of(patches), measure_level(patches)
     # What they come to if every patch could take the side of its own that is seen more.
     bounds = [
-        likelihood.odds(one.measure(*given, one.views.front < one.views.back)) for one in hypotheses
+        FITTED.odds(one.measure(*given, one.views.front < one.views.back)) for one in hypotheses
     ]
     found: list[Followed] = []
     best = -np.inf
@@ -150,8 +148,8 @@ def weigh_readings(
         if bounds[row] < best - _FOLLOWED:
             break
         found.append(follow_reading(linked, hypotheses[row], *given))
-        best = max(best, likelihood.odds(found[-1].features))
-    weighed = _share(found, linked.share_broken(found[0].sides), likelihood)
+        best = max(best, FITTED.odds(found[-1].features))
+    weighed = _share(found, linked.share_broken(found[0].sides))
     # (r, p): readings that agree on a side speak for it together.
     turned = np.array([one.sides < 0.0 for one in weighed])
     shares = np.array([one.share for one in weighed])
@@ -166,7 +164,6 @@ def weigh_given(
     zero: FloatArray,
     sensor: Sensor,
     threads: int = 1,
-    likelihood: Likelihood = FITTED,
 ) -> list[Followed]:
     """Weigh what a cloud may be whose patches have their sides; as for `weigh_readings`."""
     none, sides = np.empty(0, np.int64), np.ones(len(patches))
@@ -176,12 +173,12 @@ def weigh_given(
         Followed(one, sides, one.measure(*given, sides < 0.0))
         for one in find_readings(patches, linked, spacing, zero, sensor, threads)
     ]
-    return sorted(_share(found, 0.0, likelihood), key=lambda one: -one.share)
+    return sorted(_share(found, 0.0), key=lambda one: -one.share)
 
 
-def _share(found: list[Followed], broken: float, likelihood: Likelihood) -> list[Followed]:
+def _share(found: list[Followed], broken: float) -> list[Followed]:
     """Return the same with the probability of each, where sides break a share of the links."""
-    shares = likelihood.find_shares([one.features for one in found], broken)
+    shares = FITTED.find_shares([one.features for one in found], broken)
     return [replace(one, share=share) for one, share in zip(found, shares.tolist(), strict=True)]
 
 

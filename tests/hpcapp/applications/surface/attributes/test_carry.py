@@ -1,18 +1,15 @@
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 import pytest
+from directions import random_directions
 
-from hpcapp.applications.surface.attributes.carry import AttributeField, carry_attributes
+from hpcapp.applications.surface.attributes.carry import AttributeField
 from hpcapp.geometry.points import FloatArray, PointCloud
 
 RNG = np.random.default_rng(7)
-
-
-def sphere(points: int) -> FloatArray:
-    arms = RNG.normal(size=(points, 3))
-    units: FloatArray = arms / np.linalg.norm(arms, axis=1, keepdims=True)
-    return units
 
 
 def coloured(positions: FloatArray) -> PointCloud:
@@ -29,10 +26,14 @@ def coloured(positions: FloatArray) -> PointCloud:
     )
 
 
+def carry(places: FloatArray, points: PointCloud, labels: Collection[str] = ()) -> PointCloud:
+    return AttributeField(points, labels).evaluate(places).points
+
+
 def test_smooth_columns_are_met_and_keep_their_types() -> None:
-    vertices = 1.002 * sphere(3000)
-    points = coloured(sphere(20_000))
-    carried = carry_attributes(vertices, points, {"side"})
+    vertices = 1.002 * random_directions(3000, RNG)
+    points = coloured(random_directions(20_000, RNG))
+    carried = carry(vertices, points, {"side"})
     truth = coloured(vertices / 1.002)
     assert carried.colours is not None
     assert truth.colours is not None
@@ -47,24 +48,24 @@ def test_smooth_columns_are_met_and_keep_their_types() -> None:
 
 
 def test_labels_are_exact_but_at_their_borders() -> None:
-    vertices, points = sphere(3000), coloured(sphere(20_000))
-    side = carry_attributes(vertices, points, {"side"}).attributes["side"]
+    vertices, points = random_directions(3000, RNG), coloured(random_directions(20_000, RNG))
+    side = carry(vertices, points, {"side"}).attributes["side"]
     assert set(side) == {7, -3}
     is_inner = np.abs(vertices[:, 0]) > 0.05
     assert (side == np.where(vertices[:, 0] > 0, 7, -3))[is_inner].all()
 
 
 def test_a_constant_stays_what_it_is_to_the_last_bit() -> None:
-    points = sphere(500)
+    points = random_directions(500, RNG)
     columns = {"a": np.full(500, 0.1), "b": np.full(500, 255, np.uint8)}
-    carried = carry_attributes(sphere(200), PointCloud(points, None, None, columns))
+    carried = carry(random_directions(200, RNG), PointCloud(points, None, None, columns))
     np.testing.assert_allclose(carried.attributes["a"], 0.1, rtol=1e-15)
     assert (carried.attributes["b"] == 255).all()
 
 
 def test_other_points_that_are_farther_away_change_no_bit() -> None:
-    points = coloured(sphere(4000))
-    vertices = sphere(300)
+    points = coloured(random_directions(4000, RNG))
+    vertices = random_directions(300, RNG)
     vertices = vertices[vertices[:, 2] > 0.5]
     near = points.take(points.positions[:, 2] > 0.2)
     of_all, of_near = (AttributeField(some, {"side"}).evaluate(vertices) for some in (points, near))
@@ -78,7 +79,7 @@ def test_other_points_that_are_farther_away_change_no_bit() -> None:
 
 @pytest.mark.parametrize("step", [1, 7, 300])
 def test_places_do_not_depend_on_one_another_nor_on_threads(step: int) -> None:
-    points, vertices = coloured(sphere(4000)), sphere(300)
+    points, vertices = coloured(random_directions(4000, RNG)), random_directions(300, RNG)
     whole = AttributeField(points, {"side"}).evaluate(vertices).points.attributes["wave"]
     field = AttributeField(points, {"side"}, threads=2)
     parts = [field.evaluate(vertices[i : i + step]) for i in range(0, 300, step)]
@@ -92,7 +93,7 @@ def test_a_lattice_whose_points_tie_gives_the_same_whichever_tree_finds_them() -
     cloud = coloured(lattice)
     vertices = lattice[(lattice[:, 0] > 9) & (lattice[:, 0] < 14)] + [0.5, 0.5, 0.0]
     some = cloud.take(np.abs(lattice[:, 0] - 12) < 7)
-    found = [carry_attributes(vertices, points, {"side"}).attributes for points in (cloud, some)]
+    found = [carry(vertices, points, {"side"}).attributes for points in (cloud, some)]
     for name in found[0]:
         assert found[0][name].tobytes() == found[1][name].tobytes()
 
@@ -102,7 +103,7 @@ def test_numbers_that_are_none_do_not_count_where_others_do() -> None:
     height = np.where(np.arange(30) < 15, np.nan, 4.0)
     height[20] = np.inf
     cloud = PointCloud(positions, None, None, {"height": height})
-    found = carry_attributes(positions[[0, 15, 20, 29]], cloud).attributes["height"]
+    found = carry(positions[[0, 15, 20, 29]], cloud).attributes["height"]
     assert np.isnan(found[0])
     np.testing.assert_array_equal(found[1:], 4.0)
 
@@ -117,5 +118,5 @@ def test_a_cloud_of_few_points_gives_what_it_has() -> None:
 
 def test_points_at_one_place_and_no_vertices_are_no_trouble() -> None:
     cloud = PointCloud(np.ones((20, 3)), None, None, {"a": np.arange(20.0)})
-    assert np.isfinite(carry_attributes(np.ones((2, 3)), cloud).attributes["a"]).all()
-    assert not len(carry_attributes(np.empty((0, 3)), cloud))
+    assert np.isfinite(carry(np.ones((2, 3)), cloud).attributes["a"]).all()
+    assert not len(carry(np.empty((0, 3)), cloud))

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from directions import random_directions
 from disk_clouds import DiskCloudWriter
 
 from hpcapp.applications.surface.attributes.blocks import ColumnBlocks
@@ -24,8 +25,7 @@ SPACING = 0.03
 def scan(points: int = 6000) -> PointCloud:
     """Half a sphere with a hole, and points far away from it."""
     rng = np.random.default_rng(1)
-    arms = rng.normal(size=(points, 3))
-    units = arms / np.linalg.norm(arms, axis=1, keepdims=True)
+    units = random_directions(points, rng)
     units = units[(units[:, 2] > 0) & (np.abs(units[:, :2] - 0.3).max(axis=1) > 0.2)]
     units[:30] = rng.uniform(2, 3, (30, 3))
     return PointCloud(
@@ -37,9 +37,7 @@ def scan(points: int = 6000) -> PointCloud:
 
 
 def vertices(count: int = 900) -> FloatArray:
-    arms = np.random.default_rng(8).normal(size=(count, 3))
-    units: FloatArray = arms / np.linalg.norm(arms, axis=1, keepdims=True)
-    return units
+    return random_directions(count, 8)
 
 
 def put(folder: Path, cloud: PointCloud, kept: PointCloud) -> tuple[DiskCloud, ColumnBlocks]:

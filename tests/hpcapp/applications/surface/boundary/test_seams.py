@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from directions import random_directions
 from passes import measure_read
 
 from hpcapp.applications.surface.boundary.drive import OpeningSettings
@@ -20,8 +21,7 @@ from hpcapp.workforce import Workforce
 
 def plan_sphere() -> StitchingPlan:
     """Return the plan of a sphere of radius 1 in many tiles."""
-    points = np.random.default_rng(0).normal(size=(12_000, 3))
-    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    points = random_directions(12_000, 0)
     method = HierarchicalMethod(64, tile_points=500, opening=OpeningSettings("yes"))
     with SerialExecutor() as executor:
         cloud, clock = measure_read(PointCloud(points, points)), StageClock(Progress())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from directions import random_directions
 
 from hpcapp.applications.surface.cleaning import outlier_regions
 from hpcapp.applications.surface.cleaning.outlier_regions import (
@@ -19,8 +20,7 @@ from hpcapp.geometry.points import BoolArray, FloatArray
 def _cloud(seed: int) -> FloatArray:
     """A sphere that is dense on one side, a patch, two small pieces and points far away."""
     random = np.random.default_rng(seed)
-    sphere = random.normal(size=(9_000, 3))
-    sphere /= np.linalg.norm(sphere, axis=1)[:, None]
+    sphere = random_directions(9_000, random)
     sphere = sphere[random.random(len(sphere)) < 10.0 ** (-0.8 * (1 - sphere[:, 2]))]
     patch = random.uniform(-0.3, 0.3, (40, 3)) * (1.0, 1.0, 0.01) - (0.0, 0.0, 1.3)
     pieces = [place + 0.02 * random.normal(size=(8, 3)) for place in ((2, 1, 0), (0, 2, 1))]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from directions import random_directions
 
 from hpcapp.applications.surface.cleaning.outlier_regions import (
     DroppedCells,
@@ -16,10 +17,8 @@ from hpcapp.geometry.points import FloatArray
 from hpcapp.kernels import portable
 
 
-def sphere(count: int, seed: int = 0) -> FloatArray:
-    directions = np.random.default_rng(seed).normal(size=(count, 3))
-    values: FloatArray = directions / np.linalg.norm(directions, axis=1, keepdims=True)
-    return values
+def sphere(count: int) -> FloatArray:
+    return random_directions(count, 0)
 
 
 def torus(count: int, seed: int = 0) -> FloatArray:

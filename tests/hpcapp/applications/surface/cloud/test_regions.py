@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from directions import random_directions
 from disk_clouds import DiskCloudWriter, read_part
 
 from hpcapp.applications.surface.cloud.arranged import MemoryCloud, arrange_cloud
@@ -26,8 +27,7 @@ from hpcapp.geometry.points import FloatArray, PointCloud
 def _cloud(seed: int) -> FloatArray:
     """A sphere that is dense on one side, with a patch beside it and points far away."""
     random = np.random.default_rng(seed)
-    sphere = random.normal(size=(9_000, 3))
-    sphere /= np.linalg.norm(sphere, axis=1)[:, None]
+    sphere = random_directions(9_000, random)
     sphere = sphere[random.random(len(sphere)) < 10.0 ** (-0.8 * (1 - sphere[:, 2]))]
     patch = random.uniform(-0.3, 0.3, (40, 3)) * (1.0, 1.0, 0.01) - (0.0, 0.0, 1.3)
     return np.concatenate([sphere, patch, random.uniform(-2, 2, (80, 3))])

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from directions import random_directions
 
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.cloud.spacing import (
@@ -10,25 +11,19 @@ from hpcapp.applications.surface.cloud.spacing import (
     search_spacing,
 )
 from hpcapp.geometry.lattice import lay_lattice
-from hpcapp.geometry.points import FloatArray, PointCloud
+from hpcapp.geometry.points import PointCloud
 from hpccomponent.errors import InputError
-
-
-def sphere(count: int, seed: int = 0) -> FloatArray:
-    directions = np.random.default_rng(seed).normal(size=(count, 3))
-    values: FloatArray = directions / np.linalg.norm(directions, axis=1, keepdims=True)
-    return values
 
 
 @pytest.mark.parametrize("count", [500, 20_000, 500_000])
 def test_spacing_follows_the_area_per_point(count: int) -> None:
     """Boxes cover up to twice the area that passes through them, so it errs on the large side."""
     true = np.sqrt(4 * np.pi / count)
-    assert 1.0 * true < estimate_spacing(sphere(count)) < 1.6 * true
+    assert 1.0 * true < estimate_spacing(random_directions(count, 0)) < 1.6 * true
 
 
 def test_spacing_scales_and_moves_with_the_cloud() -> None:
-    points = sphere(3000)
+    points = random_directions(3000, 0)
     spacing = estimate_spacing(points)
     assert estimate_spacing(8.0 * points) == pytest.approx(8.0 * spacing)
     assert estimate_spacing(points + 1e4) == pytest.approx(spacing, rel=0.05)
@@ -36,7 +31,7 @@ def test_spacing_scales_and_moves_with_the_cloud() -> None:
 
 @pytest.mark.parametrize("times", [20, 50])
 def test_points_that_repeat_many_times_do_not_lie_closer(times: int) -> None:
-    points = sphere(3000)
+    points = random_directions(3000, 0)
     repeated = estimate_spacing(np.repeat(points, times, axis=0))
     assert 0.6 < repeated / estimate_spacing(points) < 1.4
 
@@ -56,7 +51,7 @@ def test_points_at_one_place_are_refused() -> None:
 @pytest.mark.parametrize("count", [500, 15_000, 450_000])
 @pytest.mark.parametrize("group", [7_000, 10**9])
 def test_groups_have_the_spacing_of_the_whole(count: int, times: int, group: int) -> None:
-    points = sphere(count // times) * (1.0, 0.5, 0.1)
+    points = random_directions(count // times, 0) * (1.0, 0.5, 0.1)
     cloud = arrange_cloud(PointCloud(np.repeat(points, times, axis=0), np.repeat(points, times, 0)))
 
     def count_boxes(edge: float, one_in: int, is_distinct: bool) -> tuple[int, int]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from directions import random_directions
 from passes import alone, in_folder, in_memory
 
 from hpcapp.applications.surface.cloud.arranged import MemoryCloud, arrange_cloud
@@ -28,15 +29,13 @@ def lattice(*shape: int) -> FloatArray:
 
 
 def ball(random: Random, count: int) -> FloatArray:
-    points = random.normal(size=(count, 3))
-    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    points = random_directions(count, random)
     filled: FloatArray = points * random.random((count, 1)) ** (1 / 3)
     return filled
 
 
 def sphere(random: Random, count: int, noise: float = 0.0) -> FloatArray:
-    points = random.normal(size=(count, 3))
-    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    points = random_directions(count, random)
     rough: FloatArray = points + noise * random.normal(size=(count, 3))
     return rough
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from directions import random_directions
 
 from hpcapp.applications.surface.field.far_field import solve_far_field, spread_samples
 from hpcapp.geometry.points import FloatArray
@@ -12,19 +13,13 @@ RADIUS = 3.0
 BOX = (np.full(3, -3.2), np.full(3, 3.2))
 
 
-def sphere(count: int, seed: int = 0) -> FloatArray:
-    directions = np.random.default_rng(seed).normal(size=(count, 3))
-    values: FloatArray = directions / np.linalg.norm(directions, axis=1, keepdims=True)
-    return values
-
-
 def distances_at(far: FarField, points: FloatArray) -> FloatArray:
     return sample_grid(far.values.astype(np.float64), (points - far.origin) / far.step)
 
 
 @pytest.fixture(scope="module")
 def normals() -> FloatArray:
-    return sphere(4000)
+    return random_directions(4000, 0)
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +78,7 @@ def thin_out(directions: FloatArray, share: float) -> FloatArray:
 @pytest.mark.parametrize("share", [1.0, 0.2, 0.03])
 def test_few_samples_count_as_much_as_many_by_area(share: float) -> None:
     # All cells of a sphere are occupied where x is small; elsewhere a share of them.
-    kept = thin_out(sphere(12_000), share)
+    kept = thin_out(random_directions(12_000, 0), share)
     far = solve_far_field(RADIUS * kept, kept, BOX, 0.1, 128, np.zeros(3))
     points = np.random.default_rng(1).uniform(-3.2, 3.2, (20_000, 3))
     distances = np.linalg.norm(points, axis=1) - RADIUS
@@ -94,7 +89,7 @@ def test_few_samples_count_as_much_as_many_by_area(share: float) -> None:
 
 
 def test_samples_of_whole_cells_count_about_one_cell_each() -> None:
-    points, size = RADIUS * sphere(300_000), 0.1
+    points, size = RADIUS * random_directions(300_000, 0), 0.1
     _, cell, counts = np.unique(
         np.floor(points / size).astype(np.int64), axis=0, return_inverse=True, return_counts=True
     )
@@ -110,7 +105,7 @@ def test_what_samples_count_is_the_area_of_the_surface() -> None:
     size = 0.1
     area = 4.0 * np.pi * RADIUS**2
     for count in (400, 2_000, 10_000):
-        directions = sphere(count)
+        directions = random_directions(count, 0)
         _, normals = spread_samples(RADIUS * directions, directions, size)
         counted = np.linalg.norm(normals, axis=1).sum() * size**2
         assert 0.75 < counted / area < 1.35, count
@@ -129,7 +124,7 @@ def test_discs_lie_in_the_tangent_plane_around_their_sample() -> None:
 
 def test_an_outlier_stands_for_less_than_what_few_rays_have_reached() -> None:
     size = 0.05
-    outliers, of_outliers = 1.4 * RADIUS * sphere(100, seed=7), sphere(100, seed=8)
+    outliers, of_outliers = 1.4 * RADIUS * random_directions(100, 7), random_directions(100, 8)
 
     def count(directions: FloatArray) -> float:
         centroids = np.concatenate([RADIUS * directions, outliers])
@@ -139,8 +134,8 @@ def test_an_outlier_stands_for_less_than_what_few_rays_have_reached() -> None:
         return float(np.linalg.norm(spread[beyond], axis=1).sum() / len(outliers))
 
     # Beside a surface whose cells are all there, and on one with a sample in 50 cells.
-    assert count(sphere(40_000)) < 30.0
-    bare = sphere(900)
+    assert count(random_directions(40_000, 0)) < 30.0
+    bare = random_directions(900, 0)
     _, spread = spread_samples(RADIUS * bare, bare, size)
     assert np.linalg.norm(spread, axis=1).mean() > 0.0
     assert np.linalg.norm(spread, axis=1).sum() / len(bare) > 40.0
@@ -148,7 +143,7 @@ def test_an_outlier_stands_for_less_than_what_few_rays_have_reached() -> None:
 
 @pytest.mark.parametrize("count", [1, 2, 15, 16])
 def test_a_handful_of_samples_is_enough(count: int) -> None:
-    directions = sphere(count)
+    directions = random_directions(count, 0)
     places, normals = spread_samples(RADIUS * directions, directions, 0.1)
     assert np.isfinite(places).all()
     assert np.isfinite(normals).all()
@@ -156,7 +151,7 @@ def test_a_handful_of_samples_is_enough(count: int) -> None:
 
 
 def test_normals_that_cancel_are_no_direction() -> None:
-    directions = sphere(200)
+    directions = random_directions(200, 0)
     normals = directions.copy()
     normals[::2] = 0.0
     places, spread = spread_samples(RADIUS * directions, normals, 0.05)

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from directions import random_directions
 
 from hpcapp.applications.surface.field import hull as hulls
 from hpcapp.geometry.points import FloatArray
@@ -15,8 +16,7 @@ def find_hull(positions: FloatArray, normals: FloatArray, size: float) -> FloatA
 
 def dome(lowest: float) -> tuple[FloatArray, FloatArray]:
     """Cells of a unit ball that lies on a table at this height."""
-    normals = np.random.default_rng(0).normal(size=(6000, 3))
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    normals = random_directions(6000, 0)
     normals = normals[normals[:, 2] > lowest]
     return normals, normals
 

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from directions import random_directions
 
 from hpcapp.applications.surface.field import levels as field_levels
 from hpcapp.applications.surface.field.levels import SlabFields, find_trust, fit_above
@@ -28,8 +29,7 @@ CELL_SIZE = 0.06
 def build() -> Pyramid:
     """Return the pyramid of a sphere with noise."""
     random = np.random.default_rng(3)
-    directions = random.normal(size=(6_000, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    directions = random_directions(6_000, random)
     cloud = PointCloud(random.normal(1.0, 0.005, (6_000, 1)) * directions, directions)
     low, high = bound_points(cloud.positions)
     return build_pyramid(cloud, low, CELL_SIZE, count_levels(float((high - low).max()), CELL_SIZE))

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from directions import random_directions
 
 from hpcapp import kernels
 from hpcapp.applications.surface.field.cell_points import CellMoments, PartMoments
@@ -40,8 +41,7 @@ def fit_alike(pyramid: Pyramid, threads: int = 1) -> VertexQuadrics:
 
 @pytest.fixture(scope="module")
 def cloud() -> PointCloud:
-    directions = np.random.default_rng(0).normal(size=(4000, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    directions = random_directions(4000, 0)
     return PointCloud(directions + CENTRE, directions)
 
 
@@ -154,8 +154,7 @@ def test_bits_do_not_depend_on_the_threads(cloud: PointCloud) -> None:
 def test_vertices_learn_the_noise_around_them_from_further_up() -> None:
     """One half of a sphere is noisier than the other: each must be told of its own noise."""
     rng = np.random.default_rng(3)
-    directions = rng.normal(size=(40_000, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    directions = random_directions(40_000, rng)
     sigma = np.where(directions[:, 2] > 0.0, 0.01, 0.002)
     radii = 1.0 + sigma * rng.normal(size=len(directions))
     pyramid = build(PointCloud(radii[:, None] * directions, directions), 0.04)

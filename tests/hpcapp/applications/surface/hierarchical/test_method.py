@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from directions import random_directions
 from disk_clouds import DiskCloudWriter
 from recorder import Recorder
 from shared_data import shared
@@ -60,8 +61,7 @@ def reconstruct(
 
 def sphere(count: int, noise: float = 0.0) -> PointCloud:
     rng = np.random.default_rng(1)
-    normals = rng.normal(size=(count, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = random_directions(count, rng)
     return PointCloud((1 + noise * rng.normal(size=(count, 1))) * normals, normals)
 
 

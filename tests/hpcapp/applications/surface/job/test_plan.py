@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from directions import random_directions
 from little_memory import leave_little_memory
 
 from hpcapp.applications.surface.cli.run import run_job
@@ -32,8 +33,7 @@ Run = Callable[..., tuple[int, str, str]]
 @pytest.fixture
 def scan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(plan, "FOLDER_FROM_POINTS", 1_000)
-    normals = np.random.default_rng(1).normal(size=(1_500, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = random_directions(1_500, 1)
     for suffix in (".ply", ".xyz"):
         write_points(tmp_path / f"scan{suffix}", PointCloud(normals, normals))
     return tmp_path / "scan.ply"

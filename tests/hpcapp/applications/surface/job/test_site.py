@@ -10,6 +10,7 @@ from typing import ParamSpec, TypeVar, cast
 
 import numpy as np
 import pytest
+from directions import random_directions
 
 from hpcapp.applications.surface.cloud.arranged import MemoryCloud
 from hpcapp.applications.surface.job.backend_choice import approach_workers
@@ -58,8 +59,7 @@ class OtherMachine(Executor):
 
 @pytest.mark.parametrize("sees", [True, False])
 def test_tiles_are_kept_by_who_sees_the_folder(tmp_path: Path, sees: bool) -> None:
-    normals = np.random.default_rng(1).normal(size=(4_000, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = random_directions(4_000, 1)
     write_points(tmp_path / "ball.ply", PointCloud(normals, normals))
     here, there = tmp_path / "here", tmp_path / "there"
     here.mkdir()

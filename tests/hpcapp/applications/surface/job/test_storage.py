@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from directions import random_directions
 from little_memory import leave_little_memory
 
 from hpcapp.applications.surface.cli.run import run_job
@@ -59,8 +60,7 @@ main()
 @pytest.fixture(scope="module")
 def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A sphere with a dent, which takes several small tiles."""
-    normals = np.random.default_rng(4).normal(size=(20_000, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = random_directions(20_000, 4)
     path = tmp_path_factory.mktemp("scan") / "scan.ply"
     write_points(path, PointCloud(normals * [1.0, 0.7, 0.5], normals / [1.0, 0.7, 0.5]))
     return path

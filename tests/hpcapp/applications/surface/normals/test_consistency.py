@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from directions import random_directions
 
 from hpcapp.applications.surface.cloud.spacing import estimate_spacing
 from hpcapp.applications.surface.normals.consistency import find_flipped
@@ -13,8 +14,7 @@ Oriented = tuple[FloatArray, FloatArray]
 
 
 def sphere(count: int) -> Oriented:
-    normals = np.random.default_rng(0).normal(size=(count, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = random_directions(count, 0)
     return normals.copy(), normals
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from directions import random_directions
 from passes import alone, in_folder, in_memory
 
 from hpcapp.applications.surface.cleaning.drive import mend_normals
@@ -120,9 +121,7 @@ def test_a_thin_plate_has_two_sides() -> None:
 
 
 def test_who_stood_inside_saw_the_inside() -> None:
-    random = np.random.default_rng(1)
-    normals = random.normal(size=(8_000, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = random_directions(8_000, 1)
     found, _ = orient(PointCloud(2.0 * normals), Sensor("places", np.array([[0.3, 0.0, 0.0]])))
     assert _share_right(found, PointCloud(2.0 * normals, -normals)) == 1.0
 

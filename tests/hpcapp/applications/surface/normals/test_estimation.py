@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from directions import random_directions
 
 from hpcapp.applications.surface.cloud.spacing import estimate_spacing
 from hpcapp.applications.surface.normals.estimation import MARGIN, estimate_normals, keep_directions
@@ -13,12 +14,6 @@ from hpcapp.geometry.points import Float32Array, FloatArray
 def _estimate(positions: FloatArray) -> Float32Array:
     every = np.ones(len(positions), np.bool_)
     return estimate_normals(positions, every, positions.min(axis=0), estimate_spacing(positions))
-
-
-def _sphere(points: int, seed: int = 0) -> FloatArray:
-    arms = np.random.default_rng(seed).normal(size=(points, 3))
-    units: FloatArray = arms / np.linalg.norm(arms, axis=1, keepdims=True)
-    return units
 
 
 def _angles(vectors: Float32Array, truth: FloatArray) -> FloatArray:
@@ -31,7 +26,7 @@ def _angles(vectors: Float32Array, truth: FloatArray) -> FloatArray:
 
 @pytest.mark.parametrize(("noise", "most"), [(0.0, 1.5), (0.01, 6.0), (0.03, 12.0)])
 def test_a_sphere_has_its_radii_as_normals(noise: float, most: float) -> None:
-    truth = _sphere(8_000)
+    truth = random_directions(8_000, 0)
     radii = 1.0 + noise * np.random.default_rng(1).normal(size=(len(truth), 1))
     vectors = _estimate(truth * radii)
     assert _angles(vectors, truth).mean() < most
@@ -86,7 +81,9 @@ def test_faces_of_a_box_are_flat_up_to_their_edges() -> None:
 
 
 def test_a_region_has_the_normals_of_the_whole() -> None:
-    positions = np.concatenate([_sphere(6_000), np.repeat(_sphere(20, 5) * 0.5, 60, axis=0)])
+    positions = np.concatenate(
+        [random_directions(6_000, 0), np.repeat(random_directions(20, 5) * 0.5, 60, axis=0)]
+    )
     spacing, low = estimate_spacing(positions), positions.min(axis=0)
     whole = estimate_normals(positions, np.ones(len(positions), np.bool_), low, spacing)
     own = positions[:, 2] > 0.8
@@ -96,7 +93,7 @@ def test_a_region_has_the_normals_of_the_whole() -> None:
 
 
 def test_points_far_from_all_others_have_some_normal() -> None:
-    positions = np.concatenate([_sphere(2_000), [[90.0, 0.0, 0.0], [0.0, 90.0, 0.0]]])
+    positions = np.concatenate([random_directions(2_000, 0), [[90.0, 0.0, 0.0], [0.0, 90.0, 0.0]]])
     vectors = estimate_normals(
         positions, np.ones(len(positions), np.bool_), positions.min(axis=0), 0.05
     )
@@ -105,7 +102,7 @@ def test_points_far_from_all_others_have_some_normal() -> None:
 
 
 def test_known_directions_stay() -> None:
-    truth = _sphere(2_000)
+    truth = random_directions(2_000, 0)
     vectors = _estimate(truth)
     kept = keep_directions(vectors, -truth)
     assert np.linalg.norm(kept, axis=1) == pytest.approx(np.linalg.norm(vectors, axis=1), rel=1e-5)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from directions import random_directions
 
 from hpcapp.applications.surface.cloud.measure import find_scale
 from hpcapp.applications.surface.normals.facets import FacetShape, gather_facets, merge_facets
@@ -18,8 +19,7 @@ def shape_of(positions: FloatArray, normals: FloatArray, edge: float = 0.2) -> F
 
 
 def ball(count: int) -> FloatArray:
-    unit = np.random.default_rng(0).normal(size=(count, 3))
-    unit /= np.linalg.norm(unit, axis=1)[:, None]
+    unit = random_directions(count, 0)
     return unit.astype(np.float32).astype(np.float64)
 
 

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from directions import random_directions
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
@@ -98,8 +99,7 @@ def scan_corridor(length: float) -> Scan:
     parts = []
     for along in every:
         stand = np.array([along - 0.9, 0.75, 1.7])
-        rays = random.normal(size=(count, 3))
-        rays /= np.linalg.norm(rays, axis=1)[:, None]
+        rays = random_directions(count, random)
         # (n, 3): how far the planes of the walls are along each ray.
         walls = np.where(rays > 0.0, np.array([length, 3.0, 2.6]) - stand, -stand) / rays
         # (c, n, 3): and where it enters and leaves the planes of the crates near by.

@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
+from directions import random_directions
 
 from hpcapp.applications.surface.cloud.spacing import estimate_spacing
 from hpcapp.applications.surface.normals.estimation import estimate_normals
@@ -37,12 +38,6 @@ def _on_box(random: np.random.Generator, count: int) -> FloatArray:
     axes, rows = random.integers(0, 3, count), np.arange(count)
     box[rows, axes] = np.sign(box[rows, axes])
     return box
-
-
-def _on_ball(random: np.random.Generator, count: int) -> FloatArray:
-    ball = random.normal(size=(count, 3))
-    ball /= np.linalg.norm(ball, axis=1)[:, None]
-    return ball
 
 
 def _share_outwards(normals: FloatArray, arms: FloatArray) -> float:
@@ -87,7 +82,7 @@ def test_what_was_flown_over_faces_up_whatever_hides_it() -> None:
 
 
 def test_returns_say_nothing_of_what_is_as_high_as_wide() -> None:
-    ball = _on_ball(np.random.default_rng(5), 8_000)
+    ball = random_directions(8_000, 5)
     assert _share_outwards(_orient(ball, sensor=FLOWN), ball) > 0.99
 
 
@@ -109,20 +104,20 @@ def test_scanners_of_a_file_are_believed_if_they_could_see_it() -> None:
 def test_what_the_user_says_wins(kind: Literal["above", "below"]) -> None:
     up = _orient(_sheet(), sensor=Sensor(kind, is_told=True))[:, 2]
     assert ((up > 0.0) == (kind == "above")).all()
-    ball = _on_ball(np.random.default_rng(5), 8_000)
+    ball = random_directions(8_000, 5)
     normals = _orient(ball, sensor=Sensor(kind, is_told=True))
     caps = np.abs(ball[:, 2]) > 0.5  # what lies flat alone was seen
     assert ((normals[caps, 2] > 0.0) == (kind == "above")).mean() > 0.99
 
 
 def test_who_was_inside_saw_the_inside() -> None:
-    ball = _on_ball(np.random.default_rng(7), 8_000)
+    ball = random_directions(8_000, 7)
     assert _share_outwards(_orient(ball, sensor=Sensor("inside", is_told=True)), ball) < 0.01
 
 
 def test_an_object_that_stood_on_a_table_faces_outwards() -> None:
     random = np.random.default_rng(8)
-    ball = _on_ball(random, 12_000)
+    ball = random_directions(12_000, random)
     dome = ball[ball[:, 2] > -0.3]
     bumpy = dome * (1.0 + 0.1 * np.sin(6.0 * dome[:, :1]) * np.sin(6.0 * dome[:, 1:2]))
     assert _share_outwards(_orient(bumpy, FAR), dome) > 0.99
@@ -130,7 +125,7 @@ def test_an_object_that_stood_on_a_table_faces_outwards() -> None:
 
 def test_cavities_face_inwards_and_what_lies_in_them_outwards() -> None:
     random = np.random.default_rng(9)
-    shells = [_on_ball(random, count) for count in (16_000, 6_000, 1_500)]
+    shells = [random_directions(count, random) for count in (16_000, 6_000, 1_500)]
     normals = _orient(np.concatenate([shells[0], 0.6 * shells[1], 0.3 * shells[2]]))
     outer, cavity, core = np.split(normals, [16_000, 22_000])
     assert _share_outwards(outer, shells[0]) > 0.99
@@ -143,7 +138,7 @@ def test_a_box_is_a_room_if_a_tripod_stood_in_it() -> None:
     even = _on_box(random, 16_000)
     assert _share_outwards(_orient(even), even) > 0.99
     stand, half = np.array([1.2, -0.6, -0.2]), np.array([3.0, 2.0, 1.0])
-    rays = _on_ball(random, 16_000)
+    rays = random_directions(16_000, random)
     far = np.where(rays > 0.0, half - stand, half + stand) / np.maximum(np.abs(rays), 1e-9)
     room = stand + rays * far.min(axis=1)[:, None]
     room += random.normal(scale=0.001, size=room.shape)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from camera_files import look_at, ring
+from directions import random_directions
 
 from hpcapp.applications.surface.normals.sensor import Sensor
 from hpcapp.geometry.points import FloatArray
@@ -12,8 +13,7 @@ from hpccomponent.errors import InputError
 
 ZERO, FAR = np.zeros(3), np.array([500_000.0, 5_200_000.0, 400.0])
 RANDOM = np.random.default_rng(5)
-BALL = RANDOM.normal(size=(500, 3))
-BALL /= np.linalg.norm(BALL, axis=1, keepdims=True)
+BALL = random_directions(500, RANDOM)
 TERRAIN = np.concatenate(
     [RANDOM.uniform(-50, 50, (500, 2)), RANDOM.uniform(0, 3, (500, 1))], axis=1
 )

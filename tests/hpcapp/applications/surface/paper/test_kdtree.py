@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from directions import random_directions
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -28,8 +29,7 @@ def read_bunny(name: str) -> tuple[FloatArray, FloatArray]:
 
 
 def scatter(rng: np.random.Generator, n: int) -> tuple[FloatArray, FloatArray]:
-    normals = rng.normal(size=(n, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = random_directions(n, rng)
     return rng.normal(size=(n, 3)) * (3.0, 2.0, 1.0) + 50.0, normals
 
 

@@ -8,6 +8,7 @@ from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 import pytest
+from directions import random_directions
 
 from hpcapp.applications.surface.cloud.arranged import MemoryCloud
 from hpcapp.applications.surface.paper.method import PaperMethod, PaperPartition, measure_residuals
@@ -28,8 +29,7 @@ def ignore(done: int, total: int) -> None:
 
 
 def sphere(n: int = 4000) -> PointCloud:
-    normals = np.random.default_rng(13).normal(size=(n, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = random_directions(n, 13)
     return PointCloud(RADIUS * normals, normals, origin=np.array([1e6, 2e6, 0.0]))
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from directions import random_directions
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -26,8 +27,7 @@ TILT = Rotation.from_rotvec([0.4, -0.7, 0.2]).as_matrix()
 
 
 def sphere(rng: np.random.Generator, n: int = 200) -> tuple[FloatArray, FloatArray]:
-    normals = rng.normal(size=(n, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = random_directions(n, rng)
     return 1.2 * normals, normals
 
 

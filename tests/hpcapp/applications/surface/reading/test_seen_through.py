@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from directions import random_directions
 
 import hpcapp
 from hpcapp.applications.surface.reading import seen_through
@@ -28,8 +29,7 @@ def _scan_room(points: int, *, with_person: bool = True) -> Scans:
     """Three scans of a room with a crate, during the first of which somebody stood there."""
     random, scans = np.random.default_rng(0), []
     for number, stand in enumerate(STANDS):
-        rays = random.normal(size=(points, 3))
-        rays /= np.linalg.norm(rays, axis=1)[:, None]
+        rays = random_directions(points, random)
         far = np.where(rays > 0.0, (ROOM - stand) / rays, -stand / rays).min(axis=1)
         for low, high in [CRATE, *([PERSON] if with_person and not number else [])]:
             planes = np.sort([(low - stand) / rays, (high - stand) / rays], axis=0)

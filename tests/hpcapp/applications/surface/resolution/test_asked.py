@@ -4,6 +4,7 @@ import logging
 
 import numpy as np
 import pytest
+from directions import random_directions
 
 from hpcapp.applications.surface.cloud.arranged import MemoryCloud
 from hpcapp.applications.surface.cloud.measure import measure_points
@@ -19,8 +20,7 @@ from hpccomponent.errors import UsageError
 def sphere(points: int, noise: float = 0.0) -> MemoryCloud:
     """Points on a sphere of radius 1, pi * 4 / points of its area each."""
     rng = np.random.default_rng(points)
-    normals = rng.normal(size=(points, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = random_directions(points, rng)
     radii = 1.0 + noise * rng.normal(size=points)
     return measure_points(PointCloud(radii[:, None] * normals, normals))
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from directions import random_directions
 
 from hpcapp.applications.surface.cloud.measure import measure_points
 from hpcapp.applications.surface.cloud.spacing import estimate_spacing
@@ -11,8 +12,7 @@ from hpcapp.geometry.points import PointCloud
 
 def noisy_sphere(noise: float, count: int = 20_000) -> PointCloud:
     rng = np.random.default_rng(5)
-    normals = rng.normal(size=(count, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = random_directions(count, rng)
     return PointCloud((1 + noise * rng.normal(size=(count, 1))) * normals, normals)
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from directions import random_directions
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -25,9 +26,7 @@ def look(positions: FloatArray) -> Neighbourhoods:
 
 
 def on_a_sphere(random: Random, count: int) -> FloatArray:
-    points = random.normal(size=(count, 3))
-    sphere: FloatArray = points / np.linalg.norm(points, axis=1, keepdims=True)
-    return sphere
+    return random_directions(count, random)
 
 
 def in_a_ball(random: Random, count: int) -> FloatArray:

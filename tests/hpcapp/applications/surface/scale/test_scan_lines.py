@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from directions import random_directions
 
 from hpcapp.applications.surface.scale.local_scale import count_depth, count_scale
 from hpcapp.applications.surface.scale.scan_lines import (
@@ -57,8 +58,7 @@ def even(kind: str) -> FloatArray:
     if kind == "noisy":
         positions += random.normal(0.0, 0.01, positions.shape)
     if kind == "ball":
-        positions = random.normal(size=(count, 3))
-        positions /= np.linalg.norm(positions, axis=1)[:, None]
+        positions = random_directions(count, random)
     if kind == "flying":  # a sheet far from another, and points between them
         far = positions[:5_000] * (1.0, 1.0, 0.01) + (0.0, 0.0, 4.0)
         between = random.uniform((0.0, 0.0, 0.0), (2.0, 2.0, 4.0), (300, 3))

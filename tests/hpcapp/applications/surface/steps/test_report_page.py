@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from directions import random_directions
 
 from hpcapp.applications.surface.cli.command import reconstruct
 from hpcapp.applications.surface.steps.report_page import (
@@ -45,9 +46,7 @@ def names_of(page: str) -> set[str]:
 @pytest.fixture
 def capless(sphere: PointCloud, tmp_path: Path) -> Path:
     """Points of a sphere without its top."""
-    rng = np.random.default_rng(1)
-    more = rng.normal(size=(6000, 3))
-    more /= np.linalg.norm(more, axis=1, keepdims=True)
+    more = random_directions(6000, 1)
     more = more[more[:, 2] < 0.75]
     write_points(tmp_path / "capless.ply", PointCloud(more, more))
     return tmp_path / "capless.ply"
@@ -185,8 +184,7 @@ def test_a_report_without_details_is_short(capless: Path, tmp_path: Path) -> Non
 
 @pytest.mark.slow
 def test_points_that_lie_in_a_folder_are_near_too(tmp_path: Path) -> None:
-    normals = np.random.default_rng(3).normal(size=(60_000, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = random_directions(60_000, 3)
     write_points(tmp_path / "c.ply", PointCloud(normals, normals))
     pages = []
     there: list[str | Path] = ["--temp-dir", tmp_path / "t", "--backend", "processes"]

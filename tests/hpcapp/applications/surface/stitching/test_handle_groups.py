@@ -10,6 +10,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
+from directions import random_directions
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
@@ -182,8 +183,7 @@ def test_a_group_has_its_bricks_and_those_near_it(seed: int, reach: int) -> None
 def spotted_ball(count: int = 12_000) -> PointCloud:
     """A sphere with spots where noise is four spacings: there are handles."""
     rng = np.random.default_rng(0)
-    normals = rng.normal(size=(count, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = random_directions(count, rng)
     spots = np.array([[0, 0, 1.0], [1, 0, 0], [0, -1, 0], [0.6, 0.8, 0]])
     is_noisy = (normals @ spots.T > np.cos(0.35)).any(axis=1)
     noise = np.where(is_noisy, 0.09, 0.002) * rng.normal(size=count)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from directions import random_directions
 
 from hpcapp.applications.surface.cloud.arranged import MemoryCloud
 from hpcapp.applications.surface.cloud.arrangement import PackedPoints
@@ -34,8 +35,7 @@ from hpccomponent.store.base import FolderStore
 
 
 def ball(count: int) -> MemoryCloud:
-    points = np.random.default_rng(5).normal(size=(count, 3))
-    normals = points / np.linalg.norm(points, axis=1)[:, None]
+    normals = random_directions(count, 5)
     return measure_points(PointCloud(normals, normals))
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from directions import random_directions
 
 from hpcapp.geometry.lattice import spread_keys, unpack_keys
 from hpcapp.geometry.points import BoolArray, ByteArray, FloatArray, IntArray
@@ -97,8 +98,7 @@ def test_edges_are_where_faces_meet() -> None:
 
 def test_flat_and_round_is_left_alone() -> None:
     rng = np.random.default_rng(3)
-    normals = rng.normal(size=(4000, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = random_directions(4000, rng)
     for radius in (4.0, 7.0):
         kept = normals[: int(4.0 * np.pi * radius**2 / SPACING**2)]
         positions = (radius + NOISE * rng.normal(size=(len(kept), 1))) * kept

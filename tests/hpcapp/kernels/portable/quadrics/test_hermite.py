@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from directions import random_directions
 
 from hpcapp.geometry.points import FloatArray
 from hpcapp.kernels.portable.quadrics.hermite import (
@@ -33,8 +34,7 @@ def sphere_patch(
     """Points near the origin on a sphere of some cells' radius that passes beside it."""
     centre = rng.normal(size=3)
     centre *= (radius + rng.uniform(-0.5, 0.5)) / np.linalg.norm(centre)
-    found = rng.normal(size=(200 * count, 3))
-    normals = found / np.linalg.norm(found, axis=1, keepdims=True)
+    normals = random_directions(200 * count, rng)
     points = centre + radius * normals
     near = np.flatnonzero((np.abs(points) < 1).all(axis=1))[:count]
     offsets = noise * rng.normal(size=(len(near), 1)) * normals[near]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from directions import random_directions
 
 from hpcapp.applications.surface.cloud.spacing import estimate_spacing
 from hpcapp.applications.surface.normals.estimation import estimate_normals
@@ -104,9 +105,7 @@ def _houses() -> FloatArray:
 
 def _turn_around(count: int) -> FloatArray:
     """Rays of a scanner that turns, as many in every direction."""
-    rays = np.random.default_rng(5).normal(size=(count, 3))
-    rays /= np.linalg.norm(rays, axis=1)[:, None]
-    return rays
+    return random_directions(count, 5)
 
 
 def _street(stands: FloatArray, sides: tuple[float, ...], height: float) -> FloatArray:
@@ -268,8 +267,7 @@ def test_nothing_is_inside_of_a_sheet() -> None:
 
 
 def test_a_ball_is_no_room() -> None:
-    ball = np.random.default_rng(4).normal(size=(9_000, 3))
-    ball /= np.linalg.norm(ball, axis=1)[:, None]
+    ball = random_directions(9_000, 4)
     assert _read(ball)[0].hypothesis.name == "outside"
     normals, oriented = _orient(ball)
     assert (np.einsum("ij,ij->i", normals, ball) > 0.0).all()

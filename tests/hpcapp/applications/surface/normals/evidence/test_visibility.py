@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from directions import random_directions
 
 from hpcapp.applications.surface.normals.evidence.inside import TIGHT, find_inside
 from hpcapp.applications.surface.normals.evidence.seen_sides import Views
@@ -23,8 +24,7 @@ def _patches(centres: FloatArray, normals: FloatArray) -> Patches:
 
 
 def _ball(count: int = 3_000) -> Patches:
-    arms = np.random.default_rng(0).normal(size=(count, 3))
-    arms /= np.linalg.norm(arms, axis=1, keepdims=True)
+    arms = random_directions(count, 0)
     return _patches(arms, arms)
 
 
