@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-import signal
-import subprocess
-import sys
 import tracemalloc
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +18,7 @@ from hpcapp.api.reconstruction import reconstruct
 from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.cli.run import run_job
 from hpcapp.applications.surface.extraction.parts import MeshPart
-from hpcapp.applications.surface.hierarchical import all_tiles, method
+from hpcapp.applications.surface.hierarchical import method
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
 from hpcapp.applications.surface.job import plan, site
 from hpcapp.applications.surface.job.settings import JobSettings
@@ -29,11 +26,10 @@ from hpcapp.applications.surface.resolution.memory import fitting_tile, parse_li
 from hpcapp.applications.surface.steps import read
 from hpcapp.applications.surface.stitching import shared_ply, surface, tile_ply
 from hpcapp.applications.surface.stitching.handle_groups import Mended
-from hpcapp.applications.surface.tiles import tasks as region
 from hpcapp.geometry.points import PointCloud
 from hpcapp.io import read_mesh, read_points, write_points
 from hpcapp.progress import Progress, ProgressObserver
-from hpccomponent.errors import JobError, OutputError, UsageError
+from hpccomponent.errors import OutputError, UsageError
 
 if TYPE_CHECKING:
     from lab_bucket import Bucket
@@ -212,15 +208,6 @@ def test_workers_read_a_cloud_that_memory_would_hold(
 
 
 @pytest.mark.usefixtures("small")
-def test_without_a_folder_it_goes_into_a_temporary_one(
-    scan: Path, whole: bytes, tmp_path: Path
-) -> None:
-    output = tmp_path / "mesh.ply"
-    run_job(JobSettings(scan, str(output), grid=96), SILENT)
-    assert output.read_bytes() == whole
-
-
-@pytest.mark.usefixtures("small")
 @pytest.mark.leaks_allowed  # loky keeps its resource tracker
 def test_workers_that_see_no_folder_are_sent_points_and_give_tiles_back(
     scan: Path, whole: bytes, tmp_path: Path
@@ -234,103 +221,16 @@ def test_workers_that_see_no_folder_are_sent_points_and_give_tiles_back(
 @pytest.mark.slow
 @pytest.mark.usefixtures("small")
 @pytest.mark.leaks_allowed  # boto3 closes its connections when it is collected
-@pytest.mark.parametrize("backend", ["serial", "zmq"])
-def test_tiles_are_kept_in_a_bucket(
-    backend: str, scan: Path, whole: bytes, tmp_path: Path, bucket: Bucket
+def test_workers_keep_tiles_in_a_bucket(
+    scan: Path, whole: bytes, tmp_path: Path, bucket: Bucket
 ) -> None:
     output = tmp_path / "mesh.ply"
-    workers = None if backend == "serial" else 2
     settings = JobSettings(
-        scan, str(output), grid=96, backend=backend, workers=workers, temp_dir="s3://lab/tiles"
+        scan, str(output), grid=96, backend="zmq", workers=2, temp_dir="s3://lab/tiles"
     )
     run_job(settings, SILENT)
     assert output.read_bytes() == whole
     assert list(bucket.objects.all()) == []
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("small")
-def test_a_job_that_failed_goes_on_where_it_was(
-    scan: Path, whole: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    output, room = tmp_path / "mesh.ply", tmp_path / "room"
-    settings = JobSettings(
-        scan, str(output), grid=96, backend="serial", temp_dir=str(room), resume=True
-    )
-    _count_tiles(monkeypatch, fail_at=4)
-    with pytest.raises(JobError, match="the power is gone"):
-        run_job(settings, SILENT)
-    assert not output.exists()
-    counted = _count_tiles(monkeypatch)
-    run_job(settings, SILENT)
-    assert output.read_bytes() == whole
-    assert len(counted) > 0
-    again = len(counted)
-    counted.clear()
-    run_job(settings, SILENT)  # nothing is left of a job that was done: all of it again
-    assert len(counted) == again + 3
-
-
-def _count_tiles(monkeypatch: pytest.MonkeyPatch, fail_at: int | None = None) -> list[int]:
-    """Count the tiles that are made, and fail at one of them."""
-    calls: list[int] = []
-
-    def mesh_tile(*arguments: object) -> object:
-        if len(calls) + 1 == fail_at:
-            raise JobError("the power is gone")
-        calls.append(1)
-        return region.mesh_tile(*arguments)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(all_tiles, "mesh_tile", mesh_tile)
-    return calls
-
-
-KILLED = """
-import os, signal
-from hpcapp.applications.surface.hierarchical import all_tiles
-from hpcapp.cli import main
-
-def stream_some(*arguments):
-    for number, result in enumerate(stream_batches(*arguments), 1):
-        if number == 2:
-            os.kill(os.getpid(), signal.SIGKILL)
-        yield result
-
-stream_batches, all_tiles.stream_batches = all_tiles.stream_batches, stream_some
-main()
-"""
-
-
-@pytest.mark.slow
-def test_a_job_that_was_killed_goes_on_where_it_was(
-    scan: Path, whole: bytes, tmp_path: Path
-) -> None:
-    """Killed for good as the second tile comes back, and run again by the command itself."""
-    output, room = tmp_path / "mesh.ply", tmp_path / "room"
-    command = [
-        "reconstruct", str(scan), "-o", str(output),
-        "--grid", "96", "--backend", "zmq", "--workers", "2", "--temp-dir", str(room),
-    ]  # fmt: skip
-
-    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            [sys.executable, *arguments], cwd=tmp_path, capture_output=True, text=True,
-            timeout=200, check=False,
-        )  # fmt: skip
-
-    killed = run("-c", KILLED, *command)
-    assert killed.returncode == -signal.SIGKILL, killed.stderr
-    assert len(_kept(room)) >= 2
-    assert not output.exists()
-    done = run("-m", "hpcapp", *command, "--resume")
-    assert done.returncode == 0, done.stderr
-    assert output.read_bytes() == whole
-    assert _kept(room) == []
-
-
-def _kept(room: Path) -> list[Path]:
-    """Return the tiles that are whole."""
-    return [path for path in room.rglob("*") if path.is_file() and not path.name.startswith(".")]
 
 
 @pytest.mark.usefixtures("small")

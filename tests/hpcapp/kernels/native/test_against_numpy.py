@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from both_builds import assert_alike
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
@@ -23,17 +24,6 @@ from hpcapp.kernels.types import grid as grid_types
 from hpcapp.kernels.types.brick_mesh import BrickMesh, Survey
 from hpcapp.kernels.types.field import PIECES, FarField, Features, Field
 from hpcapp.kernels.types.grid import Grid
-
-
-def assert_alike(native: ModuleType, name: str, *given: Any) -> Any:
-    """Find what both builds give the same, to the last bit, and return it."""
-    found, wanted = (getattr(build, name)(*given) for build in (native, portable))
-    is_one = isinstance(found, np.ndarray)
-    for one, other in zip(*(([found], [wanted]) if is_one else (found, wanted)), strict=True):
-        np.testing.assert_array_equal(one, other)
-        assert np.asarray(one).dtype == np.asarray(other).dtype
-    return found
-
 
 coordinates = arrays.arrays(
     np.int64, st.tuples(st.integers(1, 60), st.just(3)), elements=st.integers(-40, 40)

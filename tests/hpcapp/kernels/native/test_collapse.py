@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from math import inf
 from types import ModuleType
-from typing import Any
 
 import numpy as np
 import pytest
+from both_builds import assert_alike
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-from hpcapp.kernels import portable
 
 
 def make_sheet(seed: int, side: int) -> tuple[np.ndarray, np.ndarray]:
@@ -23,13 +21,6 @@ def make_sheet(seed: int, side: int) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([x, y, heights], axis=1), np.concatenate(np.transpose(faces, (0, 2, 1)))
 
 
-def assert_same(native: ModuleType, *given: Any) -> None:
-    for found, wanted in zip(
-        native.collapse_edges(*given), portable.collapse_edges(*given), strict=True
-    ):
-        np.testing.assert_array_equal(found, wanted)
-
-
 @given(
     st.integers(0, 2**32), st.integers(1, 14), st.floats(0.0, 1.0),
     st.sampled_from([inf, 1e-3, 1.0]), st.booleans(),
@@ -39,7 +30,7 @@ def test_sheets(
     native: ModuleType, seed: int, side: int, share: float, limit: float, keeps: bool
 ) -> None:
     vertices, faces = make_sheet(seed, side)
-    assert_same(native, vertices, faces, int(share * len(faces)), limit, keeps)
+    assert_alike(native, "collapse_edges", vertices, faces, int(share * len(faces)), limit, keeps)
 
 
 @given(st.integers(0, 2**32), st.integers(4, 30), st.integers(1, 120), st.booleans())
@@ -50,7 +41,15 @@ def test_any_faces(native: ModuleType, seed: int, vertices: int, faces: int, fla
     places = random.normal(size=(vertices, 3))
     places[:, 2] *= not flat
     places[random.integers(0, vertices), 0] = random.choice([0.0, np.nan, np.inf, 1e200])
-    assert_same(native, places, random.integers(0, vertices, (faces, 3)), faces // 4, inf, False)
+    assert_alike(
+        native,
+        "collapse_edges",
+        places,
+        random.integers(0, vertices, (faces, 3)),
+        faces // 4,
+        inf,
+        False,
+    )
 
 
 def test_messages_name_the_argument(native: ModuleType) -> None:

@@ -7,6 +7,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from both_builds import assert_alike
 from directions import random_directions
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -48,10 +49,9 @@ def test_planes(native: ModuleType, kind: str, seed: int, share: float) -> None:
     positions = _make_points(kind, seed)
     asked = (np.random.default_rng(seed).random(len(positions)) < share).astype(np.uint8)
     given_points = positions, asked, positions.min(axis=0) - 0.03, 0.1
-    vectors = native.fit_planes(*given_points)
+    for threads in (1, 3):
+        vectors = assert_alike(native, "fit_planes", *given_points, threads)
     assert vectors.shape == (np.count_nonzero(asked), 3)
-    assert vectors.tobytes() == portable.fit_planes(*given_points).tobytes()
-    assert vectors.tobytes() == native.fit_planes(*given_points, threads=3).tobytes()
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -73,15 +73,9 @@ def test_groups_and_links(native: ModuleType, kind: str, seed: int, share: float
     own = (np.random.default_rng(seed).random(len(positions)) < share).astype(np.uint8)
     vectors = portable.fit_planes(positions, np.ones_like(own), low, 0.1)
     points = positions, vectors, low, 0.4, 0.1
-    grouped = portable.group_sheets(*points)
     for threads in (1, 3):
-        for found, wanted in zip(native.group_sheets(*points, threads), grouped, strict=True):
-            np.testing.assert_array_equal(found, wanted)
-    groups = positions, own, grouped[2], low, 0.1
-    links = portable.link_groups(*groups)
-    for threads in (1, 3):
-        for found, wanted in zip(native.link_groups(*groups, threads), links, strict=True):
-            np.testing.assert_array_equal(found, wanted)
+        grouped = assert_alike(native, "group_sheets", *points, threads)
+        assert_alike(native, "link_groups", positions, own, grouped[2], low, 0.1, threads)
 
 
 @given(st.data())

@@ -7,6 +7,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from both_builds import assert_alike
 from directions import random_directions
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -20,16 +21,9 @@ def test_cells_and_their_neighbours(native: ModuleType, seed: int, count: int, e
     random = np.random.default_rng(seed)
     positions = random.normal(size=(count, 3))
     low = positions.min(axis=0)
-    expected = portable.count_cells(positions, low, edge)
-    for one, other in zip(native.count_cells(positions, low, edge), expected, strict=True):
-        np.testing.assert_array_equal(one, other)
-    keys = expected[0]
+    keys = assert_alike(native, "count_cells", positions, low, edge)[0]
     values = random.integers(-9, 9, (len(keys), 3))
-    wanted = random.integers(0, len(keys), 20)
-    np.testing.assert_array_equal(
-        native.sum_neighbours(keys, values, wanted),
-        portable.sum_neighbours(keys, values, wanted),
-    )
+    assert_alike(native, "sum_neighbours", keys, values, random.integers(0, len(keys), 20))
 
 
 @given(st.integers(0, 2**32), st.integers(1, 300), st.floats(0.05, 5.0), st.integers(0, 9))
@@ -37,9 +31,7 @@ def test_cells_and_their_neighbours(native: ModuleType, seed: int, count: int, e
 def test_halved_cells(native: ModuleType, seed: int, count: int, edge: float, depth: int) -> None:
     random = np.random.default_rng(seed)
     positions = np.round(random.normal(size=(count, 3)), random.integers(0, 9))
-    given = positions, random.normal(size=3), edge, depth
-    for one, other in zip(native.count_halved(*given), portable.count_halved(*given), strict=True):
-        np.testing.assert_array_equal(one, other)
+    assert_alike(native, "count_halved", positions, random.normal(size=3), edge, depth)
 
 
 @given(st.integers(0, 2**32), st.integers(1, 400), st.booleans())
@@ -52,15 +44,11 @@ def test_neighbours(native: ModuleType, seed: int, points: int, is_gridded: bool
     edge = random.uniform(0.1, 1.5)
     cells = portable.sort_points(positions, positions.min(axis=0) - 0.01, edge)
     radii = edge * random.uniform(0.1, 1.0, len(cells[0]))
-    sparse = native.find_sparse(positions, *cells, radii, 5, 1)
-    np.testing.assert_array_equal(sparse, portable.find_sparse(positions, *cells, radii, 5))
-    assert native.find_sparse(positions, *cells, radii, 5, 3).tobytes() == sparse.tobytes()
+    for threads in (1, 3):
+        assert_alike(native, "find_sparse", positions, *cells, radii, 5, threads)
     asked = random.integers(0, points, random.integers(0, 40))
     count, limit = int(random.integers(1, 30)), float(edge * random.uniform(0.3, 6.0))
-    found = native.find_nearest(positions, *cells, edge, asked, count, limit, 2)
-    expected = portable.find_nearest(positions, *cells, edge, asked, count, limit)
-    for one, other in zip(found, expected, strict=True):
-        np.testing.assert_array_equal(one, other)
+    assert_alike(native, "find_nearest", positions, *cells, edge, asked, count, limit, 2)
 
 
 @given(st.integers(0, 2**32), st.floats(0.1, 0.6), st.floats(0.01, 0.3))
@@ -73,9 +61,8 @@ def test_polls(native: ModuleType, seed: int, reach: float, tolerance: float) ->
     keys, _, cell_of = portable.count_cells(positions, positions.min(axis=0), reach)
     asked = (random.random(600) < 0.9).astype(np.uint8)
     poll = (positions, given_normals, keys, cell_of, asked, reach, tolerance, 0.5 * tolerance)
-    verdicts = native.poll_normals(*poll, 1)
-    np.testing.assert_array_equal(verdicts, portable.poll_normals(*poll))
-    assert native.poll_normals(*poll, 3).tobytes() == verdicts.tobytes()
+    for threads in (1, 3):
+        assert_alike(native, "poll_normals", *poll, threads)
 
 
 @given(st.integers(0, 2**32))
@@ -143,14 +130,8 @@ def test_support(native: ModuleType, seed: int, points: int, places: int) -> Non
     cloud = positions, normals, radii, radii * random.uniform(0.1, 1.0, points)
     asked = random.normal(size=(places, 3)) * (1.5, 1.5, 0.1)
     ways = random.normal(size=(places, 8, 3))
-    counts, sums = native.count_supporting(asked, *cloud, 1)
-    wanted_counts, wanted_sums = portable.count_supporting(asked, *cloud)
-    np.testing.assert_array_equal(counts, wanted_counts)
-    np.testing.assert_array_equal(sums, wanted_sums)
-    for enough in (1, 3):
-        bounds = enough, 0.7, 2.25
-        squares = native.measure_aside(asked, ways, *cloud, *bounds, 1)
-        expected = portable.measure_aside(asked, ways, *cloud, *bounds)
-        np.testing.assert_array_equal(squares, expected)
-        assert native.measure_aside(asked, ways, *cloud, *bounds, 3).tobytes() == squares.tobytes()
-    assert native.count_supporting(asked, *cloud, 3)[1].tobytes() == sums.tobytes()
+    for threads in (1, 3):
+        assert_alike(native, "count_supporting", asked, *cloud, threads)
+        for enough in (1, 3):
+            bounds = enough, 0.7, 2.25
+            assert_alike(native, "measure_aside", asked, ways, *cloud, *bounds, threads)

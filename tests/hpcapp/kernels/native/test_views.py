@@ -6,6 +6,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from both_builds import assert_alike
 from directions import random_directions
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -25,16 +26,9 @@ def test_views(native: ModuleType, seed: int, patches: int, far: float) -> None:
     noise = random.uniform(0.0, 0.1, patches)
     viewpoints = far * random.normal(size=(5, 3))
     given_patches = centres, normals, noise, noise * 5.0, viewpoints, 0.02
-    cosines, is_seen = native.view_patches(*given_patches)
-    wanted = portable.view_patches(*given_patches)
-    np.testing.assert_array_equal(is_seen, wanted[1])
-    np.testing.assert_array_equal(cosines, wanted[0])
-    for one, other in zip(native.view_patches(*given_patches, threads=3), wanted, strict=True):
-        np.testing.assert_array_equal(one, other)
-    for one, other in zip(
-        native.add_views(cosines, is_seen), portable.add_views(cosines, is_seen), strict=True
-    ):
-        np.testing.assert_array_equal(one, other)
+    for threads in (1, 3):
+        seen = assert_alike(native, "view_patches", *given_patches, threads)
+    assert_alike(native, "add_views", *seen)
 
 
 @given(seed=st.integers(0, 2**32), nodes=st.integers(1, 60), known=st.integers(0, 60))

@@ -36,30 +36,8 @@ def test_every_setting_can_be_typed() -> None:
     assert not own & JobSettings.__dataclass_fields__.keys()
 
 
-def test_help_imports_nothing_heavy() -> None:
-    script = (
-        "import sys; from hpcapp.cli import hpcapp\n"
-        "hpcapp.main(['reconstruct', '--help'], standalone_mode=False)\n"
-        "assert not {'numpy', 'scipy', 'zmq', 'rich', 'yaml'} & set(sys.modules)"
-    )
-    subprocess.run([sys.executable, "-P", "-c", script], check=True, capture_output=True)
-
-
-def test_a_job_with_good_normals_imports_no_scipy(sphere_file: Path, tmp_path: Path) -> None:
-    """It takes as long as the rest of the program."""
-    arguments = ["reconstruct", str(sphere_file), "-o", str(tmp_path / "m.ply"), "--grid", "32"]
-    script = (
-        "import sys; from hpcapp.cli import hpcapp\n"
-        "hpcapp.main(sys.argv[1:], standalone_mode=False)\n"
-        "assert not {'scipy', 'zmq'} & set(sys.modules)"
-    )
-    subprocess.run([sys.executable, "-P", "-c", script, *arguments], check=True)
-
-
-def test_a_small_job_imports_no_other_format_and_no_dashboard(
-    sphere_file: Path, tmp_path: Path
-) -> None:
-    arguments = [str(sphere_file), "-o", str(tmp_path / "m.ply"), "--grid", "32"]
+def list_imports(*arguments: str) -> set[str]:
+    """Return the modules that a command has imported in the end."""
     script = (
         "import sys; from hpcapp.cli import hpcapp\n"
         "hpcapp.main(sys.argv[1:], standalone_mode=False)\n"
@@ -67,7 +45,19 @@ def test_a_small_job_imports_no_other_format_and_no_dashboard(
     )
     command = [sys.executable, "-P", "-c", script, "reconstruct", *arguments]
     done = subprocess.run(command, check=True, capture_output=True, text=True)
-    imported = set(done.stdout.split())
+    return set(done.stdout.split())
+
+
+def test_help_imports_nothing_heavy() -> None:
+    assert not {"numpy", "scipy", "zmq", "rich", "yaml"} & list_imports("--help")
+
+
+def test_a_small_job_with_good_normals_imports_only_what_it_needs(
+    sphere_file: Path, tmp_path: Path
+) -> None:
+    """No scipy, which takes as long as the rest of the program, no other format, no dashboard."""
+    imported = list_imports(str(sphere_file), "-o", str(tmp_path / "m.ply"), "--grid", "32")
+    assert not imported & {"scipy", "zmq"}
     others = {
         f"hpcapp.io.{role.function.partition(':')[0]}"
         for known in FORMATS

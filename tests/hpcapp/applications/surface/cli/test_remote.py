@@ -31,17 +31,11 @@ class Cluster:
         self.typed: list[str] = []
 
     def run(
-        self,
-        path: Path,
-        verb: str,
-        points: Path,
-        target: Path,
-        options: Sequence[str],
-        typed: Sequence[str],
+        self, path: Path, verb: str, points: Path, target: Path, *words: Sequence[str]
     ) -> dict[str, object]:
         assert verb == "reconstruct"
-        self.typed = list(typed)
-        self.suffix, self.points, self.options = points.suffix, read_points(points), list(options)
+        self.options, self.typed = map(list, words)
+        self.suffix, self.points = points.suffix, read_points(points)
         return {"summary": f"{target}: made on {path}"}
 
 
@@ -61,8 +55,8 @@ def mesh_file(tmp_path: Path) -> Path:
     return tmp_path / "part.stl"
 
 
-def submit(folder: Path, *words: str | Path) -> None:
-    arguments = [*map(str, words), "-o", str(folder / "m.ply"), "--cluster", "cluster.yaml"]
+def submit(folder: Path, *words: str | Path, output: str = "m.ply") -> None:
+    arguments = [*map(str, words), "-o", str(folder / output), "--cluster", "cluster.yaml"]
     done = CliRunner().invoke(reconstruct, arguments, catch_exceptions=False)
     assert done.exit_code == 0
 
@@ -179,22 +173,15 @@ def test_a_job_is_checked_with_its_options(
 
 
 def test_the_page_of_a_fetched_mesh_is_made_here(
-    tmp_path: Path, sphere: PointCloud, sphere_file: Path, cluster: Cluster
+    tmp_path: Path, sphere_file: Path, cluster: Cluster
 ) -> None:
-    def run(
-        path: Path,
-        verb: str,
-        points: Path,
-        target: Path,
-        options: Sequence[str],
-        typed: Sequence[str],
-    ) -> dict[str, object]:
-        cluster.options, cluster.typed = list(options), list(typed)
+    def run(path: Path, verb: str, points: Path, target: Path, *words: Sequence[str]) -> object:
+        cluster.options, cluster.typed = map(list, words)
         corners = 0.5 * np.vstack([np.zeros(3), np.eye(3)])
         write_mesh(target, Mesh(corners, np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])))
         return {"summary": "a tetrahedron", "spacing": 0.125, "command": ["of the head"]}
 
-    cluster.run = run  # type: ignore[method-assign]
+    cluster.run = run  # type: ignore[assignment, method-assign]
     page, png = tmp_path / "r.html", tmp_path / "r.png"
     submit(tmp_path, sphere_file, "--grid", "32", "--report", page, "--png", png)
     assert cluster.options == ["--grid", "32", "--details"]
@@ -219,8 +206,7 @@ def test_the_place_of_a_fetched_mesh_is_beside_it(
         return {"summary": "a mesh", "origin": origin, "input": {"crs": "EPSG:2180", "unit": "m"}}
 
     monkeypatch.setattr(remote, "load_cluster_function", lambda name: run)
-    words = [str(sphere_file), "-o", str(tmp_path / "m.glb"), "--cluster", "cluster.yaml"]
-    CliRunner().invoke(reconstruct, words, catch_exceptions=False)
+    submit(tmp_path, sphere_file, output="m.glb")
     assert read_mesh(tmp_path / "m.glb").origin.tolist() == origin
     assert find_mesh_crs(tmp_path / "m.glb").text == "EPSG:2180"
 
@@ -246,10 +232,8 @@ def test_a_report_of_a_head_that_lies_makes_no_page(
         return {"summary": "a mesh", **lie}
 
     monkeypatch.setattr(remote, "load_cluster_function", lambda name: run)
-    words = [str(sphere_file), "-o", str(tmp_path / "m.ply"), "--cluster", "cluster.yaml"]
-    words += ["--report", str(tmp_path / "r.html")]
     with pytest.raises(InputError, match="the head's report: "):
-        CliRunner().invoke(reconstruct, words, catch_exceptions=False)
+        submit(tmp_path, sphere_file, "--report", tmp_path / "r.html")
     assert not (tmp_path / "r.html").exists()
     assert (tmp_path / "m.ply").exists()  # what has come stays
 
@@ -257,18 +241,15 @@ def test_a_report_of_a_head_that_lies_makes_no_page(
 def test_a_texture_in_files_of_its_own_is_not_made_there(
     tmp_path: Path, sphere_file: Path, cluster: Cluster
 ) -> None:
-    words = [str(sphere_file), "-o", str(tmp_path / "m.obj"), "--cluster", "cluster.yaml"]
-    words += ["--faces", "100", "--texture", "256"]
+    words = "--faces", "100", "--texture", "256"
     with pytest.raises(UsageError, match="several files, and one comes from a cluster"):
-        CliRunner().invoke(reconstruct, words, catch_exceptions=False)
+        submit(tmp_path, sphere_file, *words, output="m.obj")
     assert cluster.options == []
 
 
 def test_a_mesh_that_is_not_read_here_has_no_page_here(
     tmp_path: Path, sphere_file: Path, cluster: Cluster
 ) -> None:
-    words = [str(sphere_file), "-o", str(tmp_path / "m.3mf"), "--cluster", "cluster.yaml"]
-    words += ["--report", str(tmp_path / "r.html")]
     with pytest.raises(UsageError, match="not read here"):
-        CliRunner().invoke(reconstruct, words, catch_exceptions=False)
+        submit(tmp_path, sphere_file, "--report", tmp_path / "r.html", output="m.3mf")
     assert cluster.options == []

@@ -289,53 +289,43 @@ KINDS = [torus, rough_torus, tailed_torus, half_torus, sheet]
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("shape", "grid", "tilings"),
+    ("shape", "grid", "tilings", "tiles", "slabs"),
     [
-        (*case, tilings)
-        for case, tilings in zip(
-            product(KINDS, [40, 96]), cycle([(1, 16), (2, 5), (2, 5), (1, 16)])
+        (*case, tilings, *cut)
+        for case, tilings, cut in zip(
+            product(KINDS, [40, 96]),
+            cycle([(1, 16), (2, 5), (2, 5), (1, 16)]),
+            cycle([(3, 10), (None, 10), (None, 1)]),
         )
     ],
     ids=lambda value: "+".join(map(str, value)) if isinstance(value, tuple) else None,
 )
-def test_any_tiling_gives_the_same_bits(
-    shape: Callable[[int], PointCloud], grid: int, tilings: tuple[int, int]
-) -> None:
-    """Closed, noisy, and open clouds, whose holes are closed far from every point."""
-    cloud = shape(6000)
-    whole, facts = reconstruct(cloud, HierarchicalMethod(grid, threads=2))
-    assert facts["tiles"] == 1
-    for tiles in tilings:
-        mesh, found = reconstruct(cloud, HierarchicalMethod(grid), tiles)
-        assert found == facts | {"tiles": tiles}
-        assert mesh.vertices.tobytes() == whole.vertices.tobytes()
-        assert mesh.faces.tobytes() == whole.faces.tobytes()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("shape", "grid", "tiles", "slabs"),
-    [
-        (*case, *cut)
-        for case, cut in zip(product(KINDS, [40, 96]), cycle([(3, 10), (None, 10), (None, 1)]))
-    ],
-)
-def test_any_slabs_give_the_same_bits(
+def test_any_tiling_and_any_slabs_give_the_same_bits(
     shape: Callable[[int], PointCloud],
     grid: int,
+    tilings: tuple[int, int],
     tiles: int | None,
     slabs: int,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Of the whole cloud, and of each tile."""
+    """Closed, noisy, and open clouds, whose holes are closed far from every point.
+
+    There are slabs of the whole cloud, or of each tile.
+    """
     cloud = shape(6000)
-    whole, facts = reconstruct(cloud, HierarchicalMethod(grid), tiles)
+    whole, facts = reconstruct(cloud, HierarchicalMethod(grid, threads=2))
+    assert facts["tiles"] == 1
+    for count in tilings:
+        mesh, found = reconstruct(cloud, HierarchicalMethod(grid), count)
+        assert found == facts | {"tiles": count}
+        assert mesh.vertices.tobytes() == whole.vertices.tobytes()
+        assert mesh.faces.tobytes() == whole.faces.tobytes()
     monkeypatch.setattr(field_levels, "_LEAST_LAYERS", 1)
     monkeypatch.setattr(slab_growth, "SLAB_QUADRICS", facts["patches"] // slabs)
-    mesh, again = reconstruct(cloud, HierarchicalMethod(grid), tiles)
-    assert np.array_equal(mesh.vertices, whole.vertices)
-    assert np.array_equal(mesh.faces, whole.faces)
-    assert again == facts
+    mesh, found = reconstruct(cloud, HierarchicalMethod(grid), tiles)
+    assert found == facts | {"tiles": tiles or 1}
+    assert mesh.vertices.tobytes() == whole.vertices.tobytes()
+    assert mesh.faces.tobytes() == whole.faces.tobytes()
 
 
 def reconstruct_strided(

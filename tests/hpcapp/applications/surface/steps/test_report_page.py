@@ -63,17 +63,14 @@ def test_a_page_says_what_the_job_says(capless: Path, tmp_path: Path) -> None:
     assert {"distance", "support", "normals", "plain"} <= names_of(page)
     assert scene_of(page)["points"]["shown"] == report["points"]
     assert "show" in report["stages"]
-
-
-def test_guesswork_is_marked_where_it_is(capless: Path, tmp_path: Path) -> None:
-    told = run(capless, "-o", tmp_path / "m.ply", "--grid", "48", "--report", tmp_path / "r.html")
-    [marker] = scene_of((tmp_path / "r.html").read_text())["markers"]
+    # Guesswork is marked where it is.
+    [marker] = scene_of(page)["markers"]
     x, y, z = marker["place"]
     assert np.hypot(x, y) < 0.4
     assert z > 0.6
     assert "guesswork" in marker["text"]
-    tint = scene_of((tmp_path / "r.html").read_text())["tint"]
-    assert tint["beyond"] == told["support"]["reach"]
+    tint = scene_of(page)["tint"]
+    assert tint["beyond"] == report["support"]["reach"]
     assert tint["field"] == "distance"
 
 
@@ -101,28 +98,18 @@ def test_what_points_support_is_not_marked() -> None:
     assert {tuple(one.place) for one in markers} == {tuple(middle) for middle in middles}
 
 
-def test_a_picture_is_drawn_beside_the_mesh(capless: Path, tmp_path: Path) -> None:
-    run(capless, "-o", tmp_path / "m.ply", "--grid", "32", "--png", tmp_path / "m.png")
-    assert (tmp_path / "m.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_a_page_changes_no_byte_of_the_mesh(capless: Path, tmp_path: Path) -> None:
+def test_a_page_and_a_picture_change_no_byte_of_the_mesh(capless: Path, tmp_path: Path) -> None:
+    page, picture = tmp_path / "r.html", tmp_path / "m.png"
     run(capless, "-o", tmp_path / "a.ply", "--grid", "32")
-    run(capless, "-o", tmp_path / "b.ply", "--grid", "32", "--report", tmp_path / "r.html")
+    words = ("--report", page, "--png", picture)
+    run(capless, "-o", tmp_path / "b.ply", "--grid", "32", *words)
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
+    assert picture.read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.slow
 def test_tiles_and_workers_can_be_told_apart(capless: Path, tmp_path: Path) -> None:
-    words: list[str | Path] = [
-        capless,
-        "-o",
-        tmp_path / "m.ply",
-        "--grid",
-        "64",
-        "--report",
-        tmp_path / "r.html",
-    ]
+    words = (capless, "-o", tmp_path / "m.ply", "--grid", "64", "--report", tmp_path / "r.html")
     report = run(*words, "--backend", "zmq", "--workers", "2")
     page = (tmp_path / "r.html").read_text()
     assert report["tiles"] > 1
@@ -148,17 +135,7 @@ def test_the_report_of_a_job_elsewhere_tells_tiles_and_workers(
     suffix: str, capless: Path, tmp_path: Path
 ) -> None:
     mesh, page = tmp_path / f"m{suffix}", tmp_path / "r.html"
-    words: list[str | Path] = [
-        capless,
-        "-o",
-        mesh,
-        "--grid",
-        "64",
-        "--backend",
-        "zmq",
-        "--workers",
-        "2",
-    ]
+    words = (capless, "-o", mesh, "--grid", "64", "--backend", "zmq", "--workers", "2")
     report = run(*words, "--report", page, "--details")
     assert {span["worker"] for span in report["timeline"]["spans"]} >= {"master", "machine-0"}
     assert sum(report["owners"]["vertices"]) == report["vertices"]
@@ -190,13 +167,7 @@ def test_points_that_lie_in_a_folder_are_near_too(tmp_path: Path) -> None:
     there: list[str | Path] = ["--temp-dir", tmp_path / "t", "--backend", "processes"]
     for name, more in (("a", []), ("b", there)):
         page = tmp_path / f"{name}.html"
-        words: list[str | Path] = [
-            tmp_path / "c.ply",
-            "-o",
-            tmp_path / f"{name}.ply",
-            "--grid",
-            "48",
-        ]
+        words = (tmp_path / "c.ply", "-o", tmp_path / f"{name}.ply", "--grid", "48")
         run(*words, "--report", page, *more)
         pages.append(scene_of(page.read_text()))
     ends = [
@@ -212,14 +183,9 @@ def test_a_mesh_that_a_cluster_has_made_has_a_page(capless: Path, tmp_path: Path
     assert len(shown.mesh.faces) == report["faces"]
     page = build_job_page(shown, report, "m.ply")
     assert scene_of(page)["markers"]
-
-
-def test_a_copy_is_called_one(capless: Path, tmp_path: Path) -> None:
-    report = run(capless, "-o", tmp_path / "m.ply", "--grid", "32")
-    shown = show_files(tmp_path / "m.ply", capless, {})
-    page = build_job_page(replace(shown, faces=10 * shown.faces), report, "m.ply")
-    assert "A copy with fewer faces is shown" in page
     assert len(read_mesh(tmp_path / "m.ply").faces) == shown.faces
+    copy = build_job_page(replace(shown, faces=10 * shown.faces), report, "m.ply")
+    assert "A copy with fewer faces is shown" in copy
 
 
 @pytest.mark.parametrize("flag", [["--report", "no/r.html"], ["--report", "r.pdf"], ["--png", "r"]])
