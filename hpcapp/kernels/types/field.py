@@ -21,16 +21,9 @@ PIECES = 3
 @record("surface.field_level")
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldLevel:
-    """The quadrics of one lattice.
+    """The quadrics of one lattice, at its vertices of sorted keys (v,), in cells of it.
 
-    Parameters
-    ----------
-    keys : ndarray of int64, shape (v,)
-        Sorted keys of the lattice's vertices.
-    coefficients : ndarray of float32, shape (v, 10)
-        The quadric of each vertex, in cells of this lattice.
-    trust : ndarray of float32, shape (v,)
-        What it counts against the levels behind and the far field, 0 to 1.
+    The `trust` (v,) is what each counts against the levels behind and the far field, 0 to 1.
     """
 
     keys: IntArray
@@ -73,16 +66,10 @@ class Features:
 class Field:
     """All that the implicit function is made of.
 
-    Parameters
-    ----------
-    origin : ndarray of float64, shape (3,)
-        Where corner (0, 0, 0) of every lattice lies.
-    cell_size : float
-        Edge of a cell of the finest lattice, in length units of the input.
-    levels : tuple of FieldLevel
-        Finest first; the cells of each are twice as large as those of the one before.
-    features : tuple of Features
-        Of the first levels: vertices whose joined quadrics take the place of their own one.
+    Corner (0, 0, 0) of every lattice lies at `origin` (3,); the finest has cells of `cell_size`, in
+    length units of the input. The levels come finest first, each with cells twice as large as those
+    of the one before; the features are of the first levels: vertices whose joined quadrics take the
+    place of their own one.
     """
 
     origin: FloatArray

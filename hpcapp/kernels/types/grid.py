@@ -31,14 +31,8 @@ tile's; without points, and taken when the surface reaches it; its own."""
 class BrickStrides:
     """How far apart the nodes of each brick are: 1, 2, 4 or 8 finest steps.
 
-    Parameters
-    ----------
-    keys : ndarray of int64, shape (k,)
-        Sorted keys of some bricks.
-    exponents : ndarray of uint8, shape (k,)
-        The stride of each of these is two to the power of so much: 0 to `MOST_SHIFT`.
-    rest : int
-        That of all others.
+    The strides of bricks of sorted `keys` (k,) are two to the power of `exponents` (k,), 0 to
+    `MOST_SHIFT`; that of all others is `rest`.
     """
 
     keys: IntArray

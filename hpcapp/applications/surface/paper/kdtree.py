@@ -51,16 +51,10 @@ class SplitRule:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TreePatches:
-    """The leaves of the tree that hold points, in depth-first order (low side first).
+    """The leaves of the tree that hold points, in depth-first order (low side first); p of them.
 
-    Parameters
-    ----------
-    order : ndarray of int64, shape (n,)
-        Point indices; those of patch i are ``order[offsets[i]:offsets[i + 1]]``, ascending.
-    offsets : ndarray of int64, shape (p + 1,)
-        From 0 to n.
-    box_low, box_high : ndarray of float64, shape (p, 3)
-        Each patch's box, in the frame of the positions.
+    The points of patch i are ``order[offsets[i]:offsets[i + 1]]``, ascending; its box, from
+    `box_low` to `box_high` (p, 3), is in the frame of the positions.
     """
 
     order: IntArray
