@@ -23,15 +23,7 @@ Random = np.random.Generator
 
 @dataclass(frozen=True)
 class Analytic:
-    """A shape.
-
-    Parameters
-    ----------
-    draw : callable
-        Given a generator and a number, returns so many points on it and their normals.
-    measure : callable
-        Given points close to it, returns their distances from it.
-    """
+    """A shape: points drawn on it with their normals, and the distances of points close to it."""
 
     draw: Callable[[Random, int], tuple[FloatArray, FloatArray]]
     measure: Callable[[FloatArray], FloatArray]

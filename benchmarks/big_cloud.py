@@ -81,18 +81,9 @@ def write_cloud(path: Path, points: int, sweep: bool = False, ratio: float = 1.0
 
 
 def measure_distances(path: Path) -> tuple[int, float, float]:
-    """Return how many vertices a mesh has, and their distances to the surface along the radius.
+    """Return the number of vertices of a mesh, and how far they are from the surface.
 
-    Parameters
-    ----------
-    path : Path
-        A PLY.
-
-    Returns
-    -------
-    vertices : int
-    rms, largest : float
-        In length units of the cloud, whose surface has about radius 1.
+    Along the radius, which is about 1: the root of the mean square, and the largest distance.
     """
     count, total, largest = 0, 0.0, 0.0
     for cloud in open_points(path).chunks(ROWS_AT_ONCE):

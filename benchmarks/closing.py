@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tables import write_table
 from worlds import load_tool
 
 from hpcapp.applications.surface.boundary.closing import measure_opening
@@ -44,7 +45,8 @@ def collect(rows: Path, folders: list[Path]) -> list[dict[str, Any]]:
             scan = str(folder / name)
             if scan in done:
                 continue
-            told = command("hpcapp", "reconstruct", scan, "-o", f"{rows}.ply", "--json")
+            job = ["hpcapp", "reconstruct", scan, "-o", f"{rows}.ply", "--json"]
+            told = subprocess.run(job, capture_output=True, text=True, check=False)
             report = json.loads(told.stdout) if told.returncode == 0 else {}
             row = {key: entry[key] for key in ("group", "closed")} | {"scan": scan}
             if report.get("open") is False and row["group"] in _INVENTED:
@@ -59,11 +61,6 @@ def measure_invented(mesh: Path, name: str, entry: dict[str, Any], folder: Path)
     """Return the share of a mesh that lies away from what was seen."""
     judge = load_tool(Path(os.environ["HPCAPP_DATA"]), "judge_worlds").evaluate_raw
     return float(judge.judge(judge.load_mesh(mesh), name, entry, folder)["invented"])
-
-
-def command(*words: str) -> subprocess.CompletedProcess[str]:
-    """Run a command, and keep what it says."""
-    return subprocess.run(words, capture_output=True, text=True, check=False)
 
 
 def fit(features: FloatArray, truth: BoolArray) -> FloatArray:
@@ -116,20 +113,19 @@ def main() -> None:
     certainty, is_right = np.maximum(left_out, 1.0 - left_out), (left_out > 0.5) == truth
     bins = np.digitize(certainty, _BINS[1:-1])
     counts = [np.bincount(bins[kept], minlength=len(_BINS) - 1) for kept in (bins >= 0, is_right)]
-    report = {
-        "title": "Open or closed: said how surely, right how often, on scans that were left out",
-        "machine": "any",
-        "commit": command("git", "rev-parse", "--short", "HEAD").stdout.strip(),
-        "command": "HPCAPP_DATA=DATA benchmarks/closing.py ROWS DIR...",
-        "columns": ["from", "to", "scans", "right"],
-        "rows": np.stack([_BINS[:-1], _BINS[1:], *counts], axis=1).tolist(),
-        "notes": [
-            *(f"{name}: {value:.3g}" for name, value in zip(_NAMES, coefficients, strict=True)),
-            *(f"wrong: {Path(rows[row]['scan']).name}" for row in np.flatnonzero(~is_right)),
-        ],
-    }
-    target = Path(__file__).parent / "results" / "closing.json"
-    target.write_text(json.dumps(report, indent=1) + "\n")
+    notes = [
+        *(f"{name}: {value:.3g}" for name, value in zip(_NAMES, coefficients, strict=True)),
+        *(f"wrong: {Path(rows[row]['scan']).name}" for row in np.flatnonzero(~is_right)),
+    ]
+    write_table(
+        Path(__file__).parent / "results" / "closing.json",
+        "Open or closed: said how surely, right how often, on scans that were left out",
+        ["from", "to", "scans", "right"],
+        np.stack([_BINS[:-1], _BINS[1:], *counts], axis=1).tolist(),
+        "HPCAPP_DATA=DATA benchmarks/closing.py ROWS DIR...",
+        notes,
+        "any",
+    )
 
 
 if __name__ == "__main__":

@@ -23,13 +23,7 @@ from hpccomponent.errors import UsageError
 
 @dataclass(frozen=True, slots=True)
 class SimulatedCloud:
-    """A scan of an analytic shape.
-
-    Parameters
-    ----------
-    group : str
-        What it tests; see `GROUPS`.
-    """
+    """A scan of an analytic shape."""
 
     name: str
     group: str
@@ -47,13 +41,7 @@ class SimulatedCloud:
 
 @dataclass(frozen=True, slots=True)
 class FileCloud:
-    """A cloud and its truth, a mesh, in the folder that HPCAPP_DATA names.
-
-    Parameters
-    ----------
-    file, truth_file : str
-        Names in that folder.
-    """
+    """A cloud and its truth, a mesh, in the folder that HPCAPP_DATA names."""
 
     name: str
     group: str
@@ -61,13 +49,7 @@ class FileCloud:
     truth_file: str
 
     def place(self, folder: Path) -> Path:  # noqa: ARG002  (it takes what a SimulatedCloud takes)
-        """Return the file that holds the points; `folder` plays no part.
-
-        Raises
-        ------
-        UsageError
-            If HPCAPP_DATA is not set, or the file is not in it.
-        """
+        """Return the file that holds the points."""
         return _given_file(self.file)
 
 
@@ -162,15 +144,8 @@ CLOUDS: Mapping[str, Cloud] = {cloud.name: cloud for cloud in _EVERY}
 def find_clouds(names: list[str]) -> list[Cloud]:
     """Return the clouds that `names` (of clouds or of groups) stand for, in their fixed order.
 
-    Parameters
-    ----------
-    names : list of str
-        None means all but the scans, the real ones only where HPCAPP_DATA is set.
-
-    Raises
-    ------
-    UsageError
-        If a name is neither a cloud nor a group.
+    No names mean all but the scans, the real ones only where HPCAPP_DATA is set. Raise UsageError
+    where a name is neither a cloud nor a group.
     """
     for name in names:
         if name not in CLOUDS and name not in GROUPS:

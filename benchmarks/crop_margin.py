@@ -16,9 +16,10 @@ from scipy.spatial import cKDTree
 import hpcapp
 from hpcapp.api.mesh import Mesh
 from hpcapp.geometry.mesh import Mesh as Plain
-from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.geometry.regions.clipping import clip_mesh
 from hpcapp.geometry.regions.region import Region
+from hpcapp.io.points.mesh_samples import sample_faces
 
 Box = tuple[float, float, float, float, float, float]
 
@@ -45,27 +46,16 @@ def measure_edge(whole: Mesh, part: Mesh, box: Box) -> tuple[float, float]:
     region = Region.box(np.array(box[:3]), np.array(box[3:]))
     spacing = float(whole.facts["spacing"])
     cut = clip_mesh(Plain(np.array(whole.vertices), np.array(whole.faces)), region)
-    ours = cut.vertices, cut.faces
-    theirs = np.array(part.vertices), np.array(part.faces)
+    theirs = Plain(np.array(part.vertices), np.array(part.faces))
     gaps: list[FloatArray] = []
     squares: list[FloatArray] = []
-    for one, other in ((ours, theirs), (theirs, ours)):
-        places = _sample(*one, _PLACES)
+    for one, other in ((cut, theirs), (theirs, cut)):
+        places = sample_faces(one, _PLACES).positions
         gaps.append(np.minimum(places - region.low, region.high - places).min(axis=1))
-        squares.append((cKDTree(_sample(*other, _DENSE)).query(places)[0] / spacing) ** 2)
+        tree = cKDTree(sample_faces(other, _DENSE).positions)
+        squares.append((tree.query(places)[0] / spacing) ** 2)
     is_near, square = np.concatenate(gaps) < spacing, np.concatenate(squares)
     return float(np.sqrt(square[is_near].mean())), float(np.sqrt(square[~is_near].mean()))
-
-
-def _sample(vertices: FloatArray, faces: IntArray, count: int) -> FloatArray:
-    """Return places on a mesh, evenly."""
-    a, b, c = (vertices[column] for column in faces.T)
-    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    random = np.random.default_rng(0)
-    chosen = random.choice(len(faces), count, p=areas / areas.sum())
-    shares = random.dirichlet((1, 1, 1), size=count)
-    places: FloatArray = np.einsum("nk,nkd->nd", shares, vertices[faces[chosen]])
-    return places
 
 
 def main() -> None:

@@ -16,12 +16,12 @@ import argparse
 import json
 import os
 import re
-import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from unittest import mock
 
 import numpy as np
+from tables import Row, write_table
 
 import hpcapp
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud
@@ -40,7 +40,6 @@ from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import open_points, read_whole
 
-Row = list[str | float]
 NORMALS = ["scan", "signed", "following", "pairs", "torn"]
 HANDLES = ["scan", "uncut", "true", "cut to half", "cut", "cut to twice"]
 
@@ -111,32 +110,6 @@ def find_handles(path: Path, genus: int) -> list[Row]:
     return [[path.stem, found, genus, *left]]
 
 
-def write(
-    folder: Path,
-    name: str,
-    title: str,
-    columns: list[str],
-    rows: list[Row],
-    script: str = "benchmarks/decisions.py",
-    notes: Sequence[str] = (),
-) -> None:
-    """Write a table."""
-    commit = subprocess.run(
-        ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False
-    ).stdout.strip()
-    table = {
-        "title": title,
-        "machine": "virtual machine, 2 cores, shared with other work",
-        "commit": commit,
-        "command": f"HPCAPP_DATA=DIR {script}",
-        "columns": columns,
-        "rows": rows,
-        "notes": list(notes),
-    }
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / f"{name}.json").write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
-
-
 def main() -> None:
     """Measure all scans, and write two tables."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -155,9 +128,10 @@ def main() -> None:
             handles += find_handles(path, genus)
             print(handles[-1:], flush=True)
     title = "Normals that follow a place: share that does, and opposite pairs across the sight"
-    write(asked.output, "decisions-normals", title, NORMALS, normals)
+    command = "HPCAPP_DATA=DIR benchmarks/decisions.py"
+    write_table(asked.output / "decisions-normals.json", title, NORMALS, normals, command)
     title = "Handles of closed meshes: before small ones are cut, in truth, and after"
-    write(asked.output, "decisions-handles", title, HANDLES, handles)
+    write_table(asked.output / "decisions-handles.json", title, HANDLES, handles, command)
 
 
 if __name__ == "__main__":

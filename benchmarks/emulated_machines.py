@@ -44,27 +44,16 @@ ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
 class CpuGroup:
-    """A control group for the processes of one emulated machine.
-
-    Parameters
-    ----------
-    name : str
-        A path below the root of the hierarchies.
-    cores : float or None
-        How much it may take; None for all that there is.
-    """
+    """A control group for the processes of one emulated machine, held to so many cores if any."""
 
     def __init__(self, name: str, cores: float | None = None) -> None:
         self._folders = [root / name for root in _find_roots()]
         self._is_new = (CGROUPS / "cgroup.controllers").exists()  # version 2
         for folder in self._folders:
             folder.mkdir(parents=True)
-        self._write("cpu.weight" if self._is_new else "cpu.shares", SHARES * self._default_shares)
+        weight, usual = ("cpu.weight", 100) if self._is_new else ("cpu.shares", 1024)
+        self._write(weight, SHARES * usual)
         self.limit(cores)
-
-    @property
-    def _default_shares(self) -> int:
-        return 100 if self._is_new else 1024
 
     def limit(self, cores: float | None) -> None:
         """Hold it to another quota."""
@@ -142,18 +131,9 @@ def _find_roots() -> list[Path]:
 
 @dataclass(frozen=True)
 class Machines:
-    """Emulated machines that wait for a master.
+    """Emulated machines that wait for a master: ``--cluster`` takes the inventory.
 
-    Parameters
-    ----------
-    inventory : Path
-        What ``--cluster`` takes.
-    head : list of str
-        What to put before the master's command.
-    head_group : CpuGroup
-        The master's.
-    groups : list of CpuGroup
-        Of the workers.
+    `head` is what to put before the master's command.
     """
 
     inventory: Path
@@ -172,18 +152,8 @@ def open_machines(
 ) -> Iterator[Machines]:
     """Have emulated machines for the time of a ``with`` block, all of them up and idle.
 
-    Parameters
-    ----------
-    folder : Path
-        Receives keys and logs; must not be there.
-    cores : sequence of (float or None)
-        The quota of each worker; None: held by nothing.
-    head_cores : float or None
-        The master's quota.
-    hidden : Path, optional
-        A folder that only the master sees.
-    link_mbit : float, optional
-        What each machine's cable carries each way, the master's too; else they use loopback.
+    The folder, which must not be there, receives keys and logs; a hidden one is seen by the master
+    alone. Cables carry so much each way, the master's too; without a number all use loopback.
     """
     folder.mkdir(parents=True)
     name = f"hpcapp-{os.getpid()}"

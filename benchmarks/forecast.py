@@ -75,21 +75,10 @@ class HaloTraffic:
 
 @dataclass(frozen=True, slots=True)
 class Rates:
-    """What a job costs, in CPU seconds.
+    """What a job costs, in CPU seconds: a process, a point of one that has all, one of a halo.
 
-    Parameters
-    ----------
-    start : float
-        Of one process, whatever it does then.
-    point : float
-        A point, with one process that has all.
-    halo_point : float
-        A point of a halo.
-    head_start, head_point, head_tile : float
-        What the head does while it has workers.
-    halo : float
-        The longest side by a tile's, where there is one tile: tiles are taken for squares that
-        halve with four times as many, with a margin all around.
+    Likewise the head while it has workers. `halo` is the longest side by a tile's where there is
+    one: tiles are taken for squares, halved with four times as many, with a margin all around.
     """
 
     start: float
@@ -107,15 +96,7 @@ class Rates:
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
-    """What one job is expected to take, in seconds.
-
-    Parameters
-    ----------
-    worker_s, head_s, folder_s : float
-        Of the longest of each; work and folder overlap, the head's does not.
-    halo_share : float
-        Points in halos by those of the cloud.
-    """
+    """What one job is expected to take; work and folder overlap, the head's time does not."""
 
     machines: int
     tiles: int
@@ -185,12 +166,7 @@ def forecast(
 ) -> Forecast:
     """Return what a job is expected to take.
 
-    Parameters
-    ----------
-    cores : int
-        Of each machine, all of them at work.
-    folder_mb_s : float
-        What the shared folder gives to all machines together, in 10^6 bytes a second.
+    All cores of a machine are at work; the folder gives 10^6 bytes a second to all together.
     """
     workers = machines * cores
     each = max(1, min(TILES_EACH, points // (workers * LARGE_TILE)))

@@ -16,7 +16,6 @@ take back. CPU time is what they had taken when they were last looked at.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import re
 import subprocess
@@ -29,6 +28,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from big_cloud import measure_distances, write_cloud
+from tables import write_table
 
 from hpcapp.io import open_points
 
@@ -63,14 +63,9 @@ def count_disk(paths: Iterable[Path]) -> int:
 
 
 def look_at(process: int) -> tuple[int, float]:
-    """Return what a process and its children use.
+    """Return the bytes and CPU seconds of a process, its children, and those that have ended.
 
-    Returns
-    -------
-    memory : int
-        In bytes, without mapped files; what they share is counted once.
-    cpu_s : float
-        With that of children that have ended.
+    Mapped files are not counted, and what several processes share is counted once.
     """
     parents, times = {}, {}
     for file in Path("/proc").glob("[0-9]*/stat"):
@@ -129,36 +124,6 @@ def run(command: Sequence[str], temp: Path, mesh: Path, *, is_killed: bool) -> U
     return used
 
 
-def tell(
-    points: int, runs: Sequence[Usage], command: str, notes: Sequence[str]
-) -> dict[str, object]:
-    """Return the table of a job that was killed and went on."""
-    commit = subprocess.run(
-        ["git", "rev-parse", "--short", "HEAD"],
-        cwd=Path(__file__).parent,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    rows = [
-        ["wall, s", *(f"{run.wall_s:,.0f}" for run in runs)],
-        ["CPU, s", *(f"{run.cpu_s:,.0f}" for run in runs)],
-        ["memory at most, GB", *(f"{run.memory / 1e9:.2f}" for run in runs)],
-        ["temporary folder at most, GB", *(f"{run.disk / 1e9:.2f}" for run in runs)],
-        ["the same, bytes a point", *(f"{run.disk / points:.1f}" for run in runs)],
-        ["mesh, GB", *(f"{run.mesh / 1e9:.2f}" for run in runs)],
-    ]
-    return {
-        "title": f"{points:,} points, killed when half of the tiles were done",
-        "machine": f"{os.cpu_count()} cores",
-        "commit": commit.stdout.strip() or "unknown",
-        "command": command,
-        "columns": ["", "until it was killed", "with --resume"],
-        "rows": rows,
-        "notes": list(notes),
-    }
-
-
 def main() -> None:
     """Run the job, and write what it took."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -192,9 +157,19 @@ def main() -> None:
         f"{vertices:,} vertices, off the formula by {rms:.2g} (rms), {largest:.2g} at most.",
     ]
     shown = " ".join(["hpcapp", *job, *options]).replace(f"{asked.folder}/", "")
-    table = tell(asked.points, [killed, resumed], shown, notes)
+    runs = (killed, resumed)
+    rows = [
+        ["wall, s", *(f"{run.wall_s:,.0f}" for run in runs)],
+        ["CPU, s", *(f"{run.cpu_s:,.0f}" for run in runs)],
+        ["memory at most, GB", *(f"{run.memory / 1e9:.2f}" for run in runs)],
+        ["temporary folder at most, GB", *(f"{run.disk / 1e9:.2f}" for run in runs)],
+        ["the same, bytes a point", *(f"{run.disk / asked.points:.1f}" for run in runs)],
+        ["mesh, GB", *(f"{run.mesh / 1e9:.2f}" for run in runs)],
+    ]
     results = asked.results or asked.folder / "large-job.json"
-    results.write_text(json.dumps(table, indent=1, ensure_ascii=False) + "\n")
+    title = f"{asked.points:,} points, killed when half of the tiles were done"
+    columns, machine = ["", "until it was killed", "with --resume"], f"{os.cpu_count()} cores"
+    write_table(results, title, columns, rows, shown, notes, machine)
     print(results.read_text(), end="")
 
 

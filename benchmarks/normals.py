@@ -7,15 +7,14 @@ and compared with what was thrown away. With ``--peer`` Open3D does the same bes
 from __future__ import annotations
 
 import argparse
-import json
 import platform
-import subprocess
 import time
 from dataclasses import replace
 from fnmatch import fnmatch
 from pathlib import Path
 
 import numpy as np
+from tables import write_table
 
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
@@ -91,23 +90,15 @@ def main() -> None:
             print(*rows[-1], flush=True)
     if options.output is None:
         return
-    commit = subprocess.run(
-        ["git", "rev-parse", "--short", "HEAD"],
-        capture_output=True,
-        text=True,
-        check=True,
+    write_table(
+        options.output,
+        "Normals estimated and oriented",
+        COLUMNS + (PEER_COLUMNS if options.peer else []),
+        rows,
+        f"python benchmarks/normals.py SCANS --only '{options.only}'" + " --peer" * options.peer,
+        ["Open3D's whole cloud may be inside out: that is forgiven."] * options.peer,
+        f"{platform.machine()}, shared with other work",
     )
-    result = {
-        "title": "Normals estimated and oriented",
-        "machine": f"{platform.machine()}, shared with other work",
-        "commit": commit.stdout.strip(),
-        "command": f"python benchmarks/normals.py SCANS --only '{options.only}'"
-        + " --peer" * options.peer,
-        "columns": COLUMNS + (PEER_COLUMNS if options.peer else []),
-        "rows": rows,
-        "notes": ["Open3D's whole cloud may be inside out: that is forgiven."] * options.peer,
-    }
-    options.output.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from statistics import geometric_mean
 from typing import Any
 
 import numpy as np
@@ -36,16 +36,9 @@ _HEAD = (
 
 @dataclass(frozen=True, slots=True)
 class Usage:
-    """What a process took.
+    """What a process took: user + sys, and the largest resident set, in 10^6 bytes.
 
-    Parameters
-    ----------
-    exit_code : int
-        Negative: the signal that ended it.
-    cpu_s, wall_s : float
-        Seconds; CPU is user + sys.
-    rss_mb : float
-        Largest resident set, in 10^6 bytes.
+    A negative exit code is the signal that ended it.
     """
 
     exit_code: int
@@ -56,13 +49,7 @@ class Usage:
 
 @dataclass(frozen=True, slots=True)
 class Contender:
-    """A program that turns a cloud into a mesh.
-
-    Parameters
-    ----------
-    command : list of str
-        With ``{input}`` and ``{output}`` where the files go.
-    """
+    """A program that turns a cloud into a mesh: ``{input}`` and ``{output}`` are the files."""
 
     name: str
     command: list[str]
@@ -83,17 +70,9 @@ class Outcome:
 
 
 def measure_process(command: list[str], log: Path) -> Usage:
-    """Run a command to its end and return what it took.
+    """Run a command to its end, with its output in a log, and return what it took.
 
-    Parameters
-    ----------
-    log : Path
-        Where its output goes.
-
-    Returns
-    -------
-    Usage
-        Of the process and of those of its children that it waited for.
+    Counted are the process and those of its children that it waited for.
     """
     helper = str(Path(__file__).with_name("process_usage.py"))
     done = subprocess.run(
@@ -108,18 +87,9 @@ def measure_process(command: list[str], log: Path) -> Usage:
 def run_contender(
     contender: Contender, cloud: str, source: Path, truth: Truth, folder: Path, samples: int
 ) -> Outcome:
-    """Run one contender on one cloud and measure its mesh.
+    """Run one contender on one cloud, and measure its mesh by so many points on either surface.
 
-    Parameters
-    ----------
-    cloud : str
-        The cloud's name.
-    source : Path
-        Its points.
-    folder : Path
-        Where mesh, log and outcome are kept.
-    samples : int
-        Points on either surface for the distances.
+    Mesh, log and outcome are kept in the folder.
     """
     stem = _stem(folder, cloud, contender)
     target = stem.with_suffix(".ply")
@@ -241,17 +211,6 @@ def ratios(clouds: list[list[Outcome]], rival: str, key: str) -> list[float]:
         if values:
             worst.append(max(values))
     return worst
-
-
-def geometric_mean(values: list[float]) -> float:
-    """Return the geometric mean of positive values.
-
-    Examples
-    --------
-    >>> round(geometric_mean([0.5, 2.0]), 12)
-    1.0
-    """
-    return math.exp(sum(math.log(value) for value in values) / len(values))
 
 
 def _ratio(ours: Outcome, theirs: Outcome, key: str) -> float | None:

@@ -19,7 +19,7 @@ import re
 from pathlib import Path
 
 import numpy as np
-from decisions import Row, write
+from tables import Row, write_table
 
 import hpcapp
 from hpcapp.api.mesh import unwrap_mesh
@@ -66,7 +66,8 @@ def main() -> None:
             rows.append(find_pieces(data / name, parts))
             print(rows[-1], flush=True)
     title = "Pieces of meshes: their parts, and the shreds beside them, by area of the largest"
-    write(asked.output, "decisions-pieces", title, COLUMNS, rows, "benchmarks/pieces.py")
+    command = "HPCAPP_DATA=DIR benchmarks/pieces.py"
+    write_table(asked.output / "decisions-pieces.json", title, COLUMNS, rows, command)
 
 
 if __name__ == "__main__":

@@ -30,8 +30,8 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from decisions import Row, write
 from scipy.optimize import minimize
+from tables import Row, write_table
 from worlds import FAMILIES, load_tool, make_worlds
 
 import hpcapp
@@ -278,11 +278,12 @@ def main() -> None:
     if asked.output is None or asked.judge:
         return
     words = f"--seeds {asked.seeds} --count {asked.count} --folders {' '.join(asked.folders)}"
-    script = f"benchmarks/readings.py {words} -o FOLDER"
+    command = f"HPCAPP_DATA=DIR benchmarks/readings.py {words} -o FOLDER"
     title = "Sides of scans: said how surely, right how often, on those left out of the fit"
     columns = ["from", "to", "worlds", "right"]
     notes = [f"{name}: {number}" for name, number in asdict(fitted).items()]
-    write(asked.output, "readings", title, columns, reliability, script, notes)
+    path = asked.output / "readings.json"
+    write_table(path, title, columns, reliability, command, notes)
     likely = [drop_unlikely(*one) for one in zip(rows, table.odds(numbers), strict=True)]
     lines = [json.dumps(row, separators=(",", ":")) + "\n" for row in likely]
     (asked.output / "readings-worlds.jsonl").write_text("".join(lines), encoding="utf-8")

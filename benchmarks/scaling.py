@@ -56,26 +56,9 @@ PAPER_GRID = 256  # it holds every node of a cube
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One job.
+    """One job: without machines in one process; with the load here before, and a hash of the mesh.
 
-    Parameters
-    ----------
-    machines : int
-        Workers; 0: one process without any.
-    cores : float or None
-        The quota of each machine.
-    wall_s : float
-        From the start of the master's process to its end.
-    head_cpu_s : float
-        Of the master's processes.
-    worker_cpu_s : list of float
-        Of each worker's machine, within the same time.
-    load : float
-        Of this machine before the start.
-    mesh : str
-        A hash of its bytes.
-    report : dict
-        Of the job (``--json``).
+    Wall time is that of the master's process, and within it CPU is that of each machine.
     """
 
     variant: str
@@ -95,15 +78,7 @@ class Run:
 
 
 class Bench:
-    """Runs one cloud's job on emulated machines.
-
-    Parameters
-    ----------
-    folder : Path
-        For keys, points, meshes.
-    options : sequence of str
-        Of ``hpcapp reconstruct``, where there are workers.
-    """
+    """Runs one cloud's job on emulated machines; jobs with workers get the options."""
 
     def __init__(self, folder: Path, cloud: Path, options: Sequence[str]) -> None:
         self._folder = folder

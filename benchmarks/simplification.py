@@ -7,20 +7,20 @@ surface, and its vertices, to the other one, in hundredths of the diagonal of th
 from __future__ import annotations
 
 import argparse
-import json
 import platform
-import subprocess
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import open3d
+from tables import write_table
 
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray
 from hpcapp.io import read_mesh
+from hpcapp.io.points.mesh_samples import sample_faces
 from hpcapp.simplification.mesh import simplify_mesh
 from hpcapp.simplification.target import Target
 
@@ -43,13 +43,7 @@ def simplify_peer(mesh: Mesh, faces: int) -> Mesh:
 
 def sample(mesh: Mesh) -> FloatArray:
     """Return points spread evenly over the faces, and the vertices."""
-    random = np.random.default_rng(0)
-    a, b, c = mesh.vertices[mesh.faces].transpose(1, 0, 2)
-    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    rows = random.choice(len(areas), SAMPLES, p=areas / areas.sum())
-    root, share = np.sqrt(random.random((SAMPLES, 1))), random.random((SAMPLES, 1))
-    places = (1 - root) * a[rows] + root * (1 - share) * b[rows] + root * share * c[rows]
-    return np.concatenate([places, mesh.vertices])
+    return np.concatenate([sample_faces(mesh, SAMPLES).positions, mesh.vertices])
 
 
 def measure_distances(mesh: Mesh, light: Mesh) -> tuple[float, float]:
@@ -101,23 +95,18 @@ def main() -> None:
         print(*rows[-1], flush=True)
     if options.output is None:
         return
-    commit = subprocess.run(
-        ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=True
-    )
-    result = {
-        "title": "Light meshes beside Open3D's",
-        "machine": f"{platform.machine()}, shared with other work",
-        "commit": commit.stdout.strip(),
-        "command": "python benchmarks/simplification.py "
-        + " ".join(Path(given).name for given in options.meshes),
-        "columns": COLUMNS,
-        "rows": rows,
-        "notes": [
+    write_table(
+        options.output,
+        "Light meshes beside Open3D's",
+        COLUMNS,
+        rows,
+        f"python benchmarks/simplification.py {' '.join(Path(m).name for m in options.meshes)}",
+        [
             "Mean and largest distance between the surfaces, both ways, in hundredths of the "
             "diagonal; Open3D's `simplify_quadric_decimation` got the same mesh in memory."
         ],
-    }
-    options.output.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        f"{platform.machine()}, shared with other work",
+    )
 
 
 if __name__ == "__main__":

@@ -33,13 +33,7 @@ ASKED = 1.15
 
 
 class CountingExecutor(SerialExecutor):
-    """Runs tasks here, and counts the bytes of what they are given.
-
-    Attributes
-    ----------
-    sent : Counter of str
-        Bytes by task and part, as ``"mesh_tile: halo"``.
-    """
+    """Runs tasks here, and counts the bytes that each gets, as ``"mesh_tile: halo"``."""
 
     def __init__(self) -> None:
         self.sent: Counter[str] = Counter()

@@ -23,12 +23,12 @@ from pathlib import Path
 import numpy as np
 
 import hpcapp
-from hpcapp.applications.compare.truth import sample_mesh
 from hpcapp.applications.compare.volume.measure import Change, SolidChange
 from hpcapp.applications.heights.grid import grid_heights
 from hpcapp.applications.surface.stitching.topology import signed_volume, surface_area
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import BoolArray, FloatArray, PointCloud
+from hpcapp.io.points.mesh_samples import sample_faces
 from hpcapp.lab.simulate.raw.scan import RawSettings, scan_scene
 from hpcapp.terrain.epoch import Epoch
 
@@ -260,7 +260,7 @@ def measure_pile(seed: int) -> Row:
     rng = np.random.default_rng((5, seed))
     pile = make_pile(rng)
     area, count = surface_area(pile), int(np.exp(rng.uniform(np.log(2_000), np.log(40_000))))
-    cloud = sample_mesh(pile, count)
+    cloud = sample_faces(pile, count)
     assert cloud.normals is not None
     noise = float(np.sqrt(area / count)) * rng.uniform(0.0, 0.5) * rng.choice([0.1, 1.0])
     points = cloud.positions + rng.normal(0.0, noise, (count, 1)) * cloud.normals

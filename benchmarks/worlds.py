@@ -31,7 +31,7 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from decisions import Row, write
+from tables import Row, write_table
 
 import hpcapp
 from hpcapp.geometry.mesh import Mesh
@@ -126,8 +126,9 @@ def main() -> None:
         print(" ".join(map(str, rows[-1])), flush=True)
     if asked.output is not None:
         title = f"Random worlds of seed {asked.seed}: right, also warned of, wrong and said, silent"
-        script = "benchmarks/worlds.py -o benchmarks/results"
-        write(asked.output, "worlds-ci", title, ["family", *KINDS], rows, script)
+        command = "HPCAPP_DATA=DIR benchmarks/worlds.py -o benchmarks/results"
+        path = asked.output / "worlds-ci.json"
+        write_table(path, title, ["family", *KINDS], rows, command)
 
 
 if __name__ == "__main__":

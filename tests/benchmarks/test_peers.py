@@ -12,7 +12,6 @@ from peers import (
     Contender,
     Outcome,
     Usage,
-    geometric_mean,
     measure_process,
     print_cloud,
     print_summary,
@@ -93,7 +92,6 @@ def test_the_best_peer_is_chosen_cloud_by_cloud() -> None:
     ]
     assert ratios(rows, "a", "l1") == [0.5, 0.125]
     assert ratios(rows, "best of them", "l1") == [0.5, 2.0]
-    assert geometric_mean([0.5, 2.0]) == pytest.approx(1.0)
 
 
 def test_a_cloud_is_made_once_and_the_same_each_time(tmp_path: Path) -> None:

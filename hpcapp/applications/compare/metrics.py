@@ -8,10 +8,11 @@ from dataclasses import asdict
 import numpy as np
 
 from hpcapp.applications.compare.nearest import NearestFace, face_normals
-from hpcapp.applications.compare.truth import Truth, sample_mesh
+from hpcapp.applications.compare.truth import Truth
 from hpcapp.applications.surface.stitching.topology import Topology, check_mesh
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray
+from hpcapp.io.points.mesh_samples import sample_faces
 from hpcapp.progress import Progress, StageClock
 from hpccomponent.dataclass import dataclass
 
@@ -79,7 +80,7 @@ def measure_mesh(
     forward = np.empty(0)
     if truth.is_closed:
         with clock.stage("mesh to truth"):
-            forward = percent * truth.distance(sample_mesh(mesh, samples, seed).positions)
+            forward = percent * truth.distance(sample_faces(mesh, samples, seed).positions)
     with clock.stage("check"):
         topology = check_mesh(mesh)
     both = np.concatenate([forward, backward])

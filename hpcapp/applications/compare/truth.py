@@ -10,14 +10,14 @@ from typing import Protocol
 import numpy as np
 from scipy.spatial import KDTree
 
-from hpcapp.applications.compare.nearest import ROUNDING, NearestFace, face_normals
+from hpcapp.applications.compare.nearest import ROUNDING, NearestFace
 from hpcapp.applications.compare.sides import find_sides
 from hpcapp.applications.surface.stitching.topology import Topology, check_mesh
 from hpcapp.geometry.bounds import bound_points
-from hpcapp.geometry.faces import cross_edges
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import holds_faces, open_points, read_mesh, read_points, take_finite
+from hpcapp.io.points.mesh_samples import sample_faces
 from hpcapp.io.usable_mesh import check_usable
 from hpcapp.lab.simulate.implicit import Shape, diagonal_of
 from hpcapp.lab.simulate.rays import closest_points
@@ -110,7 +110,7 @@ class MeshTruth:
 
     def sample(self, count: int, seed: int) -> PointCloud:
         """Return points of the faces."""
-        return sample_mesh(self.mesh, count, seed)
+        return sample_faces(self.mesh, count, seed)
 
     def distance(self, points: FloatArray) -> FloatArray:
         """Return the distances to the faces."""
@@ -158,27 +158,6 @@ class PointTruth:
         nearest = self._tree.query(points)[1]
         arms = points - self.cloud.positions[nearest]
         return np.where(np.einsum("ij,ij->i", arms, self.cloud.normals[nearest]) < 0.0, -1.0, 1.0)
-
-
-def sample_mesh(mesh: Mesh, count: int, seed: int = 0) -> PointCloud:
-    """Return points spread evenly over the faces of a mesh, with the faces' normals.
-
-    At least one face has a positive area.
-    """
-    rng = np.random.default_rng(seed)
-    # (f, 3, 3): the corners of every face; (f,): twice its area
-    corners = mesh.vertices[mesh.faces]
-    area = np.linalg.norm(cross_edges(corners), axis=1)
-    # Equal steps through the summed areas: fewer clumps than independent draws.
-    steps = (np.arange(count) + rng.random(count)) / count
-    # (count,): the face on which each point comes to lie
-    total = np.cumsum(area)
-    face = np.minimum(np.searchsorted(total, steps * total[-1]), len(area) - 1)
-    # (count, 1) each: evenly spread over a parallelogram, whose far half is folded back
-    u, v = rng.random((2, count, 1))
-    u, v = np.where(u + v > 1.0, 1.0 - u, u), np.where(u + v > 1.0, 1.0 - v, v)
-    a, b, c = corners[face].transpose(1, 0, 2)
-    return PointCloud(a + u * (b - a) + v * (c - a), face_normals(mesh)[face])
 
 
 def open_truth(name: str, origin: FloatArray) -> Truth:

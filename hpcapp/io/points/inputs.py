@@ -20,6 +20,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from functools import partial
 from io import FileIO
 from pathlib import Path
@@ -268,7 +269,10 @@ def _open(path: Path, sample: int | None, keeps_noise: bool) -> PointSource:
         return open_points(path, keeps_noise=keeps_noise)
     from hpcapp.io.points.mesh_points import slice_cloud
 
-    return slice_cloud(path, "a sampled mesh", sample_faces(read_mesh(path), sample))
+    mesh = read_mesh(path)
+    points = sample_faces(mesh, sample)
+    placed = replace(points, positions=points.positions + mesh.origin)
+    return slice_cloud(path, "a sampled mesh", placed)
 
 
 def _report(file: str, source: PointSource) -> None:

@@ -37,15 +37,15 @@ def are_vertices_few(mesh: Mesh) -> bool:
     tree = cKDTree(vertices, balanced_tree=False, compact_nodes=False)
     some = vertices[:: -(-len(vertices) // _LOOKED_AT)]
     spacing = float(np.median(tree.query(some, k=2)[0][:, 1]))
-    places = sample_faces(mesh, _LOOKED_AT).positions - mesh.origin
+    places = sample_faces(mesh, _LOOKED_AT).positions
     return bool((tree.query(places)[0] > _NEAR * spacing).mean() > _BARE)
 
 
-def sample_faces(mesh: Mesh, points: int) -> PointCloud:
+def sample_faces(mesh: Mesh, points: int, seed: int = 0) -> PointCloud:
     """Sample points evenly on the faces of a mesh, with the faces' normals.
 
-    They are in its own coordinates (its origin is added); the same mesh and number give the same
-    points. Raise InputError where the mesh has no area.
+    They are in its frame, less its origin; the same mesh, number and seed give the same points.
+    Raise InputError where the mesh has no area.
     """
     corners = mesh.vertices[mesh.faces]
     normals = cross_edges(corners)
@@ -53,7 +53,7 @@ def sample_faces(mesh: Mesh, points: int) -> PointCloud:
     ends = np.cumsum(doubled)
     if not len(ends) or not ends[-1] > 0:
         raise InputError("the mesh has no area to sample", "check that the right file was exported")
-    random = np.random.default_rng(0)
+    random = np.random.default_rng(seed)
     # One point in each of as many equal shares of the area: more even than independent ones.
     places = (np.arange(points) + random.random(points)) / points * ends[-1]
     face = np.minimum(np.searchsorted(ends, places, side="right"), len(ends) - 1)
@@ -61,5 +61,4 @@ def sample_faces(mesh: Mesh, points: int) -> PointCloud:
     folded = u + v > 1
     u, v = np.where(folded, 1 - u, u), np.where(folded, 1 - v, v)
     a, b, c = corners[face].transpose(1, 0, 2)
-    positions = a + u * (b - a) + v * (c - a) + mesh.origin
-    return PointCloud(positions, normals[face] / doubled[face][:, None])
+    return PointCloud(a + u * (b - a) + v * (c - a), normals[face] / doubled[face][:, None])

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpcapp.applications.compare.truth import MeshTruth, sample_mesh
+from hpcapp.applications.compare.truth import MeshTruth
 from hpcapp.applications.compare.volume.measure import SolidChange, Volume, name_shift
 from hpcapp.applications.surface.stitching.topology import signed_volume, surface_area
 from hpcapp.geometry.lattice import pack_places
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray
+from hpcapp.io.points.mesh_samples import sample_faces
 from hpcapp.terrain.errors import LIKELY, STAYED, find_registration
 
 _SAMPLES = 10_000  # of the new surface: an offset is known to a hundredth of the noise
@@ -30,7 +31,7 @@ def measure_solids(new: Mesh, old: Mesh, registration: float | None) -> SolidCha
         Volume(signed_volume(mesh), find_resolution(mesh), 0.0, surface_area(mesh))
         for mesh in (new, old)
     ]
-    cloud = sample_mesh(new, _SAMPLES)
+    cloud = sample_faces(new, _SAMPLES)
     assert cloud.normals is not None  # noqa: S101 - faces have some
     truth = MeshTruth(old)
     sides = truth.find_sides(cloud.positions)

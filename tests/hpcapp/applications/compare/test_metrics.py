@@ -16,10 +16,10 @@ from hpcapp.applications.compare.truth import (
     PointTruth,
     ShapeTruth,
     Truth,
-    sample_mesh,
 )
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, PointCloud
+from hpcapp.io.points.mesh_samples import sample_faces
 from hpcapp.lab.simulate.implicit import diagonal_of
 from hpcapp.lab.simulate.shapes import SHAPES
 
@@ -74,7 +74,7 @@ def test_an_open_truth_is_judged_by_completeness() -> None:
 
 
 def test_samples_lie_on_the_faces_evenly() -> None:
-    cloud = sample_mesh(ball(), 8000)
+    cloud = sample_faces(ball(), 8000)
     assert NearestFace(ball()).query(cloud.positions)[0].max() < 1e-12
     share = np.histogram(cloud.positions[:, 2], bins=5, range=(-1, 1))[0] / 8000
     assert share == pytest.approx(0.2, abs=0.02)
@@ -136,7 +136,7 @@ def count_pairs(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 @pytest.mark.parametrize("away", [1e3, 1e6, 1e9, 1e30, 1e100])
-@pytest.mark.parametrize("truth_of", [MeshTruth, lambda mesh: PointTruth(sample_mesh(mesh, 9000))])
+@pytest.mark.parametrize("truth_of", [MeshTruth, lambda mesh: PointTruth(sample_faces(mesh, 9000))])
 def test_a_stray_vertex_costs_no_more(
     away: float, truth_of: Callable[[Mesh], Truth], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -155,7 +155,7 @@ def test_a_stray_vertex_costs_no_more(
 
 def test_points_are_a_truth_without_normals() -> None:
     whole = ball()
-    truth = PointTruth(PointCloud(sample_mesh(whole, 20_000, seed=3).positions))
+    truth = PointTruth(PointCloud(sample_faces(whole, 20_000, seed=3).positions))
     found = measure_mesh(whole, truth, samples=3000)
     assert found.completeness < 1e-10
     assert 0.0 < found.accuracy < 1.0  # the points' spacing
