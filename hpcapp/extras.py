@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import shlex
 import sys
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any
+
+from hpccomponent.errors import MissingLibraryError
 
 
 def how_to_install(extra: str) -> str:
@@ -28,3 +33,17 @@ def how_to_install(extra: str) -> str:
             one.marker = None
             libraries.append(str(one))
     return shlex.join([sys.executable, "-m", "pip", "install", *libraries])
+
+
+def load_library(module: str, problem: str, extra: str) -> Any:
+    """Import a library of an extra; MissingLibraryError states the problem where it is missing."""
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise MissingLibraryError(problem, how_to_install(extra)) from error
+
+
+def require_library(module: str, problem: str, extra: str) -> None:
+    """Find out before the work whether `load_library` would find a library, without loading it."""
+    if find_spec(module) is None:
+        raise MissingLibraryError(problem, how_to_install(extra))

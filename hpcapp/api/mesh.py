@@ -9,7 +9,7 @@ from functools import cached_property
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -44,6 +44,8 @@ from hpccomponent.ranges import check_range
 if TYPE_CHECKING:
     from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 
+
+Number = TypeVar("Number", bound=np.generic)
 
 _IN_NOTEBOOK = 200_000  # faces: the notebook keeps the page in its file
 _HEIGHT = 480  # pixels of a frame
@@ -495,7 +497,7 @@ def read_mesh(path: str | PathLike[str]) -> Mesh:
     )
 
 
-def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+def _read_only(array: NDArray[Number]) -> NDArray[Number]:
     view = array.view()
     view.flags.writeable = False
     return view

@@ -30,14 +30,13 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
-from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
 
 from hpcapp.backends.ray_watcher import watched
 from hpcapp.backends.retrying import RetryingExecutor
-from hpcapp.extras import how_to_install
+from hpcapp.extras import how_to_install, require_library
 from hpccomponent.cli.option_names import name_option
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import (
@@ -268,8 +267,7 @@ def count_losses(error: BaseException) -> int:
 
 def check_ray() -> None:
     """Raise MissingLibraryError where Ray is not installed."""
-    if find_spec("ray") is None:
-        raise MissingLibraryError("Ray is not installed here", how_to_install("ray"))
+    require_library("ray", "Ray is not installed here", "ray")
 
 
 @contextmanager
@@ -351,8 +349,8 @@ def _connect(address: str) -> Iterator[tuple[ModuleType, Head]]:
             raise NoWorkersError(str(error), _start_advice(scheme)) from error
     with _environment(variables):
         ray = _import_ray()
-        if scheme and find_spec("grpc") is None:
-            raise MissingLibraryError("Ray's client is not installed here", how_to_install("ray"))
+        if scheme:
+            require_library("grpc", "Ray's client is not installed here", "ray")
         with _joined(ray, address=address):
             yield ray, head or _find_head(ray)
 

@@ -6,16 +6,16 @@ import re
 from collections.abc import Iterable, Iterator
 from io import BytesIO
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 from msgspec import Meta
 
-from hpcapp.extras import how_to_install
+from hpcapp.extras import load_library
 from hpcapp.geometry.regions.prism import load_shapely
 from hpcapp.io.points.point_source import translated
 from hpccomponent.cli.option_names import name_option
-from hpccomponent.errors import InputError, MissingLibraryError, UsageError
+from hpccomponent.errors import InputError, UsageError
 from hpccomponent.foreign_json import convert, decode
 from hpccomponent.ranges import FARTHEST, is_place
 
@@ -32,6 +32,8 @@ _EXPORT = "export the polygons again, as GeoJSON"
 _HEADER, _RECORD = 100, 8  # bytes of a shapefile, and in front of each shape
 _POLYGONS = (5, 15, 25)  # types of shapes: flat, with z, and with m
 
+_Object = dict[str, object]  # of GeoJSON
+_Geometry: TypeAlias = Any  # of shapely, which has no stubs
 _Position = Annotated[list[float], Meta(min_length=2)]
 _Rings = list[list[_Position]]
 _COORDINATES: dict[object, Any] = {"Polygon": _Rings, "MultiPolygon": list[_Rings]}
@@ -44,36 +46,36 @@ def read_outline(given: str) -> str:
     UsageError where that is true of WKT itself, and MissingLibraryError without shapely, or pyshp
     for a shapefile.
     """
-    shapely = load_shapely("polygons")
+    load_shapely()  # before all else
     path, name = Path(given), name_option("polygon")
     if path.suffix.lower() in OUTLINE_SUFFIXES:
         with translated(path):
-            return _unite(_read_file(path, shapely), given, shapely)
+            return _unite(_read_file(path), given)
     if not _WKT.match(given):
         raise InputError(
             f"{name_option('polygon', given)}: neither WKT nor a file of a known kind",
             f"give one of {', '.join(OUTLINE_SUFFIXES)}, or 'POLYGON ((0 0, 9 0, 9 9, 0 0))'",
         )
     try:
-        return _unite([_read_text(given, name, shapely)], name, shapely)
+        return _unite([_read_text(given, name)], name)
     except InputError as error:
         raise UsageError(error.problem, error.advice) from None
 
 
-def _read_file(path: Path, shapely: Any) -> Iterable[Any]:
+def _read_file(path: Path) -> Iterable[_Geometry]:
     """Return the shapes of a file, some of which may be no polygons."""
     suffix = path.suffix.lower()
     content = path.read_bytes()
     if suffix == ".shp":
-        return [_make_shape(shape, path, shapely) for shape in _read_shapefile(content, path)]
+        return [_make_shape(shape, path) for shape in _read_shapefile(content, path)]
     text = content.decode("utf-8-sig", "replace")
     if suffix in (".wkt", ".txt"):
-        return [_read_text(line, str(path), shapely) for line in _split_lines(text)]
+        return [_read_text(line, str(path)) for line in _split_lines(text)]
     try:
-        found: object = decode(text, dict[str, Any])
+        found: object = decode(text, dict[str, object])
     except ValueError as error:
         raise InputError(f"{path}: no GeoJSON: {error}", _EXPORT) from None
-    return [_make_shape(shape, path, shapely) for shape in _list_shapes(found)]
+    return [_make_shape(shape, path) for shape in _list_shapes(found)]
 
 
 def _split_lines(text: str) -> list[str]:
@@ -82,8 +84,9 @@ def _split_lines(text: str) -> list[str]:
     return lines if all(map(_WKT.match, lines)) else [text]
 
 
-def _read_text(text: str, name: str, shapely: Any) -> Any:
+def _read_text(text: str, name: str) -> _Geometry:
     """Return the shape that WKT says; GEOS has no bound of its own for what is nested."""
+    shapely = load_shapely()
     if curve := _CURVED.search(text):
         raise InputError(
             f"{name}: it has curves ({curve[0].upper()}), which are not read",
@@ -101,7 +104,7 @@ def _read_text(text: str, name: str, shapely: Any) -> Any:
         raise InputError(f"{name}: no WKT: {str(error).splitlines()[0]}", _EXPORT) from None
 
 
-def _list_shapes(found: object) -> Iterator[dict[str, Any]]:
+def _list_shapes(found: object) -> Iterator[_Object]:
     """Yield the polygons of GeoJSON, out of features and collections of them."""
     waiting = [found]
     while waiting:
@@ -115,10 +118,10 @@ def _list_shapes(found: object) -> Iterator[dict[str, Any]]:
                 yield part
 
 
-def _make_shape(found: dict[str, Any], path: Path, shapely: Any) -> Any:
+def _make_shape(found: _Object, path: Path) -> _Geometry:
     from shapely.geometry import shape
 
-    kind = found["type"]
+    shapely, kind = load_shapely(), found["type"]
     try:
         numbers = convert(found.get("coordinates"), _COORDINATES[kind])
         return shapely.force_2d(shape({"type": kind, "coordinates": numbers}))
@@ -127,13 +130,8 @@ def _make_shape(found: dict[str, Any], path: Path, shapely: Any) -> Any:
         raise InputError(f"{path}: a shape cannot be read: {said}", _EXPORT) from None
 
 
-def _read_shapefile(content: bytes, path: Path) -> list[dict[str, Any]]:
-    try:
-        import shapefile
-    except ModuleNotFoundError:
-        raise MissingLibraryError(
-            f"{path}: shapefiles need the package pyshp", how_to_install("gis")
-        ) from None
+def _read_shapefile(content: bytes, path: Path) -> list[_Object]:
+    shapefile = load_library("shapefile", f"{path}: shapefiles need the package pyshp", "gis")
     try:
         _check_shapefile(content)
         with shapefile.Reader(shp=BytesIO(content)) as reader:
@@ -171,7 +169,8 @@ def _check_shapefile(content: bytes) -> None:
             raise ValueError("the rings of a shape do not follow each other")
 
 
-def _unite(shapes: Iterable[Any], name: str, shapely: Any) -> str:
+def _unite(shapes: Iterable[_Geometry], name: str) -> str:
+    shapely = load_shapely()
     polygons = [one for one in shapes if one.geom_type in ("Polygon", "MultiPolygon")]
     polygons = [one for one in polygons if not one.is_empty]
     if not polygons:

@@ -14,15 +14,14 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 
-from hpcapp.extras import how_to_install
+from hpcapp.extras import require_library
 from hpcapp.geometry.points import FloatArray
 from hpccomponent.dataclass import dataclass
-from hpccomponent.errors import InputError, MissingLibraryError
+from hpccomponent.errors import InputError
 from hpccomponent.files.held_folders import temporary_folder, temporary_room
 
 STEP = 0.5
@@ -59,12 +58,12 @@ def drape(points: FloatArray, name: str) -> Cloth:
 
     Raise MissingLibraryError without the library, and InputError where the scan is too large.
     """
-    if find_spec("CSF") is None:
-        raise MissingLibraryError(
-            f"{name}: its points have no class 2; to find the ground among them needs the package "
-            "cloth-simulation-filter",
-            how_to_install("ground"),
-        )
+    require_library(
+        "CSF",
+        f"{name}: its points have no class 2; to find the ground among them needs the package "
+        "cloth-simulation-filter",
+        "ground",
+    )
     crossings = np.prod(np.ptp(points[:, :2], axis=0) / STEP + 5.0)
     if crossings > MOST_CROSSINGS:
         raise InputError(

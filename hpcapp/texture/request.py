@@ -5,10 +5,8 @@ This module is imported for every ``--help``: nothing heavy is imported.
 
 from __future__ import annotations
 
-from importlib.util import find_spec
-
-from hpcapp.extras import how_to_install
-from hpccomponent.errors import MissingLibraryError, UsageError
+from hpcapp.extras import require_library
+from hpccomponent.errors import UsageError
 
 LEAST_PIXELS, MOST_PIXELS = 256, 8192
 """Along a side: below, the gaps between charts take most of it; above, pictures have 200 MB."""
@@ -43,5 +41,4 @@ def check_texture(output: str, faces: int | None, size: str | None) -> None:
 
 def check_library() -> None:
     """Raise MissingLibraryError where nothing is here that makes an atlas."""
-    if find_spec("xatlas") is None:
-        raise MissingLibraryError("--texture needs the package xatlas", how_to_install("texture"))
+    require_library("xatlas", "--texture needs the package xatlas", "texture")

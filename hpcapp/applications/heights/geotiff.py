@@ -6,17 +6,16 @@ import logging
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hpcapp.applications.heights.grid import HeightGrid
-from hpcapp.extras import how_to_install
+from hpcapp.extras import load_library
 from hpcapp.io.crs import parse_epsg
 from hpcapp.io.staging import replacing
-from hpccomponent.errors import MissingLibraryError, OutputError
+from hpccomponent.errors import OutputError
 
 log = logging.getLogger("hpcapp")
 
@@ -26,19 +25,8 @@ Crs = Any
 
 
 def load_rasterio(path: Path) -> _Foreign:
-    """Import the library.
-
-    Raises
-    ------
-    MissingLibraryError
-        It is not installed.
-    """
-    try:
-        return import_module("rasterio")
-    except ImportError as error:
-        raise MissingLibraryError(
-            f"{path}: GeoTIFF needs the package rasterio", how_to_install("gis")
-        ) from error
+    """Return the library; MissingLibraryError where it is not installed."""
+    return load_library("rasterio", f"{path}: GeoTIFF needs the package rasterio", "gis")
 
 
 def read_crs(text: str | None, path: Path) -> Crs | None:

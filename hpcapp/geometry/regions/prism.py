@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from hpcapp.extras import how_to_install
+from hpcapp.extras import load_library
 from hpcapp.geometry.points import BoolArray, FloatArray
 from hpcapp.geometry.regions.clipping import Piece
 from hpcapp.geometry.regions.region import Region, say_place
 from hpcapp.geometry.regions.splitting import Walls
 from hpccomponent.dataclass import dataclass
-from hpccomponent.errors import MissingLibraryError
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,7 +27,7 @@ class Prism:
     @classmethod
     def of_text(cls, text: str) -> Prism:
         """Return the prism of polygons in WKT."""
-        return cls(load_shapely("polygons").from_wkt(text))
+        return cls(load_shapely().from_wkt(text))
 
     @property
     def low(self) -> FloatArray:
@@ -48,14 +47,14 @@ class Prism:
     @property
     def segments(self) -> FloatArray:
         """The sides of the polygons, from end to end: shape (s, 2, 2)."""
-        shapely = load_shapely("polygons")
+        shapely = load_shapely()
         rings = shapely.get_rings(shapely.get_parts(self.polygons))
         corners = [shapely.get_coordinates(ring) for ring in rings]
         return np.concatenate([np.stack([one[:-1], one[1:]], axis=1) for one in corners])
 
     def find(self, positions: FloatArray) -> BoolArray:
         """Tell which points of shape (n, 3) lie in it, its border included; NaN never does."""
-        shapely = load_shapely("polygons")
+        shapely = load_shapely()
         shapely.prepare(self.polygons)
         low, high = self.low, self.high
         x, y = positions[:, 0], positions[:, 1]
@@ -66,14 +65,14 @@ class Prism:
 
     def meets(self, lows: FloatArray, highs: FloatArray) -> BoolArray:
         """Tell which boxes, by corners of shape (n, 3), have a part in it."""
-        shapely = load_shapely("polygons")
+        shapely = load_shapely()
         boxes = shapely.box(lows[:, 0], lows[:, 1], highs[:, 0], highs[:, 1])
         meets: BoolArray = shapely.intersects(self.polygons, boxes)
         return meets
 
     def cut(self, piece: Piece) -> Piece:
         """Return what of a mesh, in its frame, lies in it."""
-        split = Walls(self.segments, load_shapely("polygons")).split(piece)
+        split = Walls(self.segments, load_shapely()).split(piece)
         middles = split.vertices[split.faces].mean(axis=1)
         return replace(split, faces=split.faces[self.find(middles)])
 
@@ -88,22 +87,13 @@ class Prism:
 
     def localise(self, origin: FloatArray) -> Prism:
         """Return it in a local frame."""
-        shapely = load_shapely("polygons")
+        shapely = load_shapely()
         return Prism(shapely.transform(self.polygons, lambda places: places - origin[:2]))
 
     def __str__(self) -> str:
         return f"the polygon from {say_place(self.low[:2])} to {say_place(self.high[:2])}"
 
 
-def load_shapely(what: str) -> Any:
-    """Return the library of polygons.
-
-    Raise MissingLibraryError, which says what asks for it, where it is not installed.
-    """
-    try:
-        import shapely
-    except ModuleNotFoundError:
-        raise MissingLibraryError(
-            f"{what} need the package shapely", how_to_install("gis")
-        ) from None
-    return shapely
+def load_shapely() -> Any:
+    """Return the library of polygons; MissingLibraryError where it is not installed."""
+    return load_library("shapely", "polygons need the package shapely", "gis")

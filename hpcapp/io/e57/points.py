@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 
-from hpcapp.extras import how_to_install
+from hpcapp.extras import require_library
 from hpcapp.geometry.points import FloatArray, Int32Array, PointCloud
 from hpcapp.io.batches import batch_points
 from hpcapp.io.columns import Numbers
@@ -26,7 +25,7 @@ from hpcapp.io.e57.scans import (
 from hpcapp.io.points.column_roles import COLOURS, NORMALS
 from hpcapp.io.points.point_source import Findings, PointSource, Scan, keep_small
 from hpccomponent.dataclass import dataclass
-from hpccomponent.errors import InputError, MissingLibraryError
+from hpccomponent.errors import InputError
 
 _AT_ONCE = 1 << 16  # points: what is made of them stays in the cache
 _WHITE: dict[type[np.generic], int] = {np.uint8: 255, np.uint16: 65535}
@@ -54,8 +53,7 @@ def open_e57(path: Path) -> PointSource:
     origin. Colours are of 8 bits where all scans say so, else of 16, or floats as in the file.
     Raise InputError where the file is damaged, or holds no scan or no points.
     """
-    if find_spec("pye57") is None:
-        raise MissingLibraryError(f"{path}: E57 needs the package pye57", how_to_install("e57"))
+    require_library("pye57", f"{path}: E57 needs the package pye57", "e57")
     findings = Findings()
     root = read_document(path)
     try:

@@ -5,19 +5,18 @@ from __future__ import annotations
 import os
 import uuid
 from collections.abc import Mapping
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hpcapp.extras import how_to_install
+from hpcapp.extras import load_library
 from hpcapp.geometry.points import PointCloud
 from hpcapp.io.columns import Numbers
 from hpcapp.io.frame import finite_bounds
 from hpcapp.io.points.usable import drop_non_finite
 from hpcapp.io.staging import replacing
-from hpccomponent.errors import MissingLibraryError, OutputError
+from hpccomponent.errors import OutputError
 
 _Foreign = Any  # of libE57, which has no stubs: the library, an image, and its nodes
 
@@ -31,7 +30,7 @@ def write_e57(path: Path, cloud: PointCloud, crs: str | None = None) -> None:
     It is in the input's frame. Of the attributes, ``intensity`` is kept; of reference systems, WKT.
     Raise OutputError where the file cannot be written, or no point has finite coordinates.
     """
-    library = _load_library(path)
+    library = load_library("pye57.libe57", f"{path}: E57 needs the package pye57", "e57")
     cloud = drop_non_finite(cloud, path)
     with replacing(path) as file:
         target = Path(file.name)
@@ -44,15 +43,6 @@ def write_e57(path: Path, cloud: PointCloud, crs: str | None = None) -> None:
         except library.E57Exception as error:
             why = str(error).partition("\n")[0]
             raise OutputError(f"{path}: cannot be written: {why}", "check for room") from error
-
-
-def _load_library(path: Path) -> _Foreign:
-    try:
-        return import_module("pye57.libe57")
-    except ImportError as error:
-        raise MissingLibraryError(
-            f"{path}: E57 needs the package pye57", how_to_install("e57")
-        ) from error
 
 
 def _write_image(library: _Foreign, image: _Foreign, cloud: PointCloud, crs: str | None) -> None:

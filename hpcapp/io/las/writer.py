@@ -6,14 +6,13 @@ import math
 import struct
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.extras import how_to_install
+from hpcapp.extras import load_library
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io.columns import Numbers
 from hpcapp.io.crs import UNIT_CODES, Crs, is_geocentric, parse_epsg
@@ -21,7 +20,7 @@ from hpcapp.io.frame import finite_bounds
 from hpcapp.io.las.layout import DEGREES_A_STEP
 from hpcapp.io.points.usable import drop_non_finite
 from hpcapp.io.staging import replacing
-from hpccomponent.errors import MissingLibraryError, OutputError
+from hpccomponent.errors import OutputError
 
 _Foreign = Any  # of laspy, which has no stubs
 
@@ -62,7 +61,7 @@ def write_las(
     where 32 bits do not suffice, above an extent of 4,000 units. Raise OutputError where the file
     cannot be written, or no point has finite coordinates.
     """
-    laspy = _load_laspy(path)
+    laspy = load_library("laspy", f"{path}: LAS is written with the package laspy", "las")
     cloud = drop_non_finite(cloud, path)
     header = laspy.LasHeader(version="1.4", point_format=6 if cloud.colours is None else 7)
     header.generating_software = "hpcapp"
@@ -120,15 +119,6 @@ def choose_grid(low: FloatArray, high: FloatArray) -> tuple[float, FloatArray]:
         power = max(power, math.ceil(math.log10(extent / _MOST_STEPS)))
     offset = np.array([round(float(middle), -(power + 6)) for middle in low / 2 + high / 2])
     return float(f"1e{power}"), offset
-
-
-def _load_laspy(path: Path) -> _Foreign:
-    try:
-        return import_module("laspy")
-    except ImportError as error:
-        raise MissingLibraryError(
-            f"{path}: LAS is written with the package laspy", how_to_install("las")
-        ) from error
 
 
 def _assign(cloud: PointCloud, reserved: set[str]) -> tuple[dict[str, Numbers], dict[str, Numbers]]:

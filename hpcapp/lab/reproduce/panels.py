@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import colorsys
 from collections.abc import Sequence
-from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.extras import how_to_install
-from hpccomponent.errors import MissingLibraryError
+from hpcapp.extras import require_library
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -28,11 +26,8 @@ _GOLDEN = 0.618033988749895  # turns of hue between neighbours of the tree: all 
 
 def check_plots() -> None:
     """Refuse a figure before it is measured, where matplotlib is not installed."""
-    if find_spec("matplotlib") is None:
-        raise MissingLibraryError(
-            "figures are drawn by matplotlib, which is not installed",
-            how_to_install("plots"),
-        )
+    problem = "figures are drawn by matplotlib, which is not installed"
+    require_library("matplotlib", problem, "plots")
 
 
 def draw_panels(panels: Sequence[tuple[str, Picture]], columns: int) -> Picture:

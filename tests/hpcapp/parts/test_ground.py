@@ -19,7 +19,6 @@ from hpcapp.cli import hpcapp
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import open_points, read_mesh, read_points, write_points
 from hpcapp.io.points.mesh_points import slice_cloud
-from hpcapp.parts import cloth
 from hpcapp.parts.crop import make_crop, parse_crop
 from hpcapp.parts.ground import take_ground
 from hpcapp.progress import Progress
@@ -104,7 +103,7 @@ def test_from_the_centre_of_the_earth_the_ground_is_what_is_lowest_along_up(
 def test_class_2_is_the_ground_where_there_is_some(
     yard: PointCloud, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cloth, "find_spec", lambda name: None)
+    monkeypatch.setattr("hpcapp.extras.find_spec", lambda name: None)
     path, output = tmp_path / "yard.las", tmp_path / "ground.ply"
     write_points(path, replace(yard, attributes={"classification": yard.attributes["truth"]}))
     run = CliRunner().invoke(hpcapp, ["convert", str(path), "-o", str(output), "--ground"])

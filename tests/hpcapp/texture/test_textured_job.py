@@ -229,6 +229,6 @@ def test_what_gives_no_texture_is_refused_at_once(
 def test_a_missing_library_is_named(
     sphere: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hpcapp.texture.request.find_spec", lambda name: None)
+    monkeypatch.setattr("hpcapp.extras.find_spec", lambda name: None)
     with pytest.raises(MissingLibraryError, match="xatlas"):
         run(sphere, tmp_path / "m.glb", "--faces", "500", "--texture", "512")
