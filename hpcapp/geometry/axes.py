@@ -44,6 +44,23 @@ def rotate(places: FloatArray, axes: FloatArray | None) -> FloatArray:
     return np.stack([x * row[0] + y * row[1] + z * row[2] for row in axes], axis=-1)
 
 
+def turn_by(quaternions: FloatArray) -> FloatArray:
+    """Return the rotations, of shape (..., 3, 3), of unit quaternions w, x, y, z, (..., 4).
+
+    Examples
+    --------
+    >>> turn_by(np.array([0.0, 0.0, 0.0, 1.0])).tolist()
+    [[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]]
+    """
+    w, x, y, z = np.moveaxis(quaternions, -1, 0)
+    rows = [
+        *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    ]
+    return np.stack(rows, axis=-1).reshape(*quaternions.shape[:-1], 3, 3)
+
+
 # What an object stands on, by 19 meshes of the tuning scans and the bunny, in shares of the area
 # that its box covers. Of the seven that stand on y it is .07 (dancing_children) to .28 (falcon),
 # and another side has .39 of that at most (falcon). Of those that do not, it is .03 at most where y

@@ -13,3 +13,11 @@ def cross_edges(corners: FloatArray) -> FloatArray:
     Each is twice as long as the area of its triangle is large.
     """
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
+def unit_normals(corners: FloatArray) -> FloatArray:
+    """Return the unit normals (f, 3) of triangles (f, 3, 3); zero for those without area."""
+    normals = cross_edges(corners)
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    units: FloatArray = np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0)
+    return units

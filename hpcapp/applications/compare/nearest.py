@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import KDTree
 
-from hpcapp.geometry.faces import cross_edges
+from hpcapp.geometry.faces import unit_normals
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, IntArray
 
@@ -98,15 +98,7 @@ class _SizeClass:
 
 def face_normals(mesh: Mesh) -> FloatArray:
     """Return the unit normal of every face, shape (f, 3); zero for a face without area."""
-    return _unit_normals(mesh.vertices[mesh.faces])
-
-
-def _unit_normals(triangles: FloatArray) -> FloatArray:
-    """Return the unit normals of triangles, shape (m, 3, 3)."""
-    cross = cross_edges(triangles)
-    length = np.linalg.norm(cross, axis=1, keepdims=True)
-    normals: FloatArray = cross / np.where(length > 0.0, length, 1.0)
-    return normals
+    return unit_normals(mesh.vertices[mesh.faces])
 
 
 def _class_sizes(sides: FloatArray) -> IntArray:
@@ -126,7 +118,7 @@ def distance_to_triangles(points: FloatArray, triangles: FloatArray) -> FloatArr
     """
     # (3, m, 3): corner by corner; (m,): whether the foot can be inside: not without area
     corners = triangles.transpose(1, 0, 2)
-    normal = _unit_normals(triangles)
+    normal = unit_normals(triangles)
     inside = np.einsum("ij,ij->i", normal, normal) > 0.5
     nearest = np.full(len(triangles), np.inf)
     for k in range(3):

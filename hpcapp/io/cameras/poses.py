@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hpcapp.geometry.axes import turn_by
 from hpcapp.geometry.points import BoolArray, FloatArray
 
 FORWARDS, BACKWARDS = 1.0, -1.0
@@ -59,16 +60,7 @@ def quaternion_matrices(quaternions: ArrayLike) -> FloatArray:
     if not is_unit.all():
         row = int(np.argmin(is_unit))
         raise ValueError(f"camera {row + 1}: its quaternion has the length {lengths[row]:.3g}")
-    w, x, y, z = (rows / lengths[:, None]).T
-    matrices: FloatArray = np.stack(
-        [
-            *(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
-            *(2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
-            *(2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
-        ],
-        axis=1,
-    ).reshape(-1, 3, 3)
-    return matrices
+    return turn_by(rows / lengths[:, None])
 
 
 def are_rotations(matrices: FloatArray) -> BoolArray:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hpcapp.geometry.axes import turn_by
 from hpcapp.geometry.points import FloatArray
 from hpcapp.io.e57.document import Element, refuse
 from hpcapp.io.e57.packets import hold_more
@@ -252,16 +253,7 @@ def _find_rotation(node: Element) -> FloatArray:
     """Return the rotation of a pose, given as a quaternion, as a matrix."""
     quaternion = _read_pose(node, "rotation", "wxyz")
     length = np.linalg.norm(quaternion)
-    if not 0 < length < np.inf:
-        return np.eye(3)
-    w, x, y, z = quaternion / length
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    return turn_by(quaternion / length) if 0 < length < np.inf else np.eye(3)
 
 
 def _find_colour_limit(

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hpcapp.geometry.axes import turn_up
+from hpcapp.geometry.axes import turn_by, turn_up
 from hpcapp.geometry.axis_names import AXES
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import ByteArray, FloatArray, IntArray
@@ -274,14 +274,8 @@ def _matrix(node: Node) -> FloatArray:
     """Return the matrix of a node."""
     if node.matrix is not None:
         return np.array(node.matrix).reshape(4, 4).T
-    x, y, z, w = node.rotation
-    turn = np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ])  # fmt: skip
     matrix = np.eye(4)
-    matrix[:3, :3] = turn * np.array(node.scale)
+    matrix[:3, :3] = turn_by(np.roll(node.rotation, 1)) * np.array(node.scale)
     matrix[:3, 3] = node.translation
     return matrix
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hpcapp.geometry.faces import cross_edges
+from hpcapp.geometry.faces import unit_normals
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray
 from hpcapp.io.columns import Ragged
@@ -81,13 +81,5 @@ def write_stl(path: Path, mesh: Mesh | MeshStream) -> None:
         for corners, rounded in round_corners(path, stream):
             triangles = np.zeros(len(corners), _TRIANGLE)
             triangles["corners"] = rounded
-            triangles["normal"] = _unit_normals(corners)
+            triangles["normal"] = unit_normals(corners)
             file.write(triangles.data)
-
-
-def _unit_normals(corners: FloatArray) -> FloatArray:
-    """Return the normals of triangles; zero, as STL allows, for those without area."""
-    normals = cross_edges(corners)
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    units: FloatArray = np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0)
-    return units

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hpcapp.geometry.axes import turn_by
 from hpcapp.geometry.points import FloatArray
 from hpcapp.lab.simulate.fields import Field
 from hpccomponent.dataclass import dataclass
@@ -73,7 +74,8 @@ def lumps(octaves: Sequence[tuple[float, float]], seed: int) -> Relief:
     rng = np.random.default_rng(seed)
     waves = []
     for length, height in octaves:
-        frame = (2.0 * np.pi / length) * _rotation(rng.standard_normal(4))
+        turn = rng.standard_normal(4)
+        frame = (2.0 * np.pi / length) * turn_by(turn / np.linalg.norm(turn))
         waves.append((height, frame, rng.uniform(0.0, 2.0 * np.pi, 3)))
 
     def value(points: FloatArray) -> FloatArray:
@@ -129,15 +131,3 @@ def studs(major: float, minor: float, around: tuple[int, int], height: float) ->
 
     steepest = height * max(m / (major - 2.0 * minor + inner), n / inner)
     return Relief(Field(value, gradient), height, steepest)
-
-
-def _rotation(quaternion: FloatArray) -> FloatArray:
-    """Return the rotation of a quaternion of any length, shape (3, 3)."""
-    w, x, y, z = quaternion / np.linalg.norm(quaternion)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
