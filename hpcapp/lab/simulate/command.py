@@ -6,7 +6,7 @@ This module is imported for every ``--help``: numpy and all that stands on it ar
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -64,6 +64,17 @@ def _complete_shape(ctx: click.Context, param: click.Parameter, incomplete: str)
     return [name for name in SHAPES if name.startswith(incomplete)]
 
 
+def _number(
+    names: str, default: float, meaning: str
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Return an option of a whole number, or of any: its default is one."""
+    kind, metavar = (int, "N") if isinstance(default, int) else (float, "F")
+    return click.option(
+        *names.split(),
+        type=kind, metavar=metavar, default=default, show_default=True, help=meaning,
+    )  # fmt: skip
+
+
 @click.command(
     cls=Verb,
     groups=GROUPS,
@@ -101,105 +112,28 @@ def _complete_shape(ctx: click.Context, param: click.Parameter, incomplete: str)
     type=OutputFile("points", lists=_list_scan),
     help="Point cloud to write.",
 )
-@click.option(
-    "-n",
-    "--points",
-    type=int,
-    metavar="N",
-    default=100_000,
-    show_default=True,
-    help="Number of points.",
-)
-@click.option(
-    "--views",
-    type=int,
-    metavar="N",
-    default=20,
-    show_default=True,
-    help="Positions of the scanner; 0 samples the whole surface evenly.",
-)
-@click.option(
+@_number("-n --points", 100_000, "Number of points.")
+@_number("--views", 20, "Positions of the scanner; 0 samples the whole surface evenly.")
+@_number(
     "--noise",
-    type=float,
-    metavar="F",
-    default=0.0,
-    show_default=True,
-    help="Depth noise (standard deviation), as a fraction of the diagonal. "
+    0.0,
+    "Depth noise (standard deviation), as a fraction of the diagonal. "
     "Of a scene: a length, and the scanner's own without the option.",
 )
-@click.option(
+@_number(
     "--drift",
-    type=float,
-    metavar="F",
-    default=0.0,
-    show_default=True,
-    help="Smooth error of each view's depth (standard deviation), as a fraction of the diagonal. "
+    0.0,
+    "Smooth error of each view's depth (standard deviation), as a fraction of the diagonal. "
     "Of a scene: error of the scanner's position, a length.",
 )
-@click.option(
-    "--correlation",
-    type=float,
-    metavar="F",
-    default=0.05,
-    show_default=True,
-    help="Length over which --drift changes, as a fraction of the diagonal.",
-)
-@click.option(
-    "--dropout",
-    type=float,
-    metavar="F",
-    default=0.0,
-    show_default=True,
-    help="Share of each view that is lost, in blotches.",
-)
-@click.option(
-    "--grazing",
-    type=float,
-    metavar="F",
-    default=80.0,
-    show_default=True,
-    help="Greatest angle of incidence that still echoes, in degrees.",
-)
-@click.option(
-    "--pose-error",
-    type=float,
-    metavar="F",
-    default=0.0,
-    show_default=True,
-    help="Misplacement of each view, as a fraction of the diagonal.",
-)
-@click.option(
-    "--outliers",
-    type=float,
-    metavar="F",
-    default=0.0,
-    show_default=True,
-    help="Share of points that are wrong, near and far.",
-)
-@click.option(
-    "--density-ratio",
-    type=float,
-    metavar="F",
-    default=1.0,
-    show_default=True,
-    help="Density at the dense end over that at the sparse end.",
-)
-@click.option(
-    "--missing",
-    type=int,
-    metavar="N",
-    default=0,
-    show_default=True,
-    help="Balls from which nothing came back.",
-)
-@click.option(
-    "--flipped",
-    type=float,
-    metavar="F",
-    default=0.0,
-    show_default=True,
-    help="Share of points whose normal has the wrong sign.",
-)
+@_number("--correlation", 0.05, "Length over which --drift changes, as a fraction of the diagonal.")
+@_number("--dropout", 0.0, "Share of each view that is lost, in blotches.")
+@_number("--grazing", 80.0, "Greatest angle of incidence that still echoes, in degrees.")
+@_number("--pose-error", 0.0, "Misplacement of each view, as a fraction of the diagonal.")
+@_number("--outliers", 0.0, "Share of points that are wrong, near and far.")
+@_number("--density-ratio", 1.0, "Density at the dense end over that at the sparse end.")
+@_number("--missing", 0, "Balls from which nothing came back.")
+@_number("--flipped", 0.0, "Share of points whose normal has the wrong sign.")
 @click.option(
     "--normals",
     type=click.Choice(["pca", "exact"]),
@@ -207,25 +141,9 @@ def _complete_shape(ctx: click.Context, param: click.Parameter, incomplete: str)
     show_default=True,
     help="From the neighbours' plane, or the model's own.",
 )
-@click.option(
-    "--flying",
-    type=float,
-    metavar="F",
-    default=0.0,
-    show_default=True,
-    help="Share of points in the air behind an edge.",
-)
-@click.option(
-    "--strays",
-    type=float,
-    metavar="F",
-    default=0.0,
-    show_default=True,
-    help="Share of points that are wrong, near and far.",
-)
-@click.option(
-    "--seed", type=int, metavar="N", default=0, show_default=True, help="One seed gives one scan."
-)
+@_number("--flying", 0.0, "Share of points in the air behind an edge.")
+@_number("--strays", 0.0, "Share of points that are wrong, near and far.")
+@_number("--seed", 0, "One seed gives one scan.")
 @click.pass_context
 def simulate(
     ctx: click.Context,
