@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hpcapp.mending.options import PIECES, SMALLEST
-from hpcapp.parts.crop import parse_crop
-from hpcapp.parts.options import AROUND, BOX, POLYGON
+from hpcapp.parts.crop import Crop
+from hpcapp.parts.options import PLACE, cropped
 from hpcapp.simplification.command import MESH, Output, with_output
 from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import UsageError
@@ -57,18 +57,14 @@ GROUPS = {
 )
 @PIECES
 @SMALLEST
-@BOX
-@AROUND
-@POLYGON
+@cropped(*PLACE)
 @with_output
 def mend(
     mesh: Path,
     fill_holes: float | None,
     pieces: int | None,
     smallest: float | None,
-    box: str | None,
-    around: str | None,
-    polygon: str | None,
+    crop: Crop,
     **options: Any,
 ) -> None:
     """Fill holes of a mesh, drop pieces, cut, turn and simplify it.
@@ -81,7 +77,6 @@ def mend(
     from hpcapp.mending.mend import Mending, mend_mesh
 
     output = Output(**options)
-    crop = parse_crop(box, around, polygon)
     asked = Mending(fill_holes, PieceChoice(pieces, smallest), crop)
     if not (asked.is_something or output.is_light or output.is_placed):
         raise UsageError("nothing to mend", "give --fill-holes, --pieces, --box, --up or --faces")

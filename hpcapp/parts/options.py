@@ -5,9 +5,16 @@ This module is imported for every ``--help``: nothing heavy is imported.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, TypeAlias
+
 import click
 
 from hpcapp.named_files import FILE_OR_WORD, SCANS
+from hpcapp.parts.crop import CROPPED, parse_crop
+
+Verb: TypeAlias = Callable[..., None]
 
 INPUTS = click.argument(
     "points",
@@ -56,3 +63,21 @@ GROUND = click.option(
     is_flag=True,
     help="Only the bare ground: class 2 of the file, or what a cloth simulation finds.",
 )
+PLACE = (BOX, AROUND, POLYGON)
+POINTS = (*PLACE, CLASSES, NOT_CLASSES, GROUND)
+
+
+def cropped(*options: Callable[[Verb], Verb]) -> Callable[[Verb], Verb]:
+    """Give a verb some of these options, and what they ask for as its `crop`."""
+
+    def decorate(verb: Verb) -> Verb:
+        @wraps(verb)
+        def run(*args: Any, **given: Any) -> None:
+            asked = {name: given.pop(name) for name in CROPPED if name in given}
+            verb(*args, crop=parse_crop(**asked), **given)
+
+        for option in reversed(options):
+            run = option(run)
+        return run
+
+    return decorate

@@ -12,8 +12,8 @@ import click
 from hpcapp.geometry.axis_names import AXES
 from hpcapp.named_files import MESH as MESH_FILE
 from hpcapp.named_files import SCAN
-from hpcapp.parts.crop import parse_crop
-from hpcapp.parts.options import AROUND, BOX, POLYGON
+from hpcapp.parts.crop import Crop
+from hpcapp.parts.options import PLACE, cropped
 from hpccomponent.cli.verb import Verb
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
@@ -143,15 +143,11 @@ class Output:
     ],
 )
 @MESH
-@BOX
-@AROUND
-@POLYGON
+@cropped(*PLACE)
 @with_output
-def simplify(
-    mesh: Path, box: str | None, around: str | None, polygon: str | None, **options: Any
-) -> None:
+def simplify(mesh: Path, crop: Crop, **options: Any) -> None:
     """Simplify a mesh, or a part, with all that its vertices carry."""
-    output, crop = Output(**options), parse_crop(box, around, polygon)
+    output = Output(**options)
     if not output.is_light and not crop.has_region:
         raise UsageError("nothing to simplify to", "give --faces, --tolerance or --size")
     whole, light = output.write(

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hpcapp.named_files import PICTURE, POINTS
-from hpcapp.parts.crop import parse_crop
-from hpcapp.parts.options import AROUND, BOX, CLASSES, GROUND, INPUTS, NOT_CLASSES, POLYGON, SAMPLE
+from hpcapp.named_files import PICTURE
+from hpcapp.named_files import POINTS as POINT_FILE
+from hpcapp.parts.crop import Crop
+from hpcapp.parts.options import INPUTS, POINTS, SAMPLE, cropped
 from hpccomponent.cli.named_files import json_option
 from hpccomponent.cli.terminal import echo, echo_json, visible_line
 from hpccomponent.cli.verb import Verb
@@ -44,12 +45,7 @@ _LONGEST = 120  # characters of a coordinate system that are shown to people
 )
 @INPUTS
 @SAMPLE
-@BOX
-@AROUND
-@POLYGON
-@CLASSES
-@NOT_CLASSES
-@GROUND
+@cropped(*POINTS)
 @json_option()
 @click.option("--png", type=PICTURE, metavar="FILE", help="Draw the points into a picture.")
 @click.option(
@@ -65,12 +61,7 @@ _LONGEST = 120  # characters of a coordinate system that are shown to people
 def info(
     points: tuple[str, ...],
     sample: int | None,
-    box: str | None,
-    around: str | None,
-    polygon: str | None,
-    classes: str | None,
-    not_classes: str | None,
-    ground: bool,
+    crop: Crop,
     as_json: bool,
     png: Path | None,
     by_spacing: bool,
@@ -88,7 +79,6 @@ def info(
         raise UsageError(f"{words[0]} is for the picture", "add --png FILE, or leave it out")
     if len(words) > 1:
         raise UsageError("a picture has one colouring", f"leave {' or '.join(words)} out")
-    crop = parse_crop(box, around, polygon, classes, not_classes, ground)
     with gather_points(points, sample, keeps_noise=crop.keeps_noise, choose=crop.narrow) as path:
         source = crop.take(open_points(path, keeps_noise=crop.keeps_noise))
         facts, findings, cloud = describe_file(source)
@@ -138,35 +128,25 @@ def readable(value: object) -> str:
 )
 @INPUTS
 @SAMPLE
-@BOX
-@AROUND
-@POLYGON
-@CLASSES
-@NOT_CLASSES
-@GROUND
+@cropped(*POINTS)
 @click.option(
     "-o",
     "--output",
     required=True,
-    type=POINTS,
+    type=POINT_FILE,
     metavar="POINTS",
     help="Point cloud to write: .ply, .las, .laz, .e57, .xyz, .npz and others.",
 )
 @click.option(
     "--rejected",
-    type=POINTS,
+    type=POINT_FILE,
     metavar="FILE",
     help="Write the outliers, strays and wires that a job drops into a cloud of their own, too.",
 )
 def convert(
     points: tuple[str, ...],
     sample: int | None,
-    box: str | None,
-    around: str | None,
-    polygon: str | None,
-    classes: str | None,
-    not_classes: str | None,
-    ground: bool,
+    crop: Crop,
     output: str,
     rejected: str | None,
 ) -> None:
@@ -179,7 +159,7 @@ def convert(
     from hpcapp.io.ply.joined import write_joined
     from hpcapp.io.points.inputs import find_paths, gather_points
 
-    crop, files = parse_crop(box, around, polygon, classes, not_classes, ground), find_paths(points)
+    files = find_paths(points)
     with (
         open_output(output, "points") as target,
         gather_points(points, sample, keeps_noise=crop.keeps_noise, choose=crop.narrow) as path,

@@ -12,8 +12,8 @@ import click
 
 from hpcapp.geometry.axis_names import AXES
 from hpcapp.named_files import PAGE, PICTURE, SCAN
-from hpcapp.parts.crop import parse_crop
-from hpcapp.parts.options import AROUND, BOX, POLYGON
+from hpcapp.parts.crop import Crop
+from hpcapp.parts.options import PLACE, cropped
 from hpccomponent.cli.named_files import InputFile
 from hpccomponent.cli.terminal import echo_output
 from hpccomponent.cli.verb import Verb
@@ -82,9 +82,7 @@ def _parse_eye(
 )
 @click.option("--size", type=click.IntRange(16, 8192), default=800, show_default=True, metavar="N",
               help="Pixels along a side of the picture, of points the longer one.")  # fmt: skip
-@BOX
-@AROUND
-@POLYGON
+@cropped(*PLACE)
 @click.option(
     "--up",
     type=click.Choice(AXES),
@@ -101,9 +99,7 @@ def view(
     png: Path | None,
     eye: tuple[float, float] | None,
     size: int,
-    box: str | None,
-    around: str | None,
-    polygon: str | None,
+    crop: Crop,
     up: str | None,
     is_opened: bool,
 ) -> None:
@@ -121,7 +117,6 @@ def view(
     from hpcapp.pages.page import write_page
     from hpcapp.pages.picture import write_picture
 
-    crop = parse_crop(box, around, polygon)
     shown = read_shown(file, crop)
     up = up or find_shown_up(file, shown)
     if png is not None:
