@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from clouds import CLOUDS, GROUPS, SimulatedCloud, find_clouds, open_truth
+from level_sets import mesh_level_set
 from peers import (
     Contender,
     Outcome,
@@ -18,9 +19,7 @@ from peers import (
     ratios,
     run_all,
 )
-from skimage.measure import marching_cubes
 
-from hpcapp.geometry.mesh import Mesh
 from hpcapp.io import read_points, write_mesh
 from hpcapp.lab.simulate.settings import ScanSettings
 from hpccomponent.errors import UsageError
@@ -30,12 +29,7 @@ COPY = "import shutil, sys; shutil.copy(sys.argv[1], sys.argv[2])"
 
 
 def write_ball(path: Path, radius: float) -> Path:
-    axis = np.linspace(-1.3, 1.3, 24)
-    value = np.linalg.norm(np.meshgrid(axis, axis, axis, indexing="ij"), axis=0) - radius
-    sides = (axis[1] - axis[0],) * 3
-    # scikit-image has no types
-    vertices, faces, _, _ = marching_cubes(value, 0.0, spacing=sides)  # type: ignore[no-untyped-call]
-    write_mesh(path, Mesh(vertices.astype(float) + axis[0], faces.astype(np.int64)))
+    write_mesh(path, mesh_level_set(lambda *at: np.linalg.norm(at, axis=0) - radius, 1.3, 24))
     return path
 
 

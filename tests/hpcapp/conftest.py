@@ -13,9 +13,9 @@ from multiprocessing import resource_tracker
 from pathlib import Path
 from types import ModuleType
 
-import numpy as np
 import pytest
 import zmq
+from spheres import make_sphere
 from standing import StandingDask, StartDask
 from stopping import SITECUSTOMIZE
 
@@ -78,9 +78,7 @@ def standing_helpers() -> None:
 @pytest.fixture
 def sphere() -> PointCloud:
     """Points of the unit sphere, normals outwards."""
-    normals = np.random.default_rng(7).normal(size=(1500, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return PointCloud(normals.copy(), normals)
+    return make_sphere(1500)
 
 
 @pytest.fixture

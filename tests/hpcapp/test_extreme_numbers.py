@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 import numpy as np
 import pytest
+from spheres import make_sphere
 
 import hpcapp
 from hpcapp.cli import hpcapp as command
@@ -93,9 +94,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A ball of points, its mesh, and ground twice."""
     folder = tmp_path_factory.mktemp("inputs")
     rng = np.random.default_rng(3)
-    normals = rng.normal(size=(300, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    hpcapp.write_points(folder / "ball.ply", PointCloud(normals.copy(), normals))
+    hpcapp.write_points(folder / "ball.ply", make_sphere(300))
     hpcapp.reconstruct(folder / "ball.ply", grid=16).save(folder / "mesh.ply")
     places = np.column_stack([rng.random((2000, 2)) * 10.0, rng.normal(scale=0.01, size=2000)])
     up = np.tile([0.0, 0.0, 1.0], (2000, 1))

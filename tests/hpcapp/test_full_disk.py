@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from spheres import make_sphere
 
 import hpcapp
 from hpcapp.geometry.points import PointCloud
@@ -41,9 +42,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rng = np.random.default_rng(3)
     places = np.column_stack([rng.random((1000, 2)) * 10.0, rng.normal(0.5, 0.01, size=1000)])
     hpcapp.write_points(folder / "points.ply", PointCloud(places))
-    normals = rng.normal(size=(300, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    hpcapp.reconstruct(PointCloud(normals, normals), grid=16).save(folder / "mesh.ply")
+    hpcapp.reconstruct(make_sphere(300), grid=16).save(folder / "mesh.ply")
     return folder
 
 

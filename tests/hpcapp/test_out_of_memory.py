@@ -11,13 +11,12 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-import numpy as np
 import pytest
 from fixture_types import StartCommand
 from process_tree import are_gone
+from spheres import make_sphere
 from standing import StartCluster
 
-from hpcapp.geometry.points import PointCloud
 from hpcapp.io import write_points
 from hpccomponent.limits import control_groups, read_text
 
@@ -32,9 +31,7 @@ OPTIONS = ("--backend", "zmq", "--method", "hierarchical", "--grid", "256")
 def cloud(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A sphere whose tiles take tens of MiB each."""
     path = tmp_path_factory.mktemp("cloud") / "sphere.ply"
-    normals = np.random.default_rng(7).normal(size=(200_000, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    write_points(path, PointCloud(normals.copy(), normals))
+    write_points(path, make_sphere(200_000))
     return path
 
 

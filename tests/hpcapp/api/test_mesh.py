@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from spheres import make_sphere
 
 import hpcapp
 from hpcapp.geometry.points import PointCloud
@@ -65,9 +66,7 @@ def test_what_is_read_and_what_is_reconstructed_can_be_shown(tmp_path: Path) -> 
     read = hpcapp.read_mesh(tmp_path / "a.ply")
     assert isinstance(read, hpcapp.Mesh)
     np.testing.assert_array_equal(read.faces, FACES)
-    normals = np.random.default_rng(0).normal(size=(2000, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    assert isinstance(hpcapp.reconstruct(normals, normals, grid=16), hpcapp.Mesh)
+    assert isinstance(hpcapp.reconstruct(make_sphere(2000), grid=16), hpcapp.Mesh)
 
 
 FAR = np.array([5_400_000.0, 400_000.0, 100.0])

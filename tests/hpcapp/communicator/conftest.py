@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-import zmq
 from fixture_types import StartComponent
 
 from hpcapp.communicator.executor import CommunicatorExecutor
@@ -26,16 +25,6 @@ TASKS = [
     )
 ]  # fmt: skip
 QUICK = Timing(heartbeat_s=0.25, liveness_s=5.0, silence_s=20.0, worker_wait_s=20.0, probe_s=0.1)
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _keep_the_thread_of_zero_copy_sends() -> None:
-    """Make pyzmq start the one thread that it keeps for the process, before leaks are counted."""
-    with zmq.Context() as context, context.socket(zmq.PAIR) as one, context.socket(zmq.PAIR) as two:
-        one.bind("inproc://warm-up")
-        two.connect("inproc://warm-up")
-        one.send(bytes(1 << 20), copy=False)
-        two.recv()
 
 
 @pytest.fixture

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fixture_types import StartComponent
+from peak_memory import bounded_memory
 
 from hpcapp.communicator.executor import CommunicatorExecutor
 from hpcapp.geometry.points import FloatArray
@@ -19,7 +20,6 @@ from hpccomponent.protocol.connection import write_connection
 
 HELPERS = Path(__file__).parents[2] / "helpers"
 WAIT = 60.0
-MOST_MEMORY = 200 << 20  # that a flood may cost the master
 WITHOUT_END = ["large frames", "frames of a byte", "frames of 34 bytes", "a drip"]
 OTHERS = ["before it registers", "many connections"]
 WHOLE_MESSAGES = ["heartbeats", "heads", "results", "pieces"]
@@ -53,17 +53,6 @@ def flood(executor: CommunicatorExecutor, tmp_path: Path) -> Iterator[Flood]:
         process.communicate()
 
 
-def forget_peak() -> None:
-    """Have the kernel count this process's largest memory from now on."""
-    Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
-
-
-def read_memory(what: str) -> int:
-    """Return this process's memory in bytes: ``VmRSS``, or ``VmHWM`` for the largest."""
-    fields = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
-    return int(fields[what].split()[0]) * 1024
-
-
 def is_ready(flooder: subprocess.Popen[str]) -> bool:
     """Wait until a peer floods the master; False where it is not let in."""
     assert flooder.stdout is not None
@@ -89,13 +78,11 @@ def test_what_never_ends_is_ended(
     start_component()
     executor.wait_for_workers(1, WAIT)
     do_work(executor)
-    forget_peak()
-    before = read_memory("VmRSS")
-    flooder = flood(what)
-    assert is_ready(flooder)
-    do_work(executor)
-    assert flooder.communicate(timeout=WAIT)[0] == "closed\n"
-    assert read_memory("VmHWM") - before < MOST_MEMORY
+    with bounded_memory():
+        flooder = flood(what)
+        assert is_ready(flooder)
+        do_work(executor)
+        assert flooder.communicate(timeout=WAIT)[0] == "closed\n"
     do_work(executor)
 
 
@@ -110,13 +97,11 @@ def test_who_sends_without_end_and_without_a_key_is_cut_off(
     start_component()
     executor.wait_for_workers(1, WAIT)
     do_work(executor)
-    forget_peak()
-    before = read_memory("VmRSS")
-    flooder = flood("without a key")
-    assert is_ready(flooder)
-    do_work(executor)
-    assert flooder.communicate(timeout=WAIT)[0] == "closed\n"
-    assert read_memory("VmHWM") - before < MOST_MEMORY
+    with bounded_memory():
+        flooder = flood("without a key")
+        assert is_ready(flooder)
+        do_work(executor)
+        assert flooder.communicate(timeout=WAIT)[0] == "closed\n"
     assert "a connection that sent without end was closed; its key is not known" in caplog.text
     do_work(executor)
 
@@ -140,12 +125,10 @@ def test_whole_messages_as_fast_as_they_come_cost_no_memory(
     start_component()
     executor.wait_for_workers(1, WAIT)
     do_work(executor)
-    forget_peak()
-    before = read_memory("VmRSS")
-    assert is_ready(flood(what))
-    for _ in range(3):
-        do_work(executor)
-    assert read_memory("VmHWM") - before < MOST_MEMORY
+    with bounded_memory():
+        assert is_ready(flood(what))
+        for _ in range(3):
+            do_work(executor)
 
 
 def test_probes_that_a_peer_leaves_behind_in_a_full_queue_do_no_harm(
@@ -166,13 +149,11 @@ def test_several_that_never_end_at_once(
     start_component()
     executor.wait_for_workers(1, WAIT)
     do_work(executor)
-    forget_peak()
-    before = read_memory("VmRSS")
-    flooders = [flood(what) for what in WITHOUT_END]
-    for flooder in flooders:
-        assert is_ready(flooder)
-    do_work(executor)
-    for flooder in flooders:
-        assert flooder.communicate(timeout=WAIT)[0] == "closed\n"
-    assert read_memory("VmHWM") - before < MOST_MEMORY
+    with bounded_memory():
+        flooders = [flood(what) for what in WITHOUT_END]
+        for flooder in flooders:
+            assert is_ready(flooder)
+        do_work(executor)
+        for flooder in flooders:
+            assert flooder.communicate(timeout=WAIT)[0] == "closed\n"
     do_work(executor)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
 import zmq
 from fixture_types import StartComponent
+from peak_memory import bounded_memory
 
 from hpcapp.applications.surface.paper.patch_quadrics import fit_patches
 from hpcapp.communicator.executor import CommunicatorExecutor
@@ -35,7 +35,6 @@ from hpccomponent.runtime.numerics import numerics_id, package_version
 
 WAIT = 60.0
 ROWS = 200
-MOST_MEMORY = 200 << 20  # that a lie may cost the master
 
 Answer = Callable[[int], tuple[list[Result], list[Buffer]]]
 
@@ -161,17 +160,6 @@ def test_a_liar_that_calls_itself_otherwise_is_turned_away(
     executor.wait_for_workers(1, WAIT)
 
 
-def forget_peak() -> None:
-    """Have the kernel count this process's largest memory from now on."""
-    Path("/proc/self/clear_refs").write_text("5")
-
-
-def read_memory(what: str) -> int:
-    """Return this process's memory in bytes: ``VmRSS``, or ``VmHWM`` for the largest."""
-    fields = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
-    return int(fields[what].split()[0]) * 1024
-
-
 def test_a_liar_that_says_that_a_task_fails_is_not_believed(
     executor: CommunicatorExecutor, start_component: StartComponent
 ) -> None:
@@ -199,14 +187,12 @@ def test_a_liar_is_turned_away_with_a_reason_and_the_work_is_done(
 ) -> None:
     liar = Liar(executor, LIES[lie])
     assert liar.registered.wait(WAIT)
-    forget_peak()
-    before = read_memory("VmRSS")
     left = np.linspace(0.0, 0.9, ROWS)
-    first = executor.submit(estimate, "wave", left, left + 0.1)
-    liar.join(WAIT)
+    with bounded_memory():  # that of the liar, a thread here, with it
+        first = executor.submit(estimate, "wave", left, left + 0.1)
+        liar.join(WAIT)
     assert "works for this job no more" in liar.reason
     assert liar.reason in caplog.text
-    assert read_memory("VmHWM") - before < MOST_MEMORY  # that of the liar, a thread here, with it
     start_component()
     assert np.array_equal(first.result(WAIT), estimate("wave", left, left + 0.1))
     assert executor.statistics()["losses"] == 0

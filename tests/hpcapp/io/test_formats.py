@@ -1,3 +1,4 @@
+import sys
 import zipfile
 from collections.abc import Callable
 from dataclasses import replace
@@ -6,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from shared_data import shared
+from small_files import NEEDED
 
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import PointCloud
@@ -19,7 +21,7 @@ from hpcapp.io import (
 )
 from hpcapp.io.crs import Crs
 from hpcapp.io.meshes.mesh_stream import as_stream
-from hpccomponent.errors import InputError, UsageError
+from hpccomponent.errors import InputError, MissingLibraryError, OutputError, UsageError
 
 Make = Callable[..., Path]
 MESH_SUFFIXES = [".ply", ".obj", ".off", ".stl", ".PLY", ".Obj"]
@@ -211,3 +213,43 @@ def test_a_3mf_has_the_unit_of_the_input(
     number = f"{scale or 1.0:.17g}"
     placed = f'transform="{number} 0 0 0 {number} 0 0 0 {number} 0 0 0"'
     assert (placed in model) == (scale is not None)
+
+
+BOUNDED = [".las", ".e57"]
+"""Formats that hold no NaN."""
+
+
+@pytest.mark.parametrize("suffix", BOUNDED)
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_coordinates_that_are_no_numbers(tmp_path: Path, suffix: str, value: float) -> None:
+    pytest.importorskip(NEEDED[suffix], reason="its library is not installed")
+    with pytest.raises(OutputError, match="NaN or infinite"):
+        write_points(tmp_path / f"a{suffix}", PointCloud(np.array([[0, 0, value]])))
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("suffix", BOUNDED)
+def test_points_that_are_no_numbers_are_left_out(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, suffix: str
+) -> None:
+    """An organised cloud has NaN where nothing came back."""
+    pytest.importorskip(NEEDED[suffix], reason="its library is not installed")
+    positions = np.array([[1, 2, 3], [np.nan] * 3, [4, 5, 6], [7, np.inf, 8]])
+    cloud = PointCloud(positions, attributes={"intensity": np.arange(4, dtype=np.uint16)})
+    write_points(tmp_path / f"a{suffix}", cloud)
+    again = read_points(tmp_path / f"a{suffix}")
+    np.testing.assert_allclose(again.positions + again.origin, positions[[0, 2]], atol=1e-6)
+    assert again.attributes["intensity"].tolist() == [0, 2]
+    assert "dropped 2 NaN or infinite points" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("suffix", "module", "said"),
+    [(".las", "laspy", r"pip install 'laspy\["), (".e57", "pye57.libe57", "pip install 'pye57>")],
+)
+def test_a_missing_library_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, module: str, said: str
+) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(MissingLibraryError, match=said):
+        write_points(tmp_path / f"a{suffix}", PointCloud(np.eye(3)))

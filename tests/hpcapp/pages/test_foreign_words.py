@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from spheres import make_sphere
 
 import hpcapp
-from hpcapp.geometry.points import PointCloud
 from hpcapp.io.e57.writer import write_e57
 
 if TYPE_CHECKING:
@@ -36,13 +37,6 @@ WKT = (
 ).replace("'\"", "'")
 
 
-def make_points() -> PointCloud:
-    """Return points of a sphere."""
-    normals = np.random.default_rng(7).normal(size=(800, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return PointCloud(normals.copy(), normals, attributes={WORDS: normals[:, 0]})
-
-
 def write_mesh(path: Path, height: float = 0.0) -> None:
     """Write a square of PLY, each of whose strings is not ours."""
     steps = np.arange(6)
@@ -63,7 +57,8 @@ def write_files(folder: Path) -> None:
     """Write meshes, points and a report."""
     write_mesh(folder / f"{NAME}.ply")
     write_mesh(folder / f"old{NAME}.ply", -0.5)
-    cloud = make_points()
+    sphere = make_sphere(800)
+    cloud = replace(sphere, attributes={WORDS: sphere.positions[:, 0]})
     hpcapp.write_points(folder / f"{NAME}-points.ply", cloud)
     columns = np.column_stack([cloud.positions, cloud.attributes[WORDS]])
     np.savetxt(folder / f"{NAME}.csv", columns, delimiter=",", header=f"x,y,z,{WORDS}", comments="")

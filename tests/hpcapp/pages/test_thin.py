@@ -3,29 +3,20 @@
 from __future__ import annotations
 
 import numpy as np
+from level_sets import mesh_level_set
 
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.io.meshes.mesh_stream import as_stream
 from hpcapp.pages.thin import gather_mesh, thin_mesh
 
 
-def make_ball(rings: int = 120) -> Mesh:
+def make_ball(cells: int = 90) -> Mesh:
     """Return a sphere of radius 1 around (5, 0, 0), red where x > 5, with a label by halves."""
-    theta = np.linspace(0.0, np.pi, rings)
-    phi = np.linspace(0.0, 2.0 * np.pi, 2 * rings, endpoint=False)
-    t, p = (axis.ravel() for axis in np.meshgrid(theta, phi, indexing="ij"))
-    places = np.stack([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)], axis=1)
-    rows, columns = np.meshgrid(np.arange(rings - 1), np.arange(2 * rings), indexing="ij")
-    a = rows * 2 * rings + columns
-    b = rows * 2 * rings + (columns + 1) % (2 * rings)
-    c, d = a + 2 * rings, b + 2 * rings
-    faces = np.concatenate([np.stack([a, c, b], -1), np.stack([b, c, d], -1)]).reshape(-1, 3)
-    red = (places[:, :1] > 0) * np.array([[200, 0, 0]])
-    half = (places[:, 2] > 0).astype(np.int32)
-    origin = np.array([7.0, 0.0, 0.0])
+    ball = mesh_level_set(lambda *at: np.linalg.norm(at, axis=0) - 1.0, 1.2, cells)
     return Mesh(
-        places + np.array([5.0, 0.0, 0.0]), faces, origin, colours=red.astype(np.uint8),
-        attributes={"half": half},
+        ball.vertices + np.array([5.0, 0.0, 0.0]), ball.faces, np.array([7.0, 0.0, 0.0]),
+        colours=((ball.vertices[:, :1] > 0) * np.array([[200, 0, 0]])).astype(np.uint8),
+        attributes={"half": (ball.vertices[:, 2] > 0).astype(np.int32)},
     )  # fmt: skip
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from skimage.measure import marching_cubes
+from level_sets import mesh_level_set
 
 from hpcapp.applications.compare import nearest
 from hpcapp.applications.compare.metrics import measure_mesh
@@ -25,14 +25,9 @@ from hpcapp.lab.simulate.shapes import SHAPES
 
 
 def ball(radius: float = 1.0, cells: int = 40) -> Mesh:
-    axis = np.linspace(-1.3, 1.3, cells) * radius
-    grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
-    value = np.linalg.norm(grid, axis=-1) - radius
-    sides = (axis[1] - axis[0],) * 3
-    # scikit-image has no types
-    vertices, faces, _, _ = marching_cubes(value, 0.0, spacing=sides)  # type: ignore[no-untyped-call]
-    vertices += axis[0]
-    return Mesh(radius * vertices / np.linalg.norm(vertices, axis=1)[:, None], faces.astype(int))
+    mesh = mesh_level_set(lambda *at: np.linalg.norm(at, axis=0) - radius, 1.3 * radius, cells)
+    lengths = np.linalg.norm(mesh.vertices, axis=1, keepdims=True)
+    return Mesh(radius * mesh.vertices / lengths, mesh.faces)
 
 
 @pytest.fixture(scope="module")

@@ -6,6 +6,7 @@ from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from random import Random
+from unittest import TestCase
 
 import pytest
 from hypothesis import HealthCheck, Phase, settings
@@ -79,6 +80,7 @@ from hpccomponent.protocol.session import (
 
 SESSION = "simulated"
 BLOBS = [Blob(number.to_bytes(16, "little"), b"", (), 1000) for number in range(6)]
+POLICIES = [EqualPolicy(), PullPolicy(), AdaptivePolicy()]
 KEPT_BYTES = 2000  # of blobs, by a component
 LIMIT = LARGE_BYTES + 1000  # of a result: every tenth is so large, and fetched
 ZEROS = {3: bytes(LIMIT - 8), 7: bytes(LARGE_BYTES // 2)}
@@ -191,6 +193,13 @@ class Cluster:
         self.components.append(component)
         component.carry_out(session.begin())
         return component
+
+    def start_components(self, count: int) -> list[Component]:
+        """Start some, and register them."""
+        components = [self.start_component() for _ in range(count)]
+        for component in components:
+            self.pump(component, 10)
+        return components
 
     def carry_out(self, actions: Sequence[SchedulerAction]) -> None:
         for action in actions:
@@ -379,6 +388,13 @@ class Cluster:
         for identity in self.scheduler.workers:
             self.send(identity, Ping(SESSION, last_batch, self.fetcher.last))
 
+    def work_off(self, component: Component) -> None:
+        """Let all messages through, and all tasks run that have come."""
+        self.pump(component, 1000)
+        while component.work:
+            self.work(component)
+        self.pump(component, 1000)
+
     def settle(self) -> None:
         """End all faults, and work on until nothing moves."""
         self.components = [
@@ -389,10 +405,7 @@ class Cluster:
         self.start_component()
         for _ in range(600):  # with room for two blobs only, most batches are put back once
             for component in list(self.components):
-                self.pump(component, 1000)
-                while component.work:
-                    self.work(component)
-                self.pump(component, 1000)
+                self.work_off(component)
             if not self.scheduler.tasks:
                 return
             self.pass_time(1.0)
@@ -608,10 +621,7 @@ class ClusterWithABadMachine(RuleBasedStateMachine):
         cluster = self.cluster
         for _ in range(200):
             for component in list(cluster.components):
-                cluster.pump(component, 1000)
-                while component.work:
-                    cluster.work(component)
-                cluster.pump(component, 1000)
+                cluster.work_off(component)
                 if component.session.state is SessionState.STOPPED:  # the loader starts it again
                     cluster.components.remove(component)
                     self.start(component.session._register.worker)
@@ -786,43 +796,34 @@ class ManyLies(ClusterWithALiar):
     """A liar under every schedule, over and over."""
 
 
-def schedules(count: int) -> settings:
-    return settings(
+def play(machine: type[RuleBasedStateMachine], count: int = 60) -> type[TestCase]:
+    """Return the test of a machine under so many schedules."""
+    case: type[TestCase] = machine.TestCase
+    case.settings = settings(  # type: ignore[attr-defined]
         max_examples=count,
         stateful_step_count=50,
         deadline=None,
         phases=[Phase.explicit, Phase.reuse, Phase.generate, Phase.shrink],
         suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
     )
+    return case
 
 
-FAULTS = schedules(60)
-TestManySchedules = pytest.mark.long(pytest.mark.timeout(1800)(ManySchedules.TestCase))
-TestManySchedules.settings = schedules(1000)
-TestClusterWithALiar = ClusterWithALiar.TestCase
-TestClusterWithALiar.settings = FAULTS
-TestManyLies = pytest.mark.long(pytest.mark.timeout(1800)(ManyLies.TestCase))
-TestManyLies.settings = schedules(300)
-TestClusterWithABadMachine = ClusterWithABadMachine.TestCase
-TestClusterWithABadMachine.settings = FAULTS
-TestAdaptiveClusterWithABadMachine = AdaptiveClusterWithABadMachine.TestCase
-TestAdaptiveClusterWithABadMachine.settings = FAULTS
-TestEqualClusterWithABadMachine = EqualClusterWithABadMachine.TestCase
-TestEqualClusterWithABadMachine.settings = FAULTS
-TestFaultyCluster = FaultyCluster.TestCase
-TestFaultyCluster.settings = FAULTS
-TestFaultyEqualCluster = FaultyEqualCluster.TestCase
-TestFaultyEqualCluster.settings = FAULTS
-TestFaultyAdaptiveCluster = FaultyAdaptiveCluster.TestCase
-TestFaultyAdaptiveCluster.settings = FAULTS
+TestManySchedules = pytest.mark.long(pytest.mark.timeout(1800)(play(ManySchedules, 1000)))
+TestManyLies = pytest.mark.long(pytest.mark.timeout(1800)(play(ManyLies, 300)))
+TestClusterWithALiar = play(ClusterWithALiar)
+TestClusterWithABadMachine = play(ClusterWithABadMachine)
+TestAdaptiveClusterWithABadMachine = play(AdaptiveClusterWithABadMachine)
+TestEqualClusterWithABadMachine = play(EqualClusterWithABadMachine)
+TestFaultyCluster = play(FaultyCluster)
+TestFaultyEqualCluster = play(FaultyEqualCluster)
+TestFaultyAdaptiveCluster = play(FaultyAdaptiveCluster)
 
 
-@pytest.mark.parametrize("policy", [EqualPolicy(), PullPolicy(), AdaptivePolicy()])
+@pytest.mark.parametrize("policy", POLICIES)
 def test_without_faults_every_task_runs_exactly_once(policy: Policy) -> None:
     cluster = Cluster(policy)
-    components = [cluster.start_component() for _ in range(3)]
-    for component in components:
-        cluster.pump(component, 10)
+    components = cluster.start_components(3)
     cluster.submit(300)
     while cluster.scheduler.tasks:
         for component in components:
@@ -832,12 +833,10 @@ def test_without_faults_every_task_runs_exactly_once(policy: Policy) -> None:
     assert cluster.scheduler.counts["dropped"] == 0
 
 
-@pytest.mark.parametrize("policy", [EqualPolicy(), PullPolicy(), AdaptivePolicy()])
+@pytest.mark.parametrize("policy", POLICIES)
 def test_a_task_that_kills_its_workers_is_found_and_no_other_is_given_up(policy: Policy) -> None:
     cluster = Cluster(policy)
-    components = [cluster.start_component() for _ in range(2)]
-    for component in components:
-        cluster.pump(component, 10)
+    components = cluster.start_components(2)
     cluster.submit(200)
     poison = 137
     for _ in range(2000):
@@ -857,8 +856,7 @@ def test_a_task_that_kills_its_workers_is_found_and_no_other_is_given_up(policy:
 def test_a_batch_or_a_result_that_got_lost_is_made_good() -> None:
     for lose_the_batch in (True, False):
         cluster = Cluster(PullPolicy())
-        component = cluster.start_component()
-        cluster.pump(component, 10)
+        [component] = cluster.start_components(1)
         cluster.submit(1)
         if lose_the_batch:
             component.down.clear()
@@ -874,12 +872,10 @@ def test_a_batch_or_a_result_that_got_lost_is_made_good() -> None:
         assert cluster.scheduler.counts["losses"] == 0
 
 
-@pytest.mark.parametrize("policy", [EqualPolicy(), PullPolicy(), AdaptivePolicy()])
+@pytest.mark.parametrize("policy", POLICIES)
 def test_who_lost_a_task_is_not_waited_for_to_verify_it(policy: Policy) -> None:
     cluster = Cluster(policy, Verification(1.0))
-    components = [cluster.start_component() for _ in range(3)]
-    for component in components:
-        cluster.pump(component, 10)
+    components = cluster.start_components(3)
     cluster.submit(1)
     steady: Component | None = None
     for _ in range(100):
@@ -895,9 +891,7 @@ def test_who_lost_a_task_is_not_waited_for_to_verify_it(policy: Policy) -> None:
 
 def test_tasks_of_two_kinds_that_wait_together_are_placed() -> None:
     cluster = Cluster(AdaptivePolicy())
-    components = [cluster.start_component() for _ in range(2)]
-    for component in components:
-        cluster.pump(component, 10)
+    components = cluster.start_components(2)
     for number, name in enumerate(["a"] * 5 + ["b"] * 14):
         cluster.calls[number] = Call(number, name, b"", [])
         cluster.carry_out(cluster.scheduler.submit(Task(number, name, 10, limit_bytes=LIMIT)))

@@ -80,34 +80,36 @@ def test_images_have_a_line_of_points_of_any_length(tmp_path: Path, points: str)
     assert len(cameras) == len(PLACES)
 
 
-def test_images_are_told_without_their_title(tmp_path: Path) -> None:
-    path = tmp_path / "images.txt"
-    path.write_bytes(b"\n".join(WHOLE["images.txt"].split(b"\n")[4:]))
+@pytest.mark.parametrize(
+    "whole",
+    [
+        b"\n".join(WHOLE["images.txt"].split(b"\n")[4:]),  # without their title
+        json.dumps(json.loads(WHOLE["reconstruction.json"])[1]).encode(),  # without a list
+    ],
+)
+def test_what_stands_around_cameras_may_be_missing(tmp_path: Path, whole: bytes) -> None:
+    path = tmp_path / "cameras"
+    path.write_bytes(whole)
     cameras = read_cameras(path)
     assert cameras is not None
     assert np.allclose(cameras[:, :3], PLACES, atol=1e-9)
 
 
-def test_a_reconstruction_may_stand_without_a_list(tmp_path: Path) -> None:
-    path = tmp_path / "shots.json"
-    path.write_text(json.dumps(json.loads(WHOLE["reconstruction.json"])[1]))
-    cameras = read_cameras(path)
-    assert cameras is not None
-    assert len(cameras) == len(PLACES)
-
-
-def test_a_camera_that_was_not_turned_is_read(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("text", "camera"),
+    [
+        # not turned
+        ('[{"shots": {"a": {"rotation": [0, 0, 0], "translation": [0, 0, 9]}}}]',
+         [0.0, 0.0, -9.0, 0.0, 0.0, 1.0]),
+        # of nerfstudio, of three rows, and scaled
+        ('{"frames": [{"transform_matrix": [[2, 0, 0, 5], [0, 2, 0, 6], [0, 0, 2, 7]]}]}',
+         [5.0, 6.0, 7.0, 0.0, 0.0, -1.0]),
+    ],
+)  # fmt: skip
+def test_one_camera_is_read(tmp_path: Path, text: str, camera: list[float]) -> None:
     path = tmp_path / "one.json"
-    path.write_text('[{"shots": {"a": {"rotation": [0, 0, 0], "translation": [0, 0, 9]}}}]')
-    assert read_cameras(path) == pytest.approx(np.array([[0.0, 0.0, -9.0, 0.0, 0.0, 1.0]]))
-
-
-def test_matrices_of_nerfstudio_may_have_three_rows_and_scale(tmp_path: Path) -> None:
-    path = tmp_path / "one.json"
-    path.write_text(
-        '{"frames": [{"transform_matrix": [[2, 0, 0, 5], [0, 2, 0, 6], [0, 0, 2, 7]]}]}'
-    )
-    assert read_cameras(path) == pytest.approx(np.array([[5.0, 6.0, 7.0, 0.0, 0.0, -1.0]]))
+    path.write_text(text)
+    assert read_cameras(path) == pytest.approx(np.array([camera]))
 
 
 def test_a_chunk_without_a_transform_is_in_the_coordinates_of_the_world(tmp_path: Path) -> None:

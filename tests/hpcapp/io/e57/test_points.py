@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mutated_files import page_e57, read_pages
+from read_parts import read_parts
 from shared_data import shared
 
 from hpcapp.geometry.points import PointCloud
@@ -27,19 +28,7 @@ MakeScan = Callable[..., Any]
 
 def read(path: Path, rows: int = 1000) -> tuple[PointSource, PointCloud]:
     source = open_e57(path)
-    parts = list(source.chunks(rows))
-    names = set(parts[0].attributes)
-    assert all(set(part.attributes) == names for part in parts)
-    normals = [part.normals for part in parts if part.normals is not None]
-    colours = [part.colours for part in parts if part.colours is not None]
-    assert len(normals) in (0, len(parts))
-    assert len(colours) in (0, len(parts))
-    return source, PointCloud(
-        np.concatenate([part.positions for part in parts]),
-        np.concatenate(normals) if normals else None,
-        np.concatenate(colours) if colours else None,
-        {name: np.concatenate([part.attributes[name] for part in parts]) for name in names},
-    )
+    return source, read_parts(source, rows)
 
 
 def colours_of(values: Any) -> dict[str, Any]:

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from read_parts import read_parts
 
-from hpcapp.geometry.points import PointCloud
 from hpcapp.io.pcd.points import open_pcd
-from hpcapp.io.points.point_source import PointSource, read_whole
+from hpcapp.io.points.point_source import read_whole
 from hpccomponent.errors import InputError
 
 Make = Callable[..., Path]
@@ -82,19 +82,6 @@ def compressed(content: bytes) -> bytes:
     return struct.pack("<II", len(packed), len(content)) + packed
 
 
-def join(source: PointSource, rows: int) -> PointCloud:
-    parts = list(source.chunks(rows))
-    assert all(len(part) == rows for part in parts[:-1])
-    normals = [part.normals for part in parts if part.normals is not None]
-    colours = [part.colours for part in parts if part.colours is not None]
-    return PointCloud(
-        np.concatenate([part.positions for part in parts]),
-        np.concatenate(normals) if normals else None,
-        np.concatenate(colours) if colours else None,
-        {n: np.concatenate([part.attributes[n] for part in parts]) for n in parts[0].attributes},
-    )
-
-
 @pytest.mark.parametrize("encoding", ["ascii", "binary", "binary_compressed"])
 @pytest.mark.parametrize("rgb", ["u4", "f4"])
 @pytest.mark.parametrize("rows", [1, 3, 10])
@@ -128,7 +115,7 @@ def test_every_encoding_holds_the_same(make_file: Make, encoding: str, rgb: str,
     else:
         body = compressed(b"".join(column.tobytes() for column in columns))
     source = open_pcd(make_file("a.pcd", head + body))
-    cloud = join(source, rows)
+    cloud = read_parts(source, rows)
     np.testing.assert_array_equal(cloud.positions, POINTS)
     np.testing.assert_array_equal(cloud.normals, np.eye(4, 3))
     np.testing.assert_array_equal(cloud.colours, COLOURS)
@@ -149,7 +136,7 @@ def test_every_encoding_holds_the_same(make_file: Make, encoding: str, rgb: str,
 def test_text_keeps_more_digits_than_the_size_announces(make_file: Make) -> None:
     body = b"289814.15,4320978.61,170.76\n" * 4
     source = open_pcd(make_file("a.pcd", header("x y z", "f4 f4 f4", "ascii") + body))
-    assert join(source, 10).positions[3].tolist() == [289814.15, 4320978.61, 170.76]
+    assert read_parts(source, 10).positions[3].tolist() == [289814.15, 4320978.61, 170.76]
     assert source.is_double
 
 
@@ -157,7 +144,7 @@ def test_whole_numbers_in_text_are_packed_colours_whatever_their_type(make_file:
     body = "".join(f"1 2 3 {word}\n" for word in PACKED.tolist())
     for kind in ("f4", "u4"):
         head = header("x y z rgba", f"f4 f4 f4 {kind}", "ascii")
-        cloud = join(open_pcd(make_file("a.pcd", head + body.encode())), 10)
+        cloud = read_parts(open_pcd(make_file("a.pcd", head + body.encode())), 10)
         np.testing.assert_array_equal(cloud.colours, COLOURS)
 
 
@@ -172,7 +159,7 @@ def test_an_organised_cloud_knows_its_grid_and_its_camera(make_file: Make, encod
     assert scan.scanner is not None
     assert not scan.scanner.any()
     for rows in (1, 3, 10):
-        cloud = join(source, rows)
+        cloud = read_parts(source, rows)
         assert cloud.attributes["row"].tolist() == [0, 0, 1, 1]
         assert cloud.attributes["column"].tolist() == [0, 1, 0, 1]
         assert cloud.attributes["row"].dtype == np.int32
@@ -195,12 +182,12 @@ def test_the_viewpoint_is_the_scanner(
     source = open_pcd(make_file("a.pcd", head + b"1 2 3\n" * 4))
     found = source.scans[0].scanner
     assert (None if found is None else found.tolist()) == scanner
-    assert join(source, 10).positions.tolist() == [[1, 2, 3]] * 4  # they stay where they are
+    assert read_parts(source, 10).positions.tolist() == [[1, 2, 3]] * 4  # they stay where they are
 
 
 def test_old_headers_leave_lines_out(make_file: Make) -> None:
     text = "# .PCD v.5\r\nVERSION .5\r\nCOLUMNS x y z\r\nPOINTS 1\r\nDATA ascii\r\n1 2 3\r\n"
-    assert join(open_pcd(make_file("a.pcd", text)), 10).positions.tolist() == [[1, 2, 3]]
+    assert read_parts(open_pcd(make_file("a.pcd", text)), 10).positions.tolist() == [[1, 2, 3]]
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "binary"])
@@ -209,14 +196,14 @@ def test_more_points_than_announced_are_left_out_with_a_word(
 ) -> None:
     body = b"1 2 3\n" * 6 if encoding == "ascii" else bytes(12 * 6)
     source = open_pcd(make_file("a.pcd", header("x y z", "f4 f4 f4", encoding) + body))
-    assert len(join(source, 3)) == 4
+    assert len(read_parts(source, 3)) == 4
     assert len(source.findings.warnings) == 1
 
 
 def test_a_size_that_does_not_fit_the_points_is_no_grid(make_file: Make) -> None:
     head = header("x y z", "f4 f4 f4", "ascii", width=2, height=3)
     source = open_pcd(make_file("a.pcd", head + b"1 2 3\n" * 4))
-    assert len(join(source, 3)) == 4
+    assert len(read_parts(source, 3)) == 4
     assert source.scans[0].grid is None
     assert "WIDTH 2 and HEIGHT 3 do not make 4 POINTS" in source.findings.warnings[0]
 

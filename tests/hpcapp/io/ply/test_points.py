@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from read_parts import read_parts
 
 from hpcapp.applications.surface.reading.tasks import FileRange
-from hpcapp.geometry.points import PointCloud
 from hpcapp.io.ply.points import open_ply
-from hpcapp.io.points.point_source import PointSource
 from hpccomponent.errors import InputError
 from hpccomponent.protocol.codec import decode_values, encode_values
 
@@ -21,19 +20,6 @@ Make = Callable[..., Path]
 XYZ = "property float x\nproperty float y\nproperty float z\n"
 FACES = "property list uchar int vertex_indices\n"
 POINTS = np.array([[1.5, 2.5, -3.5], [4.0, 5.0, 6.0], [-7.0, 8.0, 9.25]])
-
-
-def join(source: PointSource, rows: int = 2) -> PointCloud:
-    parts = list(source.chunks(rows))
-    assert all(len(part) == rows for part in parts[:-1])
-    normals = [part.normals for part in parts if part.normals is not None]
-    colours = [part.colours for part in parts if part.colours is not None]
-    return PointCloud(
-        np.concatenate([part.positions for part in parts]),
-        np.concatenate(normals) if normals else None,
-        np.concatenate(colours) if colours else None,
-        {n: np.concatenate([part.attributes[n] for part in parts]) for n in parts[0].attributes},
-    )
 
 
 def columns(names: str, kind: str = "float") -> str:
@@ -77,7 +63,7 @@ def test_other_columns_are_attributes_however_they_are_stored(
         rows = [body[i * width : (i + 1) * width] for i in range(3)]
         body = b"".join(row + bytes([i, *range(i)]) for i, row in enumerate(rows))
     source = open_ply(make_ply(encoding, elements, body))
-    cloud = join(source)
+    cloud = read_parts(source, 2)
     assert (cloud.positions == POINTS).all()
     assert {name: column.tolist() for name, column in cloud.attributes.items()} == {
         "Quality": (values / 2).tolist(),
@@ -113,7 +99,7 @@ def test_colours_are_read_as_they_are(
     elements = f"element vertex 3\n{XYZ}" + columns(names, kind) + columns("alpha", "uchar")
     fields = [("f4", column) for column in POINTS.T]
     fields += [(numpy_kind, column) for column in colours.T] + [("u1", np.full(3, 255))]
-    cloud = join(open_ply(make_ply(encoding, elements, body_of(encoding, fields))))
+    cloud = read_parts(open_ply(make_ply(encoding, elements, body_of(encoding, fields))), 2)
     assert cloud.colours is not None
     assert cloud.colours.dtype == np.dtype(read)
     assert cloud.colours.tolist() == colours.tolist()
@@ -124,7 +110,7 @@ def test_colours_are_read_as_they_are(
 def test_a_signed_byte_in_a_colour_is_an_unsigned_one(make_ply: Make, encoding: str) -> None:
     elements = f"element vertex 3\n{XYZ}" + columns("red green", "uchar") + columns("blue", "char")
     fields = [("f4", column) for column in POINTS.T] + [("u1", np.array([1, 128, 255]))] * 3
-    cloud = join(open_ply(make_ply(encoding, elements, body_of(encoding, fields))))
+    cloud = read_parts(open_ply(make_ply(encoding, elements, body_of(encoding, fields))), 2)
     assert cloud.colours is not None
     assert cloud.colours.tolist() == [[1] * 3, [128] * 3, [255] * 3]
 
@@ -135,7 +121,7 @@ def test_normals_have_many_names(make_ply: Make, names: str) -> None:
     source = open_ply(path)
     assert source.has_normals
     assert source.oriented
-    cloud = join(source)
+    cloud = read_parts(source, 2)
     assert cloud.normals is not None
     assert cloud.normals.tolist() == [[0, 0, 2]]
 
@@ -143,8 +129,8 @@ def test_normals_have_many_names(make_ply: Make, names: str) -> None:
 def test_short_coordinates_and_a_name_that_could_be_z(make_ply: Make) -> None:
     elements = "element vertex 1\n" + columns("height") + columns("x y z", "short")
     source = open_ply(make_ply("ascii", elements, "7 -1 2 3\n"))
-    assert join(source).positions.tolist() == [[-1, 2, 3]]
-    assert join(source).attributes["height"].tolist() == [7]
+    assert read_parts(source, 2).positions.tolist() == [[-1, 2, 3]]
+    assert read_parts(source, 2).attributes["height"].tolist() == [7]
     assert source.columns == ("height", "x", "y", "z")
     assert source.format == "PLY, ascii"
 
@@ -154,7 +140,7 @@ def test_a_list_that_no_row_holds_is_passed_over(make_ply: Make, encoding: str) 
     elements = f"element vertex 3\n{XYZ}{FACES}"
     body = body_of(encoding, [("f4", column) for column in POINTS.T])
     source = open_ply(make_ply(encoding, elements, body))
-    assert (join(source).positions == POINTS).all()
+    assert (read_parts(source, 2).positions == POINTS).all()
     (warning,) = source.findings.warnings
     assert "line 7 of the header declares the list 'vertex_indices'" in warning
 
@@ -181,7 +167,7 @@ def test_a_mesh_without_normals_takes_them_from_its_faces(
     source = open_ply(path)
     assert source.has_normals
     for _ in range(2):  # it is counted once however often it is read
-        cloud = join(source)
+        cloud = read_parts(source, 2)
         assert cloud.attributes["id"].tolist() == [0, 1, 2, 3, 5]
         assert cloud.normals is not None
         assert cloud.normals.tolist() == [[2, 0, 4], [0, 0, 4], [0, 0, 4], [2, 0, 4], [2, 0, 0]]
@@ -193,7 +179,7 @@ def test_faces_are_not_asked_where_there_are_normals_or_no_corners(make_ply: Mak
         elements = f"element vertex 1\n{XYZ}{columns(names)}element face 1\n"
         elements += FACES if names else "property list uchar float vertex_indices\n"
         source = open_ply(make_ply("ascii", elements, f"{row}\n3 7 8 9\n"))
-        assert len(join(source)) == 1
+        assert len(read_parts(source, 2)) == 1
         assert source.has_normals == bool(names)
 
 
@@ -202,7 +188,7 @@ def test_a_face_of_other_vertices_is_refused(make_ply: Make, corner: int) -> Non
     elements = f"element vertex 3\n{XYZ}element face 1\n{FACES}"
     path = make_ply("ascii", elements, f"0 0 0\n1 0 0\n0 1 0\n3 0 1 {corner}\n")
     with pytest.raises(InputError, match=f"a face names vertex {corner}, but the file has 3"):
-        join(open_ply(path))
+        read_parts(open_ply(path), 2)
 
 
 @pytest.mark.parametrize("scales", [3, 2])
@@ -219,7 +205,7 @@ def test_splats_point_along_their_shortest_axis(make_ply: Make, scales: int) -> 
     body = np.array(rows, "<f4").tobytes()
     path = make_ply("binary_little_endian", f"element vertex 3\n{columns(names)}", body)
     source = open_ply(path)
-    cloud = join(source)
+    cloud = read_parts(source, 2)
     assert source.has_normals
     assert not source.oriented
     assert source.records is None
@@ -254,7 +240,7 @@ def test_splats_without_an_opacity_stay(make_ply: Make) -> None:
     names = "x y z f_dc_0 f_dc_1 f_dc_2 scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3"
     body = np.ones((3, 13), "<f4").tobytes()
     path = make_ply("binary_little_endian", f"element vertex 3\n{columns(names)}", body)
-    assert len(join(open_ply(path))) == 3
+    assert len(read_parts(open_ply(path), 2)) == 3
 
 
 def test_the_camera_is_the_scanner_unless_it_is_at_the_origin(make_ply: Make) -> None:
@@ -285,7 +271,7 @@ def test_a_range_scan_has_a_grid(make_ply: Make, encoding: str, columns_said: in
         else:
             body += struct.pack(f">B{len(cell)}i", len(cell), *cell)
     source = open_ply(make_ply(encoding, elements, body))
-    cloud = join(source)
+    cloud = read_parts(source, 2)
     assert (cloud.positions == POINTS).all()
     if columns_said == 4:  # that is no size of these six
         assert source.scans[0].grid is None
@@ -300,4 +286,4 @@ def test_a_grid_of_other_vertices_is_refused(make_ply: Make) -> None:
     elements = f"obj_info num_cols 1\nobj_info num_rows 1\nelement vertex 1\n{XYZ}"
     path = make_ply("ascii", f"{elements}element range_grid 1\n{FACES}", "1 2 3\n1 1\n")
     with pytest.raises(InputError, match="names vertices beyond the 1 of the file"):
-        join(open_ply(path))
+        read_parts(open_ply(path), 2)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from spheres import make_sphere
 
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import open_points, read_points, write_points
@@ -16,12 +17,6 @@ from hpcapp.io.points.inputs import find_files, gather_points
 from hpccomponent.errors import InputError, UsageError
 
 TETRAHEDRON = "v 0 0 0\nv 4 0 0\nv 0 4 0\nv 0 0 4\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
-
-
-def make_cloud(seed: int, count: int = 50) -> PointCloud:
-    normals = np.random.default_rng(seed).normal(size=(count, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return PointCloud(3.0 * normals, normals)
 
 
 def read(names: list[str], sample: int | None = None) -> PointCloud:
@@ -34,13 +29,13 @@ def give_input(monkeypatch: pytest.MonkeyPatch, content: bytes) -> None:
 
 
 def test_a_single_file_is_read_where_it_is(tmp_path: Path) -> None:
-    write_points(tmp_path / "a.ply", make_cloud(0))
+    write_points(tmp_path / "a.ply", make_sphere(50, seed=0))
     with gather_points([str(tmp_path / "a.ply")]) as path:
         assert path == tmp_path / "a.ply"
 
 
 def test_files_that_fit_a_pattern_are_joined_in_their_order(tmp_path: Path) -> None:
-    clouds = [make_cloud(seed) for seed in range(3)]
+    clouds = [make_sphere(50, seed=seed) for seed in range(3)]
     for name, cloud in zip("cab", clouds, strict=True):
         write_points(tmp_path / f"{name}.xyz", cloud)
     joined = read([str(tmp_path / "?.xyz")])
@@ -52,7 +47,7 @@ def test_files_that_fit_a_pattern_are_joined_in_their_order(tmp_path: Path) -> N
 def test_what_only_some_files_have_is_left_out_and_said(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    cloud = make_cloud(0)
+    cloud = make_sphere(50, seed=0)
     write_points(tmp_path / "a.ply", cloud)
     write_points(tmp_path / "b.ply", PointCloud(cloud.positions))
     assert read([str(tmp_path / "a.ply"), str(tmp_path / "b.ply")]).normals is None
@@ -63,7 +58,7 @@ def test_what_only_some_files_have_is_left_out_and_said(
 def test_points_of_files_without_colours_are_white(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    cloud = make_cloud(0)
+    cloud = make_sphere(50, seed=0)
     red = np.full((50, 3), (200, 10, 10), np.uint8)
     write_points(tmp_path / "a.ply", PointCloud(cloud.positions, cloud.normals))
     write_points(tmp_path / "b.ply", PointCloud(cloud.positions, cloud.normals, red))
@@ -76,14 +71,14 @@ def test_points_of_files_without_colours_are_white(
 
 def test_joined_files_are_called_by_their_formats(tmp_path: Path) -> None:
     for name in ("a.xyz", "b.xyz", "c.npz"):
-        write_points(tmp_path / name, make_cloud(0))
+        write_points(tmp_path / name, make_sphere(50, seed=0))
     with gather_points([str(tmp_path / name) for name in ("a.xyz", "b.xyz", "c.npz")]) as path:
         assert open_points(path).format == "3 files: text, separated by blanks; NPZ"
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".xyz"])
 def test_compressed_files_hold_what_was_compressed(tmp_path: Path, suffix: str) -> None:
-    write_points(tmp_path / f"a{suffix}", make_cloud(0))
+    write_points(tmp_path / f"a{suffix}", make_sphere(50, seed=0))
     packed = tmp_path / f"b{suffix}.gz"
     packed.write_bytes(gzip.compress((tmp_path / f"a{suffix}").read_bytes()))
     plain = read_points(tmp_path / f"a{suffix}")
@@ -93,7 +88,7 @@ def test_compressed_files_hold_what_was_compressed(tmp_path: Path, suffix: str) 
 @pytest.mark.parametrize("damage", [lambda b: b[:-20], lambda b: b[:40] + b"\0" * 9 + b[49:]])
 def test_a_damaged_compressed_file_is_refused_by_its_name(tmp_path: Path, damage: object) -> None:
     assert callable(damage)
-    write_points(tmp_path / "a.ply", make_cloud(0))
+    write_points(tmp_path / "a.ply", make_sphere(50, seed=0))
     packed = tmp_path / "a.ply.gz"
     packed.write_bytes(damage(gzip.compress((tmp_path / "a.ply").read_bytes())))
     with pytest.raises(InputError, match=r"a\.ply\.gz: (cut|damaged)"):
@@ -113,7 +108,7 @@ def test_an_error_names_the_file_that_the_user_named(tmp_path: Path) -> None:
 def test_the_standard_input_is_known_by_its_first_bytes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, is_packed: bool
 ) -> None:
-    write_points(tmp_path / f"a{suffix}", make_cloud(0))
+    write_points(tmp_path / f"a{suffix}", make_sphere(50, seed=0))
     content = (tmp_path / f"a{suffix}").read_bytes()
     give_input(monkeypatch, gzip.compress(content) if is_packed else content)
     plain = read_points(tmp_path / f"a{suffix}")

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import open_points, read_whole
+from hpcapp.io.batches import join_points
 from hpcapp.io.points.point_source import PointSource
 from hpcapp.io.points.recognition import recognise
 
@@ -53,25 +54,11 @@ def make_source(
     return PointSource(Path("a.made"), len(positions), True, normals is not None, scan, **more)
 
 
-def join(parts: list[PointCloud]) -> PointCloud:
-    """Return the parts of a source as one cloud."""
-    normals = [part.normals for part in parts if part.normals is not None]
-    colours = [part.colours for part in parts if part.colours is not None]
-    assert len(normals) in (0, len(parts))
-    assert len(colours) in (0, len(parts))
-    return PointCloud(
-        np.concatenate([part.positions for part in parts]),
-        np.concatenate(normals) if normals else None,
-        np.concatenate(colours) if colours else None,
-        {"number": np.concatenate([part.attributes["number"] for part in parts])},
-    )
-
-
 def read(source: PointSource) -> PointCloud:
     """Return all points of a source, which are the same in small parts and large ones."""
-    found = join(list(source.chunks(700)))
+    found = join_points(list(source.chunks(700)))
     dropped = dict(source.findings.dropped)
-    again = join(list(source.chunks(10**6)))
+    again = join_points(list(source.chunks(10**6)))
     assert source.findings.dropped == dropped
     assert np.array_equal(found.positions, again.positions, equal_nan=True)
     for one, other in ((found.normals, again.normals), (found.colours, again.colours)):

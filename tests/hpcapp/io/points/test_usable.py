@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from spheres import make_sphere
 
 from hpcapp.geometry.points import PointCloud
 from hpcapp.geometry.validity import Dropped
@@ -7,20 +8,14 @@ from hpcapp.io.points.usable import drop_unusable
 from hpccomponent.errors import InputError
 
 
-def sphere(n: int = 40, scale: float = 1.0) -> PointCloud:
-    directions = np.random.default_rng(5).normal(size=(n, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    return PointCloud(scale * directions, directions)
-
-
 def test_a_good_cloud_passes_whole() -> None:
-    cloud, dropped = drop_unusable(sphere())
+    cloud, dropped = drop_unusable(make_sphere(40))
     assert dropped == Dropped(0, 0)
-    assert (cloud.positions == sphere().positions).all()
+    assert (cloud.positions == make_sphere(40).positions).all()
 
 
 def test_bad_points_and_normals_are_dropped_and_counted_once() -> None:
-    good = sphere(40)
+    good = make_sphere(40)
     assert good.normals is not None
     good.positions[[1, 5, 6], [0, 1, 2]] = [np.nan, np.inf, -np.inf]
     good.normals[[5, 7]] = 0.0
@@ -38,7 +33,7 @@ def test_bad_points_and_normals_are_dropped_and_counted_once() -> None:
 
 @pytest.mark.parametrize("length", [1e-300, 1e-160, 0.5, 2.0, 1e200, 1e308])
 def test_normals_of_any_length_become_units(length: float) -> None:
-    given = sphere()
+    given = make_sphere(40)
     assert given.normals is not None
     cloud, _ = drop_unusable(PointCloud(given.positions, given.normals * length))
     assert cloud.normals is not None
@@ -49,9 +44,12 @@ def test_normals_of_any_length_become_units(length: float) -> None:
     ("cloud", "said"),
     [
         (PointCloud(np.empty((0, 3)), np.empty((0, 3))), "holds no points"),
-        (sphere(1), "has 1 usable points; a surface needs at least 10"),
-        (sphere(9), "has 9 usable points"),
-        (PointCloud(sphere().positions, np.zeros((40, 3))), "no usable points after .* 40 with a"),
+        (make_sphere(1), "has 1 usable points; a surface needs at least 10"),
+        (make_sphere(9), "has 9 usable points"),
+        (
+            PointCloud(make_sphere(40).positions, np.zeros((40, 3))),
+            "no usable points after .* 40 with a",
+        ),
         (PointCloud(np.full((40, 3), np.nan), np.ones((40, 3))), "no usable points .* 40 with NaN"),
         (PointCloud(np.full((40, 3), 2.5), np.ones((40, 3))), "all 40 points lie in one place"),
         (PointCloud(np.zeros((40, 3)), np.ones((40, 3))), "one place"),
@@ -73,6 +71,6 @@ def test_points_on_one_line_are_refused(scale: float, direction: list[float]) ->
 
 @pytest.mark.parametrize("scale", [1e-30, 1.0, 1e30])
 def test_coplanar_points_and_narrow_strips_pass(scale: float) -> None:
-    flat = sphere(40, scale).positions * np.array([1.0, 1e-3, 0.0])
+    flat = make_sphere(40, scale).positions * np.array([1.0, 1e-3, 0.0])
     cloud, _ = drop_unusable(PointCloud(flat, np.ones((40, 3))))
     assert len(cloud) == 40

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from read_parts import read_parts
 
-from hpcapp.geometry.points import FloatArray, PointCloud
-from hpcapp.io.points.point_source import PointSource
+from hpcapp.geometry.points import FloatArray
 from hpcapp.io.text.ptx import open_ptx
 from hpccomponent.errors import InputError
 
@@ -38,21 +38,6 @@ def _pose() -> FloatArray:
     return np.vstack([_rotation(), RANDOM.normal(size=3) * 100])
 
 
-def _read(source: PointSource, rows: int = 1 << 20) -> PointCloud:
-    parts = list(source.chunks(rows))
-    assert all(len(part) == rows for part in parts[:-1])
-    colours = [part.colours for part in parts if part.colours is not None]
-    return PointCloud(
-        np.concatenate([part.positions for part in parts]),
-        None,
-        np.concatenate(colours) if colours else None,
-        {
-            name: np.concatenate([part.attributes[name] for part in parts])
-            for name in parts[0].attributes
-        },
-    )
-
-
 def _rows(cells: int, columns: int) -> FloatArray:
     rows = RANDOM.uniform(-10, 10, (cells, columns))
     if columns >= 6:
@@ -66,7 +51,7 @@ def test_a_scan_is_placed_by_its_pose(make_file: Make, columns: int, end: str) -
     pose, rows = _pose(), _rows(6, columns)
     path = make_file("a.ptx", _write((3, 2), rows, pose).replace("\n", end).rstrip())
     source = open_ptx(path)
-    cloud = _read(source)
+    cloud = read_parts(source)
     np.testing.assert_allclose(cloud.positions, rows[:, :3] @ pose[:3] + pose[3], atol=1e-12)
     assert source.count == 6
     assert source.format == "PTX"
@@ -94,7 +79,7 @@ def test_missing_returns_are_dropped_before_the_pose(make_file: Make, rows_at_on
     source = open_ptx(make_file("a.ptx", "".join(_write(*scan) for scan in scans)))
     truth = [rows[rows[:, :3].any(axis=1)][:, :3] @ pose[:3] + pose[3] for _, rows, pose in scans]
     for _ in range(2):  # counted once, however often it is read
-        cloud = _read(source, rows_at_once)
+        cloud = read_parts(source, rows_at_once)
         np.testing.assert_allclose(cloud.positions, np.concatenate(truth), atol=1e-12)
         assert source.findings.dropped == {"missing returns": 8}
     assert cloud.attributes["scan"].tolist() == [0] * 13 + [1] * 5
@@ -106,7 +91,7 @@ def test_missing_returns_are_dropped_before_the_pose(make_file: Make, rows_at_on
 def test_a_matrix_need_not_be_rigid(make_file: Make) -> None:
     pose = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 2], [600_000, 800_000, 400]])
     rows = np.array([[37012.24, 49028.31, 15.83]])
-    cloud = _read(open_ptx(make_file("a.ptx", _write((1, 1), rows, pose))))
+    cloud = read_parts(open_ptx(make_file("a.ptx", _write((1, 1), rows, pose))))
     np.testing.assert_allclose(cloud.positions, [[637012.24, 849028.31, 431.66]], atol=1e-9)
 
 
@@ -121,7 +106,7 @@ def test_where_the_scanner_stood(make_file: Make) -> None:
 def test_scans_that_lack_what_others_have(make_file: Make) -> None:
     first, second = _write((1, 2), _rows(2, 3), _pose()), _write((1, 1), _rows(1, 7), _pose())
     source = open_ptx(make_file("a.ptx", first + "\n\n" + second))
-    cloud = _read(source, 1)
+    cloud = read_parts(source, 1)
     assert cloud.colours is not None
     assert cloud.colours[:2].tolist() == [[255, 255, 255]] * 2
     assert np.isnan(cloud.attributes["intensity"]).tolist() == [True, True, False]
@@ -167,7 +152,7 @@ HEAD = "1\n2\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n"
 def test_what_does_not_fit_is_named(make_file: Make, content: str, said: str) -> None:
     path = make_file("bad.ptx", content)
     with pytest.raises(InputError, match=said) as refusal:
-        _read(open_ptx(path))
+        read_parts(open_ptx(path))
     assert str(refusal.value).startswith(str(path))
 
 
@@ -186,7 +171,7 @@ def test_damage_gives_points_or_an_error(
     path.write_bytes(content)
     said = str(path)
     try:
-        assert _read(open_ptx(path), 3).positions.shape[1] == 3
+        assert read_parts(open_ptx(path), 3).positions.shape[1] == 3
     except InputError as error:
         said = str(error)
     assert str(path) in said

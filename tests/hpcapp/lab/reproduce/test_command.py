@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 from click.testing import CliRunner
+from spheres import make_sphere
 
-from hpcapp.geometry.points import PointCloud
 from hpcapp.io import write_points
 from hpcapp.lab.reproduce.command import reproduce
 from hpccomponent.errors import HpcError, InputError, UsageError
@@ -16,9 +15,7 @@ from hpccomponent.errors import HpcError, InputError, UsageError
 
 @pytest.fixture
 def sphere(tmp_path: Path) -> Path:
-    normals = np.random.default_rng(5).normal(size=(3000, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    write_points(tmp_path / "sphere.ply", PointCloud(2.0 * normals, normals))
+    write_points(tmp_path / "sphere.ply", make_sphere(3000, 2.0))
     return tmp_path / "sphere.ply"
 
 

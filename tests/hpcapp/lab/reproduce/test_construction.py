@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from spheres import make_sphere
 
 from hpcapp.applications.surface.cloud.arranged import MemoryCloud
 from hpcapp.applications.surface.paper.method import PaperMethod
@@ -12,16 +13,12 @@ from hpcapp.geometry.points import PointCloud
 from hpcapp.lab.reproduce.construction import build_discs, project_points
 
 
-def sphere(count: int) -> PointCloud:
-    normals = np.random.default_rng(5).normal(size=(count, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return PointCloud(2.0 * normals, normals)
-
-
 def test_points_come_to_lie_on_their_quadrics() -> None:
     method = PaperMethod(grid=16)
     with open_executor("serial") as opened:
-        partition = method.partition(MemoryCloud.as_they_are(sphere(3000)), opened.workforce)
+        partition = method.partition(
+            MemoryCloud.as_they_are(make_sphere(3000, 2.0)), opened.workforce
+        )
         quadrics = method.fit(partition, opened.workforce, lambda _done, _total: None)
     # Points off their sphere by up to a tenth are put back, and get its normals.
     radii = np.linspace(0.9, 1.1, 3000)[:, None]
@@ -34,7 +31,7 @@ def test_points_come_to_lie_on_their_quadrics() -> None:
 
 @pytest.mark.parametrize("size", [0.5, 1.0])
 def test_discs_lie_across_the_normals_and_have_both_sides(size: float) -> None:
-    points = sphere(50)
+    points = make_sphere(50, 2.0)
     discs = build_discs(points, np.array([[10, 20, 30]], np.uint8), size)
     a, b, c = (discs.vertices[discs.faces[:, k]] for k in range(3))
     normals = np.cross(b - a, c - a)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
+from spheres import make_sphere
 
-from hpcapp.geometry.points import PointCloud
 from hpcapp.io import write_points
 from hpcapp.lab.reproduce.scaling import Run, limit_of_fits, measure, summarise
 from hpccomponent.errors import UsageError
@@ -23,9 +22,7 @@ def runs_of(slow_round: float) -> list[Run]:
 
 @pytest.mark.slow
 def test_rounds_go_forth_and_back(tmp_path: Path) -> None:
-    normals = np.random.default_rng(5).normal(size=(3000, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    write_points(tmp_path / "sphere.ply", PointCloud(2.0 * normals, normals))
+    write_points(tmp_path / "sphere.ply", make_sphere(3000, 2.0))
     found = list(measure(tmp_path / "sphere.ply", 16, 2, 1, backend="threads"))
     assert [(run.round, run.workers, run.way) for run in found] == [
         (0, 0, "fits"), (0, 0, "tiles"), (0, 1, "fits"), (0, 1, "tiles"),
@@ -37,9 +34,7 @@ def test_rounds_go_forth_and_back(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_real_workers_get_every_point_once(tmp_path: Path) -> None:
-    normals = np.random.default_rng(5).normal(size=(3000, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    write_points(tmp_path / "sphere.ply", PointCloud(2.0 * normals, normals))
+    write_points(tmp_path / "sphere.ply", make_sphere(3000, 2.0))
     sent = {
         (run.way, run.workers): run.bytes_sent for run in measure(tmp_path / "sphere.ply", 16, 1, 1)
     }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from level_sets import mesh_level_set
 from skimage.measure import marching_cubes
 
 import hpcapp
@@ -27,12 +28,9 @@ def block() -> hpcapp.Mesh:
 
 
 def ball(radius: float, at: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> hpcapp.Mesh:
-    axis = np.linspace(-1.3, 1.3, 50)
-    value = np.linalg.norm(np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1), axis=-1)
-    # scikit-image has no types
-    vertices, faces, _, _ = marching_cubes(value, 1.0)  # type: ignore[no-untyped-call]
-    vertices -= vertices.mean(axis=0)
-    return hpcapp.Mesh(at + radius * vertices / np.linalg.norm(vertices, axis=1)[:, None], faces)
+    mesh = mesh_level_set(lambda *place: np.linalg.norm(place, axis=0) - 1.0, 1.3, 50)
+    lengths = np.linalg.norm(mesh.vertices, axis=1, keepdims=True)
+    return hpcapp.Mesh(at + radius * mesh.vertices / lengths, mesh.faces)
 
 
 def measure(new: hpcapp.Mesh, old: hpcapp.Mesh, registration: float | None = None) -> SolidChange:
