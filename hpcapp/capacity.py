@@ -29,7 +29,7 @@ _ROOT = Path("/")
 
 
 @dataclass(frozen=True, slots=True)
-class Needs:
+class WorkerNeeds:
     """What one worker takes by being there.
 
     Parameters
@@ -53,9 +53,9 @@ class Needs:
 NEEDS = {
     # a lifeline, a log, the process itself, a connection; a loader, a component of three threads
     # and a worker of one, which has a second one where no kernel ends it with its parent
-    "zmq": Needs(descriptors=4, tasks=6, own_tasks=8, memory=64 << 20),
-    "processes": Needs(descriptors=2, tasks=2, own_tasks=8, memory=48 << 20),
-    "threads": Needs(descriptors=0, tasks=1, own_tasks=2, memory=1 << 20),
+    "zmq": WorkerNeeds(descriptors=4, tasks=6, own_tasks=8, memory=64 << 20),
+    "processes": WorkerNeeds(descriptors=2, tasks=2, own_tasks=8, memory=48 << 20),
+    "threads": WorkerNeeds(descriptors=0, tasks=1, own_tasks=2, memory=1 << 20),
 }
 """By the name of a backend."""
 

@@ -90,7 +90,7 @@ class RayGoneError(WorkerLostError):
     """Ray itself was lost: a process cannot use another one after it."""
 
 
-class Head:
+class RayHead:
     """Where Ray's head listens, and whether it still does."""
 
     def __init__(self, host: str, port: int) -> None:
@@ -141,7 +141,7 @@ class RayExecutor(Executor):
 
     workers: int
 
-    def __init__(self, ray: ModuleType, cores: int, head: Head) -> None:
+    def __init__(self, ray: ModuleType, cores: int, head: RayHead) -> None:
         self.workers = cores
         self._ray = ray
         self._head = head
@@ -309,7 +309,7 @@ def open_ray(address: str | None, workers: int | None) -> Iterator[RetryingExecu
 
 
 @contextmanager
-def _start(cores: int) -> Iterator[tuple[ModuleType, Head]]:
+def _start(cores: int) -> Iterator[tuple[ModuleType, RayHead]]:
     """Start a Ray of this machine that listens on loopback only, to who knows its token."""
     variables = QUIET | ONE_THREAD | {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": _token()}
     variables |= LOOPBACK_ONLY
@@ -334,13 +334,13 @@ def _start(cores: int) -> Iterator[tuple[ModuleType, Head]]:
 
 
 @contextmanager
-def _connect(address: str) -> Iterator[tuple[ModuleType, Head]]:
+def _connect(address: str) -> Iterator[tuple[ModuleType, RayHead]]:
     """Connect to a Ray that runs."""
     scheme, _, place = address.rpartition("://")
     head, variables = None, QUIET
     if place != "auto":
         host, _, port = place.rpartition(":")
-        head = Head(host.strip("[]"), int(port))
+        head = RayHead(host.strip("[]"), int(port))
         if host in ("localhost", LOOPBACK):  # else Ray looks for the machine's other address
             variables = QUIET | LOOPBACK_ONLY
         try:
@@ -360,9 +360,9 @@ def _start_advice(scheme: str) -> str:
     return f"start one with 'ray start --head {port}', or correct the address"
 
 
-def _find_head(ray: ModuleType) -> Head:
+def _find_head(ray: ModuleType) -> RayHead:
     host, _, port = ray.get_runtime_context().gcs_address.rpartition(":")
-    return Head(host.strip("[]"), int(port))
+    return RayHead(host.strip("[]"), int(port))
 
 
 @contextmanager

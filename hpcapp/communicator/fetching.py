@@ -44,7 +44,7 @@ TakeBuffers = Callable[[Sequence[int]], Sequence[Buffer]]
 
 
 @dataclass(slots=True, eq=False)
-class _Parcel:
+class _PartialParcel:
     announce: Announce
     is_wanted: bool
     missing: int
@@ -85,10 +85,10 @@ class _QueuedMessage:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Request:
+class PieceRequest:
     """A piece of a parcel that has been asked for."""
 
-    parcel: _Parcel
+    parcel: _PartialParcel
     start: int
     end: int
 
@@ -119,9 +119,9 @@ class Request:
 class _WorkerQueue:
     """What a worker has said of its batches, from its first parcel on, in order."""
 
-    items: deque[_Parcel | _QueuedMessage] = field(default_factory=deque)
+    items: deque[_PartialParcel | _QueuedMessage] = field(default_factory=deque)
     waiting_bytes: int = 0
-    asked: dict[int, Request] = field(default_factory=dict)
+    asked: dict[int, PieceRequest] = field(default_factory=dict)
     asked_bytes: int = 0
     heard: int = 0  # the number of the last results that it has sent or announced,
     taken: int = 0  # of the last that are wanted no more,
@@ -150,7 +150,7 @@ class Fetcher:
     def batches(self, worker: bytes) -> set[int]:
         """Return the batches of which something waits."""
         return {
-            item.announce.batch if isinstance(item, _Parcel) else item.message.batch
+            item.announce.batch if isinstance(item, _PartialParcel) else item.message.batch
             for item in (self._queues[worker].items if worker in self._queues else ())
         }
 
@@ -174,7 +174,7 @@ class Fetcher:
             return
         queue.heard = announce.number
         size = announce.head_bytes + announce.payload_bytes
-        self._append(queue, _Parcel(announce, limit > 0, size if limit else 0), 0)
+        self._append(queue, _PartialParcel(announce, limit > 0, size if limit else 0), 0)
 
     def note_taken(self, worker: bytes, results: Results, size_bytes: int) -> None:
         """Note that results which came unasked, and had nothing to wait for, have been taken."""
@@ -188,7 +188,7 @@ class Fetcher:
         waiting = _QueuedMessage(message, frames)
         self._append(self._queue(worker), waiting, waiting.size)
 
-    def take(self, worker: bytes, number: int) -> Request | None:
+    def take(self, worker: bytes, number: int) -> PieceRequest | None:
         """Return what was asked for under this number, once; ProtocolError if nothing ever was."""
         if not 0 < number <= self.last:
             raise ProtocolError(f"it sends piece {number}, which nobody asked for")
@@ -222,12 +222,12 @@ class Fetcher:
             queue.said, queue.untold_bytes = queue.taken, 0
             yield Release(self._session, queue.taken)
         for item in queue.items:
-            while isinstance(item, _Parcel) and self._has_room(queue):
+            while isinstance(item, _PartialParcel) and self._has_room(queue):
                 span = item.take_range()
                 if span is None:
                     break
                 self.last += 1
-                request = queue.asked[self.last] = Request(item, *span)
+                request = queue.asked[self.last] = PieceRequest(item, *span)
                 queue.asked_bytes += request.size
                 self._asked_bytes += request.size
                 yield Fetch(self._session, self.last, item.announce.number, *span)
@@ -240,7 +240,7 @@ class Fetcher:
         queue = self._queues.get(worker)
         while queue is not None and queue.items:
             item = queue.items[0]
-            if isinstance(item, _Parcel) and item.missing:
+            if isinstance(item, _PartialParcel) and item.missing:
                 return
             queue.items.popleft()
             if isinstance(item, _QueuedMessage):
@@ -260,7 +260,9 @@ class Fetcher:
     def _queue(self, worker: bytes) -> _WorkerQueue:
         return self._queues.setdefault(worker, _WorkerQueue())
 
-    def _append(self, queue: _WorkerQueue, item: _Parcel | _QueuedMessage, size: int) -> None:
+    def _append(
+        self, queue: _WorkerQueue, item: _PartialParcel | _QueuedMessage, size: int
+    ) -> None:
         queue.waiting_bytes += size
         if len(queue.items) >= MOST_WAITING or queue.waiting_bytes > UNASKED_BYTES:
             raise ProtocolError("it sends results, but not those that it has announced before them")
@@ -272,7 +274,7 @@ class Fetcher:
         is_narrow = self._asked_bytes + PIECE_BYTES > MOST_ASKED_BYTES
         return not is_narrow and queue.asked_bytes + PIECE_BYTES <= WINDOW_BYTES
 
-    def _forget_request(self, queue: _WorkerQueue, number: int) -> Request:
+    def _forget_request(self, queue: _WorkerQueue, number: int) -> PieceRequest:
         request = queue.asked.pop(number)
         queue.asked_bytes -= request.size
         self._asked_bytes -= request.size
@@ -283,7 +285,7 @@ def _frames_taker(frames: Sequence[Buffer]) -> TakeBuffers:
     return lambda sizes: join_frames(frames, sizes)
 
 
-def _open(parcel: _Parcel) -> tuple[Results, TakeBuffers]:
+def _open(parcel: _PartialParcel) -> tuple[Results, TakeBuffers]:
     announce = parcel.announce
     content = parcel.content.toreadonly()
     results = decode_component_message(content[: announce.head_bytes])

@@ -82,7 +82,7 @@ class WatchedJob(ProgressObserver):
     @contextmanager
     def running(self) -> Iterator[None]:
         """Take what the program logs, while the job runs in the block, and how the job ends."""
-        handler = _Lines(self)
+        handler = _LogRelay(self)
         logger = logging.getLogger("hpcapp")
         logger.addHandler(handler)
         try:
@@ -96,7 +96,7 @@ class WatchedJob(ProgressObserver):
             logger.removeHandler(handler)
 
 
-class _Lines(logging.Handler):
+class _LogRelay(logging.Handler):
     """Hands what is logged to a watched job."""
 
     def __init__(self, job: WatchedJob) -> None:

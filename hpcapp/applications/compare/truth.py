@@ -19,7 +19,7 @@ from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import holds_faces, open_points, read_mesh, read_points, take_finite
 from hpcapp.io.points.mesh_samples import sample_faces
 from hpcapp.io.usable_mesh import check_usable
-from hpcapp.lab.simulate.implicit import Shape, diagonal_of
+from hpcapp.lab.simulate.implicit import Solid, diagonal_of
 from hpcapp.lab.simulate.rays import closest_points
 from hpcapp.lab.simulate.scanner import sample_surface
 from hpcapp.lab.simulate.shapes import find_shape
@@ -66,7 +66,7 @@ class ShapeTruth:
     is_closed = True
     unit = ""
 
-    def __init__(self, shape: Shape) -> None:
+    def __init__(self, shape: Solid) -> None:
         self.shape = shape
         self.diagonal = diagonal_of(shape)
         self._guesses = sample_surface(shape, _GUESSES, seed=1).positions

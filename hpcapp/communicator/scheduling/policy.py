@@ -47,7 +47,7 @@ class Load(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Placement:
+class TaskPlacement:
     """The policy's choice.
 
     With `is_fixed` all of the tasks wait for this worker, even where its credit window is full;
@@ -70,7 +70,7 @@ class Policy(Protocol):
         """Tell whether idle workers run stragglers a second time."""
         ...
 
-    def place(self, waiting: int, loads: Sequence[Load]) -> Placement | None:
+    def place(self, waiting: int, loads: Sequence[Load]) -> TaskPlacement | None:
         """Choose the worker for the next of `waiting` tasks, or nobody for now.
 
         Called until it says nobody, or nothing waits; `loads` is in the order of registration
@@ -89,11 +89,11 @@ class EqualPolicy:
     is_speculative = False
     batches_per_worker: ClassVar[int] = 1
 
-    def place(self, waiting: int, loads: Sequence[Load]) -> Placement | None:
+    def place(self, waiting: int, loads: Sequence[Load]) -> TaskPlacement | None:
         """Choose the worker that has been given the fewest tasks."""
         del waiting
         fewest = min(range(len(loads)), key=lambda i: loads[i].placed)
-        return Placement(fewest, 1, is_fixed=True)
+        return TaskPlacement(fewest, 1, is_fixed=True)
 
 
 class PullPolicy:
@@ -110,12 +110,12 @@ class PullPolicy:
     def __init__(self, depth: int = 2) -> None:
         self.depth = depth
 
-    def place(self, waiting: int, loads: Sequence[Load]) -> Placement | None:
+    def place(self, waiting: int, loads: Sequence[Load]) -> TaskPlacement | None:
         """Choose the worker with the shortest queue, unless that is full too."""
         shortest = min(range(len(loads)), key=lambda i: loads[i].queued)
         if loads[shortest].queued >= self.depth:
             return None
-        return Placement(shortest, -(-waiting // (4 * len(loads))))
+        return TaskPlacement(shortest, -(-waiting // (4 * len(loads))))
 
 
 class AdaptivePolicy:
@@ -131,7 +131,7 @@ class AdaptivePolicy:
     is_speculative = True
     batches_per_worker: ClassVar[int] = 4
 
-    def place(self, waiting: int, loads: Sequence[Load]) -> Placement | None:
+    def place(self, waiting: int, loads: Sequence[Load]) -> TaskPlacement | None:
         """Choose the worker that has the next task done first, if any has room for it."""
         most = DEPTH if waiting >= len(loads) else 1  # the last ones go to whoever is idle first
         free = [i for i, load in enumerate(loads) if _has_room(load, most)]
@@ -141,12 +141,12 @@ class AdaptivePolicy:
         load = loads[chosen]
         if math.isinf(load.next_s):  # nothing is known of such tasks: one each
             idle = [i for i in free if loads[i].queued == 0]
-            return Placement(min(idle, key=lambda i: loads[i].slowness), 1) if idle else None
+            return TaskPlacement(min(idle, key=lambda i: loads[i].slowness), 1) if idle else None
         others = [*loads[:chosen], *loads[chosen + 1 :]]
         if load.remaining_s + load.next_s > _time_of(others, waiting):
             return None
         share = 1.0 / load.next_s / sum(1.0 / load.next_s for load in loads)
-        return Placement(chosen, max(1, math.ceil(waiting * share / 4.0)))
+        return TaskPlacement(chosen, max(1, math.ceil(waiting * share / 4.0)))
 
 
 def _has_room(load: Load, most: int) -> bool:

@@ -39,7 +39,7 @@ from hpcapp.communicator.scheduling.state import (
     Welcome,
     Worker,
 )
-from hpcapp.communicator.scheduling.verification import Verdict, Verification, explain_dispute
+from hpcapp.communicator.scheduling.verification import AnswerVerdict, Verification, explain_dispute
 from hpccomponent.clock import Clock
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import DistrustError, HpcError
@@ -359,10 +359,10 @@ class Scheduler:
         if lying and result.written:  # what a liar has written may be what others read
             self.verification.note_written(lying)
         liars |= dict.fromkeys(lying, f"its answer to {task.name!r} is not that of the others")
-        if verdict is Verdict.BELIEVED:
+        if verdict is AnswerVerdict.BELIEVED:
             return None
         task.holders.pop(worker.identity, None)
-        if verdict is Verdict.UNDECIDED:
+        if verdict is AnswerVerdict.UNDECIDED:
             self._withdraw(self.tasks.pop(task.number))
             return [Fail(task.number, explain_dispute(task))]
         if not task.holders:

@@ -55,7 +55,7 @@ one, so that two that conspire throw nobody out."""
 _NO_LIES = (UsageError, CloudError, JobCancelledError, NoWorkersError, WorkerLostError, OSError)
 
 
-class Verdict(Enum):
+class AnswerVerdict(Enum):
     """What becomes of an answer."""
 
     BELIEVED = "believed"
@@ -121,7 +121,7 @@ class Verification:
 
     def judge(
         self, task: Task, machine: str, others: Collection[str], digest: Callable[[], bytes]
-    ) -> tuple[Verdict, list[str]]:
+    ) -> tuple[AnswerVerdict, list[str]]:
         """Judge an answer, and name the machines that have lied.
 
         These have given another answer than two others, or three where four machines can answer, or
@@ -134,10 +134,10 @@ class Verification:
         self.machines = max(self.machines, machines)
         if is_first and not (task.is_verified and self._is_drawn(machines)):
             self.answers[frozenset({machine})] += 1
-            return Verdict.BELIEVED, []
+            return AnswerVerdict.BELIEVED, []
         answer, earlier = digest(), task.answers.get(machine)
         if earlier is not None and earlier != answer:
-            return Verdict.ASK_ANOTHER, [machine]
+            return AnswerVerdict.ASK_ANOTHER, [machine]
         task.answers[machine] = answer
         counts = Counter(task.answers.values())
         [(accepted, agreeing)] = counts.most_common(1)
@@ -145,18 +145,18 @@ class Verification:
         if agreeing >= (2 if len(counts) == 1 or is_small else LEAST_MACHINES):
             lying = [name for name, given in task.answers.items() if given != accepted]
             if answer != accepted:
-                return Verdict.ASK_ANOTHER, lying
+                return AnswerVerdict.ASK_ANOTHER, lying
             self.verified += 1
             self.answers[frozenset(task.answers.keys() - lying)] += 1
-            return Verdict.BELIEVED, lying
+            return AnswerVerdict.BELIEVED, lying
         if others:
             self.disagreements += len(counts) == len(task.answers) == 2
-            return Verdict.ASK_ANOTHER, []
+            return AnswerVerdict.ASK_ANOTHER, []
         if len(counts) > 1:
-            return Verdict.UNDECIDED, []
+            return AnswerVerdict.UNDECIDED, []
         self.unverified += 1
         self.answers[frozenset({machine})] += 1
-        return Verdict.BELIEVED, []
+        return AnswerVerdict.BELIEVED, []
 
     def _is_drawn(self, machines: int) -> bool:
         share = 1.0 if self.everything else self.share or 0.0

@@ -20,7 +20,7 @@ from hpccomponent.dataclass import dataclass
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Piece:
+class CutPiece:
     """A mesh that is being cut; vertices (v, 3) may be in no face of the faces (f, 3).
 
     Each vertex has for its source, (v,), the one of the whole mesh that it is, or that is nearest
@@ -45,7 +45,7 @@ class Cutter(Protocol):
         """The greatest, likewise."""
         ...
 
-    def cut(self, piece: Piece) -> Piece:
+    def cut(self, piece: CutPiece) -> CutPiece:
         """Return what of a mesh lies in it."""
         ...
 
@@ -70,7 +70,7 @@ def clip_mesh(mesh: Mesh, region: Cutter) -> Mesh:
     """
     beyond = find_beyond(mesh.vertices, region)
     is_near = np.bitwise_and.reduce(beyond[mesh.faces], axis=1) == 0
-    near = Piece(mesh.vertices, mesh.faces[is_near], np.arange(len(mesh.vertices)))
+    near = CutPiece(mesh.vertices, mesh.faces[is_near], np.arange(len(mesh.vertices)))
     piece = region.cut(near)
     used, corners = np.unique(piece.faces, return_inverse=True)
     sources = piece.sources[used]
@@ -84,7 +84,7 @@ def clip_mesh(mesh: Mesh, region: Cutter) -> Mesh:
     )
 
 
-def clip_box(piece: Piece, low: FloatArray, high: FloatArray) -> Piece:
+def clip_box(piece: CutPiece, low: FloatArray, high: FloatArray) -> CutPiece:
     """Return what of a mesh lies between two corners."""
     for axis in range(3):
         for sign, bound in ((-1.0, low[axis]), (1.0, high[axis])):
@@ -93,7 +93,7 @@ def clip_box(piece: Piece, low: FloatArray, high: FloatArray) -> Piece:
     return piece
 
 
-def clip_ball(piece: Piece, centre: FloatArray, radius: float) -> Piece:
+def clip_ball(piece: CutPiece, centre: FloatArray, radius: float) -> CutPiece:
     """Return what of a mesh lies within a distance of a place."""
     level = np.linalg.norm(piece.vertices - centre, axis=1) - radius
     return _clip(piece, level, _Sphere(centre, radius))
@@ -132,7 +132,7 @@ class _Sphere:
         return places, share
 
 
-def _clip(piece: Piece, level: FloatArray, border: _Plane | _Sphere) -> Piece:
+def _clip(piece: CutPiece, level: FloatArray, border: _Plane | _Sphere) -> CutPiece:
     """Leave out what has a positive level; the vertices of what is left out stay."""
     vertices, faces, outside = piece.vertices, piece.faces, level > 0.0
     count = outside[faces].sum(axis=1)
@@ -165,7 +165,7 @@ def _clip(piece: Piece, level: FloatArray, border: _Plane | _Sphere) -> Piece:
         ]
     )
     is_face = (cut != np.roll(cut, 1, axis=1)).all(axis=1)
-    return Piece(
+    return CutPiece(
         np.concatenate([vertices, places]),
         cut[is_face],
         np.concatenate([piece.sources, piece.sources[nearest]]),

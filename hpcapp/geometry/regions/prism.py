@@ -9,7 +9,7 @@ import numpy as np
 
 from hpcapp.extras import load_library
 from hpcapp.geometry.points import BoolArray, FloatArray
-from hpcapp.geometry.regions.clipping import Piece
+from hpcapp.geometry.regions.clipping import CutPiece
 from hpcapp.geometry.regions.region import Region, say_place
 from hpcapp.geometry.regions.splitting import Walls
 from hpccomponent.dataclass import dataclass
@@ -70,7 +70,7 @@ class Prism:
         meets: BoolArray = shapely.intersects(self.polygons, boxes)
         return meets
 
-    def cut(self, piece: Piece) -> Piece:
+    def cut(self, piece: CutPiece) -> CutPiece:
         """Return what of a mesh, in its frame, lies in it."""
         split = Walls(self.segments, load_shapely()).split(piece)
         middles = split.vertices[split.faces].mean(axis=1)

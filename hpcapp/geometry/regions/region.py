@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from hpcapp.geometry.points import BoolArray, FloatArray
-from hpcapp.geometry.regions.clipping import Cutter, Piece, clip_ball, clip_box
+from hpcapp.geometry.regions.clipping import CutPiece, Cutter, clip_ball, clip_box
 from hpcapp.geometry.regions.splitting import refine_at_sphere
 from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.records import record
@@ -103,7 +103,7 @@ class Region:
         meets: BoolArray = np.all((lows <= self.high) & (highs >= self.low), axis=1)
         return meets
 
-    def cut(self, piece: Piece) -> Piece:
+    def cut(self, piece: CutPiece) -> CutPiece:
         """Return what of a mesh, in its frame with z in the unit of x and y, lies in it."""
         if self.radius < np.inf:
             fine = refine_at_sphere(piece, self.centre, self.radius)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from hpcapp.geometry.points import FloatArray, IntArray
-from hpcapp.geometry.regions.clipping import Piece
+from hpcapp.geometry.regions.clipping import CutPiece
 
 _SAME = 1e-9
 """What is nearer, in the largest coordinate, is one place: rounding is some 1e-16 of that."""
@@ -30,7 +30,7 @@ _Events = tuple[IntArray, IntArray, FloatArray]
 """Which edges are split, by which wall or corner, and at which share of their length."""
 
 
-def refine_at_sphere(piece: Piece, centre: FloatArray, radius: float) -> Piece:
+def refine_at_sphere(piece: CutPiece, centre: FloatArray, radius: float) -> CutPiece:
     """Halve the long edges of the faces that a sphere goes through: some have no end within."""
 
     def find(ends: FloatArray, same: float) -> _Events:
@@ -54,14 +54,14 @@ class Walls:
         self._corners = np.unique(segments.reshape(-1, 2), axis=0)
         self._corner_tree = shapely.STRtree(shapely.points(self._corners))
 
-    def split(self, piece: Piece) -> Piece:
+    def split(self, piece: CutPiece) -> CutPiece:
         """Split the faces that walls go through; they come last."""
         same = _SAME * max(np.abs(self._segments).max(), np.abs(piece.vertices).max(initial=0.0))
         boxes = self._box(piece.vertices[piece.faces], 2.0 * same)
         is_near = np.zeros(len(piece.faces), np.bool_)
         is_near[self._tree.query(boxes, predicate="intersects")[0]] = True
         used, corners = np.unique(piece.faces[is_near], return_inverse=True)
-        near = Piece(piece.vertices[used], corners.reshape(-1, 3), used)
+        near = CutPiece(piece.vertices[used], corners.reshape(-1, 3), used)
         for _ in self._corners:
             if (split := self._split_faces(near, same)) is None:
                 break
@@ -75,7 +75,7 @@ class Walls:
             [used, len(piece.vertices) + np.arange(len(near.vertices) - len(used))]
         )
         faces = np.concatenate([piece.faces[~is_near], names[near.faces]])
-        return Piece(
+        return CutPiece(
             np.concatenate([piece.vertices, near.vertices[len(used) :]]),
             faces,
             np.concatenate([piece.sources, piece.sources[near.sources[len(used) :]]]),
@@ -86,7 +86,7 @@ class Walls:
         low, high = places[:, :, :2].min(axis=1) - margin, places[:, :, :2].max(axis=1) + margin
         return self._shapely.box(low[:, 0], low[:, 1], high[:, 0], high[:, 1])
 
-    def _split_faces(self, piece: Piece, same: float) -> Piece | None:
+    def _split_faces(self, piece: CutPiece, same: float) -> CutPiece | None:
         """Split in three each face that has a corner within."""
         triangles = piece.vertices[piece.faces]
         faces, corners = self._corner_tree.query(self._box(triangles, 0.0))
@@ -109,7 +109,7 @@ class Walls:
         a, b, c = piece.faces[faces].T
         parts = [np.stack([*pair, middle], axis=1) for pair in ((a, b), (b, c), (c, a))]
         nearest = piece.faces[faces, weights.argmax(axis=1)]
-        return Piece(
+        return CutPiece(
             np.concatenate([piece.vertices, made]),
             np.concatenate([np.delete(piece.faces, faces, axis=0), *parts]),
             np.concatenate([piece.sources, piece.sources[nearest]]),
@@ -154,8 +154,8 @@ def _measure_side(
 
 
 def _split_edges(
-    piece: Piece, find: Callable[[FloatArray, float], _Events], same: float
-) -> Piece | None:
+    piece: CutPiece, find: Callable[[FloatArray, float], _Events], same: float
+) -> CutPiece | None:
     """Split edges once each, at the first wall or corner that is found; None where none is."""
     edges = np.sort(piece.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     distinct, which = np.unique(edges, axis=0, return_inverse=True)
@@ -172,7 +172,7 @@ def _split_edges(
     made = piece.vertices[start] + shares[:, None] * (piece.vertices[end] - piece.vertices[start])
     nearest = np.where(shares < 0.5, start, end)
     sides = which.reshape(-1, 3)
-    return Piece(
+    return CutPiece(
         np.concatenate([piece.vertices, made]),
         _share_faces(piece.faces, middle[sides], rank[sides]),
         np.concatenate([piece.sources, piece.sources[nearest]]),

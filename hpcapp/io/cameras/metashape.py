@@ -48,7 +48,7 @@ def read_metashape(path: Path) -> FloatArray:
     Raise ValueError where the XML is not sound, declares a document type, or has words where
     numbers belong.
     """
-    parser = _Parser()
+    parser = _TransformParser()
     with path.open("rb") as file:
         while part := file.read(_AT_ONCE):
             parser.feed(part)
@@ -57,7 +57,7 @@ def read_metashape(path: Path) -> FloatArray:
     return np.concatenate([np.empty((0, 6)), *cameras])
 
 
-class _Parser:
+class _TransformParser:
     """Keeps the transforms of cameras, chunks and components, and nothing else."""
 
     def __init__(self) -> None:

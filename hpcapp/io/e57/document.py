@@ -32,15 +32,15 @@ _AT_ONCE = 1 << 20
 
 
 @dataclass(slots=True, eq=False)
-class Element:
+class XmlElement:
     """An element of the document, by its name with the prefix that it has in the file."""
 
     name: str
     attributes: dict[str, str]
-    children: list[Element] = field(default_factory=list)
+    children: list[XmlElement] = field(default_factory=list)
     text: str = ""
 
-    def find(self, *path: str) -> Element | None:
+    def find(self, *path: str) -> XmlElement | None:
         """Return the element below this one, named level by level; None where there is none."""
         element = self
         for name in path:
@@ -65,14 +65,14 @@ class Element:
         return value * float(named.get("scale", 1)) + float(named.get("offset", 0))
 
 
-def read_document(path: Path) -> Element:
+def read_document(path: Path) -> XmlElement:
     """Read the XML section of a file, and return its root.
 
     Raise InputError where it is no E57 file, is cut, or its XML is not sound.
     """
     with path.open("rb") as file:
         place, length = _find_xml(file, path)
-        parser = _Parser(path)
+        parser = _DocumentParser(path)
         for part in _read_pages(file, path, place, length):
             parser.feed(part)
     return parser.finish()
@@ -134,12 +134,12 @@ def sum_pages(pages: ByteArray) -> NDArray[np.uint32]:
     return sums ^ _ALL_ONES
 
 
-class _Parser:
+class _DocumentParser:
     """Builds the elements of a document, as far as there may be so many."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._top = Element("", {"type": "Vector"})
+        self._top = XmlElement("", {"type": "Vector"})
         self._open = [self._top]
         self._elements = 0
         self._parser = expat.ParserCreate()
@@ -153,7 +153,7 @@ class _Parser:
     def feed(self, part: bytes) -> None:
         self._parse(part, False)
 
-    def finish(self) -> Element:
+    def finish(self) -> XmlElement:
         self._parse(b"", True)
         return self._top.children[0]
 
@@ -174,7 +174,7 @@ class _Parser:
             raise refuse(
                 self._path, f"its XML has more than {_MOST_CHILDREN} elements in {parent.name[:40]}"
             )
-        element = Element(name, attributes)
+        element = XmlElement(name, attributes)
         parent.children.append(element)
         self._open.append(element)
 

@@ -11,7 +11,7 @@ from hpcapp.extras import require_library
 from hpcapp.geometry.points import FloatArray, Int32Array, PointCloud
 from hpcapp.io.batches import batch_points
 from hpcapp.io.columns import Numbers
-from hpcapp.io.e57.document import Element, read_document, refuse
+from hpcapp.io.e57.document import XmlElement, read_document, refuse
 from hpcapp.io.e57.scans import (
     GRID,
     SPHERICAL,
@@ -97,7 +97,7 @@ def _place_scanners(scans: Sequence[E57Scan]) -> tuple[Scan, ...]:
     )
 
 
-def _describe_scans(root: Element, path: Path, findings: Findings) -> list[E57Scan]:
+def _describe_scans(root: XmlElement, path: Path, findings: Findings) -> list[E57Scan]:
     nodes = root.find("data3D")
     if nodes is None or not nodes.children:
         raise InputError(f"{path}: holds no scan", "check that the right file was exported")
@@ -115,7 +115,7 @@ def _describe_scans(root: Element, path: Path, findings: Findings) -> list[E57Sc
     return bound_grids(scans, path)
 
 
-def _find_crs(root: Element) -> str | None:
+def _find_crs(root: XmlElement) -> str | None:
     stated = root.find("coordinateMetadata")
     return None if stated is None else stated.text.strip() or None
 

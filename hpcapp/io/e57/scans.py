@@ -12,7 +12,7 @@ import numpy as np
 
 from hpcapp.geometry.axes import turn_by
 from hpcapp.geometry.points import FloatArray
-from hpcapp.io.e57.document import Element, refuse
+from hpcapp.io.e57.document import XmlElement, refuse
 from hpcapp.io.e57.packets import hold_more
 from hpcapp.io.frame import check_coordinates
 from hpcapp.io.points.column_roles import COLOURS, find_role
@@ -99,7 +99,7 @@ class E57Scan:
         return all(name in self.columns for name in names)
 
 
-def describe_scan(node: Element, index: int, path: Path) -> E57Scan:
+def describe_scan(node: XmlElement, index: int, path: Path) -> E57Scan:
     """Find out what a scan holds, its grid set aside.
 
     Raise InputError where it has no coordinates, or the file has no room for its points.
@@ -134,7 +134,7 @@ def describe_scan(node: Element, index: int, path: Path) -> E57Scan:
     )
 
 
-def _count_points(points: Element, fields: dict[str, Element], index: int, path: Path) -> int:
+def _count_points(points: XmlElement, fields: dict[str, XmlElement], index: int, path: Path) -> int:
     """Return how many points a scan declares; the file must have room for them."""
     count = int(points.attributes.get("recordCount", 0))
     bits = max(1, sum(_count_bits(field) for field in fields.values()))
@@ -148,7 +148,7 @@ def _count_points(points: Element, fields: dict[str, Element], index: int, path:
     return count
 
 
-def holds_more(node: Element, points: int, path: Path) -> bool:
+def holds_more(node: XmlElement, points: int, path: Path) -> bool:
     """Tell whether a scan surely holds more points than the XML declares."""
     vector, prototype = node.find("points"), node.find("points", "prototype")
     if vector is None or prototype is None or not points:
@@ -160,7 +160,7 @@ def holds_more(node: Element, points: int, path: Path) -> bool:
     return hold_more(path, int(vector.attributes.get("fileOffset", 0)), bits, points)
 
 
-def _count_bits(field: Element) -> int:
+def _count_bits(field: XmlElement) -> int:
     """Return the bits that a value of a field takes in the file."""
     named = field.attributes
     if named["type"] == "Float":
@@ -245,11 +245,11 @@ def _name_columns(fields: Iterable[str]) -> dict[str, str]:
     return columns
 
 
-def _read_pose(node: Element, part: str, names: str) -> FloatArray:
+def _read_pose(node: XmlElement, part: str, names: str) -> FloatArray:
     return np.array([node.number("pose", part, name) or 0.0 for name in names])
 
 
-def _find_rotation(node: Element) -> FloatArray:
+def _find_rotation(node: XmlElement) -> FloatArray:
     """Return the rotation of a pose, given as a quaternion, as a matrix."""
     quaternion = _read_pose(node, "rotation", "wxyz")
     length = np.linalg.norm(quaternion)
@@ -257,7 +257,7 @@ def _find_rotation(node: Element) -> FloatArray:
 
 
 def _find_colour_limit(
-    node: Element, fields: dict[str, Element], columns: dict[str, str]
+    node: XmlElement, fields: dict[str, XmlElement], columns: dict[str, str]
 ) -> float | None:
     """Return the largest value that a colour can have, as stated, or as its field can hold."""
     limits: list[float] = []

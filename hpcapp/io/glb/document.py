@@ -88,7 +88,7 @@ class Node(msgspec.Struct):
     extras: msgspec.Raw = _NOTHING
 
 
-class Scene(msgspec.Struct):
+class GlbScene(msgspec.Struct):
     """Nodes that are in no other."""
 
     nodes: list[int] = []
@@ -102,7 +102,7 @@ class Document(msgspec.Struct, rename="camel"):
     buffers: list[Buffer] = []
     meshes: list[MeshPrimitives] = []
     nodes: list[Node] = []
-    scenes: list[Scene] = []
+    scenes: list[GlbScene] = []
     scene: int = 0
     extensions_required: list[str] = []
 

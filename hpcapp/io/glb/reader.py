@@ -57,7 +57,7 @@ def read_glb(path: Path) -> Mesh:
     with _translated(path):
         file = _open(path)
         known: set[int] = set()
-        parts: list[_Part] = []
+        parts: list[_PlacedPrimitive] = []
         for root in file.roots:
             for part in _list_parts(file, root, np.eye(4), known, 0):
                 file.claim(part)
@@ -100,7 +100,7 @@ def _translated(path: Path) -> Iterator[None]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _File:
+class _GlbFile:
     """What is in a GLB."""
 
     path: Path
@@ -120,7 +120,7 @@ class _File:
         """Return an accessor."""
         return pick(self.document.accessors, number, "accessor")
 
-    def claim(self, part: _Part) -> None:
+    def claim(self, part: _PlacedPrimitive) -> None:
         """Ask for the memory of what is read of a part."""
         for semantic, number in part.numbers.items():
             size = _DECODED * self._map(number).size
@@ -167,7 +167,7 @@ class _File:
         return view.byte_offset, end, view.byte_stride
 
 
-def _open(path: Path) -> _File:
+def _open(path: Path) -> _GlbFile:
     raw = path.read_bytes()
     if raw[:4] != b"glTF" or len(raw) < _HEAD + _CHUNK:
         raise InputError(f"{path}: does not start as a GLB does", "export it as binary glTF 2.0")
@@ -189,11 +189,11 @@ def _open(path: Path) -> _File:
         raise InputError(
             f"{path}: needs the extension {needed[0]}", "export it without compression"
         )
-    return _File(path, document, chunks.get(b"BIN\0", memoryview(b"")), claims)
+    return _GlbFile(path, document, chunks.get(b"BIN\0", memoryview(b"")), claims)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Part:
+class _PlacedPrimitive:
     """A primitive where a node puts it, and what `write_glb` says of its columns."""
 
     primitive: Primitive
@@ -209,7 +209,7 @@ class _Part:
         wanted = ("COLOR_0", *self.extras.attributes.values())
         return found | {name: columns[name] for name in wanted if name in columns}
 
-    def read(self, file: _File) -> Mesh:
+    def read(self, file: _GlbFile) -> Mesh:
         """Read it; a translation alone keeps the local frame, as `write_glb` writes it."""
         columns, matrix = self.primitive.attributes, self.matrix
         places = file.array(columns["POSITION"], [3]).astype(np.float64)
@@ -229,7 +229,7 @@ class _Part:
             places = places @ matrix[:3, :3].T
         return Mesh(places, faces, matrix[:3, 3].copy(), None, colours, attributes)
 
-    def _read_faces(self, file: _File, vertices: int) -> IntArray:
+    def _read_faces(self, file: _GlbFile, vertices: int) -> IntArray:
         corners = np.arange(vertices)
         if self.primitive.indices is not None:
             named = file.array(self.primitive.indices, [1])
@@ -243,8 +243,8 @@ class _Part:
 
 
 def _list_parts(
-    file: _File, number: int, outer: FloatArray, known: set[int], depth: int
-) -> Iterator[_Part]:
+    file: _GlbFile, number: int, outer: FloatArray, known: set[int], depth: int
+) -> Iterator[_PlacedPrimitive]:
     """Yield the primitives of a node and of those in it; a node is in one other at most."""
     node = pick(file.document.nodes, number, "node")
     if number in known:
@@ -265,7 +265,7 @@ def _list_parts(
         extras = read_extras(mesh.extras, MeshExtras) if is_single else MeshExtras()
         for primitive in mesh.primitives:
             if primitive.mode == _TRIANGLES:
-                yield _Part(primitive, matrix, extras)
+                yield _PlacedPrimitive(primitive, matrix, extras)
     for child in node.children:
         yield from _list_parts(file, child, matrix, known, depth + 1)
 
@@ -280,7 +280,7 @@ def _matrix(node: Node) -> FloatArray:
     return matrix
 
 
-def _join(file: _File, parts: list[_Part]) -> Mesh:
+def _join(file: _GlbFile, parts: list[_PlacedPrimitive]) -> Mesh:
     """Read parts as one mesh, one after the other: only one of them is in memory twice."""
     sizes = [
         [file.accessor(part.numbers[name]).count // group for name, group in _SIZES.items()]

@@ -39,7 +39,7 @@ _SHAPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 
 
 @dataclass(frozen=True, slots=True)
-class _Array:
+class _VertexArray:
     """The numbers of all vertices for one semantic, 4 bytes or a multiple of them each."""
 
     semantic: str
@@ -105,15 +105,15 @@ def _name_attributes(layout: PointCloud) -> dict[str, str]:
     return names
 
 
-def _list_arrays(layout: PointCloud, names: dict[str, str]) -> Iterator[_Array]:
+def _list_arrays(layout: PointCloud, names: dict[str, str]) -> Iterator[_VertexArray]:
     """Yield the arrays of what vertices have, in the order of `_columns`."""
-    yield _Array("POSITION", "<f4", 3)
+    yield _VertexArray("POSITION", "<f4", 3)
     if layout.normals is not None:
-        yield _Array("NORMAL", "<f4", 3)
+        yield _VertexArray("NORMAL", "<f4", 3)
     if layout.colours is not None:
-        yield _Array("COLOR_0", "<u2", 4)
+        yield _VertexArray("COLOR_0", "<u2", 4)
     for name in layout.attributes:
-        yield _Array(names[name], "<f4", 1)
+        yield _VertexArray(names[name], "<f4", 1)
 
 
 def _find_offsets(stream: MeshStream) -> dict[str, float]:
@@ -141,7 +141,7 @@ def _describe(
     stream: MeshStream,
     names: dict[str, str],
     offsets: dict[str, float],
-    arrays: list[_Array],
+    arrays: list[_VertexArray],
     sizes: list[int],
 ) -> dict[str, Any]:
     """Return the JSON of a mesh."""

@@ -30,7 +30,7 @@ _KINDS = {"i": "Int", "u": "UInt", "f": "Float"}
 
 
 @dataclass(frozen=True, slots=True)
-class _Array:
+class _DataArray:
     """One array of the file."""
 
     name: str
@@ -61,12 +61,12 @@ def write_vtp(path: Path, mesh: Mesh | MeshStream) -> None:
     is_double = needs_double(stream.box, stream.origin)
     index = "<i4" if max(stream.vertex_count, 3 * stream.face_count) < 2**31 else "<i8"
     vertex_arrays = [
-        _Array("Points", "<f8" if is_double else "<f4", 3, stream.vertex_count),
+        _DataArray("Points", "<f8" if is_double else "<f4", 3, stream.vertex_count),
         *_list_arrays(stream.layout, stream.vertex_count),
     ]
     face_arrays = [
-        _Array("connectivity", index, 1, 3 * stream.face_count),
-        _Array("offsets", index, 1, stream.face_count),
+        _DataArray("connectivity", index, 1, 3 * stream.face_count),
+        _DataArray("offsets", index, 1, stream.face_count),
     ]
     sizes = [_LENGTH_BYTES + array.size for array in (*vertex_arrays, *face_arrays)]
     offsets = [sum(sizes[:number]) for number in range(len(sizes))]
@@ -85,16 +85,16 @@ def write_vtp(path: Path, mesh: Mesh | MeshStream) -> None:
         file.write(b"\n</AppendedData>\n</VTKFile>\n")
 
 
-def _list_arrays(layout: PointCloud, rows: int) -> Iterator[_Array]:
+def _list_arrays(layout: PointCloud, rows: int) -> Iterator[_DataArray]:
     """Yield the arrays of what vertices carry, in the order of `_columns`."""
     if layout.normals is not None:
-        yield _Array("Normals", "<f4", 3, rows)
+        yield _DataArray("Normals", "<f4", 3, rows)
     if layout.colours is not None:
-        yield _Array("RGB", "u1", 3, rows)
+        yield _DataArray("RGB", "u1", 3, rows)
     for name, column in layout.attributes.items():
         kind, size = column.dtype.kind, column.dtype.itemsize
         dtype = {"b1": "u1", "f2": "<f4"}.get(f"{kind}{size}", f"{kind}{min(size, 8)}")
-        yield _Array(name, np.dtype(dtype).newbyteorder("<").str, 1, rows)
+        yield _DataArray(name, np.dtype(dtype).newbyteorder("<").str, 1, rows)
 
 
 def _columns(block: PointCloud) -> list[Numbers]:
@@ -113,8 +113,8 @@ def _index_faces(stream: MeshStream) -> Iterator[list[Numbers]]:
 
 def _head(
     stream: MeshStream,
-    vertex_arrays: Sequence[_Array],
-    face_arrays: Sequence[_Array],
+    vertex_arrays: Sequence[_DataArray],
+    face_arrays: Sequence[_DataArray],
     offsets: Sequence[int],
 ) -> bytes:
     """Return the XML in front of the arrays."""
@@ -160,7 +160,7 @@ def _say_frame(crs: Crs) -> Iterator[str]:
 
 def _write_arrays(
     file: BinaryIO,
-    arrays: Sequence[_Array],
+    arrays: Sequence[_DataArray],
     places: Sequence[int],
     blocks: Iterable[Sequence[Numbers]],
 ) -> None:

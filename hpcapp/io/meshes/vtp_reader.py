@@ -78,7 +78,7 @@ def _check_counts(piece: Xml.Element, path: Path, points: int, polygons: int) ->
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _File:
+class _VtpFile:
     """What is in a VTP."""
 
     root: Xml.Element
@@ -168,7 +168,7 @@ class _Builder(Xml.TreeBuilder):
         raise ValueError("it declares a document type")
 
 
-def _open(path: Path) -> _File:
+def _open(path: Path) -> _VtpFile:
     raw = path.read_bytes()
     appended, text = memoryview(b""), raw
     tag = raw.find(_APPENDED, 0, _MOST_XML)
@@ -189,10 +189,10 @@ def _open(path: Path) -> _File:
         )
     order = ">" if root.get("byte_order") == "BigEndian" else "<"
     word = 8 if root.get("header_type") == "UInt64" else 4
-    return _File(root, appended, order, np.dtype(f"{order}u{word}"), claims)
+    return _VtpFile(root, appended, order, np.dtype(f"{order}u{word}"), claims)
 
 
-def _add_columns(file: _File, piece: Xml.Element, mesh: Mesh) -> Mesh:
+def _add_columns(file: _VtpFile, piece: Xml.Element, mesh: Mesh) -> Mesh:
     """Return a mesh with the arrays of its vertices."""
     count, attributes = len(mesh.vertices), {}
     for element in piece.iterfind("PointData/DataArray"):

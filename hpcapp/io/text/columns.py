@@ -48,7 +48,7 @@ _DOUBTS: dict[_Kind | None, str] = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Columns:
+class TableColumns:
     """Which columns of a table are what.
 
     Roles are named as by `find_role`, no two the same; colours have a scale by a sample, or None.
@@ -104,7 +104,7 @@ class Columns:
         return values.astype(np.uint8 if self.scale == "8 bit" else np.uint16)
 
 
-def assign_by_name(names: list[str], sample: FloatArray) -> Columns:
+def assign_by_name(names: list[str], sample: FloatArray) -> TableColumns:
     """Say what columns are by their names, x, y and z among them, as the file spells them.
 
     Of several columns with one role the best named has it, the others keep their names.
@@ -137,7 +137,7 @@ def assign_by_value(
     findings: Findings,
     *,
     width: int = 0,
-) -> Columns:
+) -> TableColumns:
     """Say what columns without names are; the file's suffix may promise some.
 
     Samples (n, columns) come from all over the file; numbers are those of the columns in it, from
@@ -275,9 +275,9 @@ def _name_single(sample: FloatArray, column: int, roles: dict[int, str]) -> str:
     return "intensity" if "intensity" not in roles.values() else f"column_{column + 1}"
 
 
-def _make_columns(roles: list[str], sample: FloatArray) -> Columns:
+def _make_columns(roles: list[str], sample: FloatArray) -> TableColumns:
     scale = None
     if set(COLOURS) <= set(roles):
         values = sample[:, [roles.index(role) for role in COLOURS]]
         scale = judge_colours(values[np.isfinite(values).all(axis=1)])
-    return Columns(tuple(roles), scale)
+    return TableColumns(tuple(roles), scale)

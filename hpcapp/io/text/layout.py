@@ -42,7 +42,7 @@ _PROBED_ROWS = 1 << 11
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class TextLayout:
     """How a text file is made.
 
     Parameters
@@ -78,7 +78,7 @@ class _Head:
         return [text for text in texts if not is_count(text.strip())] if self.count else texts
 
 
-def find_layout(path: Path, findings: Findings) -> tuple[Layout, FloatArray]:
+def find_layout(path: Path, findings: Findings) -> tuple[TextLayout, FloatArray]:
     """Find out how a text file is made; warn of what is odd, and of columns that are passed over.
 
     Return sound rows from all over the file, too, (n, len(layout.rows.wanted)). Raise InputError,
@@ -113,7 +113,7 @@ def find_layout(path: Path, findings: Findings) -> tuple[Layout, FloatArray]:
         findings.warn(f"column {rows.wanted[0] + 1} counts the points, and is passed over")
         rows, sample = replace(rows, wanted=rows.wanted[1:]), sample[:, 1:]
     counts = _find_counts(path, encoding, head.count) if head.count else ()
-    return Layout(encoding, first[0], counts, names, rows), sample
+    return TextLayout(encoding, first[0], counts, names, rows), sample
 
 
 def _thin(texts: list[str]) -> list[str]:

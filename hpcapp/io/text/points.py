@@ -17,8 +17,8 @@ from hpcapp.geometry.points import PointCloud
 from hpcapp.io.batches import batch_points
 from hpcapp.io.points.point_source import Findings, PointSource, Scan
 from hpcapp.io.rows import line_error
-from hpcapp.io.text.columns import DEGREES, Columns, assign_by_name, assign_by_value
-from hpcapp.io.text.layout import Layout, find_layout
+from hpcapp.io.text.columns import DEGREES, TableColumns, assign_by_name, assign_by_value
+from hpcapp.io.text.layout import TextLayout, find_layout
 from hpcapp.io.text.lines import Block, LineReader, read_blocks
 from hpcapp.io.text.tables import RowNotes, parse_block
 
@@ -59,7 +59,7 @@ def open_text(path: Path) -> PointSource:
     )
 
 
-def _find_unit(layout: Layout, columns: Columns) -> str | None:
+def _find_unit(layout: TextLayout, columns: TableColumns) -> str | None:
     """Return the unit that the name of x tells."""
     if layout.names is None:
         return None
@@ -68,13 +68,13 @@ def _find_unit(layout: Layout, columns: Columns) -> str | None:
     return "degree" if name in DEGREES else in_brackets[1] if in_brackets else None
 
 
-def _describe(layout: Layout) -> str:
+def _describe(layout: TextLayout) -> str:
     separator = {",": "commas", ";": "semicolons", None: "blanks"}[layout.rows.separator]
     return f"text, separated by {separator}"
 
 
 def _read_clouds(
-    path: Path, layout: Layout, columns: Columns, findings: Findings
+    path: Path, layout: TextLayout, columns: TableColumns, findings: Findings
 ) -> Iterator[PointCloud]:
     notes = RowNotes(path)
     rows_of = [0] * max(len(layout.counts), 1)
@@ -99,7 +99,7 @@ def _read_clouds(
     notes.tell(findings)
 
 
-def _read_scans(path: Path, layout: Layout) -> Iterator[tuple[int, Block]]:
+def _read_scans(path: Path, layout: TextLayout) -> Iterator[tuple[int, Block]]:
     """Yield the rows in blocks, with the number of the scan that they are of."""
     lines = LineReader(read_blocks(path, layout.encoding))
     skipped, at = layout.first_row - 1, layout.first_row

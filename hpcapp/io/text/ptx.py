@@ -25,7 +25,7 @@ from hpcapp.io.frame import check_coordinates
 from hpcapp.io.points.column_roles import AXES, COLOURS
 from hpcapp.io.points.point_source import Findings, PointSource, Scan
 from hpcapp.io.rows import is_count, line_error
-from hpcapp.io.text.columns import Columns
+from hpcapp.io.text.columns import TableColumns
 from hpcapp.io.text.lines import Block, LineReader, find_encoding, read_blocks
 from hpcapp.io.text.tables import RowFormat, RowNotes, parse_block
 from hpccomponent.dataclass import dataclass
@@ -186,7 +186,7 @@ def _read_clouds(
             places = {"column": cells // header.grid[1], "row": cells % header.grid[1]}
             if scans > 1:
                 places["scan"] = np.full(len(table), number)
-            cloud = Columns(scan_roles, "8 bit").make_cloud(table, points + first, notes)
+            cloud = TableColumns(scan_roles, "8 bit").make_cloud(table, points + first, notes)
             returned = (cloud.positions != 0).any(axis=1)
             missing += len(table) - int(returned.sum())
             yield _place(_complete(cloud, roles), header.pose, places).take(returned)

@@ -23,7 +23,7 @@ from hpcapp.geometry.points import (
 )
 from hpcapp.lab.reproduce.finding import Finding
 from hpcapp.lab.reproduce.panels import PANEL, Picture, colour_patches, draw_panels
-from hpcapp.lab.reproduce.readings import DELTA, OTHER_CLOUD, STEP_1, Reading
+from hpcapp.lab.reproduce.readings import DELTA, OTHER_CLOUD, STEP_1, RuleReading
 from hpcapp.lab.reproduce.subject import Subject
 from hpcapp.pages.render import render_mesh
 from hpcapp.progress import StageClock
@@ -32,10 +32,10 @@ _GRID = 128  # of the surface
 _NEIGHBOURS = 4  # the last of them is a spacing away, where points lie evenly or at random
 _NEWTON_STEPS = 5
 _REACH = 0.25  # half sides of a box: how far a point is moved along each axis, at most
-_SHOWN = Reading("complement", "tight")
+_SHOWN = RuleReading("complement", "tight")
 _ROWS = (
-    (Reading("paper"), "240 (Section V)"),
-    (Reading("complement"), "-"),
+    (RuleReading("paper"), "240 (Section V)"),
+    (RuleReading("complement"), "-"),
     (_SHOWN, "2,335 (Figure 2)"),
 )
 _ON_BUNNY = (

@@ -13,7 +13,7 @@ from hpcapp.applications.surface.paper.kdtree import TreePatches
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.lab.reproduce.finding import Finding
 from hpcapp.lab.reproduce.panels import PANEL, Picture, colour_patches, draw_panels
-from hpcapp.lab.reproduce.readings import OTHER_CLOUD, STEP_1, Reading
+from hpcapp.lab.reproduce.readings import OTHER_CLOUD, STEP_1, RuleReading
 from hpcapp.lab.reproduce.subject import Subject
 from hpcapp.lab.reproduce.surfaces import mesh_by_default
 from hpcapp.pages.render import render_mesh
@@ -47,7 +47,7 @@ def make_figure_4(subject: Subject, up: str, clock: StageClock) -> tuple[Finding
     rows, panels = [], []
     with clock.stage("cut and draw"):
         for number, (limit, paper) in enumerate(PAPER_COUNTS.items()):
-            readings = {cone: Reading(cone, max_points=limit) for cone in _CONES}
+            readings = {cone: RuleReading(cone, max_points=limit) for cone in _CONES}
             cuts = {cone: reading.cut(subject.points) for cone, reading in readings.items()}
             best = min(cuts, key=lambda cone: abs(log(len(cuts[cone]) / paper)))
             count = len(cuts[best])

@@ -9,7 +9,7 @@ from hpcapp.lab.reproduce.finding import Finding
 from hpcapp.lab.reproduce.readings import STEP_1
 from hpcapp.lab.reproduce.scaling import (
     WAYS,
-    Run,
+    ScalingRun,
     Spread,
     Summary,
     limit_of_fits,
@@ -34,7 +34,7 @@ _STEP_1 = (
 )
 
 
-def make_figure_7(runs: Sequence[Run], subject: str, cores: int, file: BinaryIO) -> Finding:
+def make_figure_7(runs: Sequence[ScalingRun], subject: str, cores: int, file: BinaryIO) -> Finding:
     """Draw the time of runs of all ways, from 0 workers, against the number of workers, as a PNG.
 
     The subject says what was reconstructed, at which grid; workers and master share the cores.
@@ -73,7 +73,7 @@ def make_figure_7(runs: Sequence[Run], subject: str, cores: int, file: BinaryIO)
     )  # fmt: skip
 
 
-def make_figure_8(runs: Sequence[Run], subject: str, cores: int, file: BinaryIO) -> Finding:
+def make_figure_8(runs: Sequence[ScalingRun], subject: str, cores: int, file: BinaryIO) -> Finding:
     """Draw speed-up against the number of workers; see `make_figure_7`."""
     ways = _by_way(runs)
     figure, axes = _open_axes(ways, cores)
@@ -110,7 +110,7 @@ def make_figure_8(runs: Sequence[Run], subject: str, cores: int, file: BinaryIO)
     )  # fmt: skip
 
 
-def _by_way(runs: Sequence[Run]) -> dict[str, list[Summary]]:
+def _by_way(runs: Sequence[ScalingRun]) -> dict[str, list[Summary]]:
     return {way: summarise([run for run in runs if run.way == way]) for way in WAYS}
 
 

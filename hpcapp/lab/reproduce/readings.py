@@ -26,7 +26,7 @@ _NAMES = {
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class RuleReading:
     """One way to read the rule, for `SplitRule` and `partition_by_rule`."""
 
     cone: str

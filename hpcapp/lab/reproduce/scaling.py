@@ -40,7 +40,7 @@ WAYS: dict[str, MethodSettings] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class ScalingRun:
     """One job with some number of workers; times are in seconds.
 
     Parameters
@@ -104,7 +104,7 @@ class Spread:
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """All runs of one way with one number of workers; times are those of `Run`.
+    """All runs of one way with one number of workers; times are those of `ScalingRun`.
 
     Speed-ups are the time of the master alone by that with workers, within each round.
     """
@@ -126,7 +126,7 @@ def measure(
     most_workers: int,
     backend: str = "zmq",
     done: Callable[[int, int], object] = lambda _done, _total: None,
-) -> Iterator[Run]:
+) -> Iterator[ScalingRun]:
     """Yield the runs of an oriented point cloud, of all rounds, as they finish.
 
     Each way runs once a round with each number of workers, 0 to the most; the grid is of so many
@@ -144,7 +144,9 @@ def measure(
                 first = {way: _run(cloud, settings, grid, opened) for way, settings in WAYS.items()}
                 for way, settings in WAYS.items():
                     fit_s, job_s, sent = _run(cloud, settings, grid, opened)
-                    yield Run(way, workers, number, start_s, first[way][0], fit_s, job_s, sent)
+                    yield ScalingRun(
+                        way, workers, number, start_s, first[way][0], fit_s, job_s, sent
+                    )
             done(number * len(counts) + i + 1, total)
 
 
@@ -163,7 +165,7 @@ def _run(
     return clock.seconds["fit"], seconds, opened.traffic().bytes_sent - sent
 
 
-def summarise(runs: Sequence[Run]) -> list[Summary]:
+def summarise(runs: Sequence[ScalingRun]) -> list[Summary]:
     """Return what the runs of one way say, by number of workers.
 
     Every round has a run without workers: speed-ups compare within a round, so that what slows a

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
-from hpcapp.lab.simulate.implicit import Shape, diagonal_of
+from hpcapp.lab.simulate.implicit import Solid, diagonal_of
 from hpcapp.lab.simulate.rays import run_in_blocks
 from hpccomponent.dataclass import dataclass
 
@@ -60,7 +60,11 @@ def draw_moves(views: int, error: float, diagonal: float, rng: np.random.Generat
 
 
 def strew_outliers(
-    shape: Shape, share: float, positions: FloatArray, rays: FloatArray, rng: np.random.Generator
+    shape: Solid,
+    share: float,
+    positions: FloatArray,
+    rays: FloatArray,
+    rng: np.random.Generator,
 ) -> tuple[FloatArray, BoolArray]:
     """Replace a share of points (n, 3) by outliers; tell which these are.
 

@@ -23,7 +23,7 @@ Function = Callable[[FloatArray], FloatArray]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Field:
+class SolidField:
     """A function of positions (n, 3) and its gradient.
 
     The value (n,) is in length units. The gradient (n, 3) is on an edge that of one of its sides;
@@ -34,7 +34,7 @@ class Field:
     gradient: Function
 
 
-def unite(*fields: Field) -> Field:
+def unite(*fields: SolidField) -> SolidField:
     """Return the union of one or more solids."""
 
     def value(points: FloatArray) -> FloatArray:
@@ -51,34 +51,34 @@ def unite(*fields: Field) -> Field:
             slopes[rows] = field.gradient(points[rows])
         return slopes
 
-    return Field(value, gradient)
+    return SolidField(value, gradient)
 
 
-def intersect(*fields: Field) -> Field:
+def intersect(*fields: SolidField) -> SolidField:
     """Return what is common to one or more solids."""
     return _complement(unite(*(_complement(field) for field in fields)))
 
 
-def cut(solid: Field, *tools: Field) -> Field:
+def cut(solid: SolidField, *tools: SolidField) -> SolidField:
     """Return `solid` with every one of `tools` taken away."""
     return _complement(unite(_complement(solid), *tools))
 
 
-def grow(solid: Field, thickness: float) -> Field:
+def grow(solid: SolidField, thickness: float) -> SolidField:
     """Return `solid` with a layer of a thickness added all round; convex edges become round."""
-    return Field(lambda points: solid.value(points) - thickness, solid.gradient)
+    return SolidField(lambda points: solid.value(points) - thickness, solid.gradient)
 
 
-def mirror(octant: Field) -> Field:
+def mirror(octant: SolidField) -> SolidField:
     """Return a solid symmetric in x, y and z, whose octant is asked for no negative coordinates."""
 
     def gradient(points: FloatArray) -> FloatArray:
         return octant.gradient(np.abs(points)) * np.where(points < 0.0, -1.0, 1.0)
 
-    return Field(lambda points: octant.value(np.abs(points)), gradient)
+    return SolidField(lambda points: octant.value(np.abs(points)), gradient)
 
 
-def smooth_unite(fillet: float, *fields: Field) -> Field:
+def smooth_unite(fillet: float, *fields: SolidField) -> SolidField:
     """Return the union of solids with rounded joints, which are smooth to the second derivative.
 
     Where two values differ by less than the fillet, the joint is filled: min(a, b) - fillet h^3 / 6
@@ -86,7 +86,7 @@ def smooth_unite(fillet: float, *fields: Field) -> Field:
     that add to one, which keeps the Lipschitz constant.
     """
 
-    def join(first: Field, second: Field) -> Field:
+    def join(first: SolidField, second: SolidField) -> SolidField:
         def value(points: FloatArray) -> FloatArray:
             a, b = first.value(points), second.value(points)
             overlap = np.maximum(1.0 - np.abs(a - b) / fillet, 0.0)
@@ -100,7 +100,7 @@ def smooth_unite(fillet: float, *fields: Field) -> Field:
             slope = first.gradient(points)
             return slope + share * (second.gradient(points) - slope)
 
-        return Field(value, gradient)
+        return SolidField(value, gradient)
 
     joined = fields[0]
     for other in fields[1:]:
@@ -108,6 +108,6 @@ def smooth_unite(fillet: float, *fields: Field) -> Field:
     return joined
 
 
-def _complement(solid: Field) -> Field:
+def _complement(solid: SolidField) -> SolidField:
     """Return all that is not in `solid`."""
-    return Field(lambda points: -solid.value(points), lambda points: -solid.gradient(points))
+    return SolidField(lambda points: -solid.value(points), lambda points: -solid.gradient(points))

@@ -7,13 +7,13 @@ from typing import Protocol
 import numpy as np
 
 from hpcapp.geometry.points import FloatArray
-from hpcapp.lab.simulate.fields import Field
+from hpcapp.lab.simulate.fields import SolidField
 from hpccomponent.dataclass import dataclass
 
 Bounds = tuple[FloatArray, FloatArray]
 
 
-class Shape(Protocol):
+class Solid(Protocol):
     """A solid whose surface is the zero set of a function that is known exactly.
 
     Methods take positions of shape (n, 3); values, of shape (n,), are in length units.
@@ -52,12 +52,12 @@ class Shape(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImplicitShape:
-    """A `Shape` made of a field."""
+    """A `Solid` made of a field."""
 
     name: str
     genus: int
     bounds: Bounds
-    field: Field
+    field: SolidField
 
     def value(self, points: FloatArray) -> FloatArray:
         """Return the implicit function at `points`."""
@@ -75,7 +75,7 @@ class ImplicitShape:
         return unit
 
 
-def diagonal_of(shape: Shape) -> float:
+def diagonal_of(shape: Solid) -> float:
     """Return the length of the bounding box's diagonal, in length units of the shape."""
     low, high = shape.bounds
     return float(np.linalg.norm(high - low))

@@ -10,13 +10,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from hpcapp.geometry.points import FloatArray
-from hpcapp.lab.simulate.fields import Field
+from hpcapp.lab.simulate.fields import SolidField
 from hpcapp.lab.simulate.solids import corner_distance, corner_slopes
 
 _TINY = 1e-300  # keeps 0/0 out of gradients at centres, where no direction is right
 
 
-def disc(center: Sequence[float], radius: float) -> Field:
+def disc(center: Sequence[float], radius: float) -> SolidField:
     """Return a disc, as a field of plane positions of shape (n, 2)."""
     x, y = center
 
@@ -28,10 +28,10 @@ def disc(center: Sequence[float], radius: float) -> Field:
         across, along, length = arms(points)
         return np.stack([across, along], axis=1) / (length + _TINY)[:, None]
 
-    return Field(lambda points: arms(points)[2] - radius, gradient)
+    return SolidField(lambda points: arms(points)[2] - radius, gradient)
 
 
-def polygon(corners: Sequence[Sequence[float]]) -> Field:
+def polygon(corners: Sequence[Sequence[float]]) -> SolidField:
     """Return a polygon, as a field of plane positions (n, 2), of counter-clockwise corners.
 
     Sides do not meet elsewhere. The nearest side gives the distance; a ray to the left that crosses
@@ -76,10 +76,10 @@ def polygon(corners: Sequence[Sequence[float]]) -> Field:
         away = arm * (np.sign(value(points)) / (length + _TINY))[:, None]
         return np.where(is_corner[:, None], away, out)
 
-    return Field(value, gradient)
+    return SolidField(value, gradient)
 
 
-def extrude(outline: Field, half: float) -> Field:
+def extrude(outline: SolidField, half: float) -> SolidField:
     """Return what an outline in the plane of x and y sweeps along z, from -half to half."""
 
     def value(points: FloatArray) -> FloatArray:
@@ -91,10 +91,10 @@ def extrude(outline: Field, half: float) -> Field:
         turned = by_outline[:, None] * outline.gradient(plane)
         return np.column_stack([turned, by_length * np.where(z < 0.0, -1.0, 1.0)])
 
-    return Field(value, gradient)
+    return SolidField(value, gradient)
 
 
-def revolve(outline: Field) -> Field:
+def revolve(outline: SolidField) -> SolidField:
     """Return what an outline sweeps when it is turned about the z axis.
 
     It is of positions (distance from the axis, z), (n, 2), and does not reach below zero.
@@ -110,4 +110,4 @@ def revolve(outline: Field) -> Field:
         turned = points[:, :2] * (slope[:, 0] / (radius + _TINY))[:, None]
         return np.column_stack([turned, slope[:, 1]])
 
-    return Field(lambda points: outline.value(halve(points)[1]), gradient)
+    return SolidField(lambda points: outline.value(halve(points)[1]), gradient)

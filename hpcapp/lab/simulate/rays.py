@@ -9,7 +9,7 @@ import numpy as np
 
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 from hpcapp.kernels.parallel import run_batches
-from hpcapp.lab.simulate.implicit import Shape, diagonal_of
+from hpcapp.lab.simulate.implicit import Solid, diagonal_of
 from hpcapp.lab.simulate.tracing import Tracer
 from hpccomponent.limits import available_cores
 
@@ -20,7 +20,7 @@ Result = TypeVar("Result")
 
 
 def cross_rays(
-    shape: Shape, origins: FloatArray, directions: FloatArray, reach: float, first_only: bool
+    shape: Solid, origins: FloatArray, directions: FloatArray, reach: float, first_only: bool
 ) -> tuple[IntArray, FloatArray]:
     """Return which rays cross the surface of `shape`, (m,), and how far from their origin, (m,).
 
@@ -47,7 +47,7 @@ def run_in_blocks(function: Callable[[slice], Result], count: int) -> list[Resul
 
 
 def sample_lines(
-    shape: Shape, count: int, rng: np.random.Generator, tracer: Tracer | None = None
+    shape: Solid, count: int, rng: np.random.Generator, tracer: Tracer | None = None
 ) -> FloatArray:
     """Return the points in which `count` random lines cross the surface, shape (m, 3).
 
@@ -70,7 +70,7 @@ def sample_lines(
 
 
 def closest_points(
-    shape: Shape, points: FloatArray, guesses: FloatArray, rounds: int = 6
+    shape: Solid, points: FloatArray, guesses: FloatArray, rounds: int = 6
 ) -> FloatArray:
     """Return a point of the surface near each of `points` (n, 3): the nearest one, as a rule.
 
@@ -123,7 +123,7 @@ def _nearest_on_planes(points: FloatArray, feet: FloatArray, normals: FloatArray
     return nearest
 
 
-def fall(shape: Shape, points: FloatArray) -> tuple[FloatArray, BoolArray]:
+def fall(shape: Solid, points: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Move points along their normals onto the surface; tell which ones arrived, (n,).
 
     These are within 1e-12 of the diagonal of the surface.

@@ -11,7 +11,7 @@ import numpy as np
 
 from hpcapp.geometry.axes import turn_by
 from hpcapp.geometry.points import FloatArray
-from hpcapp.lab.simulate.fields import Field
+from hpcapp.lab.simulate.fields import SolidField
 from hpccomponent.dataclass import dataclass
 
 
@@ -23,7 +23,7 @@ class Relief:
     far as `reach` from the undisplaced surface.
     """
 
-    height: Field
+    height: SolidField
     highest: float
     steepest: float
 
@@ -33,7 +33,7 @@ class Relief:
         return self.highest * (2.0 + self.steepest) / self.steepest
 
 
-def displace(solid: Field, relief: Relief) -> Field:
+def displace(solid: SolidField, relief: Relief) -> SolidField:
     """Return a solid with a relief on its surface.
 
     solid - height changes by up to 1 + steepest, and is divided by it. No surface is nearer than
@@ -61,7 +61,7 @@ def displace(solid: Field, relief: Relief) -> Field:
         slopes[near] = scale * (slopes[near] - relief.height.gradient(points[near]))
         return slopes
 
-    return Field(value, gradient)
+    return SolidField(value, gradient)
 
 
 def lumps(octaves: Sequence[tuple[float, float]], seed: int) -> Relief:
@@ -95,7 +95,7 @@ def lumps(octaves: Sequence[tuple[float, float]], seed: int) -> Relief:
 
     highest = sum(height for _, height in octaves)
     steepest = sum(2.0 * np.pi * height / length for length, height in octaves)
-    return Relief(Field(value, gradient), highest, steepest)
+    return Relief(SolidField(value, gradient), highest, steepest)
 
 
 def studs(major: float, minor: float, around: tuple[int, int], height: float) -> Relief:
@@ -130,4 +130,4 @@ def studs(major: float, minor: float, around: tuple[int, int], height: float) ->
         )
 
     steepest = height * max(m / (major - 2.0 * minor + inner), n / inner)
-    return Relief(Field(value, gradient), height, steepest)
+    return Relief(SolidField(value, gradient), height, steepest)

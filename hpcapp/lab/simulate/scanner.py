@@ -19,7 +19,7 @@ from scipy.spatial import KDTree
 
 from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
 from hpcapp.lab.simulate.faults import draw_drift, draw_moves, strew_outliers
-from hpcapp.lab.simulate.implicit import Shape, diagonal_of
+from hpcapp.lab.simulate.implicit import Solid, diagonal_of
 from hpcapp.lab.simulate.rays import (
     frame_about,
     run_in_blocks,
@@ -55,7 +55,7 @@ class _Hits:
         return _Hits(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
-def simulate_scan(shape: Shape, settings: ScanSettings | None = None) -> PointCloud:
+def simulate_scan(shape: Solid, settings: ScanSettings | None = None) -> PointCloud:
     """Scan an analytic shape: exactly ``settings.points`` with unit normals, view by view.
 
     Raises
@@ -97,7 +97,7 @@ def simulate_scan(shape: Shape, settings: ScanSettings | None = None) -> PointCl
     return PointCloud(positions, normals)
 
 
-def sample_surface(shape: Shape, count: int, seed: int = 0) -> PointCloud:
+def sample_surface(shape: Solid, count: int, seed: int = 0) -> PointCloud:
     """Return exactly `count` points of the surface with their normals, spread evenly.
 
     They are off the surface by less than 1e-12 of the diagonal.
@@ -133,7 +133,7 @@ class _Look:
     tracer: Tracer
 
 
-def _look(shape: Shape, settings: ScanSettings, rng: np.random.Generator) -> _Look:
+def _look(shape: Solid, settings: ScanSettings, rng: np.random.Generator) -> _Look:
     """Place the scanner and decide what it will not see."""
     low, high = shape.bounds
     # (v,): views in a golden spiral on the unit sphere; (v, 3): eyes, turned by chance
@@ -156,7 +156,7 @@ def _look(shape: Shape, settings: ScanSettings, rng: np.random.Generator) -> _Lo
     )
 
 
-def _gather(shape: Shape, settings: ScanSettings, rng: np.random.Generator, look: _Look) -> _Hits:
+def _gather(shape: Solid, settings: ScanSettings, rng: np.random.Generator, look: _Look) -> _Hits:
     """Shoot rays in rounds until enough of them have come back, then keep as many as wanted."""
     want, cast, have = settings.points, 0, 0
     rounds: list[_Hits] = []
@@ -177,7 +177,7 @@ def _gather(shape: Shape, settings: ScanSettings, rng: np.random.Generator, look
 
 
 def _meet(
-    shape: Shape,
+    shape: Solid,
     settings: ScanSettings,
     rng: np.random.Generator,
     look: _Look,
@@ -205,7 +205,12 @@ def _meet(
 
 
 def _shoot(
-    shape: Shape, settings: ScanSettings, look: _Look, first: int, count: int, shift: FloatArray
+    shape: Solid,
+    settings: ScanSettings,
+    look: _Look,
+    first: int,
+    count: int,
+    shift: FloatArray,
 ) -> _Hits:
     """Cast `count` rays and drop those that graze or fall into a blotch."""
     diagonal = diagonal_of(shape)

@@ -12,15 +12,15 @@ from types import MappingProxyType
 from hpcapp.lab.simulate.catalogue.classic import CLASSIC
 from hpcapp.lab.simulate.catalogue.parts import PARTS
 from hpcapp.lab.simulate.catalogue.sculptures import SCULPTURES
-from hpcapp.lab.simulate.implicit import Shape
+from hpcapp.lab.simulate.implicit import Solid
 from hpccomponent.errors import UsageError
 
-SHAPES: Mapping[str, Shape] = MappingProxyType(
+SHAPES: Mapping[str, Solid] = MappingProxyType(
     {shape.name: shape for shape in (*CLASSIC, *PARTS, *SCULPTURES)}
 )
 
 
-def find_shape(name: str) -> Shape:
+def find_shape(name: str) -> Solid:
     """Return the shape of that name; `UsageError`, which names all, where there is none.
 
     Examples

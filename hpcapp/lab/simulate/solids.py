@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from hpcapp.geometry.points import FloatArray
-from hpcapp.lab.simulate.fields import Field
+from hpcapp.lab.simulate.fields import SolidField
 
 Curve = Callable[[FloatArray], FloatArray]
 Feet = Callable[[FloatArray], tuple[FloatArray, float | FloatArray]]
@@ -16,7 +16,7 @@ Feet = Callable[[FloatArray], tuple[FloatArray, float | FloatArray]]
 _TINY = 1e-300  # keeps 0/0 out of gradients at centres, where no direction is right
 
 
-def ellipsoid(semi_axes: Sequence[float], center: Sequence[float] = (0.0, 0.0, 0.0)) -> Field:
+def ellipsoid(semi_axes: Sequence[float], center: Sequence[float] = (0.0, 0.0, 0.0)) -> SolidField:
     """Return an ellipsoid, min(a) (|p / a| - 1).
 
     Three equal semi-axes make a sphere and the exact distance.
@@ -29,10 +29,12 @@ def ellipsoid(semi_axes: Sequence[float], center: Sequence[float] = (0.0, 0.0, 0
         scaled = (points - middle) / axes
         return scaled * (shortest / axes) / (_lengths(scaled) + _TINY)[:, None]
 
-    return Field(lambda points: shortest * (_lengths((points - middle) / axes) - 1.0), gradient)
+    return SolidField(
+        lambda points: shortest * (_lengths((points - middle) / axes) - 1.0), gradient
+    )
 
 
-def torus(major: float, minor: float) -> Field:
+def torus(major: float, minor: float) -> SolidField:
     """Return a torus about the z axis, of a circle and a tube: exact distance to its surface."""
 
     def value(points: FloatArray) -> FloatArray:
@@ -47,12 +49,12 @@ def torus(major: float, minor: float) -> Field:
         centers[:, :2] = points[:, :2] * (major / radius)[:, None]
         return centers, minor
 
-    return Field(value, _balls(feet).gradient)
+    return SolidField(value, _balls(feet).gradient)
 
 
 def cone(
     start: Sequence[float], end: Sequence[float], start_radius: float, end_radius: float
-) -> Field:
+) -> SolidField:
     """Return a limb: the hull of two balls, neither of which contains the other, exact distance.
 
     Equal radii make a capsule.
@@ -75,7 +77,7 @@ def cone(
     return _balls(feet)
 
 
-def tube(curve: Curve, radius: float, samples: int = 512) -> Field:
+def tube(curve: Curve, radius: float, samples: int = 512) -> SolidField:
     """Return a tube about a closed curve: the exact distance to the curve, less `radius`.
 
     The curve maps parameters t (n,), of period 2 pi, to itself and its first two derivatives, (3,
@@ -103,13 +105,13 @@ def tube(curve: Curve, radius: float, samples: int = 512) -> Field:
         centers: FloatArray = curve(t)[0].T
         return centers
 
-    return Field(
+    return SolidField(
         _balls(lambda points: (feet(points, 2), radius)).value,
         _balls(lambda points: (feet(points, 3), radius)).gradient,
     )
 
 
-def box(center: Sequence[float], half: Sequence[float]) -> Field:
+def box(center: Sequence[float], half: Sequence[float]) -> SolidField:
     """Return an axis-parallel box from its middle and half its edges, exact distance."""
     middle, extent = np.asarray(center, dtype=np.float64), np.asarray(half, dtype=np.float64)
 
@@ -121,10 +123,10 @@ def box(center: Sequence[float], half: Sequence[float]) -> Field:
         slopes = np.stack(corner_slopes(*(np.abs(local) - extent).T), axis=1)
         return slopes * np.where(local < 0.0, -1.0, 1.0)
 
-    return Field(value, gradient)
+    return SolidField(value, gradient)
 
 
-def cylinder(center: Sequence[float], axis: int, radius: float, half: float = np.inf) -> Field:
+def cylinder(center: Sequence[float], axis: int, radius: float, half: float = np.inf) -> SolidField:
     """Return a cylinder along a coordinate axis, exact distance.
 
     `half` is half its length; infinite for a drill.
@@ -147,17 +149,19 @@ def cylinder(center: Sequence[float], axis: int, radius: float, half: float = np
         slopes[:, axis] = by_length * np.where(local[:, axis] < 0.0, -1.0, 1.0)
         return slopes
 
-    return Field(value, gradient)
+    return SolidField(value, gradient)
 
 
-def half_space(normal: Sequence[float], offset: float) -> Field:
+def half_space(normal: Sequence[float], offset: float) -> SolidField:
     """Return all points below a plane, exact distance.
 
     The normal points out of the solid, of any length; the offset along it is from the origin.
     """
     up = np.asarray(normal, dtype=np.float64)
     up = up / np.linalg.norm(up)
-    return Field(lambda points: points @ up - offset, lambda points: np.tile(up, (len(points), 1)))
+    return SolidField(
+        lambda points: points @ up - offset, lambda points: np.tile(up, (len(points), 1))
+    )
 
 
 def corner_distance(*excess: FloatArray) -> FloatArray:
@@ -186,7 +190,7 @@ def corner_slopes(*excess: FloatArray) -> list[FloatArray]:
     ]
 
 
-def _balls(feet: Feet) -> Field:
+def _balls(feet: Feet) -> SolidField:
     """Return the union of balls of which `feet` tells the nearest: its centre and its radius."""
 
     def value(points: FloatArray) -> FloatArray:
@@ -197,7 +201,7 @@ def _balls(feet: Feet) -> Field:
         offset = points - feet(points)[0]
         return offset / (_lengths(offset) + _TINY)[:, None]
 
-    return Field(value, gradient)
+    return SolidField(value, gradient)
 
 
 def _lengths(vectors: FloatArray) -> FloatArray:

@@ -16,7 +16,7 @@ from dataclasses import fields
 import numpy as np
 
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
-from hpcapp.lab.simulate.implicit import Shape, diagonal_of
+from hpcapp.lab.simulate.implicit import Solid, diagonal_of
 from hpccomponent.dataclass import dataclass
 
 _SHORTEST_STEP = 5e-4  # of the diagonal: two crossings closer than this may be overlooked
@@ -73,7 +73,7 @@ class Tracer:
     no surface, leave more than the shortest step between them.
     """
 
-    def __init__(self, shape: Shape, rays: int) -> None:
+    def __init__(self, shape: Solid, rays: int) -> None:
         self._shape = shape
         self._shortest = _SHORTEST_STEP * diagonal_of(shape)
         low, high = shape.bounds

@@ -12,7 +12,7 @@ from hpcapp.communicator.fetching import (
     PIECE_BYTES,
     WINDOW_BYTES,
     Fetcher,
-    Request,
+    PieceRequest,
 )
 from hpccomponent.errors import ProtocolError
 from hpccomponent.protocol.frames import Buffer
@@ -236,7 +236,7 @@ def test_what_is_on_its_way_is_bounded_for_each_and_for_all() -> None:
     assert asked_bytes(list(again)) == WINDOW_BYTES - PIECE_BYTES
 
 
-def fetch_first(fetcher: Fetcher) -> Request:
+def fetch_first(fetcher: Fetcher) -> PieceRequest:
     fetcher.announce(WORKER, announce(1, 1000), [1000])
     (request,) = fetcher.requests(WORKER)
     assert isinstance(request, Fetch)

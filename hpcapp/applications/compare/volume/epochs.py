@@ -29,7 +29,7 @@ _MOST_FACES = 500_000  # of a closed mesh that is shown: its distances are exact
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Measured:
+class MeasuredChange:
     """What changed, and how to show it; the unit of length is "" where it is not known.
 
     `show` returns the new surface in the frame of the input, and how far each vertex is in front of
@@ -47,7 +47,7 @@ def measure_epochs(
     up: str = "z",
     step: float | None = None,
     registration: float | None = None,
-) -> Measured:
+) -> MeasuredChange:
     """Measure what changed between two epochs of one place.
 
     Parameters
@@ -70,7 +70,7 @@ def measure_epochs(
         if step is not None:
             raise UsageError("closed meshes have no cells seen from above", "leave --cell out")
         change = measure_solids(new_solid, old_solid, registration)
-        return Measured(change, unit, partial(_show_solid, new_solid, old_solid))
+        return MeasuredChange(change, unit, partial(_show_solid, new_solid, old_solid))
     if new_solid is not None or old_solid is not None:
         closed, other = (new, old) if new_solid is not None else (old, new)
         raise InputError(
@@ -80,7 +80,7 @@ def measure_epochs(
         )
     turned = new.turn(up, origin), old.turn(up, origin)
     rise, mesh, heights = _measure_heights(turned[0], turned[1], step, registration)
-    return Measured(rise, unit, lambda: (_turn_back(mesh, up, origin), heights))
+    return MeasuredChange(rise, unit, lambda: (_turn_back(mesh, up, origin), heights))
 
 
 def _measure_heights(

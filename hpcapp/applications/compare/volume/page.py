@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hpcapp.applications.compare.volume.epochs import Measured
+from hpcapp.applications.compare.volume.epochs import MeasuredChange
 from hpcapp.applications.compare.volume.measure import Change, SolidChange, Volume, list_volumes
 from hpcapp.geometry.points import ByteArray, FloatArray
 from hpcapp.pages.drawing.camera import look_along
@@ -99,7 +99,7 @@ def doubt(change: Change | SolidChange, unit: str) -> str | None:
     )
 
 
-def make_page(new: str, old: str, measured: Measured, up: str) -> str:
+def make_page(new: str, old: str, measured: MeasuredChange, up: str) -> str:
     """Return a page (HTML) with the new surface, coloured by what changed."""
     mesh, values = measured.show()
     field = Field(
@@ -114,7 +114,7 @@ def make_page(new: str, old: str, measured: Measured, up: str) -> str:
     return build_page(Path(new).name, f"what changed since {old}", scene, [volumes])
 
 
-def write_picture(path: Path, measured: Measured, up: str) -> None:
+def write_picture(path: Path, measured: MeasuredChange, up: str) -> None:
     """Draw the new surface, coloured by what changed, with the volumes.
 
     Raise OutputError where the file cannot be written.

@@ -11,8 +11,8 @@ from scipy.spatial import KDTree
 from hpcapp.geometry.faces import cross_edges
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, IntArray
-from hpcapp.lab.simulate.fields import Field, cut, unite
-from hpcapp.lab.simulate.implicit import Shape, diagonal_of
+from hpcapp.lab.simulate.fields import SolidField, cut, unite
+from hpcapp.lab.simulate.implicit import Solid, diagonal_of
 from hpcapp.lab.simulate.rays import fall, run_in_blocks
 from hpcapp.lab.simulate.solids import box
 from hpccomponent.dataclass import dataclass
@@ -29,10 +29,10 @@ _SUNK = 2.0  # metres that the walls of a house go into the ground
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Part:
+class ScenePart:
     """Something solid, what can be seen of its surface, and its class of LAS."""
 
-    field: Field
+    field: SolidField
     mesh: Mesh
     kind: int
 
@@ -56,7 +56,7 @@ class HeightField:
         height, _, _ = self._interpolate(x, y)
         return height
 
-    def as_part(self) -> Part:
+    def as_part(self) -> ScenePart:
         """Return the ground as something that rays meet from above."""
 
         def value(points: FloatArray) -> FloatArray:
@@ -69,7 +69,7 @@ class HeightField:
             up = np.ones(len(points))
             return self._flatten * np.stack([-along_x, -along_y, up], axis=1)
 
-        return Part(Field(value, gradient), self._triangulate(), GROUND)
+        return ScenePart(SolidField(value, gradient), self._triangulate(), GROUND)
 
     def _interpolate(
         self, x: FloatArray, y: FloatArray
@@ -98,7 +98,7 @@ class HeightField:
 
 def make_houses(
     corners: Sequence[FloatArray], eaves: Sequence[float], ridges: Sequence[float]
-) -> Part:
+) -> ScenePart:
     """Return houses with gable roofs, whose eaves and ridges are above the lowest corner.
 
     Corners (4, 3) are where the walls meet the ground, anticlockwise; the ridge runs from the
@@ -115,10 +115,10 @@ def make_houses(
         vertices = np.concatenate([flat - _SUNK * up, flat + eave * up, ends])
         meshes.append(Mesh(vertices, faces))
         fields.append(_convex(vertices, faces))
-    return Part(unite(*fields), join_meshes(meshes), BUILDING)
+    return ScenePart(unite(*fields), join_meshes(meshes), BUILDING)
 
 
-def make_trunks(feet: FloatArray, tops: FloatArray, radius: float) -> Part:
+def make_trunks(feet: FloatArray, tops: FloatArray, radius: float) -> ScenePart:
     """Return upright cylinders from feet (n, 3), at least 1 m apart, up to heights of tops (n,)."""
     tree, nearest = KDTree(feet[:, :2]), min(4, len(feet))
 
@@ -148,10 +148,10 @@ def make_trunks(feet: FloatArray, tops: FloatArray, radius: float) -> Part:
         circle, ones = foot[:2] + ring, np.ones(_TRUNK_SIDES)
         low, high = (np.column_stack([circle, z * ones]) for z in (foot[2], top))
         meshes.append(Mesh(np.concatenate([low, high, [[*foot[:2], top]]]), faces))
-    return Part(Field(lambda p: find(p)[0], gradient), join_meshes(meshes), VEGETATION)
+    return ScenePart(SolidField(lambda p: find(p)[0], gradient), join_meshes(meshes), VEGETATION)
 
 
-def make_boxes(boxes: Sequence[Box]) -> Part:
+def make_boxes(boxes: Sequence[Box]) -> ScenePart:
     """Return axis-parallel boxes, each filled or cut out of those before it.
 
     The outermost faces, which nobody sees from inside, are left out of the mesh.
@@ -179,10 +179,10 @@ def make_boxes(boxes: Sequence[Box]) -> Part:
     quad = np.concatenate(quads)
     used, faces = np.unique(np.concatenate([quad[:, :3], quad[:, [0, 2, 3]]]), return_inverse=True)
     nodes = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
-    return Part(field, Mesh(nodes[used], faces.reshape(-1, 3)), OTHER)
+    return ScenePart(field, Mesh(nodes[used], faces.reshape(-1, 3)), OTHER)
 
 
-def make_model(shape: Shape) -> Part:
+def make_model(shape: Solid) -> ScenePart:
     """Return an analytic model; its mesh has vertices on the surface, edges cut off by a cell."""
     from skimage import measure  # heavy
 
@@ -197,7 +197,9 @@ def make_model(shape: Shape) -> Part:
     )
     start = np.array([axis[0] for axis in axes])
     feet, _ = fall(shape, start + step * vertices.astype(np.float64))
-    return Part(Field(shape.value, shape.gradient), Mesh(feet, faces.astype(np.int64)), OTHER)
+    return ScenePart(
+        SolidField(shape.value, shape.gradient), Mesh(feet, faces.astype(np.int64)), OTHER
+    )
 
 
 def join_meshes(meshes: Sequence[Mesh]) -> Mesh:
@@ -207,12 +209,12 @@ def join_meshes(meshes: Sequence[Mesh]) -> Mesh:
     return Mesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces))
 
 
-def _box(each: Box) -> Field:
+def _box(each: Box) -> SolidField:
     low, high = np.array(each[0]), np.array(each[1])
     return box(0.5 * (low + high), 0.5 * (high - low))
 
 
-def _convex(vertices: FloatArray, faces: IntArray) -> Field:
+def _convex(vertices: FloatArray, faces: IntArray) -> SolidField:
     """Return a convex solid from its faces, open where it has none: exact inside."""
     normals = cross_edges(vertices[faces])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -222,7 +224,7 @@ def _convex(vertices: FloatArray, faces: IntArray) -> Field:
         above: FloatArray = np.einsum("ij,kj->ik", points, normals) - offsets
         return above
 
-    return Field(
+    return SolidField(
         lambda points: heights(points).max(axis=1),
         lambda points: normals[heights(points).argmax(axis=1)],
     )

@@ -22,7 +22,7 @@ from hpcapp.lab.simulate.faults import draw_drift, strew_outliers
 from hpcapp.lab.simulate.raw.edges import Sights, find_edges
 from hpcapp.lab.simulate.raw.parts import OTHER, VEGETATION
 from hpcapp.lab.simulate.raw.scanners import Pulses, Scanner, find_scanner
-from hpcapp.lab.simulate.raw.scenes import SCENES, Scene
+from hpcapp.lab.simulate.raw.scenes import SCENES, RawScene
 from hpcapp.lab.simulate.rays import cross_rays
 from hpcapp.lab.simulate.settings import MOST_POINTS, check_ranges
 from hpccomponent.cli.option_names import name_option
@@ -168,7 +168,7 @@ def scan_scene(scene: str, scanner: str | None, settings: RawSettings | None = N
 
 
 def _gather(
-    scene: Scene, scanner: Scanner, settings: RawSettings, rng: np.random.Generator
+    scene: RawScene, scanner: Scanner, settings: RawSettings, rng: np.random.Generator
 ) -> tuple[Pulses, _Returns, BoolArray]:
     """Send more pulses until enough comes back; return as much as is wanted, and what flies."""
     want = round(settings.flying * settings.points)
@@ -210,7 +210,7 @@ def _say_lack(count: int, edges: int, flying: int, returns: int, solid: int) -> 
 
 
 def _meet(
-    scene: Scene, scanner: Scanner, pulses: Pulses, rng: np.random.Generator
+    scene: RawScene, scanner: Scanner, pulses: Pulses, rng: np.random.Generator
 ) -> tuple[_Returns, Sights]:
     """Return what comes back of pulses, and the hits of the surface alone."""
     surface, reach = scene.surface, scanner.reach * scene.unit
@@ -240,7 +240,7 @@ def _choose(returns: _Returns, count: int, rng: np.random.Generator) -> _Returns
 
 
 def _noise_at(
-    distance: FloatArray, scene: Scene, scanner: Scanner, settings: RawSettings
+    distance: FloatArray, scene: RawScene, scanner: Scanner, settings: RawSettings
 ) -> FloatArray:
     """Return the standard deviation of each distance."""
     if settings.noise is not None:

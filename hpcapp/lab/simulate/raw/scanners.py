@@ -8,7 +8,7 @@ from types import MappingProxyType
 import numpy as np
 
 from hpcapp.geometry.points import FloatArray, IntArray
-from hpcapp.lab.simulate.raw.scenes import Scene
+from hpcapp.lab.simulate.raw.scenes import RawScene
 from hpcapp.lab.simulate.rays import frame_about, unit_vectors
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
@@ -42,7 +42,7 @@ class Pulses:
     sources: IntArray
 
 
-Aim = Callable[[Scene, int, np.random.Generator], Pulses]
+Aim = Callable[[RawScene, int, np.random.Generator], Pulses]
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +98,7 @@ def find_scanner(name: str | None, scene: str) -> Scanner:
     return SCANNERS[name]
 
 
-def _fly(scene: Scene, count: int, rng: np.random.Generator) -> Pulses:
+def _fly(scene: RawScene, count: int, rng: np.random.Generator) -> Pulses:
     """Fly strips along x, there and back, with a mirror that turns across the flight."""
     del rng
     low, high = scene.bounds
@@ -122,7 +122,7 @@ def _fly(scene: Scene, count: int, rng: np.random.Generator) -> Pulses:
     return _join(parts)
 
 
-def _turn(scene: Scene, count: int, rng: np.random.Generator) -> Pulses:
+def _turn(scene: RawScene, count: int, rng: np.random.Generator) -> Pulses:
     """Turn once on each stand, in even steps of azimuth and elevation."""
     assert scene.stands is not None  # noqa: S101 - of all scenes that it can scan
     each = max(count // len(scene.stands), 1)
@@ -143,7 +143,7 @@ def _turn(scene: Scene, count: int, rng: np.random.Generator) -> Pulses:
     return _join(parts)
 
 
-def _walk(scene: Scene, count: int, rng: np.random.Generator) -> Pulses:
+def _walk(scene: RawScene, count: int, rng: np.random.Generator) -> Pulses:
     """Walk with a depth camera: frames of pixels that are spread by chance."""
     assert scene.walk is not None  # noqa: S101 - of all scenes that it can scan
     each = max(count // _FRAMES, 1)
@@ -158,7 +158,7 @@ def _walk(scene: Scene, count: int, rng: np.random.Generator) -> Pulses:
     )
 
 
-def _shoot(scene: Scene, count: int, rng: np.random.Generator) -> Pulses:
+def _shoot(scene: RawScene, count: int, rng: np.random.Generator) -> Pulses:
     """Take shots from all round: each a square image that covers the object."""
     low, high = scene.bounds
     # (16, 3): a golden spiral on the sphere

@@ -16,7 +16,7 @@ from hpcapp.lab.simulate.raw.canopy import Canopy, Crown
 from hpcapp.lab.simulate.raw.parts import (
     Box,
     HeightField,
-    Part,
+    ScenePart,
     join_meshes,
     make_boxes,
     make_houses,
@@ -38,7 +38,7 @@ HEAP, PIT = 100.0, 20.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scene:
+class RawScene:
     """What is scanned, and from where.
 
     Parameters
@@ -57,7 +57,7 @@ class Scene:
     """
 
     name: str
-    parts: tuple[Part, ...]
+    parts: tuple[ScenePart, ...]
     bounds: Bounds
     unit: float = 1.0
     canopy: Canopy | None = None
@@ -84,18 +84,18 @@ class Scene:
         return kinds
 
 
-def _make_terrain(rng: np.random.Generator, shape: str) -> Scene:
+def _make_terrain(rng: np.random.Generator, shape: str) -> RawScene:
     del shape
     ground = _make_hills(rng, extent=100.0, relief=4.0)
     return _outdoors("terrain", 100.0, (ground.as_part(),), _stand_on(ground, [(50.0, 50.0)]))
 
 
-def _make_yard(rng: np.random.Generator, shape: str) -> Scene:
+def _make_yard(rng: np.random.Generator, shape: str) -> RawScene:
     del rng, shape
     return _fence("yard", _lay_yard())
 
 
-def _make_heap(rng: np.random.Generator, shape: str) -> Scene:
+def _make_heap(rng: np.random.Generator, shape: str) -> RawScene:
     del rng, shape
     yard = _lay_yard()
     y, x = np.indices(yard.shape) * _NODE
@@ -111,13 +111,13 @@ def _lay_yard() -> FloatArray:
     return _draw_hills(np.random.default_rng(0), extent=40.0, relief=1.0)
 
 
-def _fence(name: str, heights: FloatArray) -> Scene:
+def _fence(name: str, heights: FloatArray) -> RawScene:
     ground = HeightField(heights, _NODE)
     stands = _stand_on(ground, [(6.0, 20.0), (34.0, 34.0), (30.0, 6.0)])
     return _outdoors(name, 40.0, (ground.as_part(),), stands)
 
 
-def _make_forest(rng: np.random.Generator, shape: str) -> Scene:
+def _make_forest(rng: np.random.Generator, shape: str) -> RawScene:
     del shape
     extent = 60.0
     ground = _make_hills(rng, extent, relief=2.5)
@@ -136,7 +136,7 @@ def _make_forest(rng: np.random.Generator, shape: str) -> Scene:
     return _outdoors("forest", extent, (ground.as_part(), trunks), stands, canopy)
 
 
-def _make_town(rng: np.random.Generator, shape: str) -> Scene:
+def _make_town(rng: np.random.Generator, shape: str) -> RawScene:
     del shape
     extent, lot = 80.0, 20.0
     ground = _make_hills(rng, extent, relief=1.0)
@@ -160,7 +160,7 @@ def _make_town(rng: np.random.Generator, shape: str) -> Scene:
 _SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
 
-def _make_room(rng: np.random.Generator, shape: str) -> Scene:
+def _make_room(rng: np.random.Generator, shape: str) -> RawScene:
     del shape
     x, y = rng.uniform(-0.3, 0.3, 2)  # where the table and the chair stand
     # boxes reach into each other: two faces in one plane would leave a skin between them
@@ -186,10 +186,10 @@ def _make_room(rng: np.random.Generator, shape: str) -> Scene:
 
     stands = np.array([[1.8, 1.5, 1.5], [5.2, 3.2, 1.6]])
     bounds = np.array(boxes[0][0]), np.array(boxes[0][1])
-    return Scene("room", (make_boxes(boxes),), bounds, stands=stands, walk=walk)
+    return RawScene("room", (make_boxes(boxes),), bounds, stands=stands, walk=walk)
 
 
-def _make_object(rng: np.random.Generator, shape: str) -> Scene:
+def _make_object(rng: np.random.Generator, shape: str) -> RawScene:
     del rng
     model = find_shape(shape)
     low, high = model.bounds
@@ -201,10 +201,10 @@ def _make_object(rng: np.random.Generator, shape: str) -> Scene:
         eyes = middle + 1.1 * diagonal * np.column_stack(around)
         return eyes, np.broadcast_to(middle, eyes.shape)
 
-    return Scene("object", (make_model(model),), model.bounds, diagonal, walk=walk)
+    return RawScene("object", (make_model(model),), model.bounds, diagonal, walk=walk)
 
 
-SCENES: Mapping[str, Callable[[np.random.Generator, str], Scene]] = MappingProxyType(
+SCENES: Mapping[str, Callable[[np.random.Generator, str], RawScene]] = MappingProxyType(
     {
         "terrain": _make_terrain,
         "yard": _make_yard,
@@ -252,13 +252,13 @@ def _make_table(corner: tuple[float, float], size: tuple[float, float], top: flo
 def _outdoors(
     name: str,
     extent: float,
-    parts: tuple[Part, ...],
+    parts: tuple[ScenePart, ...],
     stands: FloatArray,
     canopy: Canopy | None = None,
-) -> Scene:
+) -> RawScene:
     """Return a scene whose first part is the ground."""
     heights = np.concatenate([part.mesh.vertices[:, 2] for part in parts])
     top = heights.max() if canopy is None else canopy.top
     low = np.array([_BORDER, _BORDER, parts[0].mesh.vertices[:, 2].min()])
     high = np.array([extent - _BORDER, extent - _BORDER, top])
-    return Scene(name, parts, (low, high), canopy=canopy, border=1.0, stands=stands)
+    return RawScene(name, parts, (low, high), canopy=canopy, border=1.0, stands=stands)

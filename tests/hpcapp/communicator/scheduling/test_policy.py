@@ -3,7 +3,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from hpcapp.communicator.scheduling.policy import AdaptivePolicy, EqualPolicy, Placement, PullPolicy
+from hpcapp.communicator.scheduling.policy import (
+    AdaptivePolicy,
+    EqualPolicy,
+    PullPolicy,
+    TaskPlacement,
+)
 
 
 @dataclass
@@ -17,13 +22,13 @@ class Load:
 
 def test_equal_goes_round_robin_and_fixes_the_place() -> None:
     loads = [Load(placed=3), Load(placed=2), Load(placed=2)]
-    assert EqualPolicy().place(100, loads) == Placement(1, 1, is_fixed=True)
+    assert EqualPolicy().place(100, loads) == TaskPlacement(1, 1, is_fixed=True)
 
 
 def test_pull_takes_the_shortest_queue_until_all_are_full() -> None:
     loads = [Load(queued=1), Load(queued=0)]
     placement = PullPolicy().place(80, loads)
-    assert placement == Placement(1, 10)
+    assert placement == TaskPlacement(1, 10)
     assert PullPolicy().place(80, [Load(queued=2), Load(queued=2)]) is None
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from hpcapp.geometry.points import FloatArray
 from hpcapp.io.points.point_source import Findings
-from hpcapp.io.text.columns import Columns, assign_by_name, assign_by_value
+from hpcapp.io.text.columns import TableColumns, assign_by_name, assign_by_value
 from hpcapp.io.text.tables import RowNotes
 from hpccomponent.errors import InputError
 
@@ -27,7 +27,7 @@ COLOURS = "red green blue"
 NORMALS = "nx ny nz"
 
 
-def _assign(*groups: FloatArray, name: str = "a.xyz") -> tuple[str, Columns, str]:
+def _assign(*groups: FloatArray, name: str = "a.xyz") -> tuple[str, TableColumns, str]:
     sample = np.hstack([POINTS, *groups])
     findings = Findings()
     columns = assign_by_value(Path(name), sample, tuple(range(sample.shape[1])), findings)
@@ -169,7 +169,7 @@ def test_incomplete_groups_are_attributes() -> None:
 
 
 def test_colours_that_the_sample_had_none_of() -> None:
-    columns = Columns(("x", "y", "z", "red", "green", "blue"), "8 bit")
+    columns = TableColumns(("x", "y", "z", "red", "green", "blue"), "8 bit")
     notes, findings = RowNotes(Path("a.xyz")), Findings()
     table = np.array([[1, 2, 3, 4, 5, 6], [1, 2, 3, np.nan, 5, 6]])
     cloud = columns.make_cloud(table, 10, notes)

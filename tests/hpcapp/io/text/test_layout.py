@@ -9,14 +9,14 @@ import pytest
 from hpcapp.io.points.column_roles import AXES
 from hpcapp.io.points.point_source import Findings
 from hpcapp.io.text.columns import assign_by_name
-from hpcapp.io.text.layout import Layout, find_layout
+from hpcapp.io.text.layout import TextLayout, find_layout
 from hpccomponent.errors import InputError
 
 Make = Callable[..., Path]
 ROWS = "1.5 2 3 4\n5 6 7 8\n"
 
 
-def _find(path: Path) -> tuple[Layout, list[str]]:
+def _find(path: Path) -> tuple[TextLayout, list[str]]:
     findings = Findings()
     layout, sample = find_layout(path, findings)
     assert sample.shape[1] == len(layout.rows.wanted)

@@ -8,15 +8,17 @@ import pytest
 
 from hpcapp.lab.reproduce.finding import Finding
 from hpcapp.lab.reproduce.plots import make_figure_7, make_figure_8
-from hpcapp.lab.reproduce.scaling import WAYS, Run
+from hpcapp.lab.reproduce.scaling import WAYS, ScalingRun
 
 
-def run_of(way: str, workers: int, number: int, fit_s: float, job_s: float) -> Run:
-    return Run(way, workers, number, 0.5 * workers, 2.0 * fit_s, fit_s, job_s, 2_000_000 * workers)
+def run_of(way: str, workers: int, number: int, fit_s: float, job_s: float) -> ScalingRun:
+    return ScalingRun(
+        way, workers, number, 0.5 * workers, 2.0 * fit_s, fit_s, job_s, 2_000_000 * workers
+    )
 
 
 @pytest.fixture(scope="module")
-def runs() -> list[Run]:
+def runs() -> list[ScalingRun]:
     """Three rounds, the second of which a busy machine makes ten times as slow."""
     return [
         run_of(way, workers, number, slow * fit_s, slow * job_s)
@@ -27,7 +29,7 @@ def runs() -> list[Run]:
 
 
 @pytest.fixture(scope="module")
-def made(runs: list[Run]) -> dict[str, tuple[Finding, bytes]]:
+def made(runs: list[ScalingRun]) -> dict[str, tuple[Finding, bytes]]:
     pytest.importorskip("matplotlib", reason="needs the plots extra")
     found = {}
     for name, make in (("fig7", make_figure_7), ("fig8", make_figure_8)):

@@ -8,13 +8,13 @@ import pytest
 from spheres import make_sphere
 
 from hpcapp.io import write_points
-from hpcapp.lab.reproduce.scaling import Run, limit_of_fits, measure, summarise
+from hpcapp.lab.reproduce.scaling import ScalingRun, limit_of_fits, measure, summarise
 from hpccomponent.errors import UsageError
 
 
-def runs_of(slow_round: float) -> list[Run]:
+def runs_of(slow_round: float) -> list[ScalingRun]:
     return [
-        Run("fits", workers, number, 0.0, 0.0, slow * fit_s, slow * job_s, 0)
+        ScalingRun("fits", workers, number, 0.0, 0.0, slow * fit_s, slow * job_s, 0)
         for number, slow in enumerate((1.0, slow_round, 1.0))
         for workers, fit_s, job_s in ((0, 0.1, 1.0), (1, 0.2, 1.1), (2, 0.4, 1.3))
     ]

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial import KDTree
 
 from hpcapp.geometry.points import FloatArray, PointCloud
-from hpcapp.lab.simulate.implicit import Shape, diagonal_of
+from hpcapp.lab.simulate.implicit import Solid, diagonal_of
 from hpcapp.lab.simulate.scanner import sample_surface, simulate_scan
 from hpcapp.lab.simulate.settings import ScanSettings
 from hpcapp.lab.simulate.shapes import SHAPES
@@ -19,16 +19,16 @@ TORUS = SHAPES["torus"]
 SPHERE = SHAPES["sphere"]
 
 
-def scan(shape: Shape = TORUS, **settings: Any) -> PointCloud:
+def scan(shape: Solid = TORUS, **settings: Any) -> PointCloud:
     return simulate_scan(shape, ScanSettings(**{"points": 4000} | settings))
 
 
-def heights(shape: Shape, cloud: PointCloud) -> FloatArray:
+def heights(shape: Solid, cloud: PointCloud) -> FloatArray:
     """The implicit function at the points, as a fraction of the diagonal."""
     return shape.value(cloud.positions) / diagonal_of(shape)
 
 
-def agreement(shape: Shape, cloud: PointCloud) -> FloatArray:
+def agreement(shape: Solid, cloud: PointCloud) -> FloatArray:
     """The cosine between each point's normal and the shape's."""
     assert cloud.normals is not None
     values: FloatArray = np.einsum("ij,ij->i", cloud.normals, shape.normal(cloud.positions))

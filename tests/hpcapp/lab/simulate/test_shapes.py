@@ -11,7 +11,7 @@ from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray
 from hpcapp.lab.simulate import fields, outlines, reliefs, solids
-from hpcapp.lab.simulate.implicit import ImplicitShape, Shape, diagonal_of
+from hpcapp.lab.simulate.implicit import ImplicitShape, Solid, diagonal_of
 from hpcapp.lab.simulate.rays import closest_points, cross_rays, sample_lines, unit_vectors
 from hpcapp.lab.simulate.shapes import SHAPES, find_shape
 from hpccomponent.errors import UsageError
@@ -19,7 +19,7 @@ from hpccomponent.errors import UsageError
 every_shape = pytest.mark.parametrize("shape", SHAPES.values(), ids=list(SHAPES))
 
 
-def mesh_of(shape: Shape, cell: float) -> Mesh:
+def mesh_of(shape: Solid, cell: float) -> Mesh:
     """Marching cubes on a grid of that cell size, as a fraction of the diagonal."""
     low, high = shape.bounds
     step = cell * diagonal_of(shape)
@@ -32,14 +32,14 @@ def mesh_of(shape: Shape, cell: float) -> Mesh:
     return Mesh(vertices + low - 2.5 * step, faces.astype(np.int64))
 
 
-def points_around(shape: Shape, count: int = 2000, seed: int = 5) -> FloatArray:
+def points_around(shape: Solid, count: int = 2000, seed: int = 5) -> FloatArray:
     low, high = shape.bounds
     rng = np.random.default_rng(seed)
     return low + (high - low) * rng.uniform(-0.2, 1.2, (count, 3))
 
 
 @every_shape
-def test_its_surface_is_one_piece_of_the_genus_it_claims(shape: Shape) -> None:
+def test_its_surface_is_one_piece_of_the_genus_it_claims(shape: Solid) -> None:
     thin = shape.name in {"plate", "plates", "ring", "shaft", "fingers", "heatsink"}
     found = check_mesh(mesh_of(shape, 1 / 190 if thin else 1 / 70))
     assert found.watertight
@@ -47,7 +47,7 @@ def test_its_surface_is_one_piece_of_the_genus_it_claims(shape: Shape) -> None:
 
 
 @every_shape
-def test_its_bounds_hold_the_surface_and_fit(shape: Shape) -> None:
+def test_its_bounds_hold_the_surface_and_fit(shape: Solid) -> None:
     low, high = shape.bounds
     points = sample_lines(shape, 20_000, np.random.default_rng(1))
     slack = 1e-9 * diagonal_of(shape)
@@ -59,7 +59,7 @@ def test_its_bounds_hold_the_surface_and_fit(shape: Shape) -> None:
 
 
 @every_shape
-def test_its_value_never_exceeds_the_distance_to_the_surface(shape: Shape) -> None:
+def test_its_value_never_exceeds_the_distance_to_the_surface(shape: Solid) -> None:
     points = points_around(shape)
     surface = sample_lines(shape, 3000, np.random.default_rng(2))
     to_surface = np.linalg.norm(points[:, None] - surface[None, :500], axis=2).min(axis=1)
@@ -67,7 +67,7 @@ def test_its_value_never_exceeds_the_distance_to_the_surface(shape: Shape) -> No
 
 
 @every_shape
-def test_its_value_changes_no_faster_than_the_distance(shape: Shape) -> None:
+def test_its_value_changes_no_faster_than_the_distance(shape: Solid) -> None:
     points = points_around(shape)
     step = 0.01 * diagonal_of(shape) * np.random.default_rng(3).standard_normal(points.shape)
     change = np.abs(shape.value(points + step) - shape.value(points))
@@ -75,7 +75,7 @@ def test_its_value_changes_no_faster_than_the_distance(shape: Shape) -> None:
 
 
 @every_shape
-def test_its_normals_are_the_direction_in_which_the_value_grows(shape: Shape) -> None:
+def test_its_normals_are_the_direction_in_which_the_value_grows(shape: Solid) -> None:
     points = sample_lines(shape, 2000, np.random.default_rng(4))
     normals = shape.normal(points)
     assert np.linalg.norm(normals, axis=1) == pytest.approx(1.0, abs=1e-12)
@@ -92,7 +92,7 @@ def test_its_normals_are_the_direction_in_which_the_value_grows(shape: Shape) ->
 
 
 @every_shape
-def test_lines_meet_its_surface_to_rounding(shape: Shape) -> None:
+def test_lines_meet_its_surface_to_rounding(shape: Solid) -> None:
     points = sample_lines(shape, 3000, np.random.default_rng(6))
     assert len(points) > 100
     assert np.abs(shape.value(points)).max() < 1e-12 * diagonal_of(shape)

@@ -11,7 +11,7 @@ from hpcapp.geometry.points import FloatArray
 from hpcapp.lab.simulate.implicit import diagonal_of
 from hpcapp.lab.simulate.raw.parts import (
     HeightField,
-    Part,
+    ScenePart,
     make_boxes,
     make_houses,
     make_model,
@@ -24,12 +24,12 @@ def hills() -> HeightField:
     return HeightField(np.random.default_rng(0).uniform(0.0, 1.0, (9, 7)), 0.5)
 
 
-def houses() -> Part:
+def houses() -> ScenePart:
     feet = np.array([[0.0, 0.0, 1.0], [8.0, 1.0, 2.0], [7.0, 7.0, 1.0], [-1.0, 6.0, 0.5]])
     return make_houses([feet, feet + np.array([20.0, 0.0, 0.0])], [4.0, 5.0], [6.0, 8.0])
 
 
-def room() -> Part:
+def room() -> ScenePart:
     return make_boxes(
         [
             ((-1.0, -1.0, -1.0), (5.0, 4.0, 3.0), True),
@@ -40,7 +40,7 @@ def room() -> Part:
     )
 
 
-def trunks() -> Part:
+def trunks() -> ScenePart:
     return make_trunks(np.array([[0.0, 0.0, 0.0], [1.5, 0.0, 0.2]]), np.array([3.0, 5.0]), 0.2)
 
 
@@ -53,7 +53,7 @@ PARTS = {
 }
 
 
-def sample(part: Part) -> tuple[FloatArray, FloatArray]:
+def sample(part: ScenePart) -> tuple[FloatArray, FloatArray]:
     """A place on every face, off its edges, and the normal there."""
     triangles = part.mesh.vertices[part.mesh.faces]
     return np.einsum("ijk,j->ik", triangles, [0.5, 0.3, 0.2]), face_normals(part.mesh)
