@@ -76,8 +76,9 @@ def cropped(*options: Callable[[Verb], Verb]) -> Callable[[Verb], Verb]:
             asked = {name: given.pop(name) for name in CROPPED if name in given}
             verb(*args, crop=parse_crop(**asked), **given)
 
+        command: Verb = run
         for option in reversed(options):
-            run = option(run)
-        return run
+            command = option(command)
+        return command
 
     return decorate
