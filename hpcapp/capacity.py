@@ -32,16 +32,9 @@ _ROOT = Path("/")
 class WorkerNeeds:
     """What one worker takes by being there.
 
-    Parameters
-    ----------
-    descriptors : int
-        Of the master.
-    tasks : int
-        Processes and their threads.
-    own_tasks : int
-        The master's threads, and its helper processes, for all of them together.
-    memory : int
-        In bytes, with the modules of all tasks imported and no task run.
+    Descriptors of the master; processes and their threads; those of the master itself and of its
+    helpers, for all workers together; bytes of memory, with the modules of all tasks imported and
+    no task run.
     """
 
     descriptors: int

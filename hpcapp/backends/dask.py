@@ -60,12 +60,7 @@ class DaskExecutor(Executor):
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Wait for what was submitted, or cancel it; the client stays open.
 
-        Parameters
-        ----------
-        wait : bool
-            Return only when all is done; without it, all is cancelled.
-        cancel_futures : bool
-            Cancel all, whatever `wait` is.
+        Without `wait`, all is cancelled, and with `cancel_futures` whatever that is.
         """
         self._executor.shutdown(wait=wait and not cancel_futures)
 

@@ -153,21 +153,10 @@ class RetryingExecutor(Executor):
         self.workers = workers or count_workers(self._engine)
 
     def submit(self, fn: Callable[..., T], /, *args: object, **kwargs: object) -> Future[T]:
-        """Have a task run on some worker.
+        """Have a task run on some worker; values go by position, as engines differ in keywords.
 
-        Its future ends by `WorkerLostError` where the task has cost more workers than it may.
-
-        Parameters
-        ----------
-        *args
-            Values, by position: engines differ in what they do with keywords.
-
-        Raises
-        ------
-        RuntimeError
-            After `shutdown`, as every Executor.
-        TypeError
-            There are keyword arguments.
+        Its future ends by `WorkerLostError` where the task has cost more workers than it may. Raise
+        RuntimeError after `shutdown`, as every Executor, and TypeError for keyword arguments.
         """
         if kwargs:
             raise TypeError(f"task arguments {sorted(kwargs)} must be given by position")
@@ -194,12 +183,8 @@ class RetryingExecutor(Executor):
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """End as ``concurrent.futures`` documents; the engine is closed once all is done.
 
-        Parameters
-        ----------
-        wait : bool
-            Return only then. Without it, call this once more.
-        cancel_futures : bool
-            Cancel what has not started, and retry nothing.
+        Who does not wait for that calls this once more. With `cancel_futures`, what has not started
+        is cancelled, and nothing retried.
         """
         self._is_shut_down = True
         tasks = list(self._tasks)

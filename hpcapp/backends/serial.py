@@ -17,17 +17,9 @@ class SerialExecutor(Executor):
     _is_shut_down = False
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        """Run `fn` now and return its finished future.
+        """Run `fn` now; return a future of what it returned, or of the exception that it raised.
 
-        Returns
-        -------
-        concurrent.futures.Future
-            Holds what `fn` returned, or the exception that it raised.
-
-        Raises
-        ------
-        RuntimeError
-            After `shutdown`, as every Executor.
+        Raise RuntimeError after `shutdown`, as every Executor.
         """
         if self._is_shut_down:
             raise RuntimeError("cannot schedule new futures after shutdown")

@@ -226,23 +226,11 @@ class CommunicatorExecutor(Executor):
     def share(self, value: object) -> Blob:
         """Name a large value, so that it travels to each machine once and not with every task.
 
-        Parameters
-        ----------
-        value : object
-            What could be an argument of a task: most often an ndarray, or a tuple or dict of
-            them. Its arrays are not copied, and must not change while tasks use them.
-
-        Returns
-        -------
-        Blob
-            Stands for the value among the arguments of `submit`, also within tuples, lists and
-            dicts; the task gets the value, read-only. Equal values are one blob. Workers let it
-            go when neither this nor an unfinished task refers to it.
-
-        Raises
-        ------
-        UsageError
-            If the value cannot travel.
+        It is what could be an argument of a task: most often an ndarray, or a tuple or dict of
+        them, which are not copied and must not change while tasks use them. The blob stands for it
+        among the arguments of `submit`, also within tuples, lists and dicts; the task gets the
+        value, read-only. Equal values are one blob. Workers let it go when neither this nor an
+        unfinished task refers to it. Raise UsageError where the value cannot travel.
         """
         blob = make_blob(*encode_values((value,)))
         with self._lock:
@@ -259,18 +247,10 @@ class CommunicatorExecutor(Executor):
     ) -> Future[ResultT]:
         """Have a registered task run on some worker.
 
-        Parameters
-        ----------
-        *args
-            Values (see ``docs/explanation/design.md``), and what `share` returned; arrays must not
-            change before the future is done.
-
-        Raises
-        ------
-        UsageError
-            If `fn` is not registered, an argument cannot travel, or there are keyword arguments.
-        RuntimeError
-            After `shutdown`, as every Executor.
+        Its arguments are values (see ``docs/explanation/design.md``), and what `share` returned;
+        arrays must not change before the future is done. Raise UsageError where `fn` is not
+        registered, an argument cannot travel, or there are keyword arguments, and RuntimeError
+        after `shutdown`.
         """
         if kwargs:
             raise UsageError(
@@ -335,12 +315,7 @@ class CommunicatorExecutor(Executor):
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """End as ``concurrent.futures`` documents: workers are told farewell after the last task.
 
-        Parameters
-        ----------
-        wait : bool
-            Return only when every future is done and the sockets are closed.
-        cancel_futures : bool
-            Cancel what has not left for a worker.
+        Wait until every future is done and the sockets are closed, or cancel what has not left.
         """
         with self._lock:
             self._is_shut_down = True

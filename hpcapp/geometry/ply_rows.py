@@ -25,20 +25,10 @@ FACE_SIZE = _FACE.itemsize
 @record("surface.shared_ply")
 @dataclass(frozen=True, slots=True, eq=False)
 class SharedPly:
-    """Where the rows of a binary little-endian PLY file are.
+    """Where the rows of a binary little-endian PLY file are, in bytes from its start.
 
-    Parameters
-    ----------
-    path : str
-        The file, under the name that it has while it is written.
-    target : str
-        The name that it will have: what messages call it.
-    vertex_start, face_start : int
-        The byte at which the vertices and the faces begin.
-    is_double : bool
-        Coordinates are ``double``, else ``float``.
-    origin : ndarray of float64, shape (3,)
-        To be added to the vertices.
+    It has the name `path` while it is written, and will have that of the target: what messages call
+    it. Coordinates are ``double`` or ``float``; the origin (3,) is to be added to them.
     """
 
     path: str

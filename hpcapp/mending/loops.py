@@ -26,13 +26,9 @@ than half of an object is a view of it."""
 class Loops:
     """Borders of a mesh that may be filled.
 
-    Parameters
-    ----------
-    holes : list of ndarray of int64, shape (n,)
-        Vertices, in the order in which the faces that fill a hole run along its border.
-    tangled : int
-        Borders of that size that no face can be joined to: they touch themselves or each other, or
-        edges of more than two faces, or faces of which one is turned.
+    Holes are the vertices, (n,) each, in the order in which the faces that fill one run along its
+    border. Tangled are borders of that size that no face can be joined to: they touch themselves or
+    each other, or edges of more than two faces, or faces of which one is turned.
     """
 
     holes: list[IntArray]

@@ -36,14 +36,7 @@ class Atlas:
 
 
 def unwrap(mesh: Mesh, pixels: int) -> Atlas:
-    """Cut a mesh into charts, and pack them.
-
-    Parameters
-    ----------
-    mesh : Mesh
-    pixels : int
-        Along a side.
-    """
+    """Cut a mesh into charts, and pack them into so many pixels a side."""
     import xatlas
 
     atlas = xatlas.Atlas()

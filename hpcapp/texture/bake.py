@@ -81,16 +81,10 @@ class Baked:
 
 
 class FineNormals:
-    """The normals of a fine surface, as a function of the place.
+    """The normals of a fine surface that has some, as a function of the place.
 
-    Parameters
-    ----------
-    fine : MeshStream
-        With normals.
-    most : int
-        So many of its vertices are kept in memory, with some 100 bytes each.
-    threads : int
-        The values do not depend on it.
+    So many of its vertices are kept in memory, with some 100 bytes each; the values do not depend
+    on the threads.
     """
 
     def __init__(self, fine: MeshStream, most: int, threads: int) -> None:
@@ -107,14 +101,10 @@ class FineNormals:
         self._tree = cKDTree(np.concatenate(places), compact_nodes=False, balanced_tree=False)
 
     def find(self, places: FloatArray, around: FloatArray) -> FloatArray:
-        """Return unit normals at places.
+        """Return unit normals at places, shape (n, 3).
 
-        Parameters
-        ----------
-        places : ndarray of float64, shape (n, 3)
-        around : ndarray of float64, shape (n, 3)
-            The normals of the light surface there: fine vertices that look away from them are of
-            another side.
+        Those of the light surface there tell sides: fine vertices that look away from them are of
+        another one.
         """
         most = min(_NEAR, self._tree.n)
         far, near = self._tree.query(places, np.arange(1, most + 1), workers=self._threads)
@@ -135,19 +125,10 @@ def bake(
     pixels: int,
     advance: Callable[[int, int], object] = lambda *_: None,
 ) -> Baked:
-    """Give a light mesh a texture.
+    """Give a light mesh with normals a texture of so many pixels a side.
 
-    Parameters
-    ----------
-    light : Mesh
-        With normals.
-    find_normals : FineNormals
-    find_colours : callable or None
-        None where there are no colours: then the texture has none.
-    pixels : int
-        Along a side.
-    advance : callable
-        Told how many faces are done, and how many there are.
+    It has no colours where nothing finds them. `advance` is told how many faces are done, and how
+    many there are.
     """
     atlas = unwrap(light, pixels)
     mesh = _split(light, atlas)
@@ -203,12 +184,7 @@ def _blend(texels: Texels, rows: FloatArray, faces: IntArray) -> FloatArray:
 def _encode(normals: FloatArray, right: FloatArray, around: FloatArray) -> ByteArray:
     """Return normals in the frames of texels, as a viewer makes these: of what it interpolates.
 
-    Parameters
-    ----------
-    right : ndarray of float64, shape (n, 4)
-        Interpolated tangents.
-    around : ndarray of float64, shape (n, 3)
-        Interpolated normals, of length one.
+    That are the tangents (n, 4) to the right, and the normals (n, 3) of length one.
     """
     tangents = normalise(right[:, :3])
     up = normalise(np.cross(around, tangents) * np.sign(right[:, 3:]))

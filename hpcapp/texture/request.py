@@ -18,17 +18,8 @@ MOST_FACES = 200_000
 def check_texture(output: str, faces: int | None, size: str | None) -> None:
     """Find out before the work whether a texture can come of what is asked for.
 
-    Parameters
-    ----------
-    output : str
-        As typed.
-    faces, size : optional
-        What the mesh is simplified to.
-
-    Raises
-    ------
-    UsageError
-        The mesh is not to be light enough, or the output does not hold a texture.
+    The mesh is simplified to so many faces, or to a size. Raise UsageError where it is not to be
+    light enough, or the output, as typed, does not hold a texture.
     """
     from hpcapp.io.formats import check_holds_texture
 

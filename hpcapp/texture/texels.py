@@ -35,13 +35,7 @@ class Texels:
 def cover(places: FloatArray, faces: IntArray, pixels: int) -> Iterator[Texels]:
     """Yield the texels of triangles, some at a time; those on a common edge are of one of two.
 
-    Parameters
-    ----------
-    places : ndarray of float64, shape (v, 2)
-        Right and down, 0 to 1.
-    faces : ndarray of int64, shape (f, 3)
-    pixels : int
-        Along a side of the picture.
+    Places (v, 2) are right and down, 0 to 1, in a picture of so many pixels a side.
     """
     for first in range(0, len(faces), _FACES):
         # (f, 3, 2): texels have their centres at whole numbers.

@@ -23,14 +23,8 @@ def write_contours(path: Path, grid: HeightGrid, interval: float, crs: Crs | Non
     """Write the lines of all heights that are multiples of an interval, and return how many.
 
     Coordinates are those of the map: a member ``crs`` names it as GDAL reads it, by EPSG's code or
-    as WKT. They are rounded to a thousandth of a cell.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    UsageError
-        There are too many heights.
+    as WKT. They are rounded to a thousandth of a cell. Raise OutputError where the file cannot be
+    written, and UsageError where there are too many heights.
     """
     features = [
         {
@@ -53,10 +47,7 @@ def write_contours(path: Path, grid: HeightGrid, interval: float, crs: Crs | Non
 def find_lines(grid: HeightGrid, interval: float) -> Iterator[tuple[float, FloatArray]]:
     """Yield each line with its height: x and y on the map, shape (n, 2).
 
-    Raises
-    ------
-    UsageError
-        There are too many heights.
+    Raise UsageError where there are too many heights.
     """
     low, high = float(np.nanmin(grid.values)), float(np.nanmax(grid.values))
     if (high - low) / interval > _MOST_LEVELS:

@@ -32,10 +32,7 @@ def load_rasterio(path: Path) -> _Foreign:
 def read_crs(text: str | None, path: Path) -> Crs | None:
     """Return a coordinate reference system as rasterio has it; None, with a warning, of others.
 
-    Parameters
-    ----------
-    path : Path
-        The GeoTIFF that is to state it.
+    The path is that of the GeoTIFF that is to state it.
     """
     rasterio = load_rasterio(path)
     if text is None:
@@ -53,14 +50,8 @@ def read_crs(text: str | None, path: Path) -> Crs | None:
 def write_geotiff(path: Path, grid: HeightGrid, crs: Crs | None) -> Iterator[None]:
     """Write heights as one band in single precision; NaN is where there are none.
 
-    The file takes its place when the block ends well: what else is written belongs into it.
-
-    Raises
-    ------
-    MissingLibraryError
-        rasterio is not installed.
-    OutputError
-        The file cannot be written.
+    The file takes its place when the block ends well: what else is written belongs into it. Raise
+    MissingLibraryError without rasterio, and OutputError where the file cannot be written.
     """
     rasterio = load_rasterio(path)
     rows, columns = grid.values.shape

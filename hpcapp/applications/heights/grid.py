@@ -91,17 +91,8 @@ class HeightGrid:
 def grid_heights(ground: Epoch, step: float | None) -> HeightGrid:
     """Return the heights of a mesh, or of points, in cells whose borders are multiples of a step.
 
-    Parameters
-    ----------
-    step : float, optional
-        Width of a cell; by default what points or faces are dense enough for, rounded up.
-
-    Raises
-    ------
-    InputError
-        No cell has a height.
-    UsageError
-        There are too many cells.
+    By default cells are as wide as points or faces are dense enough for, rounded up. Raise
+    InputError where no cell has a height, and UsageError where there are too many cells.
     """
     origin = ground.surface.origin
     flat = ground.turn("z", origin)

@@ -60,18 +60,10 @@ class Content:
 
 @dataclass(frozen=True, slots=True)
 class CameraFormat:
-    """A format of camera files.
+    """A format of camera files, by program and usual name, a dialect of some kind.
 
-    Parameters
-    ----------
-    name : str
-        Program and usual name, for people.
-    kind : str
-        What it is a dialect of.
-    tells : callable
-        Whether content of that kind is this format's.
-    read : callable
-        Returns centres and directions, of shape (n, 6); ValueError where the file is damaged.
+    `tells` says whether content of that kind is this format's; `read` returns centres and
+    directions, of shape (n, 6), or raises ValueError where the file is damaged.
     """
 
     name: str

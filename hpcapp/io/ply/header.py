@@ -41,18 +41,10 @@ _EXPORT_AGAIN = "export the file again as PLY 1.0"
 
 @dataclass(frozen=True, slots=True)
 class Property:
-    """A property of an element.
+    """A property of an element, as the header spells and declares it in a line.
 
-    Parameters
-    ----------
-    name : str
-        As the header spells it.
-    dtype : str
-        Of the value, or of each value of a list: a numpy type without byte order.
-    count_dtype : str or None
-        Of the length in front of a list; None for a scalar.
-    line : int
-        Of the header that declares it.
+    The type is that of the value, or of each value of a list: a numpy type without byte order; the
+    other one is of the length in front of a list, None for a scalar.
     """
 
     name: str

@@ -43,16 +43,10 @@ _PROBED_ROWS = 1 << 11
 
 @dataclass(frozen=True, slots=True)
 class TextLayout:
-    """How a text file is made.
+    """How a text file is made: in which line the rows begin, and what stands before.
 
-    Parameters
-    ----------
-    first_row : int
-        Number of the line where the rows begin.
-    counts : tuple of (int, int)
-        Lines that announce a number of rows (PTS has one for each scan), and these numbers.
-    names : tuple of str, or None
-        Of all columns, as the file has them; empty where there are more columns than names.
+    Counts are lines that announce a number of rows (PTS has one for each scan), and these numbers;
+    names those of all columns, as the file has them; none where there are too few.
     """
 
     encoding: str

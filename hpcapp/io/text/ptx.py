@@ -46,12 +46,8 @@ _EXPORT_AGAIN = "export the scans again"
 class _Header:
     """The ten lines before the points of a scan, from `line` on.
 
-    Parameters
-    ----------
-    grid : tuple of int
-        Columns and rows.
-    pose : ndarray of float64, shape (4, 3)
-        What it makes of x, y and z, and what it adds; the scanner is at (3,).
+    The grid has columns and rows; the pose (4, 3) is what it makes of x, y and z, and what it adds:
+    the scanner is at (3,).
     """
 
     line: int

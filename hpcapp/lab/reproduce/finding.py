@@ -7,18 +7,10 @@ from hpccomponent.dataclass import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What came of one figure of the paper.
+    """What came of one figure of the paper: which, and of what; rows of as many cells as columns.
 
-    Parameters
-    ----------
-    title : str
-        Which figure, and of what.
-    rows : tuple of tuple of str
-        As many cells each as there are columns.
-    sentence : str
-        Where it differs from the paper, and why.
-    picture : str
-        What is on the picture, from left to right.
+    The sentence says where it differs from the paper, and why; the other one what is on the
+    picture, from left to right.
     """
 
     title: str

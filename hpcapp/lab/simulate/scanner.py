@@ -58,10 +58,7 @@ class _Hits:
 def simulate_scan(shape: Solid, settings: ScanSettings | None = None) -> PointCloud:
     """Scan an analytic shape: exactly ``settings.points`` with unit normals, view by view.
 
-    Raises
-    ------
-    UsageError
-        Hardly any ray comes back.
+    Raise UsageError where hardly any ray comes back.
 
     Examples
     --------

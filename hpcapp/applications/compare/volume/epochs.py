@@ -50,19 +50,10 @@ def measure_epochs(
 ) -> MeasuredChange:
     """Measure what changed between two epochs of one place.
 
-    Parameters
-    ----------
-    step : float, optional
-        Width of a cell of terrain; by default as wide as the sparser epoch needs.
-    registration : float, optional
-        What `find_registration` takes as vouched.
-
-    Raises
-    ------
-    InputError
-        They have hardly any ground in common, or one is closed and the other is not.
-    UsageError
-        Cells are too small, or their width is given for closed meshes.
+    Cells of terrain are as wide as a step, by default as the sparser epoch needs; `registration` is
+    what `find_registration` takes as vouched. Raise InputError where they have hardly any ground in
+    common, or one is closed and the other is not, and UsageError where cells are too small, or
+    their width is given for closed meshes.
     """
     origin, unit = new.surface.origin, new.crs.unit or old.crs.unit or ""
     new_solid, old_solid = _find_solid(new, origin), _find_solid(old, origin)

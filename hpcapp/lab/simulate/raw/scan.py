@@ -126,10 +126,8 @@ class _Returns:
 def scan_scene(scene: str, scanner: str | None, settings: RawSettings | None = None) -> RawScan:
     """Scan one of `SCENES` by one of `SCANNERS`, by default the scene's usual one.
 
-    Raises
-    ------
-    UsageError
-        A name is unknown, the scanner cannot scan the scene, or hardly any pulse comes back.
+    Raise UsageError where a name is unknown, the scanner cannot scan the scene, or hardly any pulse
+    comes back.
 
     Examples
     --------
