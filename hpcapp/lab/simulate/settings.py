@@ -22,42 +22,17 @@ _MOST_BALLS = 10_000
 
 @dataclass(frozen=True, slots=True)
 class ScanSettings:
-    """How a shape is scanned.
+    """How a shape is scanned: the options of ``hpcapp simulate --shape``, which say what each is.
 
-    Parameters
-    ----------
-    points : int
-        Points of the cloud, outliers included: exactly as many.
-    views : int
-        Positions of the scanner, spread evenly on a sphere about the shape. 0 samples the whole
-        surface evenly instead, seen or not, with its noise along the normal.
-    noise : float
-        Standard deviation of the depth along the ray, as a fraction of the diagonal; independent
-        from point to point.
-    drift : float
-        Standard deviation of a second error of the depth, as a fraction of the diagonal, which is
-        smooth along the surface; each view has its own.
-    correlation : float
-        Length over which the drift changes, as a fraction of the diagonal: errors at a distance r
-        within one view are correlated by exp(-r^2 / (2 correlation^2)).
-    dropout : float
-        Share of each view's image that is lost, in blotches; from 0 to below 1.
-    grazing : float
-        Greatest angle between ray and surface normal that still echoes, in degrees.
-    pose_error : float
-        Standard deviation of each view's shift along each axis, as a fraction of the diagonal;
-        its rotation moves the shape's ends by as much again.
-    outliers : float
-        Share of the points that are wrong: half of them strewn near the surface along their rays
-        (2 to 10 % of the diagonal), half anywhere in twice the bounding box.
-    density_ratio : float
-        Density at the dense end over that at the sparse end, along an oblique direction.
-    missing : int
-        Balls on the surface, 5 % of the diagonal in radius, from which nothing came back.
-    flipped : float
-        Share of the points whose normal has the wrong sign.
-    normals : {"pca", "exact"}
-        From the plane through 20 neighbours, turned towards the scanner; or the shape's own.
+    Points are exactly as many, outliers included. Views are spread evenly on a sphere; without any
+    the whole surface is sampled, seen or not, with its noise along the normal. Noise is independent
+    from point to point, along the ray. Drift is smooth along the surface, each view has its own,
+    and errors at a distance r are correlated by exp(-r^2 / (2 correlation^2)). Dropout is below 1.
+    A pose error is that along each axis; the rotation moves the shape's ends by as much again. Half
+    of the outliers are strewn near the surface along their rays (2 to 10 % of the diagonal), half
+    anywhere in twice the bounding box. Density falls along an oblique direction. Missing balls have
+    a radius of 5 % of the diagonal. Normals are those of planes through 20 neighbours, turned
+    towards the scanner, or the shape's own.
     """
 
     points: int = 100_000
