@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from cut_mesh import ball, extract_shape
+from verbs import run_verb
 
 import hpcapp as package
 from hpcapp.applications.surface.stitching.topology import check_mesh
@@ -23,10 +24,7 @@ from hpcapp.mending.pieces import keep_faces
 from hpccomponent.cli.option_names import speaking_flags
 from hpccomponent.errors import InputError, UsageError
 
-
-def run(*words: str | Path) -> None:
-    done = CliRunner().invoke(mend, list(map(str, words)), catch_exceptions=False)
-    assert done.exit_code == 0, done.output
+run = partial(run_verb, mend)
 
 
 def make_balls() -> Mesh:

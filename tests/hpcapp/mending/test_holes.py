@@ -113,24 +113,21 @@ def test_the_end_of_a_sheet_is_no_hole() -> None:
     assert 0.5 * normals[:, 2].sum() == pytest.approx(400.0)
 
 
-@pytest.mark.parametrize(("factor", "holes"), [(0.5, 0), (0.9, 1), (1.0, 1), (1.1, 1)])
-def test_what_shows_more_than_half_of_an_object_has_a_hole(
-    monkeypatch: pytest.MonkeyPatch, factor: float, holes: int
+@pytest.mark.parametrize(
+    ("height", "factor", "holes"),
+    [
+        # what a plane at this height spans is 0.38 of the area below it
+        (0.16, 0.5, 0), (0.16, 0.9, 1), (0.16, 1.0, 1), (0.16, 1.1, 1),
+        # here it is 0.66
+        (-0.18, 2.0, 1), (-0.18, 1.1, 0), (-0.18, 1.0, 0), (-0.18, 0.9, 0),
+    ],
+)  # fmt: skip
+def test_what_shows_more_than_half_of_an_object_has_a_hole_and_less_is_a_sheet(
+    monkeypatch: pytest.MonkeyPatch, height: float, factor: float, holes: int
 ) -> None:
-    """What a plane at this height spans is 0.38 of the area below it."""
     mesh = make_ball()
     monkeypatch.setattr(loops, "SHEET", factor * loops.SHEET)
-    assert fill_holes(keep_faces(mesh, below(mesh, 0.16)), 2.0).holes == holes
-
-
-@pytest.mark.parametrize(("factor", "holes"), [(2.0, 1), (1.1, 0), (1.0, 0), (0.9, 0)])
-def test_what_shows_less_is_a_sheet(
-    monkeypatch: pytest.MonkeyPatch, factor: float, holes: int
-) -> None:
-    """Here it is 0.66."""
-    mesh = make_ball()
-    monkeypatch.setattr(loops, "SHEET", factor * loops.SHEET)
-    assert fill_holes(keep_faces(mesh, below(mesh, -0.18)), 2.0).holes == holes
+    assert fill_holes(keep_faces(mesh, below(mesh, height)), 2.0).holes == holes
 
 
 def test_where_no_face_can_join_a_border_stays() -> None:

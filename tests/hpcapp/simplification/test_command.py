@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from verbs import run_verb
 
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.io import find_mesh_crs, read_mesh, write_mesh
@@ -17,10 +18,7 @@ from hpcapp.io.meshes.mesh_stream import as_stream
 from hpcapp.simplification.command import simplify
 from hpccomponent.errors import InputError, UsageError
 
-
-def run(*words: str | Path) -> None:
-    done = CliRunner().invoke(simplify, list(map(str, words)), catch_exceptions=False)
-    assert done.exit_code == 0, done.output
+run = partial(run_verb, simplify)
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from PIL import Image
+from verbs import run_verb
 
 from hpcapp.applications.compare.command import compare
 from hpcapp.geometry.mesh import Mesh
@@ -25,10 +27,7 @@ FACES = np.array([
 FAR = np.array([4e5, 5e6, 0.0])
 
 
-def run(*words: str | Path) -> str:
-    done = CliRunner().invoke(compare, list(map(str, words)), catch_exceptions=False)
-    assert done.exit_code == 0
-    return done.stdout
+run = partial(run_verb, compare)
 
 
 def measure(*words: str | Path) -> dict[str, Any]:

@@ -75,25 +75,22 @@ def test_a_lost_worker_loses_its_tasks_and_another_does_them(party: Party) -> No
     assert ("fit", "x", "done") in party.outcomes()
 
 
-def test_a_second_answer_is_a_repeat(party: Party) -> None:
+@pytest.mark.parametrize(
+    ("failure", "outcome"),
+    [(None, "repeated"), (Failure("ValueError", "no", "", ""), "failed")],
+)
+def test_a_second_answer_is_a_repeat_and_one_that_raises_has_failed(
+    party: Party, failure: Failure | None, outcome: str
+) -> None:
     party.come("w")
     party.scheduler.submit(Task(1, "fit", 10))
     assign = assign_of(party.scheduler.dispatch())
-    task = party.scheduler.tasks.pop(1)
-    task.is_done = True  # another worker has answered it
-    party.scheduler.results(b"w", assign.batch, [Result(1, 0.0, b"", [])], True, lambda _: b"")
-    assert party.outcomes() == [("fit", "w", "repeated")]
-
-
-def test_a_task_that_raises_has_failed(party: Party) -> None:
-    party.come("w")
-    party.scheduler.submit(Task(1, "fit", 10))
-    assign = assign_of(party.scheduler.dispatch())
-    failure = Failure("ValueError", "no", "", "")
+    if failure is None:
+        party.scheduler.tasks.pop(1).is_done = True  # another worker has answered it
     party.scheduler.results(
         b"w", assign.batch, [Result(1, 0.0, b"", [], failure)], True, lambda _: b""
     )
-    assert party.outcomes() == [("fit", "w", "failed")]
+    assert party.outcomes() == [("fit", "w", outcome)]
 
 
 def test_liars_and_strangers_are_refused(party: Party) -> None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 from spheres import make_sphere
+from verbs import run_verb
 
 from hpcapp.io import write_points
 from hpcapp.lab.reproduce.command import reproduce
@@ -19,10 +20,7 @@ def sphere(tmp_path: Path) -> Path:
     return tmp_path / "sphere.ply"
 
 
-def run(*words: str | Path | int) -> str:
-    done = CliRunner().invoke(reproduce, list(map(str, words)), catch_exceptions=False)
-    assert done.exit_code == 0
-    return done.stdout
+run = partial(run_verb, reproduce)
 
 
 @pytest.mark.slow  # every panel is drawn
