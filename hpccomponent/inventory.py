@@ -16,8 +16,7 @@ from pathlib import Path
 
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import ConfigError
-from hpccomponent.protocol.keys import is_key
-from hpccomponent.protocol.private_json import check_keys, read_private_json
+from hpccomponent.protocol.keys import check_keys, is_key, read_private_json
 
 INVENTORY_VERSION = 1
 

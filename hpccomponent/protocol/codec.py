@@ -10,6 +10,7 @@ one. Among the arguments of a task a blob stands by its key.
 from __future__ import annotations
 
 import math
+import struct
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
@@ -21,7 +22,6 @@ from numpy.typing import NDArray
 
 from hpccomponent.errors import ProtocolError, UsageError
 from hpccomponent.protocol.blobs import Blob
-from hpccomponent.protocol.containers import check_containers
 from hpccomponent.protocol.frames import Buffer
 from hpccomponent.protocol.records import find_record, make_record
 
@@ -30,6 +30,7 @@ EMBEDDED_BYTES = 4096  # below this an own frame costs more than a copy into the
 MAX_HEADER_BYTES = 4 * 1024 * 1024
 MAX_DEPTH = 50
 MAX_AXES = 32
+MAX_CONTAINERS = 1 << 18
 MAX_INTEGER_BYTES = 1024  # of an int: its digits can still be printed
 DTYPES = frozenset(
     ["|b1", "|i1", "|u1", "<i2", "<u2", "<i4", "<u4", "<i8", "<u8", "<f2", "<f4", "<f8",
@@ -215,7 +216,7 @@ def _pack_list(value: list[Any], parts: _Parts, depth: int) -> list[Packed]:
     return [LIST, *[_pack(entry, parts, depth + 1) for entry in value]]
 
 
-def _pack_dict(value: dict[Any, Any], parts: _Parts, depth: int) -> dict[str, Packed]:
+def _pack_dict(value: dict[Any, object], parts: _Parts, depth: int) -> dict[str, Packed]:
     for key in value:
         if type(key) is not str:
             raise UsageError(f"a dict has the key {key!r}", "only strings may be keys")
@@ -250,34 +251,34 @@ _PACKERS: dict[type, Callable[[Any, _Parts, int], Packed]] = {
 }
 
 
-def _unpack(packed: Any, supply: _Supply, depth: int) -> Any:
+def _unpack(packed: Packed, supply: _Supply, depth: int) -> object:
     kind = type(packed)
     if kind in SIMPLE:
         return packed
     if depth > MAX_DEPTH:
         raise ProtocolError(f"received values are nested more than {MAX_DEPTH} deep")
-    if kind is dict:
+    if isinstance(packed, dict):
         return _unpack_dict(packed, supply, depth)
-    if kind is not list or not packed or type(packed[0]) is not int:
+    if not isinstance(packed, list) or not packed or type(tag := packed[0]) is not int:
         raise ProtocolError(f"a header holds a {kind.__name__} without a tag")
-    tag, *entries = packed
+    entries = packed[1:]
     unpacker, kinds = _UNPACKERS.get(tag, (None, None))
     if unpacker is None or (kinds is not None and kinds != list(map(type, entries))):
         raise ProtocolError(f"a header holds an entry with the unknown tag {tag}")
     return unpacker(entries, supply, depth)
 
 
-def _unpack_dict(packed: dict[Any, Any], supply: _Supply, depth: int) -> dict[str, Any]:
+def _unpack_dict(packed: dict[str, Packed], supply: _Supply, depth: int) -> dict[str, object]:
     if any(type(key) is not str for key in packed):
         raise ProtocolError("a received dict has a key that is not a string")
     return {key: _unpack(entry, supply, depth + 1) for key, entry in packed.items()}
 
 
-def _unpack_tuple(entries: list[Any], supply: _Supply, depth: int) -> tuple[Any, ...]:
+def _unpack_tuple(entries: list[Packed], supply: _Supply, depth: int) -> tuple[object, ...]:
     return tuple(_unpack_list(entries, supply, depth))
 
 
-def _unpack_list(entries: list[Any], supply: _Supply, depth: int) -> list[Any]:
+def _unpack_list(entries: list[Packed], supply: _Supply, depth: int) -> Sequence[object]:
     if SIMPLE.issuperset(map(type, entries)):
         return entries
     return [_unpack(entry, supply, depth + 1) for entry in entries]
@@ -329,12 +330,12 @@ def _unpack_big(entries: list[bytes], _supply: _Supply, _depth: int) -> int:
     return int.from_bytes(entries[0], "little", signed=True)
 
 
-def _unpack_record(entries: list[Any], supply: _Supply, depth: int) -> Any:
+def _unpack_record(entries: list[Any], supply: _Supply, depth: int) -> object:
     name, fields = entries
-    return make_record(name, _unpack(fields, supply, depth + 1))
+    return make_record(name, _unpack_dict(fields, supply, depth + 1))
 
 
-_UNPACKERS: dict[int, tuple[Callable[[Any, _Supply, int], Any], list[type] | None]] = {
+_UNPACKERS: dict[int, tuple[Callable[[Any, _Supply, int], object], list[type] | None]] = {
     TUPLE: (_unpack_tuple, None),
     LIST: (_unpack_list, None),
     ARRAY: (_unpack_array, None),
@@ -346,3 +347,56 @@ _UNPACKERS: dict[int, tuple[Callable[[Any, _Supply, int], Any], list[type] | Non
     RECORD: (_unpack_record, [str, dict]),
 }
 """By its tag, what reads an entry, and the types of what follows the tag; None where it looks."""
+
+_NO_PAYLOAD = {0xC0: 0, 0xC2: 0, 0xC3: 0, 0xCA: 4, 0xCB: 8, 0xCC: 1, 0xCD: 2, 0xCE: 4, 0xCF: 8}
+_FIXED = _NO_PAYLOAD | {0xD0: 1, 0xD1: 2, 0xD2: 4, 0xD3: 8}
+_COUNTED = {0xC4: ">B", 0xC5: ">H", 0xC6: ">I", 0xD9: ">B", 0xDA: ">H", 0xDB: ">I"}
+_MANY = {0xDC: 2, 0xDD: 4, 0xDE: 2, 0xDF: 4}  # arrays and maps, with their count
+
+
+def check_containers(text: Buffer) -> None:
+    r"""Raise ProtocolError for a text that holds more than `MAX_CONTAINERS` arrays and maps.
+
+    An empty list is one byte of the text and more than 60 in memory, twice: a header of the largest
+    size would take half a gigabyte. Whatever else it holds takes a small multiple of its length.
+    Bytes that could begin one are counted first, which takes no time; only where these are too
+    many, as in a long list of random numbers, the text is walked through. What is malformed as
+    MessagePack is for the decoder to say.
+
+    Examples
+    --------
+    >>> check_containers(bytes([0x93, 0x90, 0x80, 0x01]))
+    >>> check_containers(bytes([0xDD, 0, 8, 0, 0]) + b"\x90" * (1 << 19))
+    Traceback (most recent call last):
+    hpccomponent.errors.ProtocolError: a header of values holds more than 262144 lists and dicts
+    """
+    if len(text) <= MAX_CONTAINERS:
+        return
+    raw = np.frombuffer(text, np.uint8)
+    may_begin = (raw >= 0x80) & (raw <= 0x9F) | (raw >= 0xDC) & (raw <= 0xDF)
+    if np.count_nonzero(may_begin) > MAX_CONTAINERS and _count(text) > MAX_CONTAINERS:
+        raise ProtocolError(f"a header of values holds more than {MAX_CONTAINERS} lists and dicts")
+
+
+def _count(text: Buffer) -> int:
+    """Count the arrays and maps, up to one more than are allowed."""
+    containers = place = 0
+    end = len(text)
+    while place < end and containers <= MAX_CONTAINERS:
+        kind = text[place]
+        place += 1
+        if kind in _FIXED:
+            place += _FIXED[kind]
+        elif 0x80 <= kind <= 0x9F:
+            containers += 1
+        elif 0xA0 <= kind <= 0xBF:
+            place += kind & 0x1F
+        elif kind in _MANY:
+            containers, place = containers + 1, place + _MANY[kind]
+        elif kind in _COUNTED:
+            form = _COUNTED[kind]
+            size = struct.calcsize(form)
+            if place + size > end:
+                break
+            place += size + int(struct.unpack_from(form, text, place)[0])
+    return containers

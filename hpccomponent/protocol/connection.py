@@ -8,8 +8,7 @@ from pathlib import Path
 
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import ConfigError
-from hpccomponent.protocol.keys import is_key, write_secret
-from hpccomponent.protocol.private_json import read_private_json
+from hpccomponent.protocol.keys import is_key, read_private_json, write_secret
 
 CONNECTION_VERSION = 1
 KEYS = ("server_key", "public_key", "secret_key")

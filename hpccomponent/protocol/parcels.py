@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.frames import Buffer
 
 UNASKED_BYTES = 4 << 20
@@ -25,12 +24,6 @@ LARGE_BYTES = 1 << 20
 MAX_HEAD_BYTES = 8 << 20  # of one `Results`: its worker sends one of 256 KiB before the next result
 
 
-@dataclass(frozen=True, slots=True)
-class _Parcel:
-    head: memoryview
-    payload: memoryview
-
-
 class Parcels:
     """The results of one component that have not been released, by number, which count from 1.
 
@@ -38,7 +31,7 @@ class Parcels:
     """
 
     def __init__(self) -> None:
-        self._parcels: dict[int, _Parcel] = {}
+        self._parcels: dict[int, tuple[memoryview, memoryview]] = {}
         self._unasked: dict[int, int] = {}
         self._unasked_bytes = 0
         self.last = 0
@@ -59,18 +52,16 @@ class Parcels:
     def keep(self, head: Buffer, payload: Buffer) -> int:
         """Keep a new parcel, its buffers laid out for `cut_payload`, and return its number."""
         self.last += 1
-        self._parcels[self.last] = _Parcel(memoryview(head), memoryview(payload))
+        self._parcels[self.last] = memoryview(head), memoryview(payload)
         return self.last
 
     def cut(self, parcel: int, start: int, end: int) -> Sequence[Buffer] | None:
         """Return the bytes from `start` to `end` of a parcel, without copying."""
-        content = self._parcels.get(parcel)
-        if content is None:
+        head, payload = self._parcels.get(parcel, (memoryview(b""), memoryview(b"")))
+        size = len(head)
+        if not start < end <= size + len(payload):
             return None
-        size = len(content.head)
-        if not start < end <= size + len(content.payload):
-            return None
-        parts = content.head[start:end], content.payload[max(0, start - size) : max(0, end - size)]
+        parts = head[start:end], payload[max(0, start - size) : max(0, end - size)]
         return [part for part in parts if len(part)]
 
     def release(self, number: int) -> None:

@@ -26,11 +26,18 @@ import zmq
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import ProtocolError
 from hpccomponent.limits import available_cores, total_memory
+from hpccomponent.protocol.blobs import check_blob
 from hpccomponent.protocol.connection import Connection
-from hpccomponent.protocol.frames import LARGEST_FRAME, check_payload, group_frames, split_buffers
+from hpccomponent.protocol.frames import (
+    LARGEST_FRAME,
+    check_payload,
+    group_frames,
+    split_buffers,
+)
 from hpccomponent.protocol.messages import (
     PROTOCOL_VERSION,
     Batch,
+    Forget,
     Lost,
     Register,
     Results,
@@ -57,8 +64,7 @@ from hpccomponent.protocol.sockets import (
     read_event,
     send_probes,
 )
-from hpccomponent.runtime.blob_files import BlobFiles, check_share
-from hpccomponent.runtime.channel import ChannelClosedError
+from hpccomponent.runtime.channel import ChannelClosedError, MemoryFile
 from hpccomponent.runtime.numerics import numerics_id, package_version
 from hpccomponent.runtime.process import WorkerProcess
 
@@ -99,8 +105,8 @@ class _Component:
         self._worker: WorkerProcess | None = None
         self._start_at: float | None = None
         self._connect_at: float | None = None
-        self._blobs = BlobFiles()
-        stack.callback(self._blobs.close)
+        self._blobs: dict[bytes, MemoryFile] = {}  # that the worker process maps, by their keys
+        stack.callback(self._free_blobs)
         stack.callback(self._end_worker)
         context = stack.enter_context(zmq.Context())
         self._socket = stack.enter_context(_open_socket(context, connection, self._register))
@@ -157,7 +163,8 @@ class _Component:
                 if isinstance(message, Batch):
                     group_frames(buffers, _sizes(message))  # or it would fail on its way out
                 elif isinstance(message, Share):
-                    check_share(message, buffers)
+                    pieces = group_frames(buffers, message.sizes)
+                    check_blob(message.key, message.header, message.sizes, pieces)
             except ProtocolError as error:
                 self._session.dropped += 1
                 _log.warning("a message was dropped: %s", error)
@@ -221,7 +228,8 @@ class _Component:
         if self._worker is None:
             return
         try:
-            self._blobs.hand_over(action.blobs, self._worker.channel)
+            for key in action.blobs:
+                self._worker.channel.send_file(self._blobs[key])
             pieces = group_frames(action.frames, _sizes(action.batch))
             self._worker.channel.send(encode_message(action.batch), pieces)
         except (ChannelClosedError, OSError) as error:
@@ -231,16 +239,25 @@ class _Component:
             self._carry_out(self._session.worker_died(reason))
 
     def _keep(self, action: Keep) -> None:
+        """Copy a blob out of its frames, once for all tasks."""
+        blob, pieces = action.blob, group_frames(action.frames, action.blob.sizes)
         try:
-            self._blobs.keep(action.blob, action.frames)
+            self._blobs[blob.key] = MemoryFile(encode_message(blob), pieces)
         except OSError as error:
             why = f"there is no room for a blob: {error}"
             self._carry_out(self._session.terminate(why))
 
     def _discard(self, action: Discard) -> None:
-        channel = self._worker.channel if self._worker is not None else None
-        with suppress(ChannelClosedError):  # the end of the channel is heard soon
-            self._blobs.discard(action.keys, self._session.session, channel)
+        for key in action.keys:
+            self._blobs.pop(key).close()
+        if self._worker is not None:
+            forget = Forget(self._session.session, list(action.keys))
+            with suppress(ChannelClosedError):  # the end of the channel is heard soon
+                self._worker.channel.send(encode_message(forget), [])
+
+    def _free_blobs(self) -> None:
+        for file in self._blobs.values():
+            file.close()
 
     def _start_worker(self) -> None:
         self._worker = WorkerProcess(self._options.tasks, self._options.build)

@@ -11,7 +11,7 @@ import pytest
 
 from hpccomponent.errors import ConfigError, UsageError
 from hpccomponent.files.paths import check_regular, expand_home, home_folder, read_regular
-from hpccomponent.protocol.private_json import read_private_json
+from hpccomponent.protocol.keys import read_private_json
 
 ME = pwd.getpwuid(os.getuid())
 

@@ -5,8 +5,12 @@ import numpy as np
 import pytest
 
 from hpccomponent.errors import ProtocolError, UsageError
-from hpccomponent.protocol.codec import decode_values, encode_values
-from hpccomponent.protocol.containers import MAX_CONTAINERS, check_containers
+from hpccomponent.protocol.codec import (
+    MAX_CONTAINERS,
+    check_containers,
+    decode_values,
+    encode_values,
+)
 from hpccomponent.protocol.declared import (
     Declared,
     Each,
