@@ -30,7 +30,7 @@ class Verbosity(enum.Enum):
     """All logs, those of libraries too, with the loggers' names, and the traceback of an error."""
 
 
-class _Lines(logging.Formatter):
+class _LineFormatter(logging.Formatter):
     """Writes a record without the traceback that it may carry."""
 
     def __init__(self, *, has_times: bool) -> None:
@@ -67,7 +67,7 @@ def set_verbosity(verbosity: Verbosity) -> None:
     lines.setFormatter(
         VisibleFormatter("%(name)s: %(message)s")
         if is_debug
-        else _Lines(has_times=verbosity is Verbosity.VERBOSE)
+        else _LineFormatter(has_times=verbosity is Verbosity.VERBOSE)
     )
     ours, others = {
         Verbosity.QUIET: (logging.ERROR, logging.ERROR),

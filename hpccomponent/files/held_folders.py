@@ -42,7 +42,7 @@ _TRIES = 3  # a worker that is late may put something into a folder that is bein
 
 
 @dataclass(frozen=True, slots=True)
-class Owner:
+class FolderOwner:
     """Who holds a folder."""
 
     user: str
@@ -54,7 +54,7 @@ class Owner:
         return f"{self.user}@{self.host}, process {self.pid} ({self.command})"
 
     @classmethod
-    def this_process(cls) -> Owner:
+    def this_process(cls) -> FolderOwner:
         """Describe this process."""
         try:
             user = getpass.getuser()
@@ -142,7 +142,7 @@ def hold(path: Path, *, waits: bool = False) -> HeldFolder | None:
         return None
 
 
-def read_owner(path: Path) -> Owner | None:
+def read_owner(path: Path) -> FolderOwner | None:
     """Return who has said of itself that it holds a folder of this user."""
     from hpccomponent.foreign_json import decode  # most commands ask nobody
 
@@ -153,19 +153,19 @@ def read_owner(path: Path) -> Owner | None:
         if file is None:
             return None
         try:
-            return decode(os.read(file, _MOST_BYTES), Owner)
+            return decode(os.read(file, _MOST_BYTES), FolderOwner)
         except (OSError, ValueError):
             return None
         finally:
             os.close(file)
 
 
-def remove_abandoned(parent: Path, prefix: str) -> list[Owner]:
+def remove_abandoned(parent: Path, prefix: str) -> list[FolderOwner]:
     """Remove the folders that processes of this user on this machine have left behind.
 
     Return who holds such a folder still, or has left it on another machine.
     """
-    living: list[Owner] = []
+    living: list[FolderOwner] = []
     try:
         with os.scandir(parent) as entries:
             names = sorted(entry.name for entry in entries if entry.name.startswith(prefix))
@@ -242,7 +242,7 @@ def _create_lock(folder: Path) -> int | None:
 
 def _write_owner(lock: int) -> None:
     """Write down who holds a lock."""
-    encoded = json.dumps(asdict(Owner.this_process())).encode()
+    encoded = json.dumps(asdict(FolderOwner.this_process())).encode()
     os.lseek(lock, 0, os.SEEK_SET)
     os.write(lock, encoded)
     os.ftruncate(lock, len(encoded))

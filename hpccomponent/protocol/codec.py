@@ -52,7 +52,7 @@ _encode = msgspec.msgpack.Encoder().encode
 _decode = msgspec.msgpack.Decoder(strict=True).decode
 
 
-class _Parts:
+class _Attachments:
     """What goes beside the header: large buffers, and the blobs that it names."""
 
     __slots__ = ("blobs", "buffers")
@@ -95,7 +95,7 @@ def encode_values(values: tuple[object, ...]) -> tuple[bytes, list[Buffer]]:
     have been used. Raise UsageError where a value is of no type that may travel, or nested too
     deeply (or contains itself), or the header grows too large.
     """
-    parts = _Parts()
+    parts = _Attachments()
     header = _encode_header(values, parts)
     if parts.blobs:
         raise UsageError(
@@ -110,12 +110,12 @@ def encode_arguments(values: tuple[object, ...]) -> tuple[bytes, list[Buffer], t
 
     Return the blobs, too: what the header names by its key, each once.
     """
-    parts = _Parts()
+    parts = _Attachments()
     header = _encode_header(values, parts)
     return header, parts.buffers, tuple(parts.blobs.values())
 
 
-def _encode_header(values: tuple[object, ...], parts: _Parts) -> bytes:
+def _encode_header(values: tuple[object, ...], parts: _Attachments) -> bytes:
     try:
         header = _encode([_pack(value, parts, 0) for value in values])
     except UnicodeEncodeError as error:
@@ -153,7 +153,7 @@ def decode_values(
     return values
 
 
-def _pack(value: Any, parts: _Parts, depth: int) -> Packed:
+def _pack(value: Any, parts: _Attachments, depth: int) -> Packed:
     kind = type(value)
     if kind in PLAIN or (kind is int and -(2**63) <= value < 2**63):
         return value  # type: ignore[no-any-return]
@@ -163,7 +163,7 @@ def _pack(value: Any, parts: _Parts, depth: int) -> Packed:
     return packer(value, parts, depth)
 
 
-def _pack_big(value: int, _parts: _Parts, _depth: int) -> list[Packed]:
+def _pack_big(value: int, _parts: _Attachments, _depth: int) -> list[Packed]:
     length = value.bit_length() // 8 + 1
     if length > MAX_INTEGER_BYTES:
         raise UsageError(
@@ -173,7 +173,7 @@ def _pack_big(value: int, _parts: _Parts, _depth: int) -> list[Packed]:
     return [BIG, value.to_bytes(length, "little", signed=True)]
 
 
-def _pack_array(value: NDArray[np.generic], parts: _Parts, _depth: int) -> list[Packed]:
+def _pack_array(value: NDArray[np.generic], parts: _Attachments, _depth: int) -> list[Packed]:
     code = value.dtype.newbyteorder("<").str
     if code not in DTYPES:
         raise UsageError(
@@ -187,43 +187,43 @@ def _pack_array(value: NDArray[np.generic], parts: _Parts, _depth: int) -> list[
     return [ARRAY, code, list(value.shape), None]
 
 
-def _pack_scalar(value: np.generic, parts: _Parts, depth: int) -> list[Packed]:
+def _pack_scalar(value: np.generic, parts: _Attachments, depth: int) -> list[Packed]:
     return [SCALAR, *_pack_array(np.asarray(value), parts, depth)[1:]]
 
 
-def _pack_text(value: str, parts: _Parts, _depth: int) -> Packed:
+def _pack_text(value: str, parts: _Attachments, _depth: int) -> Packed:
     if len(value) <= EMBEDDED_BYTES // 4:
         return value
     parts.buffers.append(value.encode())
     return [TEXT]
 
 
-def _pack_bytes(value: bytes, parts: _Parts, _depth: int) -> Packed:
+def _pack_bytes(value: bytes, parts: _Attachments, _depth: int) -> Packed:
     if len(value) <= EMBEDDED_BYTES:
         return value
     parts.buffers.append(value)
     return [BYTES]
 
 
-def _pack_tuple(value: tuple[object, ...], parts: _Parts, depth: int) -> list[Packed]:
+def _pack_tuple(value: tuple[object, ...], parts: _Attachments, depth: int) -> list[Packed]:
     return [TUPLE, *[_pack(entry, parts, depth + 1) for entry in value]]
 
 
-def _pack_list(value: list[Any], parts: _Parts, depth: int) -> list[Packed]:
+def _pack_list(value: list[Any], parts: _Attachments, depth: int) -> list[Packed]:
     kinds = set(map(type, value))  # long lists of numbers are common
     if kinds <= PLAIN or (kinds <= NUMBERS and min(value) >= -(2**63) and max(value) < 2**63):
         return [LIST, *value]
     return [LIST, *[_pack(entry, parts, depth + 1) for entry in value]]
 
 
-def _pack_dict(value: dict[Any, object], parts: _Parts, depth: int) -> dict[str, Packed]:
+def _pack_dict(value: dict[Any, object], parts: _Attachments, depth: int) -> dict[str, Packed]:
     for key in value:
         if type(key) is not str:
             raise UsageError(f"a dict has the key {key!r}", "only strings may be keys")
     return {key: _pack(entry, parts, depth + 1) for key, entry in value.items()}
 
 
-def _pack_record(value: object, parts: _Parts, depth: int) -> list[Packed]:
+def _pack_record(value: object, parts: _Attachments, depth: int) -> list[Packed]:
     kind = type(value)
     entry = find_record(kind)
     if entry is None:
@@ -233,12 +233,12 @@ def _pack_record(value: object, parts: _Parts, depth: int) -> list[Packed]:
     return [RECORD, entry.name, fields]
 
 
-def _pack_blob(value: Blob, parts: _Parts, _depth: int) -> list[Packed]:
+def _pack_blob(value: Blob, parts: _Attachments, _depth: int) -> list[Packed]:
     parts.blobs[value.key] = value
     return [BLOB, value.key]
 
 
-_PACKERS: dict[type, Callable[[Any, _Parts, int], Packed]] = {
+_PACKERS: dict[type, Callable[[Any, _Attachments, int], Packed]] = {
     int: _pack_big,
     np.ndarray: _pack_array,
     np.memmap: _pack_array,

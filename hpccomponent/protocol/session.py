@@ -80,7 +80,7 @@ class Send:
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class RunBatch:
     """Hand a batch to the worker process, after those of its blobs that the worker lacks."""
 
     batch: Batch
@@ -118,7 +118,7 @@ class Stop:
     reason: str
 
 
-Action = Send | Run | Keep | Discard | StartWorker | Stop
+Action = Send | RunBatch | Keep | Discard | StartWorker | Stop
 
 
 @dataclass(frozen=True, slots=True)
@@ -381,7 +381,7 @@ class WorkerSession:
         actions: list[Action] = []
         for batch in waiting[: WINDOW - running]:
             batch.is_running = True
-            actions.append(Run(batch.batch, batch.frames, self._cache.hand_over(batch.blobs)))
+            actions.append(RunBatch(batch.batch, batch.frames, self._cache.hand_over(batch.blobs)))
             batch.frames = ()
         return actions
 

@@ -51,7 +51,7 @@ from hpccomponent.protocol.session import (
     Discard,
     ExitCode,
     Keep,
-    Run,
+    RunBatch,
     Send,
     StartWorker,
     Stop,
@@ -204,7 +204,7 @@ class _Component:
             match action:
                 case Send():
                     self._send(action)
-                case Run():
+                case RunBatch():
                     self._run(action)
                 case Keep():
                     self._keep(action)
@@ -224,7 +224,7 @@ class _Component:
             # The master reads nothing, or is not there: silence will end this component.
             _log.debug("no room to send a %s", type(action.message).__name__)
 
-    def _run(self, action: Run) -> None:
+    def _run(self, action: RunBatch) -> None:
         if self._worker is None:
             return
         try:

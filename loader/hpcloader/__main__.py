@@ -14,7 +14,7 @@ from pathlib import Path
 from hpccomponent.cli.terminal import VisibleFormatter, visible_text
 from hpccomponent.errors import ConfigError, HpcError
 from hpccomponent.runtime.garbage_collection import rare_collections
-from hpcloader.builds import BUILD_VARIABLE, BUILDS, Choice, choose_build
+from hpcloader.builds import BUILD_VARIABLE, BUILDS, BuildChoice, choose_build
 from hpcloader.daemon import Daemon
 from hpcloader.machine import Machine, read_machine
 from hpcloader.settings import LoaderSettings
@@ -94,7 +94,7 @@ def _settings(arguments: argparse.Namespace) -> LoaderSettings:
     return LoaderSettings(connection.parent.name, connection, tasks, _AT_HAND)
 
 
-def component_argv(settings: LoaderSettings, choice: Choice) -> list[str]:
+def component_argv(settings: LoaderSettings, choice: BuildChoice) -> list[str]:
     """Return the component's command line, without its lifeline."""
     connection = ["--connection", str(settings.connection), "--build", choice.build.name]
     tasks = [word for task in (*choice.build.tasks, *settings.tasks) for word in ("--task", task)]
@@ -113,7 +113,7 @@ def _facts(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _facts_json(machine: Machine, choice: Choice) -> str:
+def _facts_json(machine: Machine, choice: BuildChoice) -> str:
     facts = dataclasses.asdict(machine) | {"cpu_flags": sorted(machine.cpu_flags)}
     passed_over = [{"build": name, "reason": reason} for name, reason in choice.passed_over]
     command = choice.build.argv()
@@ -127,7 +127,7 @@ def _facts_json(machine: Machine, choice: Choice) -> str:
     )
 
 
-def _facts_text(machine: Machine, choice: Choice) -> str:
+def _facts_text(machine: Machine, choice: BuildChoice) -> str:
     vectors = sorted(flag for flag in machine.cpu_flags if flag.startswith(_VECTOR_FLAGS))
     rows = [
         ("architecture", machine.architecture),

@@ -82,14 +82,14 @@ BUILDS: tuple[Build, ...] = (
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
+class BuildChoice:
     """The first build that fits, and the name and reason of each build before it."""
 
     build: Build
     passed_over: tuple[tuple[str, str], ...]
 
 
-def choose_build(builds: Sequence[Build], machine: Machine, wanted: str = "") -> Choice:
+def choose_build(builds: Sequence[Build], machine: Machine, wanted: str = "") -> BuildChoice:
     """Choose the first build, of those listed best first, whose requirements `machine` meets.
 
     With `wanted` only the build of that name is considered. Raise ConfigError, which gives each
@@ -101,7 +101,7 @@ def choose_build(builds: Sequence[Build], machine: Machine, wanted: str = "") ->
         if wanted not in ("", build.name):
             unmet.append(f"{BUILD_VARIABLE} asks for {wanted}")
         if not unmet:
-            return Choice(build, tuple(passed_over))
+            return BuildChoice(build, tuple(passed_over))
         passed_over.append((build.name, ", ".join(unmet)))
     reasons = "; ".join(f"{name} ({reason})" for name, reason in passed_over)
     raise ConfigError(

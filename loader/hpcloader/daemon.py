@@ -25,7 +25,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 
 from hpccomponent.clock import Clock, MonotonicClock
-from hpcloader.supervisor import Action, End, Kill, Start, Supervisor, Terminate
+from hpcloader.supervisor import Action, AskToEnd, End, Kill, Start, Supervisor
 
 logger = logging.getLogger(__name__)
 
@@ -150,7 +150,7 @@ class Daemon:
             match action:
                 case Start():
                     self._start()
-                case Terminate():
+                case AskToEnd():
                     self._send(signal.SIGTERM)
                 case Kill():
                     logger.warning("the component did not leave in time, killing it")

@@ -41,7 +41,7 @@ class Start:
 
 
 @dataclass(frozen=True, slots=True)
-class Terminate:
+class AskToEnd:
     """Ask the component to leave."""
 
 
@@ -61,7 +61,7 @@ class End:
     exit_code: int = 0
 
 
-Action = Start | Terminate | Kill | End
+Action = Start | AskToEnd | Kill | End
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +156,7 @@ class Supervisor:
         return [Kill()]
 
     def stop(self, now: float, grace_s: float | None = None) -> list[Action]:
-        """Take note that the component is no longer wanted; return `Terminate`, `End`, or nothing.
+        """Take note that the component is no longer wanted; return `AskToEnd`, `End`, or nothing.
 
         `grace_s` is the time to leave by itself, in seconds, instead of the rule's; a later call
         may shorten an earlier one's.
@@ -165,7 +165,7 @@ class Supervisor:
         if self.state is ComponentState.RUNNING:
             self.state = ComponentState.STOPPING
             self.deadline = deadline
-            return [Terminate()]
+            return [AskToEnd()]
         if self.state is ComponentState.STOPPING and self.deadline is not None:
             self.deadline = min(self.deadline, deadline)
             return []

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 
 from hpcloader.supervisor import (
     Action,
+    AskToEnd,
     ComponentState,
     End,
     Kill,
     RestartRule,
     Start,
     Supervisor,
-    Terminate,
 )
 
 RULE = RestartRule(first_s=1.0, cap_s=8.0, give_up_after=4, quick_s=10.0, grace_s=5.0)
@@ -46,7 +46,7 @@ class World:
                     assert self.is_wanted
                     self.is_alive = True
                     self.starts.append(self.now)
-                case Terminate() | Kill():
+                case AskToEnd() | Kill():
                     assert self.is_alive
                     self.signals.append(action)
                 case End():
@@ -62,7 +62,7 @@ class World:
         assert (self.end is not None) == (state is ComponentState.ENDED)
         waiting = (ComponentState.WAITING, ComponentState.STOPPING)
         assert (self.supervisor.deadline is not None) == (state in waiting)
-        assert self.signals in ([], [Terminate()], [Terminate(), Kill()])
+        assert self.signals in ([], [AskToEnd()], [AskToEnd(), Kill()])
 
     def start(self) -> None:
         self.apply(self.supervisor.start(self.now))
@@ -198,9 +198,9 @@ def test_a_component_that_does_not_leave_is_killed(
     world.start()
     world.stop(grace_s)
     world.wait(killed_after - 0.1)
-    assert world.signals == [Terminate()]
+    assert world.signals == [AskToEnd()]
     world.wait(0.2)
-    assert world.signals == [Terminate(), Kill()]
+    assert world.signals == [AskToEnd(), Kill()]
 
 
 def test_a_lost_master_shortens_the_grace_of_a_stop() -> None:

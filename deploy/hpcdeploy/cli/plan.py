@@ -19,7 +19,7 @@ from hpcdeploy.cli.arguments import FILE
 if TYPE_CHECKING:
     from hpcdeploy.provider import Problem
     from hpcdeploy.reconcile.cost import Cost
-    from hpcdeploy.reconcile.plan import Plan
+    from hpcdeploy.reconcile.plan import ClusterPlan
     from hpcdeploy.spec.cluster import ClusterSpec
 
 
@@ -85,7 +85,7 @@ class _Ahead:
 
     path: Path
     spec: ClusterSpec
-    plan: Plan
+    plan: ClusterPlan
     told: str = ""
     drift: Sequence[str] = ()
     decided: Sequence[str] = ()

@@ -15,7 +15,7 @@ from hpcdeploy.spec.names import MOST_WORKERS
 
 if TYPE_CHECKING:
     from hpcdeploy.reconcile.cluster import Cluster
-    from hpcdeploy.reconcile.plan import Plan
+    from hpcdeploy.reconcile.plan import ClusterPlan
 
 
 YES = click.option("-y", "--yes", is_flag=True, help="Do not ask.")
@@ -137,7 +137,7 @@ def _bring_up(cluster: Cluster, yes: bool, keep: bool, is_unchecked: bool) -> No
         return
 
 
-def _look_ahead(cluster: Cluster, is_unchecked: bool) -> Plan:
+def _look_ahead(cluster: Cluster, is_unchecked: bool) -> ClusterPlan:
     """Return the plan once it is shown, and nothing is known to stand in its way."""
     from hpcdeploy.install.wheels.requirements import check_wheels
     from hpcdeploy.reconcile.converge import look_ahead

@@ -36,7 +36,7 @@ from hpcdeploy.install.probe import (
     probe,
 )
 from hpcdeploy.install.user_data import extend_lease
-from hpcdeploy.install.wheels.requirements import Needs, choose_release, needs_of
+from hpcdeploy.install.wheels.requirements import MachineNeeds, choose_release, needs_of
 from hpcdeploy.login.access import Access
 from hpcdeploy.login.shell import MOST_REASON, Shell, sha256_of
 from hpcdeploy.ownership.node_keys import NodeKeys
@@ -212,7 +212,9 @@ class _SetUp:
         write_text(shell, f"{self._folder}/installed", stamp)
         return False
 
-    def _needs(self, probed: Probed, release: Path | str, is_head: bool) -> tuple[str, Needs]:
+    def _needs(
+        self, probed: Probed, release: Path | str, is_head: bool
+    ) -> tuple[str, MachineNeeds]:
         """Return the first interpreter that has all its wheels, and what it needs."""
         complaint = ""
         for python, kind in probed.kinds:

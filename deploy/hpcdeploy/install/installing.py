@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.install.wheels.requirements import Needs
+from hpcdeploy.install.wheels.requirements import MachineNeeds
 from hpcdeploy.login.shell import MOST_REASON, Shell
 
 INSTALL_S = 900.0
@@ -25,7 +25,7 @@ def install(
     shell: Shell,
     folder: str,
     python: str,
-    needs: Needs,
+    needs: MachineNeeds,
     setup: tuple[str, ...],
     report: Callable[[str], None],
 ) -> None:
@@ -73,13 +73,13 @@ def write_text(shell: Shell, path: str, text: str, *, mode: str = "600") -> None
         raise CloudError(f"{shell.node}: {path} cannot be written: {_last(done.errors)}")
 
 
-def _sweep(folder: str, needs: Needs) -> str:
+def _sweep(folder: str, needs: MachineNeeds) -> str:
     """Return the command that takes away wheels of earlier releases."""
     kept = " ".join(f"! -name {shlex.quote(path.name + '*')}" for path in needs.files)
     return f"find {folder}/wheels -type f {kept} -exec rm -f {{}} +"
 
 
-def _install_script(folder: str, python: str, needs: Needs) -> str:
+def _install_script(folder: str, python: str, needs: MachineNeeds) -> str:
     pip = next((path.name for path in needs.files if path.name.startswith("pip-")), None)
     pip_command = f"../venv/bin/python {pip}/pip" if pip else "../venv/bin/python -m pip"
     command = f"{pip_command} {_PIP}{' --no-index --find-links .' if needs.is_offline else ''}"

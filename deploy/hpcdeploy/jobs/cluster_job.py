@@ -25,7 +25,7 @@ from hpcdeploy.jobs.queries import Jobs, open_jobs
 from hpcdeploy.provider import State
 from hpcdeploy.reconcile.cluster import as_desired, open_cluster
 from hpcdeploy.reconcile.cost import hourly_cost
-from hpcdeploy.spec.job_folder import UNTOLD, JobStatus, Request
+from hpcdeploy.spec.job_folder import UNTOLD, JobRequest, JobStatus
 from hpcdeploy.spec.layout import machine_folder
 
 if TYPE_CHECKING:
@@ -130,14 +130,14 @@ def _is_set_up(cluster: Cluster) -> bool:
     return head.run(f"test -f {inventory}").exit_code == 0
 
 
-def make_request(cluster: Cluster, typed: Sequence[str]) -> Request:
+def make_request(cluster: Cluster, typed: Sequence[str]) -> JobRequest:
     """Return what the head is to remember of a job: the command, and the cluster's price by now.
 
     `typed` is the command line without the program's name.
     """
     if cluster.spec.provider.cloud is not None:  # nothing else has a price
         cluster = as_desired(cluster, cluster.provider.observe(cluster.spec.cluster))
-    return Request(tuple(typed), str(Path.cwd()), hourly_cost(cluster.spec))
+    return JobRequest(tuple(typed), str(Path.cwd()), hourly_cost(cluster.spec))
 
 
 def submit(
@@ -146,7 +146,7 @@ def submit(
     points: Path,
     mesh: str,
     options: Sequence[str],
-    request: Request = UNTOLD,
+    request: JobRequest = UNTOLD,
 ) -> JobStatus:
     """Put a job into the queue, and show how its points travel.
 

@@ -25,7 +25,15 @@ from hpccomponent.foreign_json import convert, decode
 from hpcdeploy.jobs.display import JobDisplay, JobEvent
 from hpcdeploy.login.shell import Shell, sha256_of
 from hpcdeploy.provider import Bucket
-from hpcdeploy.spec.job_folder import UNTOLD, JobOrder, JobState, JobStatus, Number, Request, Words
+from hpcdeploy.spec.job_folder import (
+    UNTOLD,
+    JobOrder,
+    JobRequest,
+    JobState,
+    JobStatus,
+    Number,
+    Words,
+)
 from hpcdeploy.spec.layout import machine_folder
 
 if TYPE_CHECKING:
@@ -39,7 +47,7 @@ _MOST_EXCERPT = 500  # characters
 
 
 @dataclass(frozen=True, slots=True)
-class _Told:
+class _JobLine:
     """A line of `runner` while a job is followed: one of these."""
 
     log: Words | None = None
@@ -72,7 +80,7 @@ class Jobs:
         mesh: str,
         options: Sequence[str] = (),
         on_progress: Callable[[int, int], None] | None = None,
-        request: Request = UNTOLD,
+        request: JobRequest = UNTOLD,
     ) -> JobStatus:
         """Send the points, and put a job into the queue.
 
@@ -127,7 +135,7 @@ class Jobs:
         def show(line: str) -> None:
             nonlocal ended
             try:
-                told = decode(line, _Told)
+                told = decode(line, _JobLine)
             except ValueError:
                 rest.append(line)  # no line of ours: an error of the machine
                 return

@@ -21,11 +21,11 @@ from hpcdeploy.login.host_keys import HostKeys, parse_console
 from hpcdeploy.login.local_shell import LocalShell
 from hpcdeploy.login.shell import Shell
 from hpcdeploy.login.ssh.connect import connect
-from hpcdeploy.login.ssh.connection import Timeouts
+from hpcdeploy.login.ssh.connection import SshTimeouts
 from hpcdeploy.login.ssh.keys import public_key
-from hpcdeploy.login.ssh.reach import Reach, ReachError
+from hpcdeploy.login.ssh.reach import LoginFault, ReachError
 from hpcdeploy.login.ssh.shell import SshShell
-from hpcdeploy.login.ssh.target import Target, host_id, host_target, jump_targets
+from hpcdeploy.login.ssh.target import SshTarget, host_id, host_target, jump_targets
 from hpcdeploy.ownership.journal import peek_journal
 from hpcdeploy.ownership.node_keys import NodeKeys
 from hpcdeploy.ownership.ownership import Ownership, cloud_fingerprints, fingerprint
@@ -38,10 +38,10 @@ from hpcdeploy.spec.polling import utc_now
 log = logging.getLogger("hpcapp")
 
 HOPELESS = (
-    Reach.HOST_KEY_UNKNOWN,
-    Reach.HOST_KEY_CHANGED,
-    Reach.NO_KEY,
-    Reach.PASSPHRASE_NEEDED,
+    LoginFault.HOST_KEY_UNKNOWN,
+    LoginFault.HOST_KEY_CHANGED,
+    LoginFault.NO_KEY,
+    LoginFault.PASSPHRASE_NEEDED,
 )
 """What no further attempt changes."""
 KNOWN_S = 25.0
@@ -149,7 +149,7 @@ class Access:
         [host] = [host for host in hosts if host_id(host) == machine.id]
         auth = self._spec.auth
         files = () if auth.ssh_private_key == "auto" else (str(self._key_file()),)
-        limit_s = Timeouts().login_s if timeout_s is None else timeout_s
+        limit_s = SshTimeouts().login_s if timeout_s is None else timeout_s
         try:
             return _log_in(machine, host_target(host, auth, files), limit_s)
         except ReachError as error:
@@ -182,7 +182,7 @@ class Access:
                 error = refused
                 if error.reach in HOPELESS:
                     raise self._unreachable(machine, error) from error
-                if error.reach is Reach.KEY_REFUSED:
+                if error.reach is LoginFault.KEY_REFUSED:
                     denied_since = denied_since or time.monotonic()
                     deadline = min(deadline, denied_since + DENIED_S)
             if time.monotonic() >= deadline:
@@ -206,7 +206,7 @@ class Access:
                 return None
             self._host_keys.pin(machine.id, printed)
             keys = self._host_keys.find(machine.id)
-        target = Target(
+        target = SshTarget(
             address=self._address(machine),
             port=self._spec.auth.ssh_port,
             user=self._spec.auth.ssh_user,
@@ -218,7 +218,7 @@ class Access:
                 () if self._spec.auth.ssh_private_key == "auto" else (str(key_file),),
             ),
         )
-        limit_s = min(Timeouts().login_s, max(LAST_S, deadline - time.monotonic()))
+        limit_s = min(SshTimeouts().login_s, max(LAST_S, deadline - time.monotonic()))
         return _log_in(machine, target, limit_s)
 
     def _address(self, machine: MachineSeen) -> str:
@@ -241,9 +241,9 @@ def _curve_print(pair: KeyPair) -> str:
     return fingerprint(f"curve {base64.b64encode(pair.public.encode()).decode()}")
 
 
-def _log_in(machine: MachineSeen, target: Target, limit_s: float) -> SshShell:
+def _log_in(machine: MachineSeen, target: SshTarget, limit_s: float) -> SshShell:
     with ExitStack() as closer:
-        connection = connect(target, closer, Timeouts(login_s=limit_s))
+        connection = connect(target, closer, SshTimeouts(login_s=limit_s))
         return SshShell(machine.name.node, connection, closer.pop_all())
 
 

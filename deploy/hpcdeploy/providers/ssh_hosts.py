@@ -17,7 +17,7 @@ from hpcdeploy.install.job_end import end_jobs
 from hpcdeploy.install.loader_service import stop_command
 from hpcdeploy.login.access import Access
 from hpcdeploy.login.parallel import connections_at_once, run_parallel
-from hpcdeploy.login.ssh.reach import Reach, ReachError
+from hpcdeploy.login.ssh.reach import LoginFault, ReachError
 from hpcdeploy.login.ssh.target import host_address, host_id
 from hpcdeploy.provider import (
     Launch,
@@ -35,7 +35,7 @@ from hpcdeploy.spec.provider import Host
 
 LOOK_S = 8.0
 """For the login, and again for the one command: so long a look at a host may take."""
-UNASKED = (Reach.NO_KEY, Reach.PASSPHRASE_NEEDED)
+UNASKED = (LoginFault.NO_KEY, LoginFault.PASSPHRASE_NEEDED)
 """Why no host was asked at all."""
 
 

@@ -27,7 +27,7 @@ from hpcdeploy.reconcile.cluster import (
     require_same,
 )
 from hpcdeploy.reconcile.cost import check_limits, estimate_cost
-from hpcdeploy.reconcile.plan import LIVE, Plan
+from hpcdeploy.reconcile.plan import LIVE, ClusterPlan
 from hpcdeploy.reconcile.reconciler import Reconciler, Report
 from hpcdeploy.reconcile.removal import remove
 from hpcdeploy.reconcile.termination import Proof, Reason
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from hpcdeploy.reconcile.cluster import Cluster
 
 
-def look_ahead(cluster: Cluster) -> Plan:
+def look_ahead(cluster: Cluster) -> ClusterPlan:
     """Return what `bring_up` would do now; nothing is changed.
 
     Raises CloudError where the cluster was made elsewhere.
@@ -53,7 +53,7 @@ def bring_up(
     *,
     keep: bool = False,
     polling: Polling | None = None,
-    agreed: Plan | None = None,
+    agreed: ClusterPlan | None = None,
 ) -> None:
     """Make the cloud as the file says, and set the machines up; run again, it goes on.
 

@@ -106,7 +106,7 @@ Action = Step | Mark | SetWorkers | Terminate | Extend | LaunchNode
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class ClusterPlan:
     """What to do: actions in their order, none where nothing is to be done.
 
     Machines that are `kept` stay; new ones belong to the life `incarnation` of the cluster. Of
@@ -120,7 +120,7 @@ class Plan:
     hidden: tuple[MachineSeen, ...] = ()
     desired: Desired | None = None
 
-    def beyond(self, agreed: Plan) -> list[str]:
+    def beyond(self, agreed: ClusterPlan) -> list[str]:
         """Say what would be done that a plan the user has agreed to does not contain.
 
         The end of the lease does not count: each `up` begins it anew, whenever it comes to that.
@@ -179,7 +179,7 @@ def make_plan(
     known_bad: frozenset[str] = frozenset(),
     owner: Owner = NOBODY,
     known: Desired | None = None,
-) -> Plan:
+) -> ClusterPlan:
     """Compare what is wanted with what is there; what belongs to other clusters does not matter.
 
     `incarnation` is for a new life of the cluster, see `names.draw_incarnation`. `prepare` returns
@@ -207,7 +207,7 @@ def make_plan(
             choices = launch_choices(spec.profile(node), has_spot, subnets)
             borne = desired if node == HEAD else None
             actions.append(LaunchNode(name, spec.profile_name(node), choices, borne))
-    return Plan(tuple(actions), tuple(kept), life, hidden, desired)
+    return ClusterPlan(tuple(actions), tuple(kept), life, hidden, desired)
 
 
 def _latest_life(machines: Iterable[MachineSeen]) -> str:

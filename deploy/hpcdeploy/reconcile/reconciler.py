@@ -22,10 +22,10 @@ from hpcdeploy.reconcile.launching import launch_nodes
 from hpcdeploy.reconcile.plan import (
     LIVE,
     Action,
+    ClusterPlan,
     Extend,
     LaunchNode,
     Mark,
-    Plan,
     SetWorkers,
     Terminate,
     make_plan,
@@ -89,13 +89,13 @@ class Reconciler:
         """The file, with the number of workers that was asked for last."""
         return self._spec
 
-    def first_plan(self) -> Plan:
+    def first_plan(self) -> ClusterPlan:
         """Return what is to be done, once the cloud lists what an earlier command asked for."""
         if self._is_unsettled:
             self._polling.sleep(self._polling.settle_s)
         return self.plan()
 
-    def converge(self, plan: Plan) -> None:
+    def converge(self, plan: ClusterPlan) -> None:
         """Go round until every node is set up or given up; see the module's diagram."""
         if self._only_replace and not plan.actions and not self._is_unsettled:
             return
@@ -118,7 +118,7 @@ class Reconciler:
         for node, error in self._lost().items():
             self._report(f"going without {node}: {error.problem}")
 
-    def _try_head(self, plan: Plan) -> None:
+    def _try_head(self, plan: ClusterPlan) -> None:
         """Log in to a head that was at work before workers are launched for it.
 
         A cloud lists as running what hangs or has lost its network, too.
@@ -134,7 +134,7 @@ class Reconciler:
                     self._report(f"{HEAD}:\n{write_block(error.excerpt)}")
                 self._dismiss(head, without_node(str(error), HEAD))
 
-    def _is_settled(self, plan: Plan) -> bool:
+    def _is_settled(self, plan: ClusterPlan) -> bool:
         """Tell whether all are there and nobody else: some are lost or listed only by now."""
         is_late = self._polling.now() >= self._deadline
         return is_late or not any(isinstance(a, LaunchNode | Terminate) for a in plan.actions)
@@ -245,7 +245,7 @@ class Reconciler:
         unlisted = tuple(self._unlisted.values()) if self._provider.makes_machines else ()
         return replace(seen, machines=seen.machines + unlisted)
 
-    def plan(self) -> Plan:
+    def plan(self) -> ClusterPlan:
         """Look at the cloud, and return what is to be done now; nothing is changed."""
         observed = self._seen = self._observe()
         require_ours(self._cluster, observed, self._polling.now())
@@ -300,7 +300,7 @@ class Reconciler:
                 return None  # the cloud lists it late, or has another command's by now
         return None if self._only_replace else action
 
-    def _carry_out(self, plan: Plan) -> list[MachineSeen]:
+    def _carry_out(self, plan: ClusterPlan) -> list[MachineSeen]:
         """Do what was planned; return the machines that are to run."""
         if plan.actions:
             self._owner = self._cluster.access.owner()

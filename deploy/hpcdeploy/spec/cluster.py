@@ -78,7 +78,7 @@ Tag = Annotated[str, AfterValidator(check_tag)]
 TagValue = Annotated[str, Field(max_length=255)]
 
 
-class Head(ConfigModel):
+class HeadSpec(ConfigModel):
     """The machine of the HPC App.
 
     Parameters
@@ -217,7 +217,7 @@ class ClusterSpec(ConfigModel):
     version: Literal[1]
     cluster: str = Field(pattern=NAME_PATTERN)
     provider: ProviderSpec
-    head: Head = Head()
+    head: HeadSpec = HeadSpec()
     workers: Workers = Workers()
     communicator: Communicator = Communicator()
     auth: Auth = Auth()

@@ -72,7 +72,7 @@ class JobState(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class JobRequest:
     """What was typed for a job, and what its cluster costs.
 
     `words` are without the program's name, and were typed in `folder`. `hourly_cost` is the
@@ -102,7 +102,7 @@ class Request:
         return line if self.folder == folder else f"cd {shlex.quote(self.folder)} && {line}"
 
 
-UNTOLD = Request()
+UNTOLD = JobRequest()
 """Of an order by an earlier release."""
 
 
@@ -133,7 +133,7 @@ class JobOrder:
     mesh_url: str = ""
     mesh_key: str = ""
     ca_bundle: str = ""
-    request: Request = UNTOLD
+    request: JobRequest = UNTOLD
 
     @classmethod
     def from_json(cls, text: str | bytes) -> JobOrder:
@@ -169,7 +169,7 @@ class JobStatus:
     runner: Annotated[int, Meta(ge=0, le=1 << 30)] = 0
     mesh_key: Annotated[str, Meta(max_length=1024)] = ""
     mesh_sha256: Annotated[str, Meta(pattern=r"^([0-9a-f]{64})?\Z")] = ""
-    request: Request = UNTOLD
+    request: JobRequest = UNTOLD
 
     def seconds(self, present: datetime) -> float | None:
         """Return how long the job ran, up to the present where it still does; None before that."""

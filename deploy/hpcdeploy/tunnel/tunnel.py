@@ -40,7 +40,7 @@ Lead = Callable[[str], AbstractContextManager[None]]
 
 
 @dataclass(frozen=True, slots=True)
-class _Told:
+class _RelayLine:
     """A line of the relay: one of these."""
 
     port: Annotated[int, Meta(ge=1, le=65535)] | None = None
@@ -140,7 +140,7 @@ def _wait_for_port(lines: queue.SimpleQueue[str]) -> int:
                 "\n".join(said),
             )
         try:
-            told = decode(line, _Told)
+            told = decode(line, _RelayLine)
         except ValueError:
             said.append(line[:MOST_SHOWN])
             continue

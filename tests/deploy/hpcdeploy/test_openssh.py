@@ -12,19 +12,19 @@ from machines.openssh import open_sshd
 
 from hpccomponent.errors import CloudError
 from hpcdeploy.login.ssh.connect import connect
-from hpcdeploy.login.ssh.reach import Reach, ReachError
+from hpcdeploy.login.ssh.reach import LoginFault, ReachError
 from hpcdeploy.login.ssh.shell import SshShell
-from hpcdeploy.login.ssh.target import Target
+from hpcdeploy.login.ssh.target import SshTarget
 
 
 @pytest.fixture
-def target(tmp_path: Path) -> Iterator[Target]:
+def target(tmp_path: Path) -> Iterator[SshTarget]:
     with open_sshd(tmp_path) as target:
         yield target
 
 
 @pytest.fixture
-def shell(target: Target) -> Iterator[SshShell]:
+def shell(target: SshTarget) -> Iterator[SshShell]:
     with ExitStack() as closer:
         connection = connect(target, closer)
         with SshShell("worker-1", connection, closer.pop_all()) as shell:
@@ -121,8 +121,8 @@ def test_why_a_file_cannot_be_written_is_told(shell: SshShell, tmp_path: Path) -
         shell.put(source, str(tmp_path / "there"))
 
 
-def test_a_host_key_that_nobody_knows_is_refused(target: Target) -> None:
-    unknown = Target(target.address, target.port, target.user, target.key_files)
+def test_a_host_key_that_nobody_knows_is_refused(target: SshTarget) -> None:
+    unknown = SshTarget(target.address, target.port, target.user, target.key_files)
     with ExitStack() as closer, pytest.raises(ReachError) as caught:
         connect(unknown, closer)
-    assert caught.value.reach is Reach.HOST_KEY_UNKNOWN
+    assert caught.value.reach is LoginFault.HOST_KEY_UNKNOWN

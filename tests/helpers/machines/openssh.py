@@ -13,7 +13,7 @@ from pathlib import Path
 import paramiko
 import pytest
 
-from hpcdeploy.login.ssh.target import Target
+from hpcdeploy.login.ssh.target import SshTarget
 
 SSHD = Path("/usr/sbin/sshd")
 CONFIG = """
@@ -70,7 +70,7 @@ def start_sshd(folder: Path, home: Path) -> tuple[subprocess.Popen[bytes], int]:
 
 
 @contextmanager
-def open_sshd(folder: Path) -> Iterator[Target]:
+def open_sshd(folder: Path) -> Iterator[SshTarget]:
     """Run a server whose keys and home are in a folder."""
     server, port = start_sshd(folder, folder)
     try:
@@ -78,7 +78,9 @@ def open_sshd(folder: Path) -> Iterator[Target]:
         entry = paramiko.hostkeys.HostKeyEntry.from_line(f"x {kind} {text}")
         assert entry is not None
         assert entry.key is not None
-        yield Target("127.0.0.1", port, getpass.getuser(), (str(folder / "login"),), (entry.key,))
+        yield SshTarget(
+            "127.0.0.1", port, getpass.getuser(), (str(folder / "login"),), (entry.key,)
+        )
     finally:
         server.terminate()
         server.communicate()

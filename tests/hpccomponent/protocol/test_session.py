@@ -35,7 +35,7 @@ from hpccomponent.protocol.session import (
     Discard,
     ExitCode,
     Keep,
-    Run,
+    RunBatch,
     Send,
     StartWorker,
     Stop,
@@ -72,7 +72,7 @@ def finished(number: int) -> tuple[Results, bytes, memoryview]:
 
 
 def runs(actions: list[Action]) -> list[tuple[int, list[bytes]]]:
-    return [(a.batch.batch, list(a.blobs)) for a in actions if isinstance(a, Run)]
+    return [(a.batch.batch, list(a.blobs)) for a in actions if isinstance(a, RunBatch)]
 
 
 def sent(actions: list[Action]) -> list[ComponentMessage]:
@@ -100,7 +100,7 @@ def test_two_batches_are_in_the_channel_and_the_others_wait() -> None:
     runs = [session.receive(batch(n), (), 0.0) for n in range(3)]
     assert [len(actions) for actions in runs] == [1, 1, 0]
     actions = session.worker_results(*finished(0), 0.0)
-    assert [a.batch.batch for a in actions if isinstance(a, Run)] == [2]
+    assert [a.batch.batch for a in actions if isinstance(a, RunBatch)] == [2]
 
 
 def test_heartbeats_acknowledge_what_was_received() -> None:
@@ -127,7 +127,7 @@ def test_a_dead_worker_is_reported_blamed_once_and_started_again() -> None:
     actions = session.worker_died("signal 9")
     assert sent(actions) == [Lost("s", 1, "signal 9", True), Lost("s", 2, "signal 9", False)]
     assert actions[-1] == StartWorker(0.0)
-    assert [a.batch.batch for a in session.worker_started() if isinstance(a, Run)] == [3]
+    assert [a.batch.batch for a in session.worker_started() if isinstance(a, RunBatch)] == [3]
 
 
 def test_backoff_grows_and_ends() -> None:
@@ -186,7 +186,7 @@ def test_a_resumed_master_gets_no_batches_of_the_old_one_run() -> None:
         session.receive(batch(number), (), 0.0)
     session.receive(Registered("new", 1.0, 10.0, 1 << 20), (), 1.0)
     actions = session.worker_results(*finished(0), 0.0)
-    assert not any(isinstance(action, Run) for action in actions)
+    assert not any(isinstance(action, RunBatch) for action in actions)
 
 
 def test_a_blob_is_kept_and_handed_over_once() -> None:
@@ -271,10 +271,10 @@ def test_whatever_happens_windows_hold_and_it_stops_once(events: list[tuple[Any,
                 "ping": Ping("s", 0),
             }  # fmt: skip
             actions = session.receive(known[event[0]], (), now)
-        running += [action.batch.batch for action in actions if isinstance(action, Run)]
+        running += [action.batch.batch for action in actions if isinstance(action, RunBatch)]
         tally.update(type(action).__name__ for action in actions)
         assert len(running) <= WINDOW
         assert len(set(running)) == len(running)
         assert tally["Stop"] <= 1
         if tally["Stop"]:
-            assert not any(isinstance(action, Run | StartWorker) for action in actions)
+            assert not any(isinstance(action, RunBatch | StartWorker) for action in actions)

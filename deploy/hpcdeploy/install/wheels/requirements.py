@@ -28,7 +28,7 @@ WORKER_NEEDS = ("msgspec", "numpy", "pydantic", "pyyaml", "pyzmq")
 
 
 @dataclass(frozen=True, slots=True)
-class Needs:
+class MachineNeeds:
     """What one machine needs.
 
     `files` are wheels that are uploaded; with `is_offline`, all of it is among them. `requirements`
@@ -62,7 +62,7 @@ def choose_release(spec: ClusterSpec, base: Path, kinds: list[Kind]) -> Path | s
 
 def needs_of(
     spec: ClusterSpec, base: Path, package: Path | str, kind: Kind, *, is_head: bool
-) -> tuple[Needs, tuple[str, ...]]:
+) -> tuple[MachineNeeds, tuple[str, ...]]:
     """Return what a machine needs, and the requirements that no wheel of the wheelhouse fulfils.
 
     Without a wheelhouse none is missing. A worker gets only what a component and a loader import.
@@ -76,7 +76,7 @@ def needs_of(
         requirements = (*map(_pinned, [*wanted, *page]), *(path.name for path in local))
         files = (*_bundled_pip(), *release, *local)
         name = release[0].name if release else str(package)
-        return Needs(files, requirements, name, is_offline=False), ()
+        return MachineNeeds(files, requirements, name, is_offline=False), ()
     places = [base / expand_home(spec.env.wheelhouse), *local]
     wanted += [text for path in local for text in read_requirements(path)]
     chosen, missing = select_wheels(places, [*wanted, *page], kind)
@@ -88,7 +88,9 @@ def needs_of(
     wheels = tuple(dict.fromkeys((*chosen, *local)))
     files = (*_bundled_pip(), *wheels, *release)
     names = tuple(path.name for path in wheels)
-    return Needs(files, names, "".join(path.name for path in release), is_offline=True), missing
+    return MachineNeeds(
+        files, names, "".join(path.name for path in release), is_offline=True
+    ), missing
 
 
 def check_wheels(spec: ClusterSpec, base: Path) -> list[Problem]:

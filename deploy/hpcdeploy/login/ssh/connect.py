@@ -15,10 +15,10 @@ from textwrap import shorten
 import paramiko
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.login.ssh.connection import BoundedSocket, Connection, Timeouts
+from hpcdeploy.login.ssh.connection import BoundedSocket, SshConnection, SshTimeouts
 from hpcdeploy.login.ssh.keys import Identities, find_identities
-from hpcdeploy.login.ssh.reach import Reach, ReachError
-from hpcdeploy.login.ssh.target import Target
+from hpcdeploy.login.ssh.reach import LoginFault, ReachError
+from hpcdeploy.login.ssh.target import SshTarget
 
 LONGEST = 200
 QUOTED = 60
@@ -26,19 +26,21 @@ QUOTED = 60
 _LOOK = "check that it runs, its address and port, and the firewall or security group"
 
 
-def connect(target: Target, closer: ExitStack, timeouts: Timeouts | None = None) -> Connection:
+def connect(
+    target: SshTarget, closer: ExitStack, timeouts: SshTimeouts | None = None
+) -> SshConnection:
     """Log in, over the machines on the way.
 
     Raises ReachError with why it cannot be, and the command that mends it; CloudError where what is
     wrong is here: a file that is no key, no descriptor that is free.
     """
-    timeouts = timeouts or Timeouts()
+    timeouts = timeouts or SshTimeouts()
     deadline = time.monotonic() + timeouts.login_s
     hops = (*target.jumps, target)
     keys = [
         find_identities(hop.key_files, are_own=not hop.host_keys, closer=closer) for hop in hops
     ]
-    before: Connection | None = None
+    before: SshConnection | None = None
     for hop, identities in zip(hops, keys, strict=True):
         try:
             raw: socket.socket | paramiko.Channel
@@ -60,7 +62,7 @@ def connect(target: Target, closer: ExitStack, timeouts: Timeouts | None = None)
     return before
 
 
-def _error(reach: Reach, detail: str, advice: str) -> ReachError:
+def _error(reach: LoginFault, detail: str, advice: str) -> ReachError:
     return ReachError(f"{reach}: {detail}", advice, reach)
 
 
@@ -68,7 +70,7 @@ def _left(deadline: float) -> float:
     return max(0.01, deadline - time.monotonic())
 
 
-def _dial(hop: Target, timeouts: Timeouts, deadline: float) -> socket.socket:
+def _dial(hop: SshTarget, timeouts: SshTimeouts, deadline: float) -> socket.socket:
     """Connect to a machine. The look-up of a name knows no time limit, so a thread makes it."""
     answers: queue.SimpleQueue[socket.socket | OSError] = queue.SimpleQueue()
     is_late = threading.Event()
@@ -101,10 +103,10 @@ def _dial(hop: Target, timeouts: Timeouts, deadline: float) -> socket.socket:
         raise CloudError(
             "no file descriptor is free here for a connection", "raise the limit, see ulimit -n"
         ) from answer
-    raise _error(Reach.UNREACHABLE, f"{explain(answer)} at {hop.place}", _LOOK) from answer
+    raise _error(LoginFault.UNREACHABLE, f"{explain(answer)} at {hop.place}", _LOOK) from answer
 
 
-def _lead(before: Connection, hop: Target, deadline: float) -> paramiko.Channel:
+def _lead(before: SshConnection, hop: SshTarget, deadline: float) -> paramiko.Channel:
     """Lead on through the machine before."""
     start = ("127.0.0.1", 0)
     try:
@@ -115,14 +117,14 @@ def _lead(before: Connection, hop: Target, deadline: float) -> paramiko.Channel:
         is_late = time.monotonic() >= deadline
         reason = "no answer" if is_late else explain(error)
         detail = f"{reason} at {hop.place}, as the machine on the way sees it"
-        raise _error(Reach.UNREACHABLE, detail, _LOOK) from error
+        raise _error(LoginFault.UNREACHABLE, detail, _LOOK) from error
 
 
 def _log_in(
-    hop: Target, wire: BoundedSocket, identities: Identities, deadline: float, closer: ExitStack
-) -> Connection:
+    hop: SshTarget, wire: BoundedSocket, identities: Identities, deadline: float, closer: ExitStack
+) -> SshConnection:
     known = _known_keys(hop)
-    connection = Connection(wire)
+    connection = SshConnection(wire)
     closer.callback(connection.close)
     try:
         _shake_hands(connection, hop, known, deadline)
@@ -135,7 +137,7 @@ def _log_in(
 
 
 def _shake_hands(
-    connection: Connection, hop: Target, known: dict[str, paramiko.PKey], deadline: float
+    connection: SshConnection, hop: SshTarget, known: dict[str, paramiko.PKey], deadline: float
 ) -> None:
     """Agree on keys, within the time that is left."""
     options = connection.get_security_options()
@@ -152,49 +154,53 @@ def _shake_hands(
     raise _failed_handshake(connection, hop, is_late=not is_done)
 
 
-def _failed_handshake(connection: Connection, hop: Target, *, is_late: bool) -> ReachError:
+def _failed_handshake(connection: SshConnection, hop: SshTarget, *, is_late: bool) -> ReachError:
     """Name what the other end did instead."""
     wire, error = connection.wire, connection.get_exception()
     if not wire.is_ssh:
         if wire.said and not b"SSH-".startswith(bytes(wire.said[:4])) and wire.said[:4] != b"SSH-":
             return _error(
-                Reach.NOT_SSH,
+                LoginFault.NOT_SSH,
                 f"{hop.place} says {_quote(bytes(wire.said))}",
                 _LOOK.split(", ", 1)[1],
             )
         what = "no whole greeting" if wire.said else "no greeting"
         if is_late or isinstance(error, TimeoutError):
             return _error(
-                Reach.SILENT,
+                LoginFault.SILENT,
                 f"{hop.place} takes the connection but sends {what}: the machine hangs, or no SSH "
                 "server listens there",
                 "look at the machine's console, and check the address and the port",
             )
         return _error(
-            Reach.NOT_SSH, f"{hop.place} closes the connection with {what}", f"{_LOOK}; try again"
+            LoginFault.NOT_SSH,
+            f"{hop.place} closes the connection with {what}",
+            f"{_LOOK}; try again",
         )
     if is_late:
         return _stopped(hop, "handshake")
     if wire.fault or isinstance(error, paramiko.SSHException):
         detail = wire.fault or explain(error or EOFError())
         return _error(
-            Reach.NOT_SSH, f"{hop.place} greets as SSH and then breaks its rules: {detail}", _LOOK
+            LoginFault.NOT_SSH,
+            f"{hop.place} greets as SSH and then breaks its rules: {detail}",
+            _LOOK,
         )
     return _error(
-        Reach.UNREACHABLE, f"{hop.place} closed the connection in the handshake", f"{_LOOK}"
+        LoginFault.UNREACHABLE, f"{hop.place} closed the connection in the handshake", f"{_LOOK}"
     )
 
 
-def _stopped(hop: Target, where: str) -> ReachError:
+def _stopped(hop: SshTarget, where: str) -> ReachError:
     return _error(
-        Reach.SILENT,
+        LoginFault.SILENT,
         f"{hop.place} stopped to answer in the middle of the {where}: the machine hangs, or is "
         "overloaded",
         "look at the machine's console",
     )
 
 
-def _known_keys(hop: Target) -> dict[str, paramiko.PKey]:
+def _known_keys(hop: SshTarget) -> dict[str, paramiko.PKey]:
     """Return the host keys that a machine may have, by their types, the preferred first."""
     if hop.host_keys:
         return {key.get_name(): key for key in hop.host_keys}
@@ -222,7 +228,9 @@ def _preferred(kinds: tuple[str, ...], known: dict[str, paramiko.PKey]) -> tuple
     return tuple(sorted(kinds, key=lambda kind: not is_known(kind)))
 
 
-def _check_host_key(connection: Connection, hop: Target, known: dict[str, paramiko.PKey]) -> None:
+def _check_host_key(
+    connection: SshConnection, hop: SshTarget, known: dict[str, paramiko.PKey]
+) -> None:
     """Never accept a host key unseen."""
     key = connection.get_remote_server_key()
     expected = known.get(key.get_name())
@@ -230,7 +238,7 @@ def _check_host_key(connection: Connection, hop: Target, known: dict[str, parami
         return
     if not known:
         raise _error(
-            Reach.HOST_KEY_UNKNOWN,
+            LoginFault.HOST_KEY_UNKNOWN,
             f"the host key {key.fingerprint} of {hop.place} is not known",
             f"run {hop.command} once and compare the fingerprint",
         )
@@ -239,7 +247,7 @@ def _check_host_key(connection: Connection, hop: Target, known: dict[str, parami
     if not hop.host_keys:
         renew += f"; where it was made anew, ssh-keygen -R '{hop.known_as}' and then {hop.command}"
     raise _error(
-        Reach.HOST_KEY_CHANGED,
+        LoginFault.HOST_KEY_CHANGED,
         f"the host key of {hop.place} is {key.fingerprint}, not the pinned {pinned}: another "
         "machine answers",
         renew,
@@ -247,7 +255,7 @@ def _check_host_key(connection: Connection, hop: Target, known: dict[str, parami
 
 
 def _authenticate(
-    connection: Connection, hop: Target, identities: Identities, deadline: float
+    connection: SshConnection, hop: SshTarget, identities: Identities, deadline: float
 ) -> None:
     refused: list[str] = []
     for identity in identities.usable:
@@ -260,7 +268,7 @@ def _authenticate(
             if not connection.is_active() and not refused:
                 detail = connection.wire.fault or "the connection was lost"
                 raise _error(
-                    Reach.UNREACHABLE, f"{detail} at {hop.place} in the login", _LOOK
+                    LoginFault.UNREACHABLE, f"{detail} at {hop.place} in the login", _LOOK
                 ) from error
             refused.append(identity.name)
             if not connection.is_active():  # so many attempts are enough for it
@@ -269,14 +277,14 @@ def _authenticate(
             if not wanted:
                 return
             raise _error(
-                Reach.KEY_REFUSED,
+                LoginFault.KEY_REFUSED,
                 f"{hop.place} takes {identity.name} and wants {' or '.join(wanted)} besides",
                 "let it take the key alone",
             )
     raise _refused(hop, refused, identities)
 
 
-def _refused(hop: Target, names: list[str], identities: Identities) -> CloudError:
+def _refused(hop: SshTarget, names: list[str], identities: Identities) -> CloudError:
     for cause in identities.unusable:
         if isinstance(cause, ReachError):  # the key that it would take may be the locked one
             return cause
@@ -290,7 +298,7 @@ def _refused(hop: Target, names: list[str], identities: Identities) -> CloudErro
         else f"run ssh-copy-id {key}{port}{hop.user}@{hop.called}, or check the user"
     )
     return _error(
-        Reach.KEY_REFUSED, f"permission denied for {where} with {', '.join(names)}", advice
+        LoginFault.KEY_REFUSED, f"permission denied for {where} with {', '.join(names)}", advice
     )
 
 

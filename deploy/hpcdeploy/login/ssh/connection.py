@@ -32,7 +32,7 @@ _LOG = "hpcapp.ssh"
 
 
 @dataclass(frozen=True, slots=True)
-class Timeouts:
+class SshTimeouts:
     """How long a connection is waited for, in seconds.
 
     `login_s` is for all from the name's look-up to the login, over all machines on the way. The
@@ -132,7 +132,7 @@ def _numbered(error: OSError) -> OSError:
     return error
 
 
-class Connection(paramiko.Transport):
+class SshConnection(paramiko.Transport):
     """A transport that keeps its words, and what goes wrong in its thread, off the terminal."""
 
     def __init__(self, wire: BoundedSocket) -> None:

@@ -21,7 +21,7 @@ from paramiko.pkey import UnknownKeyType
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import CloudError
 from hpccomponent.files.paths import home_folder
-from hpcdeploy.login.ssh.reach import Reach, ReachError
+from hpcdeploy.login.ssh.reach import LoginFault, ReachError
 
 _OWN = ("id_ed25519", "id_ecdsa", "id_rsa")
 _MAGIC = b"openssh-key-v1\0"
@@ -58,10 +58,10 @@ def read_key(path: Path) -> paramiko.PKey:
     except (TypeError, paramiko.PasswordRequiredException) as error:
         # TypeError is how cryptography says that a password is missing
         raise ReachError(
-            f"{Reach.PASSPHRASE_NEEDED}: the private key {path} has a passphrase, and no SSH agent "
-            "holds it",
+            f"{LoginFault.PASSPHRASE_NEEDED}: the private key {path} has a passphrase, and no SSH "
+            "agent holds it",
             f"run ssh-add {path}",
-            Reach.PASSPHRASE_NEEDED,
+            LoginFault.PASSPHRASE_NEEDED,
         ) from error
     except (OSError, ValueError, paramiko.SSHException) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is damaged, or no key"
@@ -135,9 +135,9 @@ def find_identities(files: Sequence[str], *, are_own: bool, closer: ExitStack) -
     for cause in (*locked, *broken):
         raise cause
     raise ReachError(
-        f"{Reach.NO_KEY}: there is none in ~/.ssh, and none in an agent",
+        f"{LoginFault.NO_KEY}: there is none in ~/.ssh, and none in an agent",
         "make one with ssh-keygen, and bring it there with ssh-copy-id",
-        Reach.NO_KEY,
+        LoginFault.NO_KEY,
     )
 
 

@@ -11,7 +11,7 @@ from enum import StrEnum
 from hpccomponent.errors import CloudError
 
 
-class Reach(StrEnum):
+class LoginFault(StrEnum):
     """The cause, as it is told in one phrase."""
 
     UNREACHABLE = "unreachable"
@@ -31,7 +31,7 @@ class ReachError(CloudError):
         self,
         problem: str,
         advice: str = "",
-        reach: Reach = Reach.UNREACHABLE,
+        reach: LoginFault = LoginFault.UNREACHABLE,
         excerpt: str = "",
     ) -> None:
         super().__init__(problem, advice, excerpt)

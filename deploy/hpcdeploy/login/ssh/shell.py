@@ -18,9 +18,9 @@ import paramiko
 from hpccomponent.errors import CloudError
 from hpcdeploy.login.shell import Completed, Shell
 from hpcdeploy.login.ssh.connect import explain
-from hpcdeploy.login.ssh.connection import CHANNEL_S, Connection
+from hpcdeploy.login.ssh.connection import CHANNEL_S, SshConnection
 from hpcdeploy.login.ssh.forward import Forwarder
-from hpcdeploy.login.ssh.reach import Reach, ReachError
+from hpcdeploy.login.ssh.reach import LoginFault, ReachError
 from hpcdeploy.login.ssh.terminal import give_terminal
 from hpcdeploy.login.ssh.transfer import fetch_file, send_file
 
@@ -36,7 +36,7 @@ _NO_CODE = 128  # a signal ended the shell itself, and SSH's answer to paramiko 
 class SshShell(Shell):
     """Commands and files on one machine over one connection; safe to use from several threads."""
 
-    def __init__(self, node: str, connection: Connection, closer: ExitStack) -> None:
+    def __init__(self, node: str, connection: SshConnection, closer: ExitStack) -> None:
         self.node = node
         self._transport = connection
         self._closer = closer
@@ -156,7 +156,7 @@ class SshShell(Shell):
                 raise ReachError(
                     f"{self.node}: {shorten(command, 60)!r} did not end within {timeout_s:.0f} s",
                     "",
-                    Reach.SILENT,
+                    LoginFault.SILENT,
                 ) from error
             raise self._lost(error) from error
         except (OSError, EOFError, paramiko.SSHException) as error:

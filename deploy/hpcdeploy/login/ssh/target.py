@@ -18,7 +18,7 @@ _JUMP = re.compile(JUMP)
 
 
 @dataclass(frozen=True, slots=True)
-class Target:
+class SshTarget:
     """A machine to log in to.
 
     Parameters
@@ -44,7 +44,7 @@ class Target:
     host_keys: tuple[paramiko.PKey, ...] = ()
     known_hosts: tuple[str, ...] = ()
     host_key_name: str = ""
-    jumps: tuple[Target, ...] = ()
+    jumps: tuple[SshTarget, ...] = ()
     name: str = ""
 
     @property
@@ -84,7 +84,7 @@ def host_address(host: Host) -> str:
     return str(_read_config().lookup(host.address).get("hostname", host.address))
 
 
-def host_target(host: Host, auth: Auth, key_files: tuple[str, ...]) -> Target:
+def host_target(host: Host, auth: Auth, key_files: tuple[str, ...]) -> SshTarget:
     """Return how a host of the cluster file is reached, following ``~/.ssh/config``.
 
     The user and port of `auth` are used where neither the host nor the configuration has one.
@@ -102,7 +102,7 @@ def host_target(host: Host, auth: Auth, key_files: tuple[str, ...]) -> Target:
     )
 
 
-def jump_targets(auth: Auth, key_files: tuple[str, ...] = ()) -> tuple[Target, ...]:
+def jump_targets(auth: Auth, key_files: tuple[str, ...] = ()) -> tuple[SshTarget, ...]:
     """Return the machines on the way that the cluster file names, the nearest first.
 
     They are the user's own: their host keys are in the user's ``known_hosts``, and the user's keys
@@ -126,7 +126,7 @@ def _read_config() -> paramiko.SSHConfig:
 
 def _resolve_jump(
     config: paramiko.SSHConfig, jump: str, auth: Auth, key_files: tuple[str, ...]
-) -> Target:
+) -> SshTarget:
     """Return the target of a ProxyJump's ``[USER@]HOST[:PORT]``; its own jumps do not count."""
     match = _JUMP.fullmatch(jump)
     if match is None:
@@ -145,10 +145,10 @@ def _resolve(
     port: int | None,
     auth: Auth,
     key_files: tuple[str, ...],
-) -> Target:
+) -> SshTarget:
     options = config.lookup(name)
     files = options.get("userknownhostsfile", "~/.ssh/known_hosts").split()
-    return Target(
+    return SshTarget(
         address=options.get("hostname", name),
         port=port or int(options.get("port", auth.ssh_port)),
         user=user or options.get("user", auth.ssh_user),

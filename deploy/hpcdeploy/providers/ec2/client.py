@@ -25,7 +25,7 @@ from hpcdeploy.providers.ec2.errors import (
     is_throttled,
     translate,
 )
-from hpcdeploy.providers.ec2.login import Login, Timeouts
+from hpcdeploy.providers.ec2.login import CloudTimeouts, Login
 from hpcdeploy.spec.provider import CloudSpec
 
 Client = Any
@@ -45,24 +45,24 @@ def cloud_name(cloud: CloudSpec) -> str:
 
 
 def open_client(
-    service: str, cloud: CloudSpec, base: Path, timeouts: Timeouts | None = None
+    service: str, cloud: CloudSpec, base: Path, timeouts: CloudTimeouts | None = None
 ) -> Client:
     """Return a client of boto3 for a cloud's service ``ec2``, ``s3`` or ``ssm``."""
-    clients = _Clients(cloud, base, timeouts or Timeouts())
+    clients = _Clients(cloud, base, timeouts or CloudTimeouts())
     return clients.client(service, clients.timeouts.act_s)
 
 
 def open_calls(
     cloud: CloudSpec,
     base: Path,
-    timeouts: Timeouts | None = None,
+    timeouts: CloudTimeouts | None = None,
     sleep: Callable[[float], None] = time.sleep,
 ) -> Calls:
     """Return the calls of a cloud's EC2; see `open_client` for the rest.
 
     Where its keys have expired in mid-work, those that lie where they came from are taken.
     """
-    clients = _Clients(cloud, base, timeouts or Timeouts())
+    clients = _Clients(cloud, base, timeouts or CloudTimeouts())
     return Calls(
         clients.asking(),
         cloud_name(cloud),
@@ -90,7 +90,7 @@ def read_parameter(cloud: CloudSpec, base: Path, name: str) -> str:
 class _Clients:
     """The clients of one login: for questions, whose answers come soon, and for changes."""
 
-    def __init__(self, cloud: CloudSpec, base: Path, timeouts: Timeouts) -> None:
+    def __init__(self, cloud: CloudSpec, base: Path, timeouts: CloudTimeouts) -> None:
         self._cloud, self._base, self.timeouts = cloud, base, timeouts
         self._lock = threading.Lock()
         self._login: Login | None = None

@@ -37,7 +37,7 @@ _SPENT = timedelta(minutes=15)  # botocore asks for another code so long before 
 
 
 @dataclass(frozen=True, slots=True)
-class Timeouts:
+class CloudTimeouts:
     """Bounds of time, in seconds, so that a question is answered or given up within half a minute.
 
     Parameters
@@ -68,7 +68,7 @@ class Login:
     profile does not exist, or its file cannot be read.
     """
 
-    def __init__(self, keys: CloudKeys, region: str, place: str, timeouts: Timeouts) -> None:
+    def __init__(self, keys: CloudKeys, region: str, place: str, timeouts: CloudTimeouts) -> None:
         self._keys, self._timeouts, self._place = keys, timeouts, place
         self._core = botocore.session.Session(profile=keys.profile)
         self._core.set_default_client_config(

@@ -11,7 +11,7 @@ import pytest
 
 from hpccomponent.errors import CloudError
 from hpcdeploy.install.installing import install
-from hpcdeploy.install.wheels.requirements import Needs
+from hpcdeploy.install.wheels.requirements import MachineNeeds
 from hpcdeploy.login.local_shell import LocalShell
 
 
@@ -31,7 +31,7 @@ def install_all(home: Path, *wheels: Path) -> None:
     """Install wheels on a machine without internet; the last is the release."""
     pip = sorted(Path(str(files("ensurepip") / "_bundled")).glob("pip-*.whl"))
     names = tuple(path.name for path in wheels)
-    needs = Needs((*pip, *wheels), names[:-1], names[-1], is_offline=True)
+    needs = MachineNeeds((*pip, *wheels), names[:-1], names[-1], is_offline=True)
     shell = LocalShell("worker-1", home)
     install(shell, "hpcapp/lab", sys.executable, needs, (), print)
 

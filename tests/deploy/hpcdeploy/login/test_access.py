@@ -17,7 +17,7 @@ from simulated.memory import MemoryProvider
 from hpccomponent.errors import CloudError
 from hpcdeploy.login import access as access_module
 from hpcdeploy.login.access import Access
-from hpcdeploy.login.ssh.reach import Reach, ReachError
+from hpcdeploy.login.ssh.reach import LoginFault, ReachError
 from hpcdeploy.login.ssh.target import jump_targets
 from hpcdeploy.ownership.journal import open_journal
 from hpcdeploy.provider import MachineSeen, State
@@ -329,7 +329,7 @@ def test_a_bastion_whose_host_key_is_unknown_is_not_passed(
     access, machine = behind
     with pytest.raises(ReachError) as caught:
         access.open(machine)
-    assert caught.value.reach is Reach.HOST_KEY_UNKNOWN
+    assert caught.value.reach is LoginFault.HOST_KEY_UNKNOWN
     assert f"on the way, at {bastion.address}:{bastion.port}" in str(caught.value)
     assert server.commands == []
 

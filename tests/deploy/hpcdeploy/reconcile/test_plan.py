@@ -19,9 +19,9 @@ from hpcdeploy.providers.ec2.access import plan_access
 from hpcdeploy.providers.ec2.observe import GroupSeen, KeyPairSeen
 from hpcdeploy.reconcile.plan import (
     Action,
+    ClusterPlan,
     Extend,
     LaunchNode,
-    Plan,
     SetWorkers,
     Terminate,
     launch_choices,
@@ -107,7 +107,7 @@ def carry_out(observed: Observed, action: Action) -> Observed:
     raise AssertionError(action)
 
 
-def plan_for(spec: ClusterSpec, observed: Observed) -> Plan:
+def plan_for(spec: ClusterSpec, observed: Observed) -> ClusterPlan:
     return make_plan(spec, observed, START, "life", preparing(Model(observed)))
 
 

@@ -12,15 +12,15 @@ import pytest
 
 from hpcdeploy.spec.job_folder import (
     JobOrder,
+    JobRequest,
     JobState,
     JobStatus,
-    Request,
     create_job,
 )
 
 NOON = datetime(2026, 1, 1, 12, tzinfo=UTC)
 BEGUN, ENDED = "2026-01-01T11:30:00+00:00", "2026-01-01T11:45:00+00:00"
-TWO_DOLLARS = Request(("submit",), "/", 2.0)
+TWO_DOLLARS = JobRequest(("submit",), "/", 2.0)
 ORDER = {"verb": "reconstruct", "points": "points/x.ply", "mesh": "mesh.ply"}
 ASKED = {"words": ["submit"], "folder": "/", "hourly_cost": 2.0}
 
@@ -58,10 +58,10 @@ def test_the_head_remembers_what_was_typed(tmp_path: Path) -> None:
 def test_whatever_words_a_head_tells_a_command_is_one_of_hpcapp() -> None:
     words = ("$(reboot)", "; rm -rf ~", "a'b", "\n", "")
     for folder in ("/home/me", "/x; reboot"):
-        command = Request(words, "/x; reboot").command(folder)
+        command = JobRequest(words, "/x; reboot").command(folder)
         begin = [] if folder == "/x; reboot" else ["cd", "/x; reboot", "&&"]
         assert shlex.split(command) == [*begin, "hpcapp", *words]
-    assert Request().command("/") == ""
+    assert JobRequest().command("/") == ""
 
 
 @pytest.mark.parametrize("lie", [{"hourly_cost": -1}, {"hourly_cost": "x"}, {"words": "submit"}])

@@ -36,7 +36,7 @@ from hpcdeploy.jobs.queries import Jobs
 from hpcdeploy.login.local_shell import LocalShell
 from hpcdeploy.login.ssh.connect import connect
 from hpcdeploy.login.ssh.shell import SshShell
-from hpcdeploy.login.ssh.target import Target
+from hpcdeploy.login.ssh.target import SshTarget
 from hpcdeploy.tunnel import tunnel
 from hpcdeploy.tunnel.relay import WANTED
 from hpcdeploy.tunnel.tunnel import lead_workers
@@ -83,7 +83,7 @@ def shell(head: Server, tmp_path: Path) -> Iterator[SshShell]:
     entry = paramiko.hostkeys.HostKeyEntry.from_line(f"x {head.host_line}")
     assert entry is not None
     assert entry.key is not None
-    target = Target(head.address, head.port, USER, (str(tmp_path / "id"),), (entry.key,))
+    target = SshTarget(head.address, head.port, USER, (str(tmp_path / "id"),), (entry.key,))
     with ExitStack() as closer:
         connection = connect(target, closer)
         with SshShell("head", connection, closer.pop_all()) as shell:

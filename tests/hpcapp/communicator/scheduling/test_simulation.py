@@ -71,7 +71,7 @@ from hpccomponent.protocol.session import (
     Action,
     Discard,
     Keep,
-    Run,
+    RunBatch,
     Send,
     SessionState,
     StartWorker,
@@ -121,7 +121,7 @@ class Component:
         for action in actions:
             if isinstance(action, Send):
                 self.up.append((action.message, action.buffers))
-            elif isinstance(action, Run):
+            elif isinstance(action, RunBatch):
                 assert self.kept.issuperset(action.blobs), "a blob to be handed over is not kept"
                 self.in_worker.update(action.blobs)
                 self.work.append((action.batch, 0))

@@ -19,14 +19,14 @@ from machines.rude import ACTS, open_rude
 from machines.servers import USER, Machines, Server
 
 from hpcdeploy.login.ssh.connect import connect
-from hpcdeploy.login.ssh.connection import Connection, Timeouts
+from hpcdeploy.login.ssh.connection import SshConnection, SshTimeouts
 from hpcdeploy.login.ssh.keys import find_identities, public_key, read_key
-from hpcdeploy.login.ssh.reach import Reach, ReachError
+from hpcdeploy.login.ssh.reach import LoginFault, ReachError
 from hpcdeploy.login.ssh.shell import SshShell
-from hpcdeploy.login.ssh.target import Target
+from hpcdeploy.login.ssh.target import SshTarget
 
-IMPATIENT = Timeouts(login_s=0.7)
-HANGS = Timeouts(login_s=20.0, beat_s=0.1, silence_s=0.5)
+IMPATIENT = SshTimeouts(login_s=0.7)
+HANGS = SshTimeouts(login_s=20.0, beat_s=0.1, silence_s=0.5)
 
 
 @pytest.fixture
@@ -49,34 +49,34 @@ def known(server: Server) -> paramiko.PKey:
     return entry.key
 
 
-def target_of(server: Server, key: Path) -> Target:
-    return Target(server.address, server.port, USER, (str(key),), (known(server),))
+def target_of(server: Server, key: Path) -> SshTarget:
+    return SshTarget(server.address, server.port, USER, (str(key),), (known(server),))
 
 
-def fail(target: Target, timeouts: Timeouts = IMPATIENT) -> ReachError:
+def fail(target: SshTarget, timeouts: SshTimeouts = IMPATIENT) -> ReachError:
     with ExitStack() as closer, pytest.raises(ReachError) as caught:
         connect(target, closer, timeouts)
     return caught.value
 
 
-@pytest.mark.parametrize("reach", Reach)
-def test_an_error_survives_pickling_with_its_cause(reach: Reach) -> None:
+@pytest.mark.parametrize("reach", LoginFault)
+def test_an_error_survives_pickling_with_its_cause(reach: LoginFault) -> None:
     error = copy(ReachError("head: closed", "open it", reach))  # by way of what pickle uses
     assert (str(error), error.reach, error.exit_code) == ("head: closed; open it", reach, 4)
 
 
 CAUSES = {
-    "silent": (Reach.SILENT, "sends no greeting"),
-    "slow": (Reach.SILENT, "sends no whole greeting"),
-    "endless": (Reach.NOT_SSH, "says 'AAAA"),
-    "lines": (Reach.NOT_SSH, "says 'welcome, stranger'"),
-    "binary": (Reach.NOT_SSH, r"says '\x16\x03\x01\x1b[2J\xff\xfe'"),
-    "web": (Reach.NOT_SSH, "says 'HTTP/1.1 400 Bad Request'"),
-    "shut": (Reach.NOT_SSH, "closes the connection with no greeting"),
-    "old": (Reach.NOT_SSH, "Incompatible version"),
-    "frozen": (Reach.SILENT, "in the middle of the handshake"),
-    "garbage": (Reach.NOT_SSH, "greets as SSH and then breaks its rules"),
-    "flood": (Reach.NOT_SSH, "says more than any login needs"),
+    "silent": (LoginFault.SILENT, "sends no greeting"),
+    "slow": (LoginFault.SILENT, "sends no whole greeting"),
+    "endless": (LoginFault.NOT_SSH, "says 'AAAA"),
+    "lines": (LoginFault.NOT_SSH, "says 'welcome, stranger'"),
+    "binary": (LoginFault.NOT_SSH, r"says '\x16\x03\x01\x1b[2J\xff\xfe'"),
+    "web": (LoginFault.NOT_SSH, "says 'HTTP/1.1 400 Bad Request'"),
+    "shut": (LoginFault.NOT_SSH, "closes the connection with no greeting"),
+    "old": (LoginFault.NOT_SSH, "Incompatible version"),
+    "frozen": (LoginFault.SILENT, "in the middle of the handshake"),
+    "garbage": (LoginFault.NOT_SSH, "greets as SSH and then breaks its rules"),
+    "flood": (LoginFault.NOT_SSH, "says more than any login needs"),
 }
 
 
@@ -86,7 +86,7 @@ def test_a_bad_server_is_named_in_time_and_nothing_else_is_printed(
 ) -> None:
     reach, words = CAUSES[name]
     with open_rude(ACTS[name]) as port:
-        error = fail(Target("127.0.0.1", port, "me", (str(key),)))
+        error = fail(SshTarget("127.0.0.1", port, "me", (str(key),)))
     assert (error.reach, words in error.problem) == (reach, True), str(error)
     assert f"127.0.0.1:{port}" in error.problem
     assert error.advice
@@ -98,27 +98,27 @@ def test_a_machine_that_is_stopped_is_not_said_to_deny_permission(tmp_path: Path
     server, port = start_sshd(tmp_path, tmp_path)
     try:
         server.send_signal(signal.SIGSTOP)
-        error = fail(Target("127.0.0.1", port, getpass.getuser(), (str(tmp_path / "login"),)))
+        error = fail(SshTarget("127.0.0.1", port, getpass.getuser(), (str(tmp_path / "login"),)))
     finally:
         server.send_signal(signal.SIGCONT)
         server.terminate()
         server.communicate()
-    assert error.reach is Reach.SILENT
+    assert error.reach is LoginFault.SILENT
     assert "the machine hangs" in error.problem
 
 
 def test_nobody_at_a_port_is_unreachable(key: Path) -> None:
     with open_rude(ACTS["shut"]) as port:
         pass
-    error = fail(Target("127.0.0.1", port, "me", (str(key),)))
-    assert (error.reach, "connection refused" in error.problem) == (Reach.UNREACHABLE, True)
+    error = fail(SshTarget("127.0.0.1", port, "me", (str(key),)))
+    assert (error.reach, "connection refused" in error.problem) == (LoginFault.UNREACHABLE, True)
     assert "security group" in error.advice
 
 
 def test_a_name_that_nobody_knows_is_unreachable(key: Path) -> None:
     for name in ("nobody.invalid", "x" * 70, "a..b"):
-        error = fail(Target(name, 22, "me", (str(key),)), Timeouts(login_s=20.0))
-        assert (error.reach, "no such host name" in error.problem) == (Reach.UNREACHABLE, True)
+        error = fail(SshTarget(name, 22, "me", (str(key),)), SshTimeouts(login_s=20.0))
+        assert (error.reach, "no such host name" in error.problem) == (LoginFault.UNREACHABLE, True)
 
 
 def test_the_four_refusals_of_a_machine_that_is_up_are_told_apart(
@@ -126,23 +126,23 @@ def test_the_four_refusals_of_a_machine_that_is_up_are_told_apart(
 ) -> None:
     server, other = machines.add(), machines.add()
     good = target_of(server, key)
-    error = fail(good, Timeouts())
-    assert error.reach is Reach.KEY_REFUSED
+    error = fail(good, SshTimeouts())
+    assert error.reach is LoginFault.KEY_REFUSED
     assert str(key) in error.problem
     own = replace(good, host_keys=(), known_hosts=(str(tmp_path / "known"),))
-    error = fail(own, Timeouts())
-    assert error.reach is Reach.HOST_KEY_UNKNOWN
+    error = fail(own, SshTimeouts())
+    assert error.reach is LoginFault.HOST_KEY_UNKNOWN
     assert f"run ssh -p {server.port} {USER}@{server.address} once" in error.advice
     (tmp_path / "known").write_text(f"[{server.address}]:{server.port} {other.host_line}\n")
-    error = fail(own, Timeouts())
-    assert error.reach is Reach.HOST_KEY_CHANGED
+    error = fail(own, SshTimeouts())
+    assert error.reach is LoginFault.HOST_KEY_CHANGED
     assert f"ssh-keygen -R '[{server.address}]:{server.port}'" in error.advice
     (tmp_path / "known").write_text(f"[{server.address}]:{server.port} {server.host_line}\n")
-    error = fail(own, Timeouts())
-    assert (error.reach, "ssh-copy-id" in error.advice) == (Reach.KEY_REFUSED, True)
+    error = fail(own, SshTimeouts())
+    assert (error.reach, "ssh-copy-id" in error.advice) == (LoginFault.KEY_REFUSED, True)
     lock(key)
-    error = fail(own, Timeouts())
-    assert (error.reach, error.advice) == (Reach.PASSPHRASE_NEEDED, f"run ssh-add {key}")
+    error = fail(own, SshTimeouts())
+    assert (error.reach, error.advice) == (LoginFault.PASSPHRASE_NEEDED, f"run ssh-add {key}")
 
 
 def lock(key: Path, *more: str) -> None:
@@ -169,9 +169,9 @@ def test_a_passphrase_is_seen_before_any_machine_is_asked_for_every_kind_of_key(
     for read in (read_key, public_key):
         with pytest.raises(ReachError) as caught:
             read(path)
-        assert caught.value.reach is Reach.PASSPHRASE_NEEDED
-    error = fail(Target("nobody.invalid", 22, "me", (str(path),)))
-    assert error.reach is Reach.PASSPHRASE_NEEDED
+        assert caught.value.reach is LoginFault.PASSPHRASE_NEEDED
+    error = fail(SshTarget("nobody.invalid", 22, "me", (str(path),)))
+    assert error.reach is LoginFault.PASSPHRASE_NEEDED
 
 
 @pytest.fixture
@@ -255,7 +255,7 @@ def test_a_command_that_says_nothing_on_a_machine_that_lives_goes_on(frozen: Fro
     assert frozen.shell.run("sleep 1.5; echo done").output == "done\n"
 
 
-def jumped(machines: Machines, key: Path, inside: Target) -> Target:
+def jumped(machines: Machines, key: Path, inside: SshTarget) -> SshTarget:
     gate = machines.add()
     gate.keys.append(public_key(key))
     return replace(inside, jumps=(target_of(gate, key),))
@@ -265,11 +265,11 @@ def test_on_the_way_the_machine_that_fails_is_named(machines: Machines, key: Pat
     server = machines.add()
     target = jumped(machines, key, target_of(server, key))
     machines.stop(server)
-    error = fail(target, Timeouts())
-    assert (error.reach, server.address in error.problem) == (Reach.UNREACHABLE, True)
+    error = fail(target, SshTimeouts())
+    assert (error.reach, server.address in error.problem) == (LoginFault.UNREACHABLE, True)
     gate = target.jumps[0]
-    error = fail(replace(target, jumps=(replace(gate, user="stranger"),)), Timeouts())
-    assert error.reach is Reach.KEY_REFUSED
+    error = fail(replace(target, jumps=(replace(gate, user="stranger"),)), SshTimeouts())
+    assert error.reach is LoginFault.KEY_REFUSED
     assert f"on the way, at {gate.place}" in error.problem
 
 
@@ -279,8 +279,8 @@ def test_a_bad_server_behind_a_jump_is_named_too(
     name: str, machines: Machines, key: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     with open_rude(ACTS[name]) as port:
-        target = jumped(machines, key, Target("127.0.0.1", port, "me", (str(key),)))
-        error = fail(target, Timeouts(login_s=3.0))
+        target = jumped(machines, key, SshTarget("127.0.0.1", port, "me", (str(key),)))
+        error = fail(target, SshTimeouts(login_s=3.0))
     assert error.reach is CAUSES[name][0]
     assert capfd.readouterr().err == ""
 
@@ -298,6 +298,6 @@ def test_a_jump_that_goes_ends_what_is_behind_it_without_a_word(
             with pytest.raises(ReachError, match="worker-1"):
                 shell.run("true")
             connection.join(20)
-    assert isinstance(connection, Connection)
+    assert isinstance(connection, SshConnection)
     assert not connection.is_alive()
     assert capfd.readouterr().err == ""

@@ -20,7 +20,7 @@ from hpcdeploy.login.shell import part_of
 from hpcdeploy.login.ssh import shell as ssh_shell
 from hpcdeploy.login.ssh.connect import connect
 from hpcdeploy.login.ssh.shell import SshShell
-from hpcdeploy.login.ssh.target import Target
+from hpcdeploy.login.ssh.target import SshTarget
 
 CONTENT = bytes(range(256)) * 1000
 
@@ -51,7 +51,7 @@ def shell(server: Server, key: Path) -> Iterator[SshShell]:
     entry = paramiko.hostkeys.HostKeyEntry.from_line(f"x {kind} {text}")
     assert entry is not None
     assert entry.key is not None
-    target = Target(server.address, server.port, USER, (str(key),), (entry.key,))
+    target = SshTarget(server.address, server.port, USER, (str(key),), (entry.key,))
     with ExitStack() as closer:
         connection = connect(target, closer)
         with SshShell("worker-1", connection, closer.pop_all()) as shell:

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from machines.openssh import open_sshd
 
-from hpcdeploy.login.ssh.target import Target
+from hpcdeploy.login.ssh.target import SshTarget
 
 RAW = termios.ICANON | termios.ECHO | termios.ISIG
 
@@ -45,7 +45,7 @@ with ExitStack() as closer:
 class Terminal:
     """A terminal, and the program on it."""
 
-    def __init__(self, target: Target, hosts: Path, command: str) -> None:
+    def __init__(self, target: SshTarget, hosts: Path, command: str) -> None:
         self.keys, self.screen = pty.openpty()
         self.resize(33, 101)
         self.settings = termios.tcgetattr(self.screen)
@@ -89,19 +89,19 @@ class Terminal:
 
 
 @pytest.fixture
-def target(tmp_path: Path) -> Iterator[Target]:
+def target(tmp_path: Path) -> Iterator[SshTarget]:
     with open_sshd(tmp_path) as target:
         yield target
 
 
 @pytest.fixture
-def hosts(target: Target, tmp_path: Path) -> Path:
+def hosts(target: SshTarget, tmp_path: Path) -> Path:
     path = tmp_path / "known_hosts"
     path.write_text(f"[127.0.0.1]:{target.port} {(tmp_path / 'host.pub').read_text()}")
     return path
 
 
-def test_keys_and_the_size_of_the_window_go_there(target: Target, hosts: Path) -> None:
+def test_keys_and_the_size_of_the_window_go_there(target: SshTarget, hosts: Path) -> None:
     script = "trap 'echo interrupted; exit 7' INT; while stty size; do read line; done"
     terminal = Terminal(target, hosts, f'sh -c "{script}"')
     try:
@@ -118,7 +118,7 @@ def test_keys_and_the_size_of_the_window_go_there(target: Target, hosts: Path) -
         terminal.close()
 
 
-def test_a_lost_connection_gives_the_terminal_back(target: Target, hosts: Path) -> None:
+def test_a_lost_connection_gives_the_terminal_back(target: SshTarget, hosts: Path) -> None:
     terminal = Terminal(target, hosts, "sh -c 'echo server=$PPID=; cat'")
     try:
         terminal.wait_for("=\r\n")

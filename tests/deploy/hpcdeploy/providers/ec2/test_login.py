@@ -21,13 +21,13 @@ from pydantic import TypeAdapter
 from hpccomponent.errors import CloudError
 from hpcdeploy.providers.clouds import open_clouds
 from hpcdeploy.providers.ec2.client import open_calls
-from hpcdeploy.providers.ec2.login import Timeouts
+from hpcdeploy.providers.ec2.login import CloudTimeouts
 from hpcdeploy.providers.ec2.provider import Ec2Provider
 from hpcdeploy.spec.names import Owner
 from hpcdeploy.spec.provider import CloudSpec, ProviderSpec
 
 _SPEC: TypeAdapter[Any] = TypeAdapter(ProviderSpec)
-SHORT = Timeouts(connect_s=0.3, keys_s=0.5, process_s=0.5, ask_s=0.5, act_s=0.5)
+SHORT = CloudTimeouts(connect_s=0.3, keys_s=0.5, process_s=0.5, ask_s=0.5, act_s=0.5)
 ALONE = {"role refused port", "role with MFA", "SSO never", "SSO expired", "legacy SSO expired"}
 """These ask a terminal, or read what is below the home that a process has begun with."""
 
