@@ -12,7 +12,6 @@ import paramiko
 import pytest
 from cloud import Instance, StrictCloud
 from machines.servers import Machines
-from simulated import Failure
 
 from hpcapp.cli import main
 from hpccomponent.errors import CloudError
@@ -29,10 +28,10 @@ CLOUD_FAILED = 4
 
 def set_up(
     spec: ClusterSpec, machines: Sequence[MachineSeen], access: Access, report: object
-) -> list[Failure]:
+) -> dict[str, str]:
     """Log in for real, and leave the keys there that the real one leaves; install nothing."""
     keys = NodeKeys(state_folder(spec.cluster) / "keys.json", (m.id for m in machines))
-    failures = []
+    failures: dict[str, str] = {}
     for machine in machines:
         pair = keys.of(machine.id)
         try:
@@ -45,7 +44,7 @@ def set_up(
                 }
                 write_text(shell, "hpcapp/bunny/inventory.json", json.dumps(server))
         except CloudError as error:
-            failures.append(Failure(machine, error.problem))
+            failures[machine.id] = error.problem
     return failures
 
 
@@ -218,7 +217,7 @@ def test_a_machine_that_has_worked_is_not_replaced_for_a_login_that_fails(
     with monkeypatch.context() as patch:
         patch.setattr(
             "hpcdeploy.install.bootstrap.set_up",
-            lambda spec, machines, access, report: [Failure(m, "no answer") for m in machines],
+            lambda spec, machines, access, report: {m.id: "no answer" for m in machines},
         )
         assert lab.run("anna", "up", "-y") == CLOUD_FAILED
     assert "head (and 1 more) cannot be had: no answer; it stays, for it may be at" in lab.said

@@ -55,14 +55,6 @@ MIN_FREE = 1 << 29  # bytes: the environment of a head takes 0.4 GB
 
 
 @dataclass(frozen=True, slots=True)
-class Failure:
-    """A machine that could not be set up."""
-
-    machine: MachineSeen
-    reason: str
-
-
-@dataclass(frozen=True, slots=True)
 class _Member:
     machine: MachineSeen
     shell: Shell
@@ -76,12 +68,12 @@ def set_up(
     machines: Sequence[MachineSeen],
     access: Access,
     report: Callable[[str], None],
-) -> list[Failure]:
+) -> dict[str, str]:
     """Make these machines the cluster: what is in place already stays as it is.
 
     `machines` are all that run, the head among them. The inventory on the head has all but those
-    that do not work, which are returned. Raises CloudError where there is no head, or no release
-    for these machines.
+    that do not work: why, is returned by their ids. Raises CloudError where there is no head, or no
+    release for these machines.
     """
     head = next((machine for machine in machines if machine.name.node == HEAD), None)
     if head is None:
@@ -106,8 +98,8 @@ class _SetUp:
         self._folder = machine_folder(spec.cluster)
         self._is_here = spec.provider.is_here
 
-    def run(self, machines: Sequence[MachineSeen]) -> list[Failure]:
-        """Set all up; return the failures."""
+    def run(self, machines: Sequence[MachineSeen]) -> dict[str, str]:
+        """Set all up; tell why some machines cannot be, by their ids."""
         keys_file = state_folder(self._spec.cluster) / "keys.json"
         self._keys = NodeKeys(keys_file, (machine.id for machine in machines))
         members, unreachable = self._each(machines, lambda machine: machine, self._join)
@@ -118,19 +110,20 @@ class _SetUp:
             )
             if any(member.machine.id == self._head.id for member in done):
                 self._write_inventory(done)
-            return unreachable + failed
+            return unreachable | failed
         finally:
             for member in members:
                 member.shell.close()
 
     def _each(
         self, items: Sequence[T], machine_of: Callable[[T], MachineSeen], step: Callable[[T], R]
-    ) -> tuple[list[R], list[Failure]]:
-        """Do one step for all, several at once; tell what came of it, and who failed."""
+    ) -> tuple[list[R], dict[str, str]]:
+        """Do one step for all, several at once; tell what came of it, and why machines failed."""
         pool = ThreadPoolExecutor(AT_ONCE, thread_name_prefix="set-up")
         try:
             futures = [pool.submit(step, item) for item in items]
-            results, failures = [], []
+            results: list[R] = []
+            failures: dict[str, str] = {}
             for item, future in zip(items, futures, strict=True):
                 try:
                     results.append(future.result())
@@ -139,7 +132,7 @@ class _SetUp:
                     reason = without_node(str(error), machine.name.node)
                     if isinstance(error, HpcError) and error.excerpt:
                         self._report(f"{machine.name.node}:\n{write_block(error.excerpt)}")
-                    failures.append(Failure(machine, reason))
+                    failures[machine.id] = reason
             return results, failures
         except BaseException:
             self._access.close()  # an interrupt must not wait for what a machine is doing

@@ -24,46 +24,53 @@ REMEMBERED = 20
 
 
 @dataclass(frozen=True, slots=True)
-class Shortage:
-    """A node whose machine is not to be had."""
-
-    node: str
-    error: CloudError
-
-
-@dataclass(frozen=True, slots=True)
-class _Request:
-    """All that one launch needs beside the node."""
+class Launcher:
+    """Starts the machines of one life of a cluster, which are `owner`'s."""
 
     spec: ClusterSpec
     provider: Provider
     journal: Journal
+    report: Callable[[str], None]
+    polling: Polling
     incarnation: str
     owner: Owner
-    polling: Polling
-    report: Callable[[str], None]
 
-    def launch(self, action: LaunchNode) -> MachineSeen | Shortage:
+    def launch_all(
+        self, actions: Sequence[LaunchNode]
+    ) -> tuple[list[MachineSeen], dict[str, CloudError]]:
+        """Start the machines of some nodes; without a head, no worker is started.
+
+        Tell of which nodes no machine is to be had, and why.
+        """
+        head = [action for action in actions if action.name.node == HEAD]
+        workers = [action for action in actions if action.name.node != HEAD]
+        results = [self._launch(action) for action in head]
+        if workers and not any(isinstance(result, CloudError) for result in results):
+            with ThreadPoolExecutor(min(AT_ONCE, len(workers)), "launch") as pool:
+                results += pool.map(self._launch, workers)
+        outcomes = list(zip((*head, *workers), results, strict=False))
+        return (
+            [result for result in results if not isinstance(result, CloudError)],
+            {a.name.node: result for a, result in outcomes if isinstance(result, CloudError)},
+        )
+
+    def _launch(self, action: LaunchNode) -> MachineSeen | CloudError:
         """Try the choices in their order, and the whole order again after a while."""
         error = CloudError(f"{action.name.node}: nothing to try")
         for wait_s in (0.0, *self.polling.backoff_s):
             if wait_s:
                 self.report(f"{error.problem}; trying again in {wait_s:.0f} s")
                 self.polling.sleep(wait_s)
-            for choice in self._choices(action):
+            # First the choice whose answer an earlier command did not live to see.
+            attempt = self.journal.attempt(self.incarnation, action.name)
+            for choice in dict.fromkeys((*([attempt.choice] if attempt else []), *action.choices)):
                 try:
                     return self._ask(action, choice)
                 except CapacityError as refusal:
                     error = refusal
                 except CloudError as failure:
-                    return Shortage(action.name.node, failure)
-        return Shortage(action.name.node, error)
-
-    def _choices(self, action: LaunchNode) -> list[LaunchChoice]:
-        """Begin with the choice whose answer an earlier command did not live to see."""
-        attempt = self.journal.attempt(self.incarnation, action.name)
-        begun = [attempt.choice] if attempt else []
-        return begun + [choice for choice in action.choices if choice not in begun]
+                    return failure
+        return error
 
     def _ask(self, action: LaunchNode, choice: LaunchChoice) -> MachineSeen:
         """Launch; where the cloud remembers a machine that is gone, its successor."""
@@ -71,7 +78,7 @@ class _Request:
         for generation in range(name.generation, name.generation + REMEMBERED):
             asked = NodeName(name.node, generation)
             until = self._lease_until(asked, choice)
-            launch = self._launch(action, asked, choice, until)
+            launch = self._order(action, asked, choice, until)
             with self.journal.step(
                 f"launch {name.node}{told}",
                 incarnation=self.incarnation,
@@ -89,7 +96,7 @@ class _Request:
                 return seen
         raise CloudError(f"{name.node}: its last {REMEMBERED} machines are gone at once")
 
-    def _launch(
+    def _order(
         self, action: LaunchNode, name: NodeName, choice: LaunchChoice, until: datetime
     ) -> Launch:
         launch = Launch(
@@ -120,29 +127,3 @@ class _Request:
         if attempt and attempt.choice == choice and attempt.lease_until > now + lease / 2:
             return attempt.lease_until
         return now + lease
-
-
-def launch_nodes(
-    spec: ClusterSpec,
-    provider: Provider,
-    journal: Journal,
-    actions: Sequence[LaunchNode],
-    incarnation: str,
-    owner: Owner,
-    report: Callable[[str], None],
-    polling: Polling,
-) -> tuple[list[MachineSeen], list[Shortage]]:
-    """Start the machines of some nodes; without a head, no worker is started.
-
-    A shortage is a node whose machine is not to be had, and why.
-    """
-    request = _Request(spec, provider, journal, incarnation, owner, polling, report)
-    workers = [action for action in actions if action.name.node != HEAD]
-    results = [request.launch(action) for action in actions if action.name.node == HEAD]
-    if workers and not any(isinstance(result, Shortage) for result in results):
-        with ThreadPoolExecutor(min(AT_ONCE, len(workers)), "launch") as pool:
-            results += pool.map(request.launch, workers)
-    return (
-        [result for result in results if not isinstance(result, Shortage)],
-        [result for result in results if isinstance(result, Shortage)],
-    )

@@ -18,7 +18,7 @@ from hpcdeploy.ownership.ownership import ours
 from hpcdeploy.provider import MachineSeen, Observed, Prerequisites, State, Step, Tags
 from hpcdeploy.providers.clouds import places_of
 from hpcdeploy.reconcile.cluster import as_desired, node_order, require_ours
-from hpcdeploy.reconcile.launching import launch_nodes
+from hpcdeploy.reconcile.launching import Launcher
 from hpcdeploy.reconcile.plan import (
     LIVE,
     Action,
@@ -150,9 +150,8 @@ class Reconciler:
         is_slow = self._provider.makes_machines  # clouds list with a delay
         errors = self._given_up.values()
         if is_slow and any(not isinstance(error, CapacityError) for error in errors):
-            self._polling.sleep(
-                self._polling.settle_s
-            )  # an answer may be lost, its machine not listed
+            # an answer may be lost, its machine not listed
+            self._polling.sleep(self._polling.settle_s)
 
         def made() -> tuple[Observed, Proof]:
             seen = self._observe()
@@ -322,18 +321,18 @@ class Reconciler:
             if isinstance(action, Extend):
                 for machine in action.machines:
                     kept[machine.id] = replace(machine, lease_until=action.lease_until)
-        launched, short = launch_nodes(
+        launcher = Launcher(
             self._spec,
             self._provider,
             self._journal,
-            launches,
-            self._life,
-            self._owner,
             self._report,
             self._polling,
+            self._life,
+            self._owner,
         )
+        launched, short = launcher.launch_all(launches)
         self._unlisted.update((machine.id, machine) for machine in launched)
-        self._given_up.update((shortage.node, shortage.error) for shortage in short)
+        self._given_up.update(short)
         running = [m for m in kept.values() if m.name.node not in self._given_up]
         return sorted([*running, *launched], key=node_order)
 
@@ -394,13 +393,12 @@ class Reconciler:
         if others:  # so that who has launched them does not take them for unused
             self._provider.tag(others, Tags(set_up_by=self._cluster.access.ownership().owner.user))
         with self._journal.step("set up " + ", ".join(m.name.node for m in running)):
-            failures = set_up(self._spec, running, self._cluster.access, self._report)
-        failed = {failure.machine.id for failure in failures}
-        self._journal.note_set_up((m.id for m in running if m.id not in failed), is_done=True)
-        if not failures:
+            reasons = set_up(self._spec, running, self._cluster.access, self._report)
+        self._journal.note_set_up((m.id for m in running if m.id not in reasons), is_done=True)
+        if not reasons:
             return []
         seen = {machine.id: machine for machine in self._observe().machines}
-        return [(seen.get(f.machine.id, f.machine), f.reason) for f in failures]
+        return [(seen.get(m.id, m), reasons[m.id]) for m in running if m.id in reasons]
 
     def _dismiss(self, machine: MachineSeen, reason: str) -> None:
         """Decide whether a machine that failed is replaced; the next plan carries it out."""

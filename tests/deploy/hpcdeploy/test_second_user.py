@@ -21,7 +21,7 @@ import pytest
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
-from simulated import Failure, Keyring, SimulatedTime, make_cluster, make_spec
+from simulated import Keyring, SimulatedTime, make_cluster, make_spec
 from simulated.memory import MemoryProvider
 
 from hpccomponent.errors import CloudError
@@ -78,18 +78,18 @@ class Lab:
 
     def set_up(
         self, spec: ClusterSpec, machines: Sequence[MachineSeen], access: Keyring, report: Any
-    ) -> list[Failure]:
+    ) -> dict[str, str]:
         """Let in whoever has the key that a machine was launched with."""
         key = access.ownership().owner.key
-        failures = []
+        failures: dict[str, str] = {}
         for machine in machines:
             launched = next(
                 m.seen.owner for m in self.cloud._machines.values() if m.seen.id == machine.id
             )
             if launched.key != key:
-                failures.append(Failure(machine, "permission denied"))
+                failures[machine.id] = "permission denied"
             elif (self.cloud.user, machine.name.node) in self.unreachable:
-                failures.append(Failure(machine, "no answer"))
+                failures[machine.id] = "no answer"
             else:
                 self.healthy[machine.id] = key
         self.strike("before", "set_up")

@@ -59,12 +59,12 @@ def run(arguments: list[str], port: int, errors: Any) -> None:
     channel = connection.makefile("rw")
     talk(channel, f"pid {os.getpid()}")
 
-    def set_up(spec: Any, machines: Any, access: Any, report: Any) -> list[Any]:
+    def set_up(spec: Any, machines: Any, access: Any, report: Any) -> dict[str, str]:
         for machine in machines:
             for step in STEPS:
                 talk(channel, f"step {machine.name.node}: {step}")
         talk(channel, "step head: write the inventory")
-        return []
+        return {}
 
     hpcdeploy.install.bootstrap.set_up = set_up
     try:

@@ -74,14 +74,6 @@ class SimulatedTime:
         return Polling(now=self.now, sleep=self.advance, **changes)
 
 
-@dataclass(frozen=True)
-class Failure:
-    """Like bootstrap.Failure."""
-
-    machine: MachineSeen
-    reason: str
-
-
 @dataclass
 class SetUp:
     """Stands for the bootstrap: remembers what it was given, fails where it is told to."""
@@ -93,16 +85,13 @@ class SetUp:
 
     def __call__(
         self, spec: ClusterSpec, machines: Sequence[MachineSeen], access: object, report: object
-    ) -> list[Failure]:
+    ) -> dict[str, str]:
         self.calls.append(tuple(machine.name.node for machine in machines))
         self.during()
-        failures = [
-            Failure(machine, "pip is missing")
-            for machine in machines
-            if machine.name.node in self.broken_nodes | self.broken_once
-        ]
-        self.broken_once -= {failure.machine.name.node for failure in failures}
-        return failures
+        broken = self.broken_nodes | self.broken_once
+        failed = [machine for machine in machines if machine.name.node in broken]
+        self.broken_once -= {machine.name.node for machine in failed}
+        return {machine.id: "pip is missing" for machine in failed}
 
 
 @dataclass

@@ -64,7 +64,7 @@ def loader_pids() -> list[str]:
 
 
 def test_every_node_gets_its_own_keys_and_a_loader(spec: ClusterSpec, access: Access) -> None:
-    assert set_up(spec, machines(), access, print) == []
+    assert set_up(spec, machines(), access, print) == {}
     connections = [
         read_connection(Path(machine.id) / FOLDER / "connection.json") for machine in machines()
     ]
@@ -83,7 +83,7 @@ def test_a_second_run_changes_nothing(spec: ClusterSpec, access: Access) -> None
     set_up(spec, machines(), access, print)
     before = loader_pids()
     said: list[str] = []
-    assert set_up(spec, machines(), access, said.append) == []
+    assert set_up(spec, machines(), access, said.append) == {}
     assert said == []
     assert loader_pids() == before
 

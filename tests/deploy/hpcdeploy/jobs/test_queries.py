@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from simulated import FILE, Failure, SetUp, make_cluster, make_spec
+from simulated import FILE, SetUp, make_cluster, make_spec
 from simulated.memory import MemoryProvider
 
 from hpccomponent.errors import CloudError, InputError, JobError, UsageError
@@ -514,13 +514,13 @@ def test_a_cluster_is_taken_away_from_under_a_worker_that_is_being_set_up(
 
     def set_up(
         spec: ClusterSpec, machines: Sequence[MachineSeen], access: Access, report: object
-    ) -> list[Failure]:
+    ) -> dict[str, str]:
         late = [machine for machine in machines if machine.name.generation > 1]
         if late:
             jobs.cancel("1")
             with pytest.raises(CloudError, match="no longer waited for"):
                 access.open(late[0], timeout_s=600.0)
-        return [Failure(machine, "it does not let us in") for machine in late]
+        return {machine.id: "it does not let us in" for machine in late}
 
     def interrupt(record: logging.LogRecord) -> bool:
         if WAITING in record.getMessage():
