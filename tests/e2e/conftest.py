@@ -24,7 +24,7 @@ def make_site(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[MakeSi
 
     yield make
     for bed in beds:
-        bed.__exit__(None, None, None)
+        bed.__exit__()
 
 
 @pytest.fixture

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import getpass
 import json
-import sys
 from collections.abc import Iterator
 from concurrent.futures import Executor, Future
 from pathlib import Path
 
 import numpy as np
 import pytest
+from heads import install_python
 from machines.hosts import claim
 from machines.openssh import start_sshd
 from standing import StartCluster
@@ -26,10 +26,7 @@ from hpcdeploy.reconcile.cluster import open_cluster
 def home(tmp_path: Path) -> Path:
     """The head's home, with what `up` installs there."""
     home = tmp_path / "head"
-    python = home / "hpcapp/lab/venv/bin/python"
-    python.parent.mkdir(parents=True)
-    python.write_text(f'#!/bin/sh\nexec {sys.executable} "$@"\n')
-    python.chmod(0o755)
+    install_python(home / "hpcapp/lab")
     return home
 
 

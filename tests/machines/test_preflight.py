@@ -11,8 +11,8 @@ import pytest
 from click.testing import CliRunner
 from machines.hosts import claim
 from machines.servers import Server
+from typed import run
 
-from hpcapp.cli import main
 from hpccomponent.errors import CloudError
 from hpcdeploy.cli.doctor import doctor
 from hpcdeploy.install.bootstrap import set_up
@@ -40,13 +40,6 @@ def give_python(host: Server, said: str, programs: Path, free_kib: int = 1 << 24
 def write_program(path: Path, text: str) -> None:
     path.write_text(f"#!/bin/sh\n{text}\n")
     path.chmod(0o755)
-
-
-def run(*arguments: str | Path) -> int:
-    with pytest.raises(SystemExit) as left:
-        main([str(argument) for argument in arguments])
-    assert isinstance(left.value.code, int)
-    return left.value.code
 
 
 def change(file: Path, **changes: object) -> None:

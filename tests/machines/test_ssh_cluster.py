@@ -6,16 +6,17 @@ import json
 import os
 import re
 import shutil
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
+from heads import install_python
 from machines.hosts import claim
 from machines.servers import Machines, Server
+from typed import run
 
-from hpcapp.cli import hpcapp, main
+from hpcapp.cli import hpcapp
 from hpccomponent.errors import CloudError, LeftoverError, UsageError
 from hpcdeploy.cli.doctor import doctor
 from hpcdeploy.cli.shell import get, put
@@ -32,8 +33,8 @@ FOLDER = "hpcapp/lab"
 
 
 @pytest.mark.slow
-def test_hosts_become_a_cluster_and_are_left_as_they_were(
-    file: Path, hosts: tuple[Server, Server], wheelhouse: Path
+def test_hosts_become_a_cluster_whatever_they_bring_along_and_are_left_as_they_were(
+    file: Path, hosts: tuple[Server, Server], wheelhouse: Path, tmp_path: Path
 ) -> None:
     (file.parent / "wheels").rmdir()
     (file.parent / "wheels").symlink_to(wheelhouse)
@@ -43,12 +44,13 @@ def test_hosts_become_a_cluster_and_are_left_as_they_were(
     with open_cluster(file) as cluster:
         claim(cluster)
         assert set_up(cluster.spec, cluster.machines(), cluster.access, said.append) == {}
-        worker = hosts[1].home / FOLDER
+        worker, image = hosts[1].home / FOLDER, tmp_path / "image"
         assert not list(worker.glob("venv/lib/python*/site-packages/scipy"))
         assert (hosts[0].home / FOLDER / "venv/bin/hpcapp").exists()
         again: list[str] = []
         assert set_up(cluster.spec, cluster.machines(), cluster.access, again.append) == {}
         assert again == []
+        shutil.copytree(worker, image, symlinks=True)
         shutil.rmtree(next(worker.glob("venv/lib/python*/site-packages/zmq")))
         assert set_up(cluster.spec, cluster.machines(), cluster.access, again.append) == {}
         assert again[0] == "worker-1: what was installed is damaged"
@@ -58,34 +60,19 @@ def test_hosts_become_a_cluster_and_are_left_as_they_were(
         assert "worker-1: good" in result.output
         cluster.provider.terminate(cluster.machines())
         assert cluster.machines() == ()
-    for host in hosts:
-        assert (host.home / "theirs").read_text() == "stays"
-        assert not (host.home / "hpcapp").exists()
-
-
-@pytest.mark.slow
-def test_what_an_image_of_an_old_node_brings_along_does_no_harm(
-    file: Path, hosts: tuple[Server, Server], wheelhouse: Path, tmp_path: Path
-) -> None:
-    """The old node's programs, and a way to an HPC App that is not ours, as an image keeps them."""
-    (file.parent / "wheels").rmdir()
-    (file.parent / "wheels").symlink_to(wheelhouse)
-    worker, image = hosts[1].home / FOLDER, tmp_path / "image"
-    with open_cluster(file) as cluster:
-        claim(cluster)
-        assert set_up(cluster.spec, cluster.machines(), cluster.access, print) == {}
-        shutil.copytree(worker, image, symlinks=True)
-        cluster.provider.terminate(cluster.machines())
-    for name in ("loader.yaml", "connection.json", "machine.json"):
-        (image / name).write_text("of another cluster")
-    shutil.copytree(image, worker, symlinks=True)
-    with open_cluster(file) as cluster:
+        # The old node's programs, and a way to an HPC App that is not ours, as an image keeps them.
+        for name in ("loader.yaml", "connection.json", "machine.json"):
+            (image / name).write_text("of another cluster")
+        shutil.copytree(image, worker, symlinks=True)
         claim(cluster)
         assert set_up(cluster.spec, cluster.machines(), cluster.access, print) == {}
         result = CliRunner().invoke(doctor, [str(file)])
         assert result.exit_code == 0, result.output
         assert "worker-1: good" in result.output
         cluster.provider.terminate(cluster.machines())
+    for host in hosts:
+        assert (host.home / "theirs").read_text() == "stays"
+        assert not (host.home / "hpcapp").exists()
 
 
 def test_missing_wheels_fail_each_machine_with_one_line(file: Path) -> None:
@@ -219,9 +206,7 @@ def test_commands_run_on_all_and_the_worst_code_counts(
         claim(cluster)
     (hosts[1].home / "bad").touch()
     command = "echo here; test ! -e bad || exit 7"
-    with pytest.raises(SystemExit) as left:
-        main(["exec", str(file), "--all", command])
-    assert left.value.code == 7
+    assert run("exec", file, "--all", command) == 7
     assert sorted(capfd.readouterr().out.splitlines()) == ["head: here", "worker-1: here"]
 
 
@@ -258,8 +243,7 @@ def test_a_host_that_hides_what_it_does_is_never_ended_nor_replaced(
         assert not [a for a in ahead.actions if isinstance(a, Terminate | LaunchNode)]
         assert any("worker-1" in line and why in line for line in ahead.obstacles())
         for verb in (["plan"], ["up", "-y"], ["scale", "1", "-y"], ["status"]):
-            with pytest.raises(SystemExit):
-                main([verb[0], str(file), *verb[1:]])
+            run(verb[0], file, *verb[1:])
             told = capsys.readouterr()
             assert "terminate" not in told.out + told.err
             assert why in told.out + told.err
@@ -276,19 +260,12 @@ def test_hosts_that_another_home_has_claimed_are_adopted_on_purpose(
     with open_cluster(file) as cluster:
         claim(cluster)
     monkeypatch.setenv("XDG_STATE_HOME", str(file.parent / "ben"))
-
-    def run(*words: str) -> int:
-        with pytest.raises(SystemExit) as left:
-            main([words[0], str(file), *words[1:]])
-        assert isinstance(left.value.code, int)
-        return left.value.code
-
     for words in (("plan",), ("up", "-y"), ("scale", "0", "-y"), ("down", "-y")):
-        assert run(*words) == 4
+        assert run(words[0], file, *words[1:]) == 4
         assert "cluster lab was made elsewhere: by " in capsys.readouterr().err
     assert all((host.home / FOLDER / "machine.json").exists() for host in hosts)
-    assert run("adopt", "-y") == 0
-    assert run("plan") == 0
+    assert run("adopt", file, "-y") == 0
+    assert run("plan", file) == 0
     assert "nothing to create or change" in capsys.readouterr().out
 
 
@@ -298,10 +275,8 @@ def test_adopt_says_which_jobs_run_and_which_option_answers_for_the_user(
     with open_cluster(file) as cluster:
         claim(cluster)
     folder = hosts[0].home / FOLDER
-    place, python = folder / "machine.json", folder / "venv/bin/python"
-    python.parent.mkdir(parents=True)
-    python.write_text(f'#!/bin/sh\nexec {sys.executable} "$@"\n')
-    python.chmod(0o755)
+    place = folder / "machine.json"
+    install_python(folder)
     monkeypatch.setenv("XDG_STATE_HOME", str(file.parent / "ben"))
     order = JobOrder("reconstruct", "points/x.ply", "mesh.ply", title="scan.ply")
     _, lock = create_job(folder, order)
@@ -331,19 +306,19 @@ def test_a_host_that_is_silent_is_named_and_the_others_are_served(
         claim(cluster)
     (file.parent / "cloud.ply").write_bytes(b"ply")
 
-    def run(verb: str, *words: str) -> Result:
+    def said_by(verb: str, *words: str) -> Result:
         return CliRunner().invoke(hpcapp, [verb, str(file), *words])
 
     machines.stop(hosts[1])
     for words in (["exec", "--all", "echo here"], ["exec", "--node", "worker-1", "true"],
                   ["put", str(file.parent / "cloud.ply"), "--all"]):  # fmt: skip
-        done = run(*words)
+        done = said_by(*words)
         assert done.exit_code == 4, done.output
         [told] = [line for line in done.stderr.splitlines() if line.startswith("worker-1")]
         assert "cannot be looked at: unreachable: connection refused" in told
         assert (done.stdout == "head: here\n") == ("--all" in words and "exec" in words)
     assert (hosts[0].home / "cloud.ply").exists()
-    table = run("status", "--offline").output.splitlines()
+    table = said_by("status", "--offline").output.splitlines()
     assert table[0] == "cluster lab (ssh): up, worker-1 cannot be looked at"
     machines.stop(hosts[0])
     for words in (["exec", "true"], ["put", str(file)], ["get", "x"], ["logs"], ["jobs"], ["ssh"]):
@@ -354,7 +329,7 @@ def test_a_host_that_is_silent_is_named_and_the_others_are_served(
         assert "head (127.0.0" in said, words
         assert "is not up" not in said
         assert "hpcapp up" not in said
-    table = run("status", "--offline").output.splitlines()
+    table = said_by("status", "--offline").output.splitlines()
     assert (
         table[0]
         == "cluster lab (ssh): not known whether it is up, head, worker-1 cannot be looked at"

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import logging
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
 import pytest
+from heads import ON_WORKERS, WAITING, install_python, write_sphere
 from machines.hosts import claim
 from machines.servers import Machines, Server
 from standing import StartCluster
@@ -22,8 +21,6 @@ from hpcdeploy.reconcile.cluster import open_cluster
 from hpcdeploy.spec.job_folder import JobState
 
 FOLDER = "hpcapp/lab"
-WAITING = "waiting for the cluster's present job"
-ON_WORKERS = ("--backend", "zmq")  # so small a cloud would wait for nobody
 
 
 @pytest.fixture
@@ -32,16 +29,11 @@ def held(
 ) -> Iterator[Path]:
     """A cluster file whose head is set up, and held by another program: jobs get no further."""
     home = hosts[0].home / FOLDER
-    python = home / "venv/bin/python"
-    python.parent.mkdir(parents=True)
-    python.write_text(f'#!/bin/sh\nexec {sys.executable} "$@"\n')
-    python.chmod(0o755)
+    install_python(home)
     inventory = standing_cluster(home, running=0).inventory
     with open_cluster(file) as cluster:
         claim(cluster)
-    normals = np.random.default_rng(7).normal(size=(1500, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    np.savetxt(file.parent / "sphere.xyz", np.hstack([normals, normals]))
+    write_sphere(file.parent / "sphere.xyz")
     with hold_cluster(inventory, pytest.fail):
         yield file
 

@@ -3,31 +3,23 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from cloud import FOREVER, Instance, StrictCloud
-from cryptography.hazmat.primitives import serialization
-from cryptography.hazmat.primitives.asymmetric import rsa
-from simulated import Keyring, SetUp
+from cloud import FOREVER, RSA_KEY, Instance, StrictCloud
+from simulated import Keyring, SetUp, stub_set_up
 
 from hpccomponent.errors import CloudError, LeftoverError
 from hpcdeploy.providers import open_provider
 from hpcdeploy.reconcile.cluster import Cluster
-from hpcdeploy.reconcile.converge import bring_up, replace_lost, take_down
+from hpcdeploy.reconcile.converge import bring_up, take_down
 from hpcdeploy.spec.cluster import read_spec
 from hpcdeploy.spec.polling import Polling
 
 POLLING = Polling(poll_s=0.01, settle_s=0.01, end_s=30.0, backoff_s=(0.01,))
-PUBLIC_KEY = (
-    rsa.generate_private_key(65537, 2048)
-    .public_key()
-    .public_bytes(serialization.Encoding.OpenSSH, serialization.PublicFormat.OpenSSH)
-    .decode()
-)
 
 
 class Scene:
@@ -38,7 +30,7 @@ class Scene:
         self.lines: list[str] = []
         self.least = 2
 
-    def cluster(self, silent: Sequence[str] = (), **profile: Any) -> Cluster:
+    def cluster(self, **profile: Any) -> Cluster:
         path = self.folder / "cluster.yaml"
         provider = self.cloud.provider_block(small=profile)
         workers = {"count": 3, "min": self.least}
@@ -46,7 +38,7 @@ class Scene:
             json.dumps({"version": 1, "cluster": "bunny", "provider": provider, "workers": workers})
         )
         spec = read_spec(path)
-        access: Any = Keyring("bunny", public=PUBLIC_KEY, silent=set(silent))
+        access: Any = Keyring("bunny", public=RSA_KEY)
         return Cluster(path, spec, open_provider(spec, self.folder), access)
 
     def up(self, **profile: Any) -> None:
@@ -71,11 +63,7 @@ def scene(
     with StrictCloud(request.param) as cloud:
         for name, text in cloud.environment().items():
             monkeypatch.setenv(name, text)
-        monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-        set_up = SetUp()
-        monkeypatch.setattr("hpcdeploy.install.bootstrap.set_up", set_up)
-        monkeypatch.setattr("hpcdeploy.install.user_data.user_data", lambda *about: "#!/bin/sh\n")
-        yield Scene(cloud, tmp_path, set_up)
+        yield Scene(cloud, tmp_path, stub_set_up(monkeypatch, tmp_path))
 
 
 def of_node(cloud: StrictCloud, node: str) -> list[Instance]:
@@ -93,20 +81,6 @@ def test_an_instance_that_dies_while_it_boots_is_replaced(scene: Scene) -> None:
     assert len(of_node(scene.cloud, "worker-2")) == 2
 
 
-def test_who_watches_launches_nothing_that_scale_has_ended(scene: Scene) -> None:
-    watched = scene.cluster()
-    scene.up()
-    bring_up(replace(watched, spec=watched.spec.scaled(1)), scene.lines.append, polling=POLLING)
-    assert scene.nodes() == ["head", "worker-1"]
-    watched = replace_lost(watched, scene.lines.append, polling=POLLING)
-    said = "cluster bunny shrank from 3 to 1 workers, by the last hpcapp scale or up"
-    assert said in scene.lines
-    of_node(scene.cloud, "worker-1")[0].die("Server.SpotInstanceTermination")
-    replace_lost(watched, scene.lines.append, polling=POLLING)
-    assert scene.nodes() == ["head", "worker-1"]
-    assert scene.lines.count(said) == 1
-
-
 @pytest.mark.slow
 def test_an_instance_that_always_dies_is_done_without(scene: Scene) -> None:
     def die(instance: Instance) -> None:
@@ -121,34 +95,12 @@ def test_an_instance_that_always_dies_is_done_without(scene: Scene) -> None:
     assert scene.cloud.left() == []
 
 
-def test_a_machine_that_refuses_ssh_or_dies_in_set_up_is_replaced(scene: Scene) -> None:
-    scene.set_up.broken_once = {"worker-1"}
-    scene.up()
-    assert scene.nodes() == ["head", "worker-1", "worker-2", "worker-3"]
-    assert len(of_node(scene.cloud, "worker-1")) == 2
-
-
 @pytest.mark.slow
 def test_a_head_that_cannot_be_set_up_fails_and_leaves_nothing(scene: Scene) -> None:
     scene.set_up.broken_nodes = {"head"}
     with pytest.raises(CloudError, match=r"^head cannot be had: pip is missing; look at hpcapp"):
         scene.up()
     assert scene.cloud.left() == []
-
-
-@pytest.mark.parametrize("count", [3, 5])
-def test_a_head_that_runs_and_lets_nobody_in_is_told_before_anything_is_launched(
-    scene: Scene, count: int
-) -> None:
-    """By `up` that would launch a lost worker, and by `scale` that would launch more."""
-    scene.up()
-    of_node(scene.cloud, "worker-2")[0].die("Server.SpotInstanceTermination")
-    cluster = scene.cluster(silent=["head"])
-    calls = len(scene.cloud.calls)
-    with pytest.raises(CloudError, match=r"^head cannot be had: unreachable: no answer; it stays"):
-        bring_up(replace(cluster, spec=cluster.spec.scaled(count)), print, polling=POLLING)
-    assert not [call.action for call in scene.cloud.calls[calls:] if call.changes]
-    assert scene.nodes() == ["head", "worker-1", "worker-3"]
 
 
 @pytest.mark.parametrize("is_stopped", [False, True])
@@ -163,7 +115,7 @@ def test_a_head_that_has_ended_is_made_anew(scene: Scene, is_stopped: bool) -> N
 
 def test_an_exhausted_subnet_fails_with_its_reason_and_leaves_nothing(scene: Scene) -> None:
     scene.cloud.fail("RunInstances", "InsufficientFreeAddressesInSubnet", 400, times=FOREVER)
-    with pytest.raises(CloudError, match=r"cannot be had: .*(subnet|address)"):
+    with pytest.raises(CloudError, match=r"cannot be had: .*larger provider\.subnet"):
         scene.up()
     assert scene.cloud.left() == []
 
@@ -178,13 +130,6 @@ def test_an_exhausted_subnet_makes_a_smaller_cluster(scene: Scene) -> None:
     scene.up()
     assert scene.nodes() == ["head"]
     assert sum(line.startswith("going without worker-") for line in scene.lines) == 3
-
-
-def test_capacity_of_one_type_leads_to_the_next(scene: Scene) -> None:
-    code, match = "InsufficientInstanceCapacity", {"InstanceType": "m5.large"}
-    scene.cloud.fail("RunInstances", code, 500, match=match, times=FOREVER)
-    scene.up(instance_type=["m5.large", "m5.xlarge"])
-    assert {instance.type for instance in scene.cloud.living} == {"m5.xlarge"}
 
 
 ZONES = ("us-east-1a", "us-east-1b", "us-east-1c")
@@ -273,14 +218,3 @@ def test_what_may_not_be_ended_is_named(scene: Scene) -> None:
     scene.cloud.no_rights = {"TerminateInstances"}
     with pytest.raises(LeftoverError, match=r"still there: .*head i-.*TerminateInstances.*"):
         scene.down()
-
-
-def test_a_spot_interruption_in_mid_job_is_made_good(scene: Scene) -> None:
-    market = {"market": "spot_with_fallback"} if scene.cloud.profile == "aws" else {}
-    scene.up(**market)
-    (victim,) = of_node(scene.cloud, "worker-2")
-    victim.die("Server.SpotInstanceTermination")
-    cluster = scene.cluster(**market)
-    replace_lost(cluster, scene.lines.append, polling=POLLING)
-    assert scene.nodes() == ["head", "worker-1", "worker-2", "worker-3"]
-    assert scene.set_up.calls[-1] == ("head", "worker-1", "worker-2", "worker-3")

@@ -10,11 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from cloud import StrictCloud
+from cloud import RSA_KEY, StrictCloud
 from cloud.parameters import PROFILES
-from cryptography.hazmat.primitives import serialization
-from cryptography.hazmat.primitives.asymmetric import rsa
-from simulated import Keyring, SetUp
+from simulated import Keyring, stub_set_up
 from simulated.memory import MemoryProvider
 
 from hpccomponent.errors import CloudError, LeftoverError
@@ -30,12 +28,6 @@ from hpcdeploy.spec.polling import Polling, utc_now
 from hpcdeploy.spec.provider import Credentials
 
 POLLING = Polling(poll_s=0.01, settle_s=0.01, end_s=30.0, backoff_s=())
-PUBLIC_KEY = (
-    rsa.generate_private_key(65537, 2048)
-    .public_key()
-    .public_bytes(serialization.Encoding.OpenSSH, serialization.PublicFormat.OpenSSH)
-    .decode()
-)
 
 
 @pytest.fixture(params=PROFILES)
@@ -45,9 +37,7 @@ def cloud(
     with StrictCloud(request.param) as cloud:
         for name, text in cloud.environment().items():
             monkeypatch.setenv(name, text)
-        monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-        monkeypatch.setattr("hpcdeploy.install.bootstrap.set_up", SetUp())
-        monkeypatch.setattr("hpcdeploy.install.user_data.user_data", lambda *about: "#!/bin/sh\n")
+        stub_set_up(monkeypatch, tmp_path)
         yield cloud
 
 
@@ -59,7 +49,7 @@ def cluster(cloud: StrictCloud, tmp_path: Path) -> Cluster:
     spec_text = {"version": 1, "cluster": "bunny", "provider": block, "workers": {"count": 0}}
     path.write_text(json.dumps(spec_text))
     spec = read_spec(path)
-    access: Any = Keyring("bunny", public=PUBLIC_KEY)
+    access: Any = Keyring("bunny", public=RSA_KEY)
     return Cluster(path, spec, open_provider(spec, tmp_path), access)
 
 
@@ -73,7 +63,7 @@ def add_foreign_pairs(cloud: StrictCloud) -> list[str]:
         key_pair_name("other", draw_incarnation(utc_now() - timedelta(days=2))),
     ]
     for name in names:
-        cloud.model.backend.import_key_pair(name, PUBLIC_KEY.encode(), {})
+        cloud.model.backend.import_key_pair(name, RSA_KEY.encode(), {})
     return sorted(names)
 
 
@@ -88,7 +78,7 @@ def test_down_takes_our_key_pair_alone(cloud: StrictCloud, cluster: Cluster) -> 
     assert cloud.key_pairs == foreign
     bring_up(cluster, ignore, polling=POLLING)
     assert len(cloud.key_pairs) == len(foreign) + 1
-    assert all(instance.public_key.split() == PUBLIC_KEY.split() for instance in cloud.living)
+    assert all(instance.public_key.split() == RSA_KEY.split() for instance in cloud.living)
     take_down(cluster, ignore, polling=POLLING)
     assert cloud.left() == foreign
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import json
 import signal
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,7 +12,6 @@ import pytest
 from cloud import StrictCloud
 from killing import Killer
 
-PROFILES = ["aws", "euca-4.0", "euca-5.1"]
 NODES = ["head", "worker-1", "worker-2"]
 
 
@@ -49,24 +47,6 @@ class Scene:
 def killer() -> Iterator[Killer]:
     with Killer() as killer:
         yield killer
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("profile", PROFILES)
-def test_up_and_down_change_what_they_must_and_no_more(
-    profile: str, killer: Killer, tmp_path: Path
-) -> None:
-    with StrictCloud(profile) as cloud:
-        scene = Scene(cloud, killer, tmp_path)
-        assert scene.run("up") == 0, scene.said
-        assert scene.nodes() == NODES
-        changes = Counter(call.action for call in cloud.calls if call.changes)
-        assert changes["RunInstances"] == 3
-        cloud.calls.clear()
-        assert scene.run("up") == 0, scene.said
-        assert not [call for call in cloud.calls if call.changes]
-        assert scene.run("down") == 0, scene.said
-        assert cloud.left() == []
 
 
 @pytest.mark.long

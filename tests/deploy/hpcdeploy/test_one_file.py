@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import json
 from collections.abc import Iterator
 from dataclasses import replace
@@ -11,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from cloud import StrictCloud
+from cloud import RSA_KEY, StrictCloud
 from pydantic import TypeAdapter
-from simulated import Keyring, SetUp, SimulatedTime
+from simulated import Keyring, SimulatedTime, stub_set_up
+from typed import run
 
-from hpcapp.cli import main
 from hpcdeploy.providers import open_provider
 from hpcdeploy.providers.ec2.capabilities import capabilities_of
 from hpcdeploy.reconcile.cluster import Cluster
@@ -24,10 +23,6 @@ from hpcdeploy.spec.cluster import read_spec
 from hpcdeploy.spec.provider import CloudSpec, ProviderSpec
 
 ROOT = Path(__file__).parents[3]
-RSA_KEY = (
-    "ssh-rsa "
-    + base64.b64encode(b"\0\0\0\x07ssh-rsa\0\0\0\x03\1\0\1\0\0\1\1\0" + b"\xc5" * 256).decode()
-)
 REST = """
 head: {profile: small}
 workers: {profile: fast, count: 3, min: 2}
@@ -44,10 +39,8 @@ def profile() -> str:
 
 @pytest.fixture
 def cloud(profile: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[StrictCloud]:
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    monkeypatch.setattr("hpcdeploy.install.bootstrap.set_up", SetUp())
+    stub_set_up(monkeypatch, tmp_path / "state")
     monkeypatch.setattr("hpcdeploy.install.wheels.requirements.check_wheels", lambda spec, base: [])
-    monkeypatch.setattr("hpcdeploy.install.user_data.user_data", lambda *about: "#!/bin/sh")
     with StrictCloud(profile, lag=0) as opened:
         for name, value in opened.environment().items():
             monkeypatch.setenv(name, value)
@@ -61,13 +54,6 @@ def write_file(cloud: StrictCloud, folder: Path, **changes: Any) -> Path:
     path = folder / "cluster.yaml"
     path.write_text(f"version: 1\ncluster: bunny\nprovider: {json.dumps(block | changes)}\n{REST}")
     return path
-
-
-def run(*arguments: str | Path) -> int:
-    with pytest.raises(SystemExit) as left:
-        main([str(argument) for argument in arguments])
-    assert isinstance(left.value.code, int)
-    return left.value.code
 
 
 def open_file(path: Path) -> Cluster:

@@ -31,8 +31,16 @@ What the front adds to moto, and what for: see `front.py`; which parameters a cl
 `parameters.py`.
 """
 
+import base64
+
 from cloud.calls import FOREVER, Call, CutError
 from cloud.front import StrictCloud
 from cloud.instances import Instance
 
-__all__ = ["FOREVER", "Call", "CutError", "Instance", "StrictCloud"]
+__all__ = ["FOREVER", "RSA_KEY", "Call", "CutError", "Instance", "StrictCloud"]
+
+RSA_KEY = (
+    "ssh-rsa "
+    + base64.b64encode(b"\0\0\0\x07ssh-rsa\0\0\0\x03\1\0\1\0\0\1\1\0" + b"\xc5" * 256).decode()
+)
+"""A public key such as clouds import."""

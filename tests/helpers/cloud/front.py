@@ -18,7 +18,6 @@ import urllib.parse
 import uuid
 from collections.abc import Callable, Iterable
 from socket import socket
-from types import TracebackType
 from typing import Any, Self
 from wsgiref.types import StartResponse, WSGIEnvironment
 
@@ -92,12 +91,7 @@ class StrictCloud:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def close(self) -> None:

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import asyncssh
+import paramiko
 
 T = TypeVar("T")
 USER = "admin"
@@ -57,6 +58,14 @@ class Server:
     def host_line(self) -> str:
         """The public host key, as in a ``known_hosts`` file."""
         return " ".join(self.host_key.export_public_key().decode().split()[:2])
+
+    @property
+    def known(self) -> paramiko.PKey:
+        """The public host key, as a client pins it."""
+        entry = paramiko.hostkeys.HostKeyEntry.from_line(f"x {self.host_line}")
+        assert entry is not None
+        assert entry.key is not None
+        return entry.key
 
     @property
     def console(self) -> str:

@@ -11,6 +11,8 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from hpccomponent.config.reader import parse_config
 from hpcdeploy.login.ssh.reach import ReachError
 from hpcdeploy.ownership.journal import peek_journal
@@ -92,6 +94,15 @@ class SetUp:
         failed = [machine for machine in machines if machine.name.node in broken]
         self.broken_once -= {machine.name.node for machine in failed}
         return {machine.id: "pip is missing" for machine in failed}
+
+
+def stub_set_up(patch: pytest.MonkeyPatch, home: Path, set_up: SetUp | None = None) -> SetUp:
+    """Let commands keep what they know below a folder, and install nothing on machines."""
+    stub = set_up or SetUp()
+    patch.setenv("XDG_STATE_HOME", str(home))
+    patch.setattr("hpcdeploy.install.bootstrap.set_up", stub)
+    patch.setattr("hpcdeploy.install.user_data.user_data", lambda *about: "#!/bin/sh\n")
+    return stub
 
 
 @dataclass

@@ -9,22 +9,15 @@ from pathlib import Path
 
 import pytest
 from cloud import StrictCloud
-from simulated import FILE, SetUp, make_cluster
+from simulated import FILE, make_cluster, stub_set_up
 from simulated.memory import MemoryProvider
+from typed import run
 
-from hpcapp.cli import main
 from hpccomponent.errors import CloudError
 from hpcdeploy.provider import Problem
 from hpcdeploy.reconcile.cluster import Cluster
 from hpcdeploy.spec.cluster import read_spec
 from hpcdeploy.spec.polling import Polling
-
-
-def run(*arguments: str | Path) -> int:
-    with pytest.raises(SystemExit) as left:
-        main([str(argument) for argument in arguments])
-    assert isinstance(left.value.code, int)
-    return left.value.code
 
 
 @pytest.fixture
@@ -91,9 +84,7 @@ def test_of_a_cluster_that_is_up_there_is_nothing_to_change(
 ) -> None:
     from hpcdeploy.reconcile.converge import bring_up
 
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    monkeypatch.setattr("hpcdeploy.install.bootstrap.set_up", SetUp())
-    monkeypatch.setattr("hpcdeploy.install.user_data.user_data", lambda *given: "#!/bin/sh")
+    stub_set_up(monkeypatch, tmp_path)
     bring_up(make_cluster(read_spec(file), cloud), lambda line: None, polling=Polling())
     assert run("plan", file, "--json") == 0
     told = json.loads(capsys.readouterr().out)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
-from simulated import FILE, START, SetUp, key_pairs_of
+from simulated import FILE, START, key_pairs_of, stub_set_up
 from simulated.memory import MemoryProvider
 
 from hpcapp.cli import hpcapp
@@ -25,10 +25,8 @@ from hpcdeploy.spec.polling import utc_now
 @pytest.fixture
 def cloud(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[MemoryProvider]:
     cloud = MemoryProvider(utc_now)
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    monkeypatch.setattr("hpcdeploy.install.bootstrap.set_up", SetUp())
+    stub_set_up(monkeypatch, tmp_path)
     monkeypatch.setattr("hpcdeploy.login.access.Access.open", lambda *about: ExitStack())
-    monkeypatch.setattr("hpcdeploy.install.user_data.user_data", lambda *about: "#!")
     for module in ("hpcdeploy.providers", "hpcdeploy.providers.clouds"):
         monkeypatch.setattr(f"{module}.open_provider", lambda spec, base: cloud)
     yield cloud

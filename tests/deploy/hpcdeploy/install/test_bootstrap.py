@@ -79,17 +79,15 @@ def test_every_node_gets_its_own_keys_and_a_loader(spec: ClusterSpec, access: Ac
         assert Path(f"/proc/{pid}/stat").read_text().split()[21] == started
 
 
-def test_a_second_run_changes_nothing(spec: ClusterSpec, access: Access) -> None:
+def test_a_second_run_changes_nothing_and_secrets_are_their_owners_only(
+    spec: ClusterSpec, access: Access, tmp_path: Path
+) -> None:
     set_up(spec, machines(), access, print)
     before = loader_pids()
     said: list[str] = []
     assert set_up(spec, machines(), access, said.append) == {}
     assert said == []
     assert loader_pids() == before
-
-
-def test_secrets_are_their_owners_only(spec: ClusterSpec, access: Access, tmp_path: Path) -> None:
-    set_up(spec, machines(), access, print)
     secret = [*tmp_path.rglob("connection.json"), *tmp_path.rglob("inventory.json")]
     secret += tmp_path.rglob("keys.json")
     assert len(secret) == 4

@@ -12,16 +12,18 @@ import sys
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
 
-import numpy as np
 import pytest
+from heads import ON_WORKERS, WAITING, held_cluster, write_sphere
+
+from hpccomponent.errors import HpcError
+from hpcdeploy.jobs.cluster_job import new_mesh_here
+from hpcdeploy.spec.job_folder import JobState, JobStatus
 
 OPTIONS = ("--grid", "32")
-ON_WORKERS = ("--backend", "zmq")  # however little work it is
 SUBMIT = ("submit", "cluster.yaml", "sphere.xyz", "-o")
-WAITING = "waiting for the cluster's present job"
 Run = Callable[..., "subprocess.CompletedProcess[str]"]
 
 
@@ -37,9 +39,7 @@ class Place:
             f"version: 1\ncluster: mine\nprovider: {{type: local}}\nworkers: {{count: 1}}\n"
             f"communicator: {{port: {port}}}\n"
         )
-        normals = np.random.default_rng(7).normal(size=(1500, 3))
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        np.savetxt(folder / "sphere.xyz", np.hstack([normals, normals]))
+        write_sphere(folder / "sphere.xyz")
         self.state = folder / "state/hpcapp/clusters/mine"
         self.head = self.state / "nodes/head/hpcapp/mine"
         self.summary = ""
@@ -65,19 +65,9 @@ class Place:
     def same(self, mesh: str) -> bool:
         return (self.folder / mesh).read_bytes() == (self.folder / "local.ply").read_bytes()
 
-    @contextmanager
-    def ownership(self) -> Iterator[None]:
+    def ownership(self) -> AbstractContextManager[None]:
         """Hold the cluster, so that jobs run and get no further."""
-        code = "import sys\nfrom hpccomponent.inventory import hold_cluster\n"
-        code += "with hold_cluster(sys.argv[1], print):\n  print(flush=True); sys.stdin.read()"
-        with subprocess.Popen(
-            [sys.executable, "-P", "-c", code, str(self.head / "inventory.json")],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-        ) as holder:
-            assert holder.stdout is not None
-            holder.stdout.readline()
-            yield
+        return held_cluster(self.head / "inventory.json")
 
 
 @pytest.fixture(scope="module")
@@ -209,20 +199,11 @@ def test_a_head_chooses_no_place_on_this_machine(cluster: Place) -> None:
     there = sorted(path for path in cluster.folder.rglob("*") if cluster.state not in path.parents)
     for name, code, said in (
         ("../../.bashrc", 4, "status.json is damaged"),
-        (f"{cluster.folder}/x.ply", 4, "status.json is damaged"),
         ("mine.ply", 2, "mine.ply is there already; give -o mine.ply to replace it"),
-        ("cluster.yaml", 2, "is there already"),
-        (".x.ply", 2, "no name for a new file"),
-        ("-rf.ply", 2, "no name for a new file"),
-        ("~.ply", 2, "no name for a new file"),
         ("a\x1b[2J.ply", 2, "no name for a new file"),
-        ("a\u202eb.ply", 2, "no name for a new file"),
-        ("", 2, "no name for a new file"),
-        ("sitecustomize.py", 2, "a mesh is written to"),
-        ("Makefile", 2, "a mesh is written to"),
     ):
         (place / "status.json").write_text(json.dumps(told | {"mesh": name}))
-        (place / (Path(name).name or "x")).write_text("the head's")
+        (place / Path(name).name).write_text("the head's")
         _, errors = cluster.run("fetch", "cluster.yaml", place.name, code=code)
         [line] = errors.splitlines()
         assert said in line
@@ -233,6 +214,24 @@ def test_a_head_chooses_no_place_on_this_machine(cluster: Place) -> None:
     (place / "status.json").write_text(json.dumps(told))
     cluster.run("fetch", "cluster.yaml", place.name, "-o", "mine.ply")
     assert cluster.same("mine.ply")
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (["cluster.yaml"], "is there already"),
+        ([".x.ply", "-rf.ply", "~.ply", "a\u202eb.ply", ""], "no name for a new file"),
+        (["sitecustomize.py", "Makefile"], "a mesh is written to"),
+    ],
+)
+def test_a_name_that_a_head_tells_is_that_of_a_new_mesh_here(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, names: list[str], said: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("cluster.yaml").touch()
+    for name in names:
+        with pytest.raises(HpcError, match=said):
+            new_mesh_here(JobStatus("1", JobState.DONE, mesh=name))
 
 
 @pytest.mark.slow

@@ -13,9 +13,9 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from simulated import FILE, SetUp, make_cluster, make_spec
+from heads import ON_WORKERS, WAITING, held_cluster, install_python, write_sphere
+from simulated import FILE, make_cluster, make_spec, stub_set_up
 from simulated.memory import MemoryProvider
 
 from hpccomponent.errors import CloudError, InputError, JobError, UsageError
@@ -34,7 +34,6 @@ from hpcdeploy.spec.names import Desired, NodeName
 
 PATIENCE_S = 60.0
 OPTIONS = ("--grid", "32")
-ON_WORKERS = ("--backend", "zmq")  # however little work it is
 
 
 class Seen(JobDisplay):
@@ -59,10 +58,7 @@ class Seen(JobDisplay):
 def folder(tmp_path: Path) -> Path:
     """Make the cluster's folder on a head as `up` leaves it, but for the inventory."""
     folder = tmp_path / "home/hpcapp/standing"
-    (folder / "venv/bin").mkdir(parents=True)
-    python = folder / "venv/bin/python"
-    python.write_text(f'#!/bin/sh\nexec {sys.executable} "$@"\n')
-    python.chmod(0o755)
+    install_python(folder)
     return folder
 
 
@@ -76,36 +72,15 @@ def jobs(tmp_path: Path, folder: Path) -> Iterator[Jobs]:
 
 @pytest.fixture
 def points(tmp_path: Path) -> Path:
-    normals = np.random.default_rng(7).normal(size=(1500, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    path = tmp_path / "sphere.xyz"
-    np.savetxt(path, np.hstack([normals, normals]))
-    return path
-
-
-def hold(folder: Path) -> subprocess.Popen[bytes]:
-    """Hold the cluster as another master would, so that jobs run and get no further."""
-    code = "import sys\nfrom hpccomponent.inventory import hold_cluster\n"
-    code += "with hold_cluster(sys.argv[1], print):\n  print(flush=True); sys.stdin.read()"
-    holder = subprocess.Popen(
-        [sys.executable, "-P", "-c", code, str(folder / "inventory.json")],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-    )
-    assert holder.stdout is not None
-    holder.stdout.readline()
-    return holder
+    return write_sphere(tmp_path / "sphere.xyz")
 
 
 @pytest.fixture
-def held(folder: Path, standing_cluster: Callable[..., Any]) -> Iterator[subprocess.Popen[bytes]]:
+def held(folder: Path, standing_cluster: Callable[..., Any]) -> Iterator[None]:
     """A cluster without workers, that another program holds."""
     standing_cluster(folder, running=0)
-    with hold(folder) as holder:
-        yield holder
-
-
-WAITING = "waiting for the cluster's present job"
+    with held_cluster(folder / "inventory.json"):
+        yield
 
 
 def test_a_job_gives_the_bytes_of_a_local_run(
@@ -135,7 +110,7 @@ def test_a_job_gives_the_bytes_of_a_local_run(
 
 
 def test_nobody_else_may_read_what_a_job_leaves(
-    jobs: Jobs, folder: Path, points: Path, held: subprocess.Popen[bytes]
+    jobs: Jobs, folder: Path, points: Path, held: None
 ) -> None:
     jobs.submit("reconstruct", points, "mesh.ply", ON_WORKERS)
     for path in [folder / "points", folder / "jobs", folder / "jobs/1/job.json"]:
@@ -161,7 +136,7 @@ def test_a_job_that_fails_says_why_with_the_exit_code_of_its_verb(
 
 
 def test_jobs_run_one_after_the_other_in_their_order(
-    jobs: Jobs, folder: Path, points: Path, held: subprocess.Popen[bytes]
+    jobs: Jobs, folder: Path, points: Path, held: None
 ) -> None:
     for _ in range(3):
         jobs.submit("reconstruct", points, "mesh.ply", ON_WORKERS)
@@ -177,7 +152,7 @@ def test_jobs_run_one_after_the_other_in_their_order(
 
 
 def test_a_cancelled_job_leaves_no_process_and_no_mesh(
-    jobs: Jobs, folder: Path, points: Path, held: subprocess.Popen[bytes], tmp_path: Path
+    jobs: Jobs, folder: Path, points: Path, held: None, tmp_path: Path
 ) -> None:
     jobs.submit("reconstruct", points, "mesh.ply", ON_WORKERS)
     seen = Seen(WAITING, lambda: jobs.cancel("1"))
@@ -204,7 +179,7 @@ def members(group: int) -> list[int]:
 
 @pytest.mark.slow
 def test_a_frozen_job_can_be_cancelled(
-    jobs: Jobs, points: Path, held: subprocess.Popen[bytes], monkeypatch: pytest.MonkeyPatch
+    jobs: Jobs, points: Path, held: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     jobs.submit("reconstruct", points, "mesh.ply", ON_WORKERS)
     runner: list[int] = []
@@ -221,7 +196,7 @@ def test_a_frozen_job_can_be_cancelled(
 
 
 def test_a_killed_runner_takes_its_verb_along_and_the_status_says_so(
-    jobs: Jobs, folder: Path, points: Path, held: subprocess.Popen[bytes]
+    jobs: Jobs, folder: Path, points: Path, held: None
 ) -> None:
     jobs.submit("reconstruct", points, "mesh.ply", ON_WORKERS)
     jobs.submit("reconstruct", points, "mesh.ply", ON_WORKERS)
@@ -238,7 +213,7 @@ def test_a_killed_runner_takes_its_verb_along_and_the_status_says_so(
 
 
 def test_a_job_outlives_the_client_that_follows_it(
-    jobs: Jobs, folder: Path, points: Path, held: subprocess.Popen[bytes]
+    jobs: Jobs, folder: Path, points: Path, held: None
 ) -> None:
     jobs.submit("reconstruct", points, "mesh.ply", ON_WORKERS)
     command = [sys.executable, "-P", "-m", "hpcdeploy.jobs.runner", "--folder", str(folder)]
@@ -400,7 +375,7 @@ def test_a_damaged_report_is_named_with_the_way_to_the_mesh(
 
 
 def test_an_unfinished_job_cannot_be_fetched(
-    jobs: Jobs, points: Path, held: subprocess.Popen[bytes], tmp_path: Path
+    jobs: Jobs, points: Path, held: None, tmp_path: Path
 ) -> None:
     status = jobs.submit("reconstruct", points, "mesh.ply", ON_WORKERS)
     with pytest.raises(JobError, match="hpcapp attach"):
@@ -410,10 +385,8 @@ def test_an_unfinished_job_cannot_be_fetched(
 def test_who_watches_is_told_once_of_workers_that_the_limits_forbid(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     monkeypatch.setattr(cluster_job, "LOOK_S", 0.01)
-    monkeypatch.setattr("hpcdeploy.install.bootstrap.set_up", SetUp())
-    monkeypatch.setattr("hpcdeploy.install.user_data.user_data", lambda *about: "#!")
+    stub_set_up(monkeypatch, tmp_path / "state")
     cloud, spec = MemoryProvider(), make_spec(1)
     limits = spec.limits.model_copy(update={"max_hourly_cost": 0.5})
     cluster = make_cluster(spec.model_copy(update={"limits": limits}), cloud)
@@ -451,9 +424,7 @@ def test_who_watches_is_told_once_of_workers_that_the_limits_forbid(
 def test_a_job_is_priced_by_the_cluster_as_it_was_scaled(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    monkeypatch.setattr("hpcdeploy.install.bootstrap.set_up", SetUp())
-    monkeypatch.setattr("hpcdeploy.install.user_data.user_data", lambda *about: f"#!{about}")
+    stub_set_up(monkeypatch, tmp_path / "state")
     cloud, spec = MemoryProvider(), make_spec(1)
     bring_up(make_cluster(spec.scaled(4), cloud), lambda _: None)
     cluster = make_cluster(spec, cloud)
@@ -465,16 +436,13 @@ def test_a_job_is_priced_by_the_cluster_as_it_was_scaled(
 def test_a_worker_that_vanishes_is_replaced_while_somebody_watches(
     jobs: Jobs,
     points: Path,
-    held: subprocess.Popen[bytes],
+    held: None,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     monkeypatch.setattr(cluster_job, "LOOK_S", 0.05)
-    set_up = SetUp()
-    monkeypatch.setattr("hpcdeploy.install.bootstrap.set_up", set_up)
-    monkeypatch.setattr("hpcdeploy.install.user_data.user_data", lambda *about: f"#!{about}")
+    set_up = stub_set_up(monkeypatch, tmp_path / "state")
     cloud = MemoryProvider()
     cluster = make_cluster(make_spec(2), cloud)
     bring_up(cluster, lambda _: None)
@@ -499,7 +467,7 @@ def test_a_worker_that_vanishes_is_replaced_while_somebody_watches(
 def test_a_cluster_is_taken_away_from_under_a_worker_that_is_being_set_up(
     jobs: Jobs,
     points: Path,
-    held: subprocess.Popen[bytes],
+    held: None,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,

@@ -14,8 +14,7 @@ from pathlib import Path
 
 import pytest
 from process_tree import are_gone, descendants
-
-from hpcapp.cli import main
+from typed import run
 
 NODES = ("head", "worker-1")
 
@@ -47,13 +46,6 @@ def write(state: Path, tmp_path: Path) -> Iterator[Callable[..., Path]]:
 
     yield write
     assert run("down", "-y", write()) == 0
-
-
-def run(*arguments: str | Path) -> int:
-    with pytest.raises(SystemExit) as left:
-        main([str(argument) for argument in arguments])
-    assert isinstance(left.value.code, int)
-    return left.value.code
 
 
 def folder_of(state: Path, node: str) -> Path:
@@ -112,26 +104,26 @@ def test_a_roll_back_ends_and_its_reason_is_the_last_line(
     assert not [*(state / "nodes").iterdir()]
 
 
-@pytest.mark.parametrize("lost", ["venv", "connection.json", "loader.yaml"])
 def test_what_is_deleted_on_a_machine_is_mended_by_up(
-    write: Callable[..., Path], state: Path, capsys: pytest.CaptureFixture[str], lost: str
+    write: Callable[..., Path], state: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = write()
     assert run("up", "-y", file) == 0
-    before = watcher_of(state, "worker-1"), watcher_of(state, "head")
-    wait_for_worker(state, "worker-1")
-    place = folder_of(state, "worker-1") / lost
-    shutil.rmtree(place) if place.is_dir() else place.unlink()
-    capsys.readouterr()
-    assert run("up", "-y", file) == 0
-    told = capsys.readouterr().err
-    assert "worker-1: its loader runs" in told
-    assert "head: its loader runs" not in told
-    assert watcher_of(state, "worker-1") != before[0]
-    assert watcher_of(state, "head") == before[1]
+    for lost in ("venv", "connection.json", "loader.yaml"):
+        before = watcher_of(state, "worker-1"), watcher_of(state, "head")
+        wait_for_worker(state, "worker-1")
+        place = folder_of(state, "worker-1") / lost
+        shutil.rmtree(place) if place.is_dir() else place.unlink()
+        capsys.readouterr()
+        assert run("up", "-y", file) == 0
+        told = capsys.readouterr().err
+        assert "worker-1: its loader runs" in told
+        assert "head: its loader runs" not in told
+        assert watcher_of(state, "worker-1") != before[0]
+        assert watcher_of(state, "head") == before[1]
+        assert place.exists()
     assert run("status", file) == 0
     assert "not " not in capsys.readouterr().out
-    assert place.exists()
 
 
 @pytest.mark.parametrize("victim", ["watcher", "loader"])

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from simulated import SetUp, SimulatedTime, make_cluster, make_spec
+from simulated import SetUp, SimulatedTime, make_cluster, make_spec, stub_set_up
 from simulated.memory import MemoryProvider
 
 from hpccomponent.errors import CloudError, LeftoverError, UsageError
@@ -25,17 +26,9 @@ CHANGES = {
 }  # fmt: skip
 
 
-@pytest.fixture(autouse=True)
-def state_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-
-
 @pytest.fixture
-def set_up(monkeypatch: pytest.MonkeyPatch) -> SetUp:
-    stub = SetUp()
-    monkeypatch.setattr("hpcdeploy.install.bootstrap.set_up", stub)
-    monkeypatch.setattr("hpcdeploy.install.user_data.user_data", lambda *about: f"#!{about}")
-    return stub
+def set_up(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> SetUp:
+    return stub_set_up(monkeypatch, tmp_path)
 
 
 class Simulation:
@@ -295,17 +288,20 @@ def test_a_lost_head_is_not_replaced_during_a_job(simulation: Simulation) -> Non
         replace_lost(cluster, simulation.lines.append, polling=simulation.time.polling())
 
 
-@pytest.mark.parametrize("verb", ["up", "replace_lost"])
+@pytest.mark.parametrize(
+    ("run", "count"),
+    [(bring_up, 3), (bring_up, 5), (replace_lost, 3)],
+    ids=["up", "scale", "watch"],
+)
 def test_nothing_is_launched_for_a_head_that_runs_and_lets_nobody_in(
-    simulation: Simulation, verb: str
+    simulation: Simulation, run: Callable[..., object], count: int
 ) -> None:
     simulation.up(3)
     simulation.cloud.interrupt("worker-1")
     simulation.time.advance(60)
-    cluster = make_cluster(make_spec(3), simulation.cloud)
+    cluster = make_cluster(make_spec(count), simulation.cloud)
     vars(cluster.access)["silent"] = {"head"}
     simulation.calls.clear()
-    run = bring_up if verb == "up" else replace_lost
     said = (
         r"^head cannot be had: unreachable: no answer; it stays, for it may be at work; "
         r"mend it \(hpcapp ssh cluster.yaml head\); where it lets nobody in, end i-\w+ in the "

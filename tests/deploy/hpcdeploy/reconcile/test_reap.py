@@ -6,7 +6,7 @@ from datetime import timedelta
 from pathlib import Path
 
 import pytest
-from simulated import START, SetUp, SimulatedTime, key_pairs_of, make_cluster, make_spec
+from simulated import START, SimulatedTime, key_pairs_of, make_cluster, make_spec, stub_set_up
 from simulated.memory import MemoryProvider
 
 from hpccomponent.errors import LeftoverError
@@ -124,9 +124,7 @@ def test_a_new_life_is_left_alone_though_machines_of_the_last_one_are_listed() -
 
 @pytest.fixture
 def time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SimulatedTime:
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    monkeypatch.setattr("hpcdeploy.install.bootstrap.set_up", SetUp())
-    monkeypatch.setattr("hpcdeploy.install.user_data.user_data", lambda *about: "#!")
+    stub_set_up(monkeypatch, tmp_path)
     return SimulatedTime()
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from simulated import SetUp, make_cluster, make_spec
+from simulated import make_cluster, make_spec, stub_set_up
 from simulated.memory import MemoryProvider
 
 from hpccomponent.errors import CloudError
@@ -36,9 +36,7 @@ class Machine:
 
 @pytest.fixture
 def cloud(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> MemoryProvider:
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    monkeypatch.setattr("hpcdeploy.install.bootstrap.set_up", SetUp())
-    monkeypatch.setattr("hpcdeploy.install.user_data.user_data", lambda *about: "#!")
+    stub_set_up(monkeypatch, tmp_path)
     return MemoryProvider(utc_now)
 
 

@@ -8,7 +8,6 @@ import os
 import shlex
 import socket
 import struct
-import sys
 import threading
 import urllib.request
 import weakref
@@ -23,6 +22,7 @@ import numpy as np
 import paramiko
 import pytest
 import zmq
+from heads import install_python
 from machines.servers import USER, Machines, Server
 
 from hpcapp.backends.cluster import listen_inventory
@@ -60,18 +60,10 @@ def machines(tmp_path: Path) -> Iterator[Machines]:
         yield machines
 
 
-def install(home: Path, script: str = f'exec {sys.executable} "$@"') -> None:
-    """Make the environment of a machine."""
-    python = home / FOLDER / "venv/bin/python"
-    python.parent.mkdir(parents=True)
-    python.write_text(f"#!/bin/sh\n{script}\n")
-    python.chmod(0o755)
-
-
 @pytest.fixture
 def head(machines: Machines) -> Server:
     server = machines.add()
-    install(server.home)
+    install_python(server.home / FOLDER)
     return server
 
 
@@ -80,10 +72,7 @@ def shell(head: Server, tmp_path: Path) -> Iterator[SshShell]:
     key = paramiko.RSAKey.generate(2048)
     key.write_private_key_file(str(tmp_path / "id"))
     head.keys.append(f"ssh-rsa {key.get_base64()}")
-    entry = paramiko.hostkeys.HostKeyEntry.from_line(f"x {head.host_line}")
-    assert entry is not None
-    assert entry.key is not None
-    target = SshTarget(head.address, head.port, USER, (str(tmp_path / "id"),), (entry.key,))
+    target = SshTarget(head.address, head.port, USER, (str(tmp_path / "id"),), (head.known,))
     with ExitStack() as closer:
         connection = connect(target, closer)
         with SshShell("head", connection, closer.pop_all()) as shell:
@@ -209,7 +198,7 @@ def relay(tmp_path: Path) -> Iterator[socket.socket]:
         server.settimeout(60)
         os.mkfifo(tmp_path / "ended")
         said = json.dumps({"port": server.getsockname()[1]})
-        install(tmp_path, f"echo {shlex.quote(said)}\nexec cat {tmp_path}/ended")
+        install_python(tmp_path / FOLDER, f"echo {shlex.quote(said)}\nexec cat {tmp_path}/ended")
         yield server
 
 
@@ -260,7 +249,7 @@ def test_a_head_without_a_relay_is_one_line(tmp_path: Path) -> None:
 
 
 def test_a_cluster_that_was_not_set_up_is_one_line(tmp_path: Path) -> None:
-    install(tmp_path)
+    install_python(tmp_path / FOLDER)
     with (
         pytest.raises(CloudError, match=r"inventory\.json: cannot be read"),
         lead_workers(LocalShell("head", tmp_path), FOLDER, "tcp://127.0.0.1:9"),

@@ -12,7 +12,6 @@ from copy import copy
 from dataclasses import replace
 from pathlib import Path
 
-import paramiko
 import pytest
 from machines.openssh import open_sshd, start_sshd
 from machines.rude import ACTS, open_rude
@@ -42,15 +41,8 @@ def machines(tmp_path: Path) -> Iterator[Machines]:
         yield machines
 
 
-def known(server: Server) -> paramiko.PKey:
-    entry = paramiko.hostkeys.HostKeyEntry.from_line(f"x {server.host_line}")
-    assert entry is not None
-    assert entry.key is not None
-    return entry.key
-
-
 def target_of(server: Server, key: Path) -> SshTarget:
-    return SshTarget(server.address, server.port, USER, (str(key),), (known(server),))
+    return SshTarget(server.address, server.port, USER, (str(key),), (server.known,))
 
 
 def fail(target: SshTarget, timeouts: SshTimeouts = IMPATIENT) -> ReachError:

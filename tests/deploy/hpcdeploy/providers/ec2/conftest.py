@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -11,7 +10,7 @@ from typing import Any
 
 import pytest
 from botocore.loaders import create_loader
-from cloud import StrictCloud
+from cloud import RSA_KEY, StrictCloud
 from pydantic import TypeAdapter
 
 from hpcdeploy.provider import Launch, MachineSeen
@@ -20,10 +19,6 @@ from hpcdeploy.providers.ec2.provider import Ec2Provider
 from hpcdeploy.spec.names import NodeName, Owner
 from hpcdeploy.spec.provider import ProviderSpec
 
-RSA_KEY = (
-    "ssh-rsa "
-    + base64.b64encode(b"\0\0\0\x07ssh-rsa\0\0\0\x03\1\0\1\0\0\1\1\0" + b"\xc5" * 256).decode()
-)
 OWNER = Owner("anna@lab", "SHA256:abc")
 LEASE = datetime(2030, 1, 2, 3, 4, 5, tzinfo=UTC)
 OPEN = frozenset({"192.0.2.0/24"})

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import os
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import boto3
-import numpy as np
 import pytest
 from botocore.config import Config
 from botocore.exceptions import ClientError
+from heads import install_python, write_sphere
 from moto.server import ThreadedMotoServer
 from simulated import make_cluster, make_spec
 from simulated.memory import MemoryProvider
@@ -277,16 +276,11 @@ def test_a_job_gets_its_points_and_gives_its_mesh_by_way_of_the_bucket(
     bucket: S3Bucket, client: Any, tmp_path: Path, standing_cluster: Callable[..., Any]
 ) -> None:
     folder = tmp_path / "home/hpcapp/standing"
-    python = folder / "venv/bin/python"
-    python.parent.mkdir(parents=True)
-    python.write_text(f'#!/bin/sh\nexec {sys.executable} "$@"\n')
-    python.chmod(0o755)
+    install_python(folder)
     standing_cluster(folder)
-    normals = np.random.default_rng(7).normal(size=(1500, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    np.savetxt(tmp_path / "sphere.xyz", np.hstack([normals, normals]))
+    points = write_sphere(tmp_path / "sphere.xyz")
     jobs = Jobs(LocalShell("head", tmp_path / "home"), "standing", bucket)
-    status = jobs.submit("reconstruct", tmp_path / "sphere.xyz", "mesh.ply", ("--grid", "32"))
+    status = jobs.submit("reconstruct", points, "mesh.ply", ("--grid", "32"))
     status = jobs.follow(status.job, JobDisplay())
     assert status.state is JobState.DONE, jobs.log(status.job)
     assert {"fetching the points from the bucket", "sending the mesh to the bucket"} < {
@@ -299,6 +293,6 @@ def test_a_job_gets_its_points_and_gives_its_mesh_by_way_of_the_bucket(
     assert jobs.fetch(status, tmp_path / "mesh.ply")["watertight"]
     assert (tmp_path / "mesh.ply").read_bytes() == content
     [left] = keys(client)
-    assert left.endswith(f"{sha256_of(tmp_path / 'sphere.xyz')}.xyz")
+    assert left.endswith(f"{sha256_of(points)}.xyz")
     for file in ("status.json", "log", "events.jsonl", "report.json"):
         assert "Signature" not in (folder / "jobs" / status.job / file).read_text()

@@ -9,7 +9,7 @@ from datetime import timedelta
 from typing import Any
 
 import pytest
-from cloud import FOREVER, Call, CutError, StrictCloud
+from cloud import FOREVER, RSA_KEY, Call, CutError, StrictCloud
 from cloud.parameters import PROFILES
 from simulated import groups_of, key_pairs_of
 
@@ -17,7 +17,7 @@ from hpccomponent.errors import CapacityError, CloudError
 from hpcdeploy.provider import Observed, State, Tags
 from hpcdeploy.spec.names import NOBODY, Desired, NodeName
 
-from .conftest import LEASE, OPEN, OWNER, RSA_KEY, Desk, a_launch
+from .conftest import LEASE, OPEN, OWNER, Desk, a_launch
 
 OpenDesk = Callable[..., Desk]
 every_cloud = pytest.mark.parametrize("profile", PROFILES)

@@ -1,0 +1,52 @@
+"""Heads that are folders: what `up` leaves there, points for their jobs, and who holds them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+WAITING = "waiting for the cluster's present job"
+"""Said by a job while another program holds its cluster."""
+ON_WORKERS = ("--backend", "zmq")
+"""However little work it is."""
+HOLD = """
+import sys
+from hpccomponent.inventory import hold_cluster
+with hold_cluster(sys.argv[1], print):
+    print(flush=True)
+    sys.stdin.read()
+"""
+
+
+def install_python(folder: Path, script: str = f'exec {sys.executable} "$@"') -> None:
+    """Make the environment of a cluster's folder, with a script for its interpreter."""
+    python = folder / "venv/bin/python"
+    python.parent.mkdir(parents=True)
+    python.write_text(f"#!/bin/sh\n{script}\n")
+    python.chmod(0o755)
+
+
+def write_sphere(path: Path) -> Path:
+    """Write points of the unit sphere with their normals; return the file."""
+    normals = np.random.default_rng(7).normal(size=(1500, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    np.savetxt(path, np.hstack([normals, normals]))
+    return path
+
+
+@contextmanager
+def held_cluster(inventory: Path) -> Iterator[None]:
+    """Hold a cluster as another master would, so that jobs run and get no further."""
+    with subprocess.Popen(
+        [sys.executable, "-P", "-c", HOLD, str(inventory)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    ) as holder:
+        assert holder.stdout is not None
+        holder.stdout.readline()
+        yield
