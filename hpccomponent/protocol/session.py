@@ -362,12 +362,12 @@ class WorkerSession:
         self._batches[batch.batch] = held_batch
         return [*self._tidy(), *self._feed()]
 
-    def _needed(self) -> set[bytes]:
-        return {key for batch in self._batches.values() for key in batch.blobs}
-
     def _tidy(self) -> list[Action]:
         """Let go of what has not been used for longest, where more is kept than announced."""
-        keys = self._cache.evict(self._needed()) if self._cache.is_full() else []
+        if not self._cache.is_full():
+            return []
+        needed = {key for batch in self._batches.values() for key in batch.blobs}
+        keys = self._cache.evict(needed)
         return [Discard(keys)] if keys else []
 
     def _running(self) -> list[int]:

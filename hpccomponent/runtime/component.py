@@ -147,7 +147,9 @@ class _Component:
         now = time.monotonic()
         if self._start_at is not None and now >= self._start_at:
             self._start_at = None
-            self._start_worker()
+            self._worker = WorkerProcess(self._options.tasks, self._options.build)
+            self._poller.register(self._worker.channel.fileno(), zmq.POLLIN)
+            self._carry_out(self._session.worker_started())
         if self._connect_at is not None and now >= self._connect_at:
             self._connect_at = None
             self._socket.disconnect(self._endpoint)
@@ -258,11 +260,6 @@ class _Component:
     def _free_blobs(self) -> None:
         for file in self._blobs.values():
             file.close()
-
-    def _start_worker(self) -> None:
-        self._worker = WorkerProcess(self._options.tasks, self._options.build)
-        self._poller.register(self._worker.channel.fileno(), zmq.POLLIN)
-        self._carry_out(self._session.worker_started())
 
     def _end_worker(self) -> str:
         worker, self._worker = self._worker, None

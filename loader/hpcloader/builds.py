@@ -45,7 +45,8 @@ class Requirements:
             yield f"cores: {machine.cores}, needed {self.min_cores}"
         if machine.memory < self.min_memory:
             yield f"memory: {machine.memory / 2**30:.1f} GiB, needed {self.min_memory / 2**30:.1f}"
-        if self.gpu is not None and not _has_gpu(machine, self.gpu):
+        wanted = "" if self.gpu == "any" else (self.gpu or "").lower()
+        if self.gpu is not None and not any(wanted in gpu.lower() for gpu in machine.gpus):
             yield (
                 f"no GPU {self.gpu!r} among {', '.join(machine.gpus)}" if machine.gpus else "no GPU"
             )
@@ -108,10 +109,6 @@ def choose_build(builds: Sequence[Build], machine: Machine, wanted: str = "") ->
         f"no worker build of the catalogue fits this machine: {reasons}",
         "add a build that asks for less, such as the portable one",
     )
-
-
-def _has_gpu(machine: Machine, wanted: str) -> bool:
-    return any(wanted == "any" or wanted.lower() in gpu.lower() for gpu in machine.gpus)
 
 
 def _can_find(module: str) -> bool:

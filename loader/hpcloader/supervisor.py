@@ -136,9 +136,10 @@ class Supervisor:
                 EXIT_CONFIG,
             )
         if self._quick_failures >= self.rule.give_up_after:
+            last = f"by signal {-code}" if code < 0 else f"with exit code {code}"
             return self._end(
                 f"the component failed {self._quick_failures} times in a row, each time "
-                f"within {self.rule.quick_s:g} s of its start, last {_cause(code)}",
+                f"within {self.rule.quick_s:g} s of its start, last {last}",
                 EXIT_FAILED,
             )
         self.state = ComponentState.WAITING
@@ -189,7 +190,3 @@ class Supervisor:
         self.state = ComponentState.ENDED
         self.deadline = None
         return [End(complaint, exit_code)]
-
-
-def _cause(code: int) -> str:
-    return f"by signal {-code}" if code < 0 else f"with exit code {code}"

@@ -180,7 +180,8 @@ class _SetUp:
         shell, probed = member.shell, member.probed
         is_whole = probed.release == package_version()
         if probed.installed and not is_whole:
-            self._report(f"{shell.node}: what was installed is {_state_of(probed)}")
+            state = {"": "gone", DAMAGED: "damaged"}.get(probed.release, f"hpcapp {probed.release}")
+            self._report(f"{shell.node}: what was installed is {state}")
         if self._is_here:
             stamp = stamp_of(sys.executable)
             if probed.installed == stamp and is_whole:
@@ -296,11 +297,6 @@ class _SetUp:
         if previous != text:
             write_text(head.shell, path, text)
             self._report(f"{HEAD}: knows {len(workers)} workers")
-
-
-def _state_of(probed: Probed) -> str:
-    """Say how what is installed on a machine differs from what should be."""
-    return {"": "gone", DAMAGED: "damaged"}.get(probed.release, f"hpcapp {probed.release}")
 
 
 def _address(machine: MachineSeen) -> str:

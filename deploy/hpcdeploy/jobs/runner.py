@@ -151,7 +151,9 @@ def _finish(job: JobFolder, status: JobStatus, code: int) -> JobStatus:
         reason = f"killed by {signal.Signals(-code).name}"
         return replace(status, state=JobState.FAILED, exit_code=1, reason=reason)
     if code > 0:
-        reason = _last_line(job.log).removeprefix("hpcapp: ")
+        lines = job.log.read_text(encoding="utf-8", errors="replace").splitlines()
+        last = next((line for line in reversed(lines) if line.strip()), "")
+        reason = last.removeprefix("hpcapp: ")
         return replace(status, state=JobState.FAILED, exit_code=code, reason=reason)
     order = job.read_order()
     status = replace(status, state=JobState.DONE, exit_code=0)
@@ -161,11 +163,6 @@ def _finish(job: JobFolder, status: JobStatus, code: int) -> JobStatus:
         digest = send_mesh(order, job.path / order.mesh, _say)
         status = replace(status, mesh_key=order.mesh_key, mesh_sha256=digest)
     return status
-
-
-def _last_line(log: Path) -> str:
-    lines = log.read_text(encoding="utf-8", errors="replace").splitlines()
-    return next((line for line in reversed(lines) if line.strip()), "")
 
 
 def cancel(job: JobFolder) -> JobStatus:

@@ -21,7 +21,10 @@ LOOK_S = 0.1  # between two looks at files that grow
 
 def follow(job: JobFolder) -> None:
     """Print what the job says and how far it has come, until it has ended; last its status."""
-    tails = [_Tail(job.log, _log_line), _Tail(job.events, _event_line)]
+    tails = [
+        _Tail(job.log, lambda line: json.dumps({"log": line})),
+        _Tail(job.events, lambda line: f'{{"event": {line}}}'),
+    ]
     listener = select.poll()
     listener.register(sys.stdout.fileno(), 0)  # tells only that nobody listens any more
     status, is_alive = job.read_status(), True
@@ -45,14 +48,6 @@ def _look(job: JobFolder, before: JobStatus) -> JobStatus:
         reason = "its cluster was taken down"
         gone = replace(before, state=JobState.CANCELLED, exit_code=EXIT_CANCELLED)
         return replace(gone, reason=reason, ended=now())
-
-
-def _log_line(line: str) -> str:
-    return json.dumps({"log": line})
-
-
-def _event_line(line: str) -> str:
-    return f'{{"event": {line}}}'
 
 
 class _Tail:

@@ -124,15 +124,13 @@ def check_limits(spec: ClusterSpec, cost: Cost) -> None:
             )
 
 
-def _money(
-    spec: ClusterSpec, cost: Cost
-) -> tuple[tuple[str, float | None, float, str], tuple[str, float | None, float, str]]:
+def _money(spec: ClusterSpec, cost: Cost) -> list[tuple[str, float | None, float, str]]:
     """Return for each limit of money its key, its value, what it is held against, and its span."""
     limits = spec.limits
-    return (
+    return [
         ("max_hourly_cost", limits.max_hourly_cost, cost.hourly, "an hour"),
         ("max_total_cost", limits.max_total_cost, cost.total_at_most, "within the lease"),
-    )
+    ]
 
 
 def describe_cost(cost: Cost) -> list[str]:

@@ -121,12 +121,8 @@ def _visit(cluster: Cluster, machine: MachineSeen, wait_s: float, answer_s: floa
         *_python_problems(cluster, machine, probed),
         *_install_problems(probed),
     )
-    return Visit(machine, problems, _about(probed))
-
-
-def _about(probed: Probed) -> str:
-    kinds = str(probed.kinds[0][1]) if probed.kinds else "no Python"
-    return f"{kinds}; {probed.free / (1 << 30):.1f} GiB free"
+    kind = probed.kinds[0][1] if probed.kinds else "no Python"
+    return Visit(machine, problems, f"{kind}; {probed.free / (1 << 30):.1f} GiB free")
 
 
 def _machine_problems(probed: Probed) -> Iterator[Problem]:

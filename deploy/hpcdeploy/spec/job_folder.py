@@ -254,12 +254,6 @@ class JobFolder:
             reason="its runner was killed, or the head was switched off",
         )
 
-    def take_lock(self) -> int:
-        """Lock the new job, and return the descriptor that holds it."""
-        descriptor = os.open(self._lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-        fcntl.flock(descriptor, fcntl.LOCK_EX)
-        return descriptor
-
     def is_alive(self) -> bool:
         """Tell whether the lock is held."""
         try:
@@ -302,6 +296,13 @@ def _numbered(jobs: Path) -> Iterator[Path]:
     return (path for path in jobs.glob("[1-9]*") if _NUMBER.fullmatch(path.name))
 
 
+def _lock(path: Path) -> int:
+    """Wait for a lock, and return the descriptor that holds it."""
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    fcntl.flock(descriptor, fcntl.LOCK_EX)
+    return descriptor
+
+
 def create_job(folder: Path, order: JobOrder) -> tuple[JobFolder, int]:
     """Give a job its number and its place in the queue; return it and the descriptor of its lock.
 
@@ -309,14 +310,13 @@ def create_job(folder: Path, order: JobOrder) -> tuple[JobFolder, int]:
     """
     jobs = folder / "jobs"
     jobs.mkdir(parents=True, exist_ok=True, mode=0o700)
-    queue = os.open(jobs / "queue.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    queue = _lock(jobs / "queue.lock")
     try:
-        fcntl.flock(queue, fcntl.LOCK_EX)
         number = 1 + max((int(path.name) for path in _numbered(jobs)), default=0)
         path = jobs / str(number)
         path.mkdir(mode=0o700)
         job = JobFolder(path)
-        lock = job.take_lock()
+        lock = _lock(path / "lock")
         job.write_order(order)
         job.write_status(
             JobStatus(

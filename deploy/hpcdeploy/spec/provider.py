@@ -6,7 +6,7 @@ import re
 from typing import Annotated, ClassVar, Literal, Self
 from urllib.parse import urlsplit
 
-from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from hpccomponent.config.reader import ConfigModel
 from hpcdeploy.spec.prices import read_prices
@@ -96,6 +96,17 @@ def _as_tuple(one_or_more: str | tuple[str, ...]) -> tuple[str, ...]:
     return (one_or_more,) if isinstance(one_or_more, str) else one_or_more
 
 
+def _at_least_one(what: str) -> AfterValidator:
+    """Refuse no name at all, and empty ones."""
+
+    def check(names: str | tuple[str, ...]) -> str | tuple[str, ...]:
+        if not names or not all(_as_tuple(names)):
+            raise ValueError(f"should name at least one {what}")
+        return names
+
+    return AfterValidator(check)
+
+
 class Credentials(ConfigModel):
     """Where the keys of the cloud are; at most one of the three, the environment otherwise.
 
@@ -167,29 +178,15 @@ class Profile(ConfigModel):
     """
 
     image: Image
-    instance_type: str | tuple[str, ...]
+    instance_type: Annotated[str | tuple[str, ...], _at_least_one("instance type")]
     disk_gb: int | None = Field(default=None, ge=1, le=16384)
     public_ip: bool | None = None
     iam_instance_profile: str | None = Field(
         default=None, pattern=r"^([\w+=,.@-]{1,128}|arn:[\w-]+:iam::\d{12}:instance-profile/.+)$"
     )
     market: Literal["on_demand", "spot", "spot_with_fallback"] = "on_demand"
-    zone: str | tuple[str, ...] | None = None
+    zone: Annotated[str | tuple[str, ...], _at_least_one("zone")] | None = None
     hourly_cost: float | None = Field(default=None, ge=0)
-
-    @field_validator("instance_type")
-    @classmethod
-    def _some_type(cls, types: str | tuple[str, ...]) -> str | tuple[str, ...]:
-        if not types or not all([types] if isinstance(types, str) else types):
-            raise ValueError("should name at least one instance type")
-        return types
-
-    @field_validator("zone")
-    @classmethod
-    def _some_zone(cls, zone: str | tuple[str, ...] | None) -> str | tuple[str, ...] | None:
-        if zone is not None and (not zone or not all([zone] if isinstance(zone, str) else zone)):
-            raise ValueError("should name at least one zone")
-        return zone
 
     @property
     def zones(self) -> tuple[str, ...]:
@@ -311,7 +308,7 @@ class _Cloud(_Provider):
     s3_endpoint_url: Endpoint | None = None
     credentials: Credentials = Credentials()
     ca_bundle: str | None = None
-    subnet: Subnet | tuple[SubnetId, ...] = "auto"
+    subnet: Annotated[Subnet | tuple[SubnetId, ...], _at_least_one("subnet")] = "auto"
     address: Literal["auto", "public", "private"] = "auto"
     capabilities: CAPABILITIES = "auto"
     profiles: dict[Annotated[str, Field(pattern=PROFILE_NAME)], Profile] = Field(min_length=1)
@@ -328,13 +325,6 @@ class _Cloud(_Provider):
     """Whether boto3 finds its endpoints and the user's keys by itself."""
     is_free: ClassVar[bool] = False
     """Whether a machine that no price is given for costs nothing."""
-
-    @field_validator("subnet")
-    @classmethod
-    def _some_subnet(cls, subnet: str | tuple[str, ...]) -> str | tuple[str, ...]:
-        if not subnet:
-            raise ValueError("should name at least one subnet")
-        return subnet
 
     @property
     def cloud(self) -> Self:
