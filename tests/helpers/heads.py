@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import logging
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 WAITING = "waiting for the cluster's present job"
 """Said by a job while another program holds its cluster."""
@@ -50,3 +52,22 @@ def held_cluster(inventory: Path) -> Iterator[None]:
         assert holder.stdout is not None
         holder.stdout.readline()
         yield
+
+
+@contextmanager
+def when_said(
+    caplog: pytest.LogCaptureFixture, words: str, act: Callable[[], object]
+) -> Iterator[None]:
+    """Act once when something is said to the user, as a job that is watched says that it waits."""
+    acts = [act]
+
+    def look(record: logging.LogRecord) -> bool:
+        if words in record.getMessage() and acts:
+            acts.pop()()
+        return True
+
+    with caplog.at_level("INFO", "hpcapp"):
+        caplog.handler.addFilter(look)
+        yield
+        caplog.handler.removeFilter(look)
+    assert not acts

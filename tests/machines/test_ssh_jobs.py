@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from heads import ON_WORKERS, WAITING, install_python, write_sphere
+from heads import ON_WORKERS, WAITING, install_python, when_said, write_sphere
 from machines.hosts import claim
 from machines.servers import Machines, Server
 from standing import StartCluster
@@ -44,25 +42,6 @@ def is_running(pid: int) -> bool:
     return stat.exists() and stat.read_text().rpartition(")")[2].split()[0] != "Z"
 
 
-@contextmanager
-def on_waiting(caplog: pytest.LogCaptureFixture, act: Callable[[], object]) -> Iterator[None]:
-    """Act once when a job that is watched says that it waits."""
-    is_done = False
-
-    def look(record: logging.LogRecord) -> bool:
-        nonlocal is_done
-        if WAITING in record.getMessage() and not is_done:
-            is_done = True
-            act()
-        return True
-
-    with caplog.at_level("INFO", "hpcapp"):
-        caplog.handler.addFilter(look)
-        yield
-        caplog.handler.removeFilter(look)
-    assert is_done
-
-
 def test_a_job_outlives_a_cut_connection_and_is_attached_to_again(
     held: Path,
     hosts: tuple[Server, Server],
@@ -70,7 +49,7 @@ def test_a_job_outlives_a_cut_connection_and_is_attached_to_again(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     head = hosts[0]
-    with open_cluster(held) as cluster, on_waiting(caplog, lambda: machines.stop(head)):
+    with open_cluster(held) as cluster, when_said(caplog, WAITING, lambda: machines.stop(head)):
         jobs = open_jobs(cluster)
         points = held.parent / "sphere.xyz"
         status = jobs.submit("reconstruct", points, "mesh.ply", ON_WORKERS)
@@ -82,7 +61,7 @@ def test_a_job_outlives_a_cut_connection_and_is_attached_to_again(
     with open_cluster(held) as cluster:
         jobs = open_jobs(cluster)
         assert jobs.find(status.job).state is JobState.RUNNING
-        with on_waiting(caplog, lambda: jobs.cancel(status.job)):
+        with when_said(caplog, WAITING, lambda: jobs.cancel(status.job)):
             status = cluster_job.watch(cluster, jobs, jobs.find(None))
         assert status.state is JobState.CANCELLED
 
@@ -94,7 +73,7 @@ def test_a_cluster_that_goes_ends_its_jobs_on_the_head(
         with open_cluster(held) as other:
             other.provider.terminate(other.machines())
 
-    with open_cluster(held) as cluster, on_waiting(caplog, take_away):
+    with open_cluster(held) as cluster, when_said(caplog, WAITING, take_away):
         jobs = open_jobs(cluster)
         points = held.parent / "sphere.xyz"
         status = jobs.submit("reconstruct", points, "mesh.ply", ON_WORKERS)

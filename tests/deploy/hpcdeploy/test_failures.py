@@ -10,13 +10,11 @@ from typing import Any
 
 import pytest
 from cloud import FOREVER, RSA_KEY, Instance, StrictCloud
-from simulated import Keyring, SetUp, stub_set_up
+from simulated import SetUp, open_file, stub_set_up
 
 from hpccomponent.errors import CloudError, LeftoverError
-from hpcdeploy.providers import open_provider
 from hpcdeploy.reconcile.cluster import Cluster
 from hpcdeploy.reconcile.converge import bring_up, take_down
-from hpcdeploy.spec.cluster import read_spec
 from hpcdeploy.spec.polling import Polling
 
 POLLING = Polling(poll_s=0.01, settle_s=0.01, end_s=30.0, backoff_s=(0.01,))
@@ -37,9 +35,7 @@ class Scene:
         path.write_text(
             json.dumps({"version": 1, "cluster": "bunny", "provider": provider, "workers": workers})
         )
-        spec = read_spec(path)
-        access: Any = Keyring("bunny", public=RSA_KEY)
-        return Cluster(path, spec, open_provider(spec, self.folder), access)
+        return open_file(path, RSA_KEY)
 
     def up(self, **profile: Any) -> None:
         bring_up(self.cluster(**profile), self.lines.append, polling=POLLING)

@@ -12,17 +12,15 @@ from typing import Any
 import pytest
 from cloud import RSA_KEY, StrictCloud
 from cloud.parameters import PROFILES
-from simulated import Keyring, stub_set_up
+from simulated import open_file, stub_set_up
 from simulated.memory import MemoryProvider
 
 from hpccomponent.errors import CloudError, LeftoverError
-from hpcdeploy.providers import open_provider
 from hpcdeploy.providers.ec2.names import key_pair_name
 from hpcdeploy.providers.ec2.observe import GroupSeen
 from hpcdeploy.reconcile.cluster import Cluster, describe_elsewhere
 from hpcdeploy.reconcile.converge import bring_up, take_down
 from hpcdeploy.reconcile.reap import reap
-from hpcdeploy.spec.cluster import read_spec
 from hpcdeploy.spec.names import Owner, draw_incarnation
 from hpcdeploy.spec.polling import Polling, utc_now
 from hpcdeploy.spec.provider import Credentials
@@ -48,9 +46,7 @@ def cluster(cloud: StrictCloud, tmp_path: Path) -> Cluster:
     block = cloud.provider_block(small=price)
     spec_text = {"version": 1, "cluster": "bunny", "provider": block, "workers": {"count": 0}}
     path.write_text(json.dumps(spec_text))
-    spec = read_spec(path)
-    access: Any = Keyring("bunny", public=RSA_KEY)
-    return Cluster(path, spec, open_provider(spec, tmp_path), access)
+    return open_file(path, RSA_KEY)
 
 
 def add_foreign_pairs(cloud: StrictCloud) -> list[str]:

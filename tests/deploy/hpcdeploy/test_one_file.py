@@ -12,14 +12,11 @@ from typing import Any
 import pytest
 from cloud import RSA_KEY, StrictCloud
 from pydantic import TypeAdapter
-from simulated import Keyring, SimulatedTime, stub_set_up
+from simulated import SimulatedTime, open_file, stub_set_up
 from typed import run
 
-from hpcdeploy.providers import open_provider
 from hpcdeploy.providers.ec2.capabilities import capabilities_of
-from hpcdeploy.reconcile.cluster import Cluster
 from hpcdeploy.reconcile.converge import bring_up, take_down
-from hpcdeploy.spec.cluster import read_spec
 from hpcdeploy.spec.provider import CloudSpec, ProviderSpec
 
 ROOT = Path(__file__).parents[3]
@@ -56,13 +53,6 @@ def write_file(cloud: StrictCloud, folder: Path, **changes: Any) -> Path:
     return path
 
 
-def open_file(path: Path) -> Cluster:
-    """Open a file as the verbs do, but with a key that is there and no shells."""
-    spec = read_spec(path)
-    access: Any = Keyring("bunny", public=RSA_KEY)
-    return Cluster(path, spec, open_provider(spec, path.parent), access)
-
-
 every_cloud = pytest.mark.parametrize(
     "profile", ["aws", "euca-4.0", "euca-4.4", "euca-5.1", "generic"]
 )
@@ -84,7 +74,11 @@ def test_validate_and_plan(
 @pytest.mark.slow
 @every_cloud
 def test_up_again_and_down(cloud: StrictCloud, tmp_path: Path) -> None:
-    cluster, lines, time = open_file(write_file(cloud, tmp_path)), list[str](), SimulatedTime()
+    cluster, lines, time = (
+        open_file(write_file(cloud, tmp_path), RSA_KEY),
+        list[str](),
+        SimulatedTime(),
+    )
     bring_up(cluster, lines.append, polling=time.polling())
     assert [m.name.node for m in cluster.machines()] == ["head", "worker-1", "worker-2", "worker-3"]
     calls = len(cloud.calls)
@@ -111,7 +105,7 @@ def test_the_pages_policy_allows_what_is_called_and_nothing_else(
     cloud: StrictCloud, tmp_path: Path
 ) -> None:
     subnet = cloud.model.default_subnet(None)
-    cluster = open_file(write_file(cloud, tmp_path, subnet=subnet))
+    cluster = open_file(write_file(cloud, tmp_path, subnet=subnet), RSA_KEY)
     lines, time = list[str](), SimulatedTime()
     cluster.provider.check()
     bring_up(cluster, lines.append, polling=time.polling())

@@ -18,9 +18,10 @@ from hpcdeploy.login.ssh.reach import ReachError
 from hpcdeploy.ownership.journal import peek_journal
 from hpcdeploy.ownership.ownership import Ownership, fingerprint
 from hpcdeploy.provider import MachineSeen, Observed
+from hpcdeploy.providers import open_provider
 from hpcdeploy.providers.ec2.observe import GroupSeen, KeyPairSeen
 from hpcdeploy.reconcile.cluster import Cluster
-from hpcdeploy.spec.cluster import ClusterSpec
+from hpcdeploy.spec.cluster import ClusterSpec, read_spec
 from hpcdeploy.spec.layout import state_folder
 from hpcdeploy.spec.names import Owner
 from hpcdeploy.spec.polling import Polling
@@ -147,3 +148,10 @@ def make_cluster(
 ) -> Cluster:
     access: Any = Keyring(spec.cluster, user, key)
     return Cluster(Path("cluster.yaml"), spec, provider, access)
+
+
+def open_file(path: Path, public_key: str) -> Cluster:
+    """Open a cluster file as the verbs do, but with a key that is there and no shells."""
+    spec = read_spec(path)
+    access: Any = Keyring(spec.cluster, public=public_key)
+    return Cluster(path, spec, open_provider(spec, path.parent), access)

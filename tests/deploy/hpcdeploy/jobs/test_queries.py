@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 import os
 import signal
 import subprocess
@@ -14,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from heads import ON_WORKERS, WAITING, held_cluster, install_python, write_sphere
+from heads import ON_WORKERS, WAITING, held_cluster, install_python, when_said, write_sphere
 from simulated import FILE, make_cluster, make_spec, stub_set_up
 from simulated.memory import MemoryProvider
 
@@ -449,15 +448,8 @@ def test_a_worker_that_vanishes_is_replaced_while_somebody_watches(
     status = jobs.submit("reconstruct", points, "mesh.ply", ON_WORKERS)
     set_up.during = lambda: jobs.cancel(status.job)
 
-    def interrupt(record: logging.LogRecord) -> bool:
-        if WAITING in record.getMessage():
-            cloud.interrupt("worker-1")
-        return True
-
-    with caplog.at_level("INFO", "hpcapp"):
-        caplog.handler.addFilter(interrupt)
+    with when_said(caplog, WAITING, lambda: cloud.interrupt("worker-1")):
         status = cluster_job.watch(cluster, jobs, status)
-        caplog.handler.removeFilter(interrupt)
     assert status.state is JobState.CANCELLED  # so the job was still watched when it came
     names = {machine.name for machine in cluster.machines()}
     assert names == {NodeName("head"), NodeName("worker-1", 2), NodeName("worker-2")}
@@ -490,11 +482,6 @@ def test_a_cluster_is_taken_away_from_under_a_worker_that_is_being_set_up(
                 access.open(late[0], timeout_s=600.0)
         return {machine.id: "it does not let us in" for machine in late}
 
-    def interrupt(record: logging.LogRecord) -> bool:
-        if WAITING in record.getMessage():
-            cloud.interrupt("worker-1")
-        return True
-
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     monkeypatch.setattr(cluster_job, "LOOK_S", 0.05)
     monkeypatch.setattr(cluster_job, "open_jobs", lambda cluster: jobs)
@@ -504,13 +491,11 @@ def test_a_cluster_is_taken_away_from_under_a_worker_that_is_being_set_up(
     monkeypatch.setattr("hpcdeploy.install.user_data.user_data", lambda *about: "#!")
     file = tmp_path / "cluster.yaml"
     file.write_text(FILE.format(cluster="bunny", count=1, least=0, market="on_demand"))
-    with caplog.at_level("INFO", "hpcapp"):
-        caplog.handler.addFilter(interrupt)
-        with pytest.raises(JobError, match="job 1 was cancelled"):
-            cluster_job.run_on_cluster(
-                file, "reconstruct", points, tmp_path / "mesh.ply", ON_WORKERS
-            )
-        caplog.handler.removeFilter(interrupt)
+    with (
+        when_said(caplog, WAITING, lambda: cloud.interrupt("worker-1")),
+        pytest.raises(JobError, match="job 1 was cancelled"),
+    ):
+        cluster_job.run_on_cluster(file, "reconstruct", points, tmp_path / "mesh.ply", ON_WORKERS)
     seen = cloud.observe("bunny")
     assert not seen.lives
     assert {machine.state for machine in seen.machines} == {State.GONE}

@@ -22,7 +22,7 @@ import numpy as np
 import paramiko
 import pytest
 import zmq
-from heads import install_python
+from heads import install_python, when_said
 from machines.servers import USER, Machines, Server
 
 from hpcapp.backends.cluster import listen_inventory
@@ -177,18 +177,13 @@ def test_a_master_elsewhere_waits_for_its_turn(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     cluster = standing_cluster(head.home / FOLDER, running=0)
-    with ExitStack() as ownership, caplog.at_level("INFO", "hpcapp"):
+    with ExitStack() as ownership:
         ownership.enter_context(hold_cluster(cluster.inventory, pytest.fail))
-
-        def free(record: logging.LogRecord) -> bool:
-            if "in use by another program" in record.getMessage():
-                ownership.close()
-            return True
-
-        caplog.handler.addFilter(free)
-        with lead_workers(shell, FOLDER, "tcp://127.0.0.1:9"):
-            assert "in use by another program" in caplog.text
-        caplog.handler.removeFilter(free)
+        with (
+            when_said(caplog, "in use by another program", ownership.close),
+            lead_workers(shell, FOLDER, "tcp://127.0.0.1:9"),
+        ):
+            pass
 
 
 @pytest.fixture
@@ -226,18 +221,13 @@ def test_a_way_that_is_cut_is_said(
     relay: socket.socket, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     said = threading.Event()
-
-    def hear(record: logging.LogRecord) -> bool:
-        if "its workers are lost" in record.getMessage():
-            said.set()
-        return True
-
-    with lead_from(relay, tmp_path, "tcp://127.0.0.1:9") as control:
-        caplog.handler.addFilter(hear)
+    with (
+        when_said(caplog, "its workers are lost", said.set),
+        lead_from(relay, tmp_path, "tcp://127.0.0.1:9") as control,
+    ):
         control.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
         control.close()  # it is reset
         assert said.wait(60)
-        caplog.handler.removeFilter(hear)
 
 
 def test_a_head_without_a_relay_is_one_line(tmp_path: Path) -> None:
