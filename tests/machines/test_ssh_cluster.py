@@ -33,6 +33,7 @@ FOLDER = "hpcapp/lab"
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(600)
 def test_hosts_become_a_cluster_whatever_they_bring_along_and_are_left_as_they_were(
     file: Path, hosts: tuple[Server, Server], wheelhouse: Path, tmp_path: Path
 ) -> None:

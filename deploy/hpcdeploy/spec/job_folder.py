@@ -90,7 +90,8 @@ class JobRequest:
 
         Examples
         --------
-        >>> request = Request(("submit", "lab.yaml", "my scan.ply", "-o", "mesh.ply"), "/home/me")
+        >>> typed = ("submit", "lab.yaml", "my scan.ply", "-o", "mesh.ply")
+        >>> request = JobRequest(typed, "/home/me")
         >>> request.command("/home/me")
         "hpcapp submit lab.yaml 'my scan.ply' -o mesh.ply"
         >>> request.command("/tmp")

@@ -27,10 +27,10 @@ from contextlib import ExitStack
 from hpccomponent.errors import HpcError
 from hpcdeploy.login.ssh.shell import SshShell
 from hpcdeploy.login.ssh.connect import connect
-from hpcdeploy.login.ssh.target import Target
+from hpcdeploy.login.ssh.target import SshTarget
 
 port, user, key, hosts, command = sys.argv[1:]
-target = Target("127.0.0.1", int(port), user, (key,), known_hosts=(hosts,))
+target = SshTarget("127.0.0.1", int(port), user, (key,), known_hosts=(hosts,))
 with ExitStack() as closer:
     connection = connect(target, closer)
     with SshShell("head", connection, closer.pop_all()) as shell:
