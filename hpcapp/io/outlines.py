@@ -1,4 +1,4 @@
-"""Polygons that say which part of a scan is asked for: GeoJSON, WKT and shapefiles."""
+"""Polygons and lines that a user has drawn: GeoJSON, WKT and shapefiles."""
 
 from __future__ import annotations
 
@@ -6,16 +6,17 @@ import re
 from collections.abc import Iterable, Iterator
 from io import BytesIO
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, Any
 
 import numpy as np
 from msgspec import Meta
 
-from hpcapp.extras import load_library
+from hpcapp.extras import how_to_install
 from hpcapp.geometry.regions.prism import load_shapely
 from hpcapp.io.points.point_source import translated
 from hpccomponent.cli.option_names import name_option
-from hpccomponent.errors import InputError, UsageError
+from hpccomponent.dataclass import dataclass
+from hpccomponent.errors import InputError, MissingLibraryError, UsageError
 from hpccomponent.foreign_json import convert, decode
 from hpccomponent.ranges import FARTHEST, is_place
 
@@ -28,15 +29,50 @@ _WKT = re.compile(
     re.IGNORECASE,
 )
 _DEEPEST = 32  # parentheses within each other: a collection of polygons has four
-_EXPORT = "export the polygons again, as GeoJSON"
+_EXPORT = "export the shapes again, as GeoJSON"
 _HEADER, _RECORD = 100, 8  # bytes of a shapefile, and in front of each shape
-_POLYGONS = (5, 15, 25)  # types of shapes: flat, with z, and with m
+_NAMES = ("name", "label", "id", "fid")
+"""Properties of GeoJSON that a shape is called by; the first that is there counts."""
+_LONGEST = 60  # characters of a name
 
-_Object = dict[str, object]  # of GeoJSON
-_Geometry: TypeAlias = Any  # of shapely, which has no stubs
 _Position = Annotated[list[float], Meta(min_length=2)]
 _Rings = list[list[_Position]]
-_COORDINATES: dict[object, Any] = {"Polygon": _Rings, "MultiPolygon": list[_Rings]}
+_COORDINATES: dict[object, Any] = {
+    "Polygon": _Rings, "MultiPolygon": list[_Rings],
+    "LineString": list[_Position], "MultiLineString": _Rings,
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class _Kind:
+    """What is looked for: types of GeoJSON, and types of shapes: flat, with z, and with m."""
+
+    word: str
+    types: tuple[str, str]
+    numbers: tuple[int, ...]
+    advice: str
+    example: str
+
+
+_POLYGONS = _Kind(
+    "polygon", ("Polygon", "MultiPolygon"), (5, 15, 25), "draw one round what is meant",
+    "POLYGON ((0 0, 9 0, 9 9, 0 0))",
+)  # fmt: skip
+_LINES = _Kind(
+    "line", ("LineString", "MultiLineString"), (3, 13, 23), "draw one along what is to be cut",
+    "LINESTRING (0 0, 9 0, 9 9)",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drawn:
+    """A polygon or a line of shapely, valid and flat, and the name that its file has for it, or "".
+
+    A polygon may be several with one name.
+    """
+
+    name: str
+    shape: Any
 
 
 def read_outline(given: str) -> str:
@@ -46,36 +82,56 @@ def read_outline(given: str) -> str:
     UsageError where that is true of WKT itself, and MissingLibraryError without shapely, or pyshp
     for a shapefile.
     """
-    load_shapely()  # before all else
-    path, name = Path(given), name_option("polygon")
+    shapely, shapes = load_shapely("polygons"), [one.shape for one in read_polygons(given)]
+    text: str = shapely.to_wkt(shapely.union_all(shapes), rounding_precision=-1)
+    return text
+
+
+def read_polygons(given: str) -> list[Drawn]:
+    """Return the polygons of a file, or of WKT, one by one; errors are those of `read_outline`."""
+    return _read_drawn(given, "polygon", _POLYGONS)
+
+
+def read_lines(given: str) -> list[Drawn]:
+    """Return the lines of a file, or of WKT, one by one; errors are those of `read_outline`."""
+    shapely, drawn = load_shapely("lines"), _read_drawn(given, "along", _LINES)
+    return [Drawn(one.name, part) for one in drawn for part in shapely.get_parts(one.shape)]
+
+
+def _read_drawn(given: str, option: str, kind: _Kind) -> list[Drawn]:
+    shapely = load_shapely(f"{kind.word}s")
+    path, name = Path(given), name_option(option)
     if path.suffix.lower() in OUTLINE_SUFFIXES:
         with translated(path):
-            return _unite(_read_file(path), given)
+            return _check(_read_file(path, kind, shapely), given, kind, shapely)
     if not _WKT.match(given):
         raise InputError(
-            f"{name_option('polygon', given)}: neither WKT nor a file of a known kind",
-            f"give one of {', '.join(OUTLINE_SUFFIXES)}, or 'POLYGON ((0 0, 9 0, 9 9, 0 0))'",
+            f"{name_option(option, given)}: neither WKT nor a file of a known kind",
+            f"give one of {', '.join(OUTLINE_SUFFIXES)}, or '{kind.example}'",
         )
     try:
-        return _unite([_read_text(given, name)], name)
+        return _check([Drawn("", _read_text(given, name, shapely))], name, kind, shapely)
     except InputError as error:
         raise UsageError(error.problem, error.advice) from None
 
 
-def _read_file(path: Path) -> Iterable[_Geometry]:
-    """Return the shapes of a file, some of which may be no polygons."""
+def _read_file(path: Path, kind: _Kind, shapely: Any) -> Iterable[Drawn]:
+    """Return the shapes of a file, some of which may be of another kind."""
     suffix = path.suffix.lower()
     content = path.read_bytes()
     if suffix == ".shp":
-        return [_make_shape(shape, path) for shape in _read_shapefile(content, path)]
+        shapes = _read_shapefile(content, path, kind)
+        return [Drawn("", _make_shape(shape, path, shapely)) for shape in shapes]
     text = content.decode("utf-8-sig", "replace")
     if suffix in (".wkt", ".txt"):
-        return [_read_text(line, str(path)) for line in _split_lines(text)]
+        return [Drawn("", _read_text(line, str(path), shapely)) for line in _split_lines(text)]
     try:
-        found: object = decode(text, dict[str, object])
+        found: object = decode(text, dict[str, Any])
     except ValueError as error:
         raise InputError(f"{path}: no GeoJSON: {error}", _EXPORT) from None
-    return [_make_shape(shape, path) for shape in _list_shapes(found)]
+    return [
+        Drawn(name, _make_shape(shape, path, shapely)) for name, shape in _list_shapes(found, kind)
+    ]
 
 
 def _split_lines(text: str) -> list[str]:
@@ -84,9 +140,8 @@ def _split_lines(text: str) -> list[str]:
     return lines if all(map(_WKT.match, lines)) else [text]
 
 
-def _read_text(text: str, name: str) -> _Geometry:
+def _read_text(text: str, name: str, shapely: Any) -> Any:
     """Return the shape that WKT says; GEOS has no bound of its own for what is nested."""
-    shapely = load_shapely()
     if curve := _CURVED.search(text):
         raise InputError(
             f"{name}: it has curves ({curve[0].upper()}), which are not read",
@@ -104,24 +159,37 @@ def _read_text(text: str, name: str) -> _Geometry:
         raise InputError(f"{name}: no WKT: {str(error).splitlines()[0]}", _EXPORT) from None
 
 
-def _list_shapes(found: object) -> Iterator[_Object]:
-    """Yield the polygons of GeoJSON, out of features and collections of them."""
-    waiting = [found]
+def _list_shapes(found: object, kind: _Kind) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield shapes of GeoJSON with their names, out of features and collections of them."""
+    waiting = [("", found)]
     while waiting:
-        part = waiting.pop()
+        name, part = waiting.pop()
         if isinstance(part, list):
-            waiting += reversed(part)
+            waiting += [(name, one) for one in reversed(part)]
         elif isinstance(part, dict):
             inside = [part[key] for key in ("features", "geometries", "geometry") if key in part]
-            waiting += inside[:1]
-            if not inside and part.get("type") in ("Polygon", "MultiPolygon"):
-                yield part
+            waiting += [(_find_name(part) or name, one) for one in inside[:1]]
+            if not inside and part.get("type") in kind.types:
+                yield name, part
 
 
-def _make_shape(found: _Object, path: Path) -> _Geometry:
+def _find_name(feature: dict[str, Any]) -> str:
+    """Return what a feature is called; its text on one line."""
+    stated = feature.get("properties")
+    known = (
+        {str(key).lower(): value for key, value in stated.items()}
+        if isinstance(stated, dict)
+        else {}
+    )
+    values = [known.get(key) for key in _NAMES] + [feature.get("id")]
+    texts = [str(one) for one in values if isinstance(one, str | int | float)]
+    return "".join(filter(str.isprintable, texts[0]))[:_LONGEST].strip() if texts else ""
+
+
+def _make_shape(found: dict[str, Any], path: Path, shapely: Any) -> Any:
     from shapely.geometry import shape
 
-    shapely, kind = load_shapely(), found["type"]
+    kind = found["type"]
     try:
         numbers = convert(found.get("coordinates"), _COORDINATES[kind])
         return shapely.force_2d(shape({"type": kind, "coordinates": numbers}))
@@ -130,59 +198,62 @@ def _make_shape(found: _Object, path: Path) -> _Geometry:
         raise InputError(f"{path}: a shape cannot be read: {said}", _EXPORT) from None
 
 
-def _read_shapefile(content: bytes, path: Path) -> list[_Object]:
-    shapefile = load_library("shapefile", f"{path}: shapefiles need the package pyshp", "gis")
+def _read_shapefile(content: bytes, path: Path, kind: _Kind) -> list[dict[str, Any]]:
     try:
-        _check_shapefile(content)
+        import shapefile
+    except ModuleNotFoundError:
+        raise MissingLibraryError(
+            f"{path}: shapefiles need the package pyshp", how_to_install("gis")
+        ) from None
+    try:
+        _check_shapefile(content, kind)
         with shapefile.Reader(shp=BytesIO(content)) as reader:
             found = [shape.__geo_interface__ for shape in reader.iterShapes()]
     except Exception as error:
         raise InputError(f"{path}: no shapefile: {error}", _EXPORT) from None
-    return [one for one in found if one["type"] in _COORDINATES]
+    return [one for one in found if one["type"] in kind.types]
 
 
-def _check_shapefile(content: bytes) -> None:
+def _check_shapefile(content: bytes, kind: _Kind) -> None:
     """Refuse a file that pyshp would read in parts without a word; ValueError says why.
 
     "ESRI Shapefile Technical Description", July 1998.
     """
-    stated, kind = 2 * int.from_bytes(content[24:28], "big"), content[32:36]
+    stated, stored = 2 * int.from_bytes(content[24:28], "big"), content[32:36]
     if stated != len(content) or stated < _HEADER:
         raise ValueError(f"it says it has {stated} bytes, and has {len(content)}")
-    if (number := int.from_bytes(kind, "little")) not in _POLYGONS:
-        raise ValueError(f"it holds shapes of type {number}, which are no polygons")
+    if (number := int.from_bytes(stored, "little")) not in kind.numbers:
+        raise ValueError(f"it holds shapes of type {number}, which are no {kind.word}s")
     at = _HEADER
     while at < stated:
         size = 2 * int.from_bytes(content[at + 4 : at + _RECORD], "big")
         shape = content[at + _RECORD : at + _RECORD + size]
         at += _RECORD + size
-        if at > stated or size < len(kind):
+        if at > stated or size < len(stored):
             raise ValueError("a shape of it is cut")
         if shape == bytes(4):  # one without coordinates
             continue
         parts, points = np.frombuffer(shape, "<i4", 2, 36).tolist()
         least, column = 44 + 4 * parts + 16 * points, 16 + 8 * points  # of z, and of m
-        if shape[:4] != kind or size not in (least, least + column, least + 2 * column):
+        if shape[:4] != stored or size not in (least, least + column, least + 2 * column):
             raise ValueError("a shape of it has another length or type than it says")
         starts = np.frombuffer(shape, "<i4", parts, 44)
         if not parts or starts[0] != 0 or (np.diff(starts, append=points) < 1).any():
             raise ValueError("the rings of a shape do not follow each other")
 
 
-def _unite(shapes: Iterable[_Geometry], name: str) -> str:
-    shapely = load_shapely()
-    polygons = [one for one in shapes if one.geom_type in ("Polygon", "MultiPolygon")]
-    polygons = [one for one in polygons if not one.is_empty]
-    if not polygons:
-        raise InputError(f"{name}: no polygon in it", "draw one round what is to be kept")
-    for one in polygons:
-        coordinates = shapely.get_coordinates(one)
+def _check(shapes: Iterable[Drawn], name: str, kind: _Kind, shapely: Any) -> list[Drawn]:
+    """Return the shapes of a kind that hold something, checked."""
+    found = [one for one in shapes if one.shape.geom_type in kind.types and not one.shape.is_empty]
+    if not found:
+        raise InputError(f"{name}: no {kind.word} in it", kind.advice)
+    for one in found:
+        coordinates = shapely.get_coordinates(one.shape)
         if not is_place(*np.abs(coordinates).max(axis=0)):
             raise InputError(f"{name}: a coordinate is no number up to {FARTHEST:.0e}", _EXPORT)
-        if not shapely.is_valid(one):
+        if not shapely.is_valid(one.shape):
             raise InputError(
-                f"{name}: a polygon is not valid: {shapely.is_valid_reason(one)}",
+                f"{name}: a {kind.word} is not valid: {shapely.is_valid_reason(one.shape)}",
                 "mend it where it was drawn ('fix geometries')",
             )
-    text: str = shapely.to_wkt(shapely.union_all(polygons), rounding_precision=-1)
-    return text
+    return found
