@@ -18,11 +18,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from hpcapp.api.awaiting import reconstruct_async
-    from hpcapp.api.comparison import Comparison, compare, compare_epochs
+    from hpcapp.api.comparison import Comparison, compare, compare_epochs, measure_heaps
     from hpcapp.api.mesh import Mesh, read_mesh
     from hpcapp.api.reconstruction import reconstruct
     from hpcapp.api.simulation import simulate
     from hpcapp.api.terrain import heights
+    from hpcapp.applications.compare.volume.heap import Heap
     from hpcapp.applications.compare.volume.measure import Change, SolidChange
     from hpcapp.applications.heights.grid import HeightGrid
     from hpcapp.applications.surface.hierarchical.settings import Hierarchical
@@ -45,6 +46,7 @@ __all__ = [
     "Cancellation",
     "Change",
     "Comparison",
+    "Heap",
     "HeightGrid",
     "Hierarchical",
     "HpcError",
@@ -61,6 +63,7 @@ __all__ = [
     "compare",
     "compare_epochs",
     "heights",
+    "measure_heaps",
     "open_executor",
     "read_mesh",
     "read_points",
@@ -73,11 +76,12 @@ __all__ = [
 _ERRORS = "hpccomponent.errors"
 _HOMES = {
     "hpcapp.api.awaiting": ("reconstruct_async",),
-    "hpcapp.api.comparison": ("Comparison", "compare", "compare_epochs"),
+    "hpcapp.api.comparison": ("Comparison", "compare", "compare_epochs", "measure_heaps"),
     "hpcapp.api.mesh": ("Mesh", "read_mesh"),
     "hpcapp.api.reconstruction": ("reconstruct",),
     "hpcapp.api.simulation": ("simulate",),
     "hpcapp.api.terrain": ("heights",),
+    "hpcapp.applications.compare.volume.heap": ("Heap",),
     "hpcapp.applications.compare.volume.measure": ("Change", "SolidChange"),
     "hpcapp.applications.heights.grid": ("HeightGrid",),
     "hpcapp.applications.surface.hierarchical.settings": ("Hierarchical",),

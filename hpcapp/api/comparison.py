@@ -1,4 +1,4 @@
-"""``hpcapp.compare`` and ``hpcapp.compare_epochs``: distances and volumes, in the input's units."""
+"""``hpcapp.compare``, ``compare_epochs``, ``measure_heaps``: distances and volumes of the input."""
 
 from __future__ import annotations
 
@@ -15,11 +15,14 @@ from hpcapp.api.arrays import check_cloud
 from hpcapp.api.mesh import Mesh, unwrap_mesh
 from hpcapp.applications.compare.metrics import F_THRESHOLDS, Measures, as_json, measure_mesh
 from hpcapp.applications.compare.truth import MeshTruth, PointTruth, Truth, open_truth
+from hpcapp.applications.compare.volume import heap
 from hpcapp.applications.compare.volume.epochs import measure_epochs
+from hpcapp.applications.compare.volume.heap import Heap
 from hpcapp.applications.compare.volume.measure import Change, SolidChange
 from hpcapp.geometry import mesh as plain
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import formats
+from hpcapp.io.outlines import read_polygons
 from hpcapp.io.usable_mesh import check_usable
 from hpcapp.terrain.epoch import Epoch, open_epoch
 from hpccomponent.errors import InputError, UsageError
@@ -215,6 +218,57 @@ def compare_epochs(
         check_range("registration", registration, 0.0)
     epochs = take_epoch(new, "new"), take_epoch(old, "old")
     return measure_epochs(*epochs, up, cell, registration).change
+
+
+def measure_heaps(
+    scan: Mesh | PointCloud | ArrayLike | str | PathLike[str],
+    polygons: str | PathLike[str],
+    *,
+    above: str | float = "rim",
+    cell: float | None = None,
+    registration: float | None = None,
+) -> list[Heap]:
+    """Measure heaps above the ground round them, as ``hpcapp compare --volume --above`` does.
+
+    Parameters
+    ----------
+    scan : Mesh, PointCloud, array_like of shape (n, 3), str or PathLike
+        A mesh or points, z up; or the file of them.
+    polygons : str or PathLike
+        The file of the toes of the heaps, or WKT.
+    above : str or float
+        The base: ``"rim"``, what the ground round each is continued to; ``"plane"``, the plane
+        through it; or a height.
+    cell : float, optional
+        Width of a cell, seen from above; by default as the points need.
+    registration : float, optional
+        Standard deviation of the place of a polygon against its heap; by default it is widened as
+        long as the heap goes on.
+
+    Raises
+    ------
+    InputError
+        There are too few points in a polygon, or hardly any round it.
+    UsageError
+        Another argument is out of its range.
+    MissingLibraryError
+        shapely is not installed.
+
+    Examples
+    --------
+    >>> import hpcapp, numpy as np
+    >>> points = np.random.default_rng(0).random((20000, 3)) * [20.0, 20.0, 0.0]
+    >>> away = np.linalg.norm(points[:, :2] - 10.0, axis=1)
+    >>> points[:, 2] = np.maximum(3.0 - 0.5 * away, 0.0)  # a cone of 113
+    >>> heap, = hpcapp.measure_heaps(points, "POLYGON ((3 3, 17 3, 17 17, 3 17, 3 3))")
+    >>> abs(heap.volume - 36.0 * np.pi) < heap.uncertainty < 1.0
+    True
+    """
+    for name, value in (("cell", cell), ("registration", registration)):
+        if value is not None:
+            check_range(name, value, 0.0, is_open=name == "cell")
+    drawn = read_polygons(fspath(polygons))
+    return heap.measure_heaps(take_epoch(scan, "scan"), drawn, above, cell, registration)
 
 
 def take_epoch(epoch: Mesh | PointCloud | ArrayLike | str | PathLike[str], name: str) -> Epoch:

@@ -7,14 +7,15 @@ from __future__ import annotations
 
 import logging
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 from click.core import ParameterSource
 
-from hpcapp.named_files import PAGE, PICTURE, SCAN, SCAN_OR_WORD
-from hpccomponent.cli.named_files import json_option
+from hpcapp.named_files import FILE_OR_WORD, PAGE, PICTURE, SCAN, SCAN_OR_WORD
+from hpccomponent.cli.named_files import OutputFile, json_option
 from hpccomponent.cli.terminal import echo, echo_json
 from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import InputError, UsageError
@@ -30,6 +31,7 @@ _THRESHOLDS = (0.02, 0.1, 0.5)
 GROUPS = {
     "Distances": ("samples", "seed", "thresholds"),
     "Volumes": ("is_volume", "up", "cell", "registration", "png"),
+    "Heaps, with --volume": ("above", "polygon", "csv"),
     "Both": ("as_json", "html"),
 }
 
@@ -50,18 +52,23 @@ GROUPS = {
             "hpcapp compare june.laz may.laz --volume --png change.png",
             "Measure what was cut and filled since.",
         ),
+        (
+            "hpcapp compare yard.laz --volume --above rim --polygon toes.geojson --csv heaps.csv",
+            "Measure each heap above the ground round it.",
+        ),
     ],
 )
 @click.argument(
     "mesh",
     type=SCAN,
-    help="The mesh to be judged; of volumes the new mesh or points.",
+    help="The mesh to be judged; of volumes the new mesh or points, or those with the heaps.",
 )
 @click.argument(
     "truth",
     type=SCAN_OR_WORD,
+    required=False,
     help="A mesh, points, or shape:NAME, a model of 'hpcapp simulate'; of volumes the old mesh or "
-    "points.",
+    "points. None with --above.",
 )
 @click.option(
     "--samples",
@@ -97,9 +104,24 @@ GROUPS = {
     "--registration",
     type=click.FloatRange(0),
     metavar="LENGTH",
-    help="Standard deviation of the shift between both, as control points tell it.  "
-    "[default: the shift where nothing changed]",
+    help="Standard deviation of the shift between both, as control points tell it, or of a polygon "
+    "against its heap.  [default: the shift where nothing changed; polygons are widened as long as "
+    "heaps go on]",
 )
+@click.option(
+    "--above",
+    metavar="BASE",
+    help="Measure heaps above a base: rim (what the ground round each is continued to), plane (the "
+    "plane through it), or a height.",
+)
+@click.option(
+    "--polygon",
+    type=FILE_OR_WORD,
+    metavar="FILE",
+    help="The toes of the heaps: polygons of a .geojson, .wkt or .shp, or WKT itself.",
+)
+@click.option("--csv", type=OutputFile("table", (".csv",)), metavar="FILE",
+              help="Write the heaps as a table, too.")  # fmt: skip
 @click.option("--png", type=PICTURE, metavar="FILE", help="Draw what changed into a picture.")
 @json_option()
 @click.option(
@@ -113,7 +135,7 @@ def compare(
     ctx: click.Context,
     /,
     mesh: Path,
-    truth: str,
+    truth: str | None,
     samples: int,
     seed: int,
     thresholds: tuple[float, ...],
@@ -121,6 +143,9 @@ def compare(
     up: str,
     cell: float | None,
     registration: float | None,
+    above: str | None,
+    polygon: str | None,
+    csv: Path | None,
     png: Path | None,
     as_json: bool,
     html: Path | None,
@@ -129,7 +154,7 @@ def compare(
 
     Distances are taken from points spread evenly over either surface to the other surface, exactly,
     and are in per cent of the diagonal of TRUTH's bounding box. Volumes (--volume) lie between
-    MESH, the new epoch, and TRUTH, the old one.
+    MESH, the new epoch, and TRUTH, the old one, or are those of heaps above the ground round them.
     """
     kind, other = ("Distances", "Volumes") if is_volume else ("Volumes", "Distances")
     for name in GROUPS[kind]:
@@ -139,6 +164,13 @@ def compare(
                 f"{flag} is for {kind.lower()}, not for {other.lower()}",
                 "leave it out" if is_volume else "add --volume, or leave it out",
             )
+    if above is not None or polygon is not None or csv is not None:
+        others = {"TRUTH": truth, "--html": html, "--png": png, "--up": up if up != "z" else None}
+        _refuse_beside_heaps(is_volume, above, polygon, others)
+        _measure_heaps(str(mesh), above or "", polygon or "", cell, registration, csv, as_json)
+        return
+    if truth is None:
+        raise UsageError("nothing to compare with", "give TRUTH; of a heap --above and --polygon")
     if is_volume:
         _measure_volume(str(mesh), truth, up, cell, registration, png, html, as_json)
         return
@@ -155,6 +187,62 @@ def compare(
         echo(_tabulate(measures, unit))
     if html is not None:
         log.info("%s: the mesh, coloured by its distance", html)
+
+
+def _refuse_beside_heaps(
+    is_volume: bool, above: str | None, polygon: str | None, others: Mapping[str, object]
+) -> None:
+    if not is_volume or above is None or polygon is None:
+        raise UsageError(
+            "a heap needs --volume, --above and --polygon",
+            "give all three, as in --volume --above rim --polygon toes.geojson",
+        )
+    for name, value in others.items():
+        if value is not None:
+            raise UsageError(f"{name} stands beside --above", "leave one of them out")
+
+
+def _measure_heaps(
+    name: str,
+    above: str,
+    polygon: str,
+    cell: float | None,
+    registration: float | None,
+    csv: Path | None,
+    as_json: bool,
+) -> None:
+    from hpcapp.applications.compare.volume import heaps as tables
+    from hpcapp.applications.compare.volume.heap import measure_heaps
+    from hpcapp.io.outlines import read_polygons
+    from hpcapp.progress import Progress, StageClock
+    from hpcapp.progress_display import open_progress
+    from hpcapp.terrain.epoch import open_epoch
+
+    polygons = read_polygons(polygon)
+    with open_progress(sys.stderr) as display:
+        clock = StageClock(Progress(display))
+        with clock.stage("read"):
+            ground = open_epoch(name)
+        with clock.stage("measure"):
+            heaps = measure_heaps(ground, polygons, above, cell, registration)
+    unit = ground.crs.unit or ""
+    if csv is not None:
+        tables.write_csv(csv, heaps, unit)
+    if as_json:
+        echo_json({"heaps": tables.list_values(heaps, unit)})
+    else:
+        _echo_table(tables.list_rows(heaps, unit))
+        for note in tables.list_notes(heaps, above, unit):
+            echo(note)
+    if csv is not None:
+        log.info("%s: a table of %d heaps", csv, len(heaps))
+
+
+def _echo_table(table: Sequence[Sequence[str]]) -> None:
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    for name, *cells in table:
+        columns = (f"{one:>{w}}" for one, w in zip(cells, widths[1:], strict=True))
+        echo("  ".join([f"{name:{widths[0]}}", *columns]).rstrip())
 
 
 def _measure_volume(
@@ -191,11 +279,7 @@ def _measure_volume(
     if as_json:
         echo_json(to_json(change, unit))
     else:
-        table = [page.HEAD, *page.list_rows(change, unit)]
-        widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-        for name, *cells in table:
-            columns = (f"{one:>{w}}" for one, w in zip(cells, widths[1:], strict=True))
-            echo("  ".join([f"{name:{widths[0]}}", *columns]).rstrip())
+        _echo_table([page.HEAD, *page.list_rows(change, unit)])
         for note in page.list_notes(change, unit):
             echo(note)
     if doubted := page.doubt(change, unit):
