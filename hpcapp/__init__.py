@@ -21,11 +21,13 @@ if TYPE_CHECKING:
     from hpcapp.api.comparison import Comparison, compare, compare_epochs, measure_heaps
     from hpcapp.api.mesh import Mesh, read_mesh
     from hpcapp.api.reconstruction import reconstruct
+    from hpcapp.api.sections import section
     from hpcapp.api.simulation import simulate
     from hpcapp.api.terrain import heights
     from hpcapp.applications.compare.volume.heap import Heap
     from hpcapp.applications.compare.volume.measure import Change, SolidChange
     from hpcapp.applications.heights.grid import HeightGrid
+    from hpcapp.applications.section.sections import Sections
     from hpcapp.applications.surface.hierarchical.settings import Hierarchical
     from hpcapp.applications.surface.paper.settings import Paper
     from hpcapp.backends.selection import open_executor
@@ -58,6 +60,7 @@ __all__ = [
     "OutputError",
     "Paper",
     "PointCloud",
+    "Sections",
     "SolidChange",
     "UsageError",
     "compare",
@@ -69,6 +72,7 @@ __all__ = [
     "read_points",
     "reconstruct",
     "reconstruct_async",
+    "section",
     "simulate",
     "write_points",
 ]
@@ -79,11 +83,13 @@ _HOMES = {
     "hpcapp.api.comparison": ("Comparison", "compare", "compare_epochs", "measure_heaps"),
     "hpcapp.api.mesh": ("Mesh", "read_mesh"),
     "hpcapp.api.reconstruction": ("reconstruct",),
+    "hpcapp.api.sections": ("section",),
     "hpcapp.api.simulation": ("simulate",),
     "hpcapp.api.terrain": ("heights",),
     "hpcapp.applications.compare.volume.heap": ("Heap",),
     "hpcapp.applications.compare.volume.measure": ("Change", "SolidChange"),
     "hpcapp.applications.heights.grid": ("HeightGrid",),
+    "hpcapp.applications.section.sections": ("Sections",),
     "hpcapp.applications.surface.hierarchical.settings": ("Hierarchical",),
     "hpcapp.applications.surface.paper.settings": ("Paper",),
     "hpcapp.geometry.points": ("PointCloud",),

@@ -33,13 +33,14 @@ SHIPPED = {
     "simplify": "hpcapp.simplification.command:simplify",
     "view": "hpcapp.applications.view.command:view",
     "heights": "hpcapp.applications.heights.command:heights",
+    "section": "hpcapp.applications.section.command:section",
     "compare": "hpcapp.applications.compare.command:compare",
     "reproduce": "hpcapp.lab.reproduce.command:reproduce",
 }
 EXIT_FAILED, EXIT_USAGE = 1, 2
 # The verbs as help shows them; those of a plug-in come last.
 SECTIONS = {
-    "Mesh": ("reconstruct", "mend", "simplify", "convert", "heights"),
+    "Mesh": ("reconstruct", "mend", "simplify", "convert", "heights", "section"),
     "Look": ("info", "view", "compare"),
     "Clusters": (
         "init", "validate", "plan", "doctor", "up", "status", "ls", "scale", "ssh", "exec", "put",

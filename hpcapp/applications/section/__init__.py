@@ -1,0 +1,1 @@
+"""Outlines where planes cut a surface, as drawings."""
