@@ -28,15 +28,15 @@ PARAMETERS = [
 NUMBERS = (click.types.IntParamType, click.types.FloatParamType, click.types.BoolParamType)
 KNOWN = (InputFile, OutputFile, click.Choice, GridSize, *NUMBERS)
 WORDS = {
-    "around", "attributes", "backend", "box", "classes", "command", "dashboard", "eye", "integrand",
-    "job", "max_memory", "name", "node", "nodes", "not_classes", "options", "origin", "shape",
+    "above", "around", "attributes", "backend", "box", "classes", "command", "dashboard", "eye", "integrand",
+    "job", "max_memory", "name", "node", "nodes", "not_classes", "options", "origin", "plane", "shape",
     "size", "fill_holes", "trim",
 }  # fmt: skip
 """Parameters that take text and never the name of a file."""
 THERE = {("put", "target"), ("get", "source")}
 """Files of another machine."""
 SUFFIXES = {"page": "html", "picture": "png", "mesh": "ply", "points": "ply", "GeoTIFF": "tif",
-            "GeoJSON": "json", "file": "x"}  # fmt: skip
+            "GeoJSON": "json", "drawing": "svg", "table": "csv", "file": "x"}  # fmt: skip
 
 
 def list_pairs() -> Iterator[tuple[str, click.Parameter, click.Parameter]]:
