@@ -39,6 +39,14 @@ BASES: dict[str, list[tuple[list[str], list[str]]]] = {
         (["mesh.ply", "ball.ply"], ["--samples", "100"]),
         (["moved.ply", "ground.ply"], ["--volume"]),
         (["mesh.ply", "mesh.ply"], ["--volume"]),
+        (
+            ["ground.ply"],
+            ["--volume", "--above", "rim", "--polygon", "POLYGON ((3 3, 7 3, 7 7, 3 7, 3 3))"],
+        ),
+    ],
+    "section": [
+        (["mesh.ply"], ["-o", "out.svg", "--plane", "z", "--step", "0.5"]),
+        (["mesh.ply"], ["-o", "out.svg", "--along", "LINESTRING (-2 0, 2 0)", "--step", "1"]),
     ],
     "simulate": [(["--shape", "sphere"], ["-o", "out.ply", "--points", "50"])],
     "quadrature": [(["wave", "0", "1"], ["--tolerance", "1"])],

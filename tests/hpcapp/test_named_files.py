@@ -28,9 +28,9 @@ PARAMETERS = [
 NUMBERS = (click.types.IntParamType, click.types.FloatParamType, click.types.BoolParamType)
 KNOWN = (InputFile, OutputFile, click.Choice, GridSize, *NUMBERS)
 WORDS = {
-    "above", "around", "attributes", "backend", "box", "classes", "command", "dashboard", "eye", "integrand",
-    "job", "max_memory", "name", "node", "nodes", "not_classes", "options", "origin", "plane", "shape",
-    "size", "fill_holes", "trim",
+    "above", "around", "attributes", "backend", "box", "classes", "command", "dashboard", "eye",
+    "integrand", "job", "max_memory", "name", "node", "nodes", "not_classes", "options", "origin",
+    "plane", "shape", "size", "fill_holes", "trim",
 }  # fmt: skip
 """Parameters that take text and never the name of a file."""
 THERE = {("put", "target"), ("get", "source")}

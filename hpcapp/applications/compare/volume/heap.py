@@ -36,6 +36,7 @@ log = logging.getLogger("hpcapp")
 RIM, FLAT = "rim", "plane"
 """What a base may be, beside a height."""
 _MOST_CELLS = 10_000  # of one polygon: its base is solved for
+_MOST_WITH_RIM = 200_000  # of its box, with what it is widened by
 _FEWEST_CELLS = 12  # inside, and on the rim
 _RING = 0.05
 """Width of a ring by which a polygon is grown, of the radius of a disc of its area."""
@@ -176,23 +177,24 @@ def _measure(
     registration: float | None,
 ) -> Heap:  # fmt: skip
     radius = float(shape.area / np.pi) ** 0.5
-    reach = 1.1 * _list_growths(radius, 0.0, registration)[-1]
-    near = _take_near(ground, shape.buffer(reach + 0.1 * radius), name)
-    need = near.choose_step()
-    width = cell or max(need, (shape.area / _MOST_CELLS) ** 0.5)
-    if shape.area / width**2 > 4 * _MOST_CELLS:
-        least = (shape.area / (4 * _MOST_CELLS)) ** 0.5
-        raise UsageError(
-            f"cells {width:.3g} wide are more than {4 * _MOST_CELLS:,} in {name}",
-            f"give {name_option('cell')} {least:.2g} or more",
-        )
-    bounds = np.array(shape.bounds).reshape(2, 2)
-    margin = reach + 3.0 * width
-    lattice = Lattice.over(bounds[0] - margin, bounds[1] + margin, width)
-    scan = _Scan.of(near, lattice, need / PER_CELL**0.5)
+    need = _take_near(ground, shape.buffer(0.5 * radius), name).choose_step()
     # a height is no ground that a foot would end at: the polygon counts as it is drawn
     known = 0.0 if registration is None and not isinstance(above, str) else registration
+    low, high = np.array(shape.bounds).reshape(2, 2)
+    beyond = _list_growths(radius, 0.0, known)[-1]
+    least = (float(np.prod(high - low + 2.0 * beyond)) / _MOST_WITH_RIM) ** 0.5
+    width = cell or max(need, least, (shape.area / _MOST_CELLS) ** 0.5)
+    if width < least:
+        raise UsageError(
+            f"{name}: cells {width:.3g} wide are more than {_MOST_WITH_RIM:,}",
+            f"give {name_option('cell')} {least:.2g} or more, or a smaller "
+            f"{name_option('registration')}",
+        )
     growths = _list_growths(radius, width, known)
+    margin = growths[-1] + 3.0 * width
+    near = _take_near(ground, shape.buffer(margin), name)
+    lattice = Lattice.over(low - margin, high + margin, width)
+    scan = _Scan.of(near, lattice, need / PER_CELL**0.5)
     sums = [scan.sum_volume(shape, above, name)]
     for growth in growths[1:]:
         try:
@@ -296,7 +298,7 @@ class _Scan:
         return _Sum(
             float((areas * heights).sum()), variance, base.uncertainty,
             _bound_hidden(hidden, areas, heights, slopes, is_in),
-            float((inner.planes - base.heights)[is_known].max()), float(areas[hidden].sum()),
+            float(heights[is_known].max()), float(areas[hidden].sum()),
         )  # fmt: skip
 
     def _fit_sides(self, shape: Any) -> tuple[Heights, Heights]:
