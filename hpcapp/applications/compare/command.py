@@ -41,19 +41,15 @@ GROUPS = {
     groups=GROUPS,
     examples=[
         (
-            "hpcapp compare mesh.ply truth.ply",
-            "Print the distances, and the share within thresholds.",
-        ),
-        (
-            "hpcapp compare mesh.ply scan.laz --html compare.html",
-            "Show on a page where the mesh is off its points.",
+            "hpcapp compare mesh.ply truth.ply --html compare.html",
+            "Print the distances, and show on a page where the mesh is off.",
         ),
         (
             "hpcapp compare june.laz may.laz --volume --png change.png",
             "Measure what was cut and filled since.",
         ),
         (
-            "hpcapp compare yard.laz --volume --above rim --polygon toes.geojson --csv heaps.csv",
+            "hpcapp compare yard.laz --volume --above rim --polygon toes.geojson",
             "Measure each heap above the ground round it.",
         ),
     ],

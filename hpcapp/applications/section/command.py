@@ -29,12 +29,8 @@ GROUPS = {
     groups=GROUPS,
     examples=[
         (
-            "hpcapp section pipes.ply -o pipes.dxf --plane x=3.2 --plane z=1",
-            "Draw where two planes cut a mesh, in place.",
-        ),
-        (
-            "hpcapp section facade.ply -o floors.svg --plane z --step 3",
-            "Draw a plan at each multiple of 3 of the height, to scale.",
+            "hpcapp section pipes.ply -o pipes.svg --plane x=3.2 --plane z --step 3",
+            "Draw a section and a plan at each multiple of 3, to scale.",
         ),
         (
             "hpcapp section road.laz -o cross.dxf --along axis.geojson --step 5 --width 20",

@@ -45,6 +45,8 @@ _AFTER = 3  # rings that tell what lies beyond
 _STILL = 0.005  # of a volume: what a ring may add to one that stays
 _KNOWN_RIM = 0.5  # share of the cells round a polygon that need ground
 _HALF = 0.5  # of a cell: one that is covered by less has no height
+_BY_HALVES = 4.0 / 3.0
+"""Of what a volume changes by with cells half as wide: its error goes with the square of them."""
 _PEAK = 1.0 / 3.0
 """Of slope times width: by how much what is hidden is higher than it is filled; a hidden tip of a
 cone is by a fifth."""
@@ -61,10 +63,10 @@ class Heap:
         Of what lies above the base, less what lies below.
     uncertainty : float
         At the confidence, either way: of `from_noise` and `from_base` the root of the sum of the
-        squares, beside `from_polygon` and `from_hidden`.
-    from_noise, from_base, from_polygon, from_hidden : float
+        squares, beside the others.
+    from_noise, from_base, from_polygon, from_hidden, from_cells : float
         What noise makes of it; what the ground may do below the heap; what the volume changes by
-        when the polygon is grown; and what no point shows.
+        when the polygon is grown; what no point shows; and what is finer than cells.
     area : float
         Of the polygon.
     height : float
@@ -88,6 +90,7 @@ class Heap:
     from_base: float
     from_polygon: float
     from_hidden: float
+    from_cells: float
     area: float
     height: float
     hidden: float
@@ -104,7 +107,7 @@ class Heap:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sum:
-    """The volume within one outline: its parts, as `Heap` has them."""
+    """The volume within one outline: its parts, as `Heap` has them, and the mean of its base."""
 
     volume: float
     variance: float
@@ -112,6 +115,7 @@ class _Sum:
     from_hidden: float
     height: float
     hidden: float
+    level: float
 
 
 def measure_heaps(
@@ -212,10 +216,14 @@ def _measure(
             1.0 if still is not None else 2.0
         )
     from_noise = LIKELY * own.variance**0.5
+    outline = shape.buffer(growths[still or 0])
+    fine = _Scan.of(near, Lattice.over(low - margin, high + margin, 0.5 * width), scan.spacing)
+    wide, narrow = (one.sum_volume(outline, own.level, name).volume for one in (scan, fine))
+    from_cells = _BY_HALVES * abs(wide - narrow)
     return Heap(
         name, own.volume,
-        hypot(from_noise, own.from_base) + from_polygon + own.from_hidden,
-        from_noise, own.from_base, from_polygon, own.from_hidden, float(shape.area),
+        hypot(from_noise, own.from_base) + from_polygon + own.from_hidden + from_cells,
+        from_noise, own.from_base, from_polygon, own.from_hidden, from_cells, float(shape.area),
         own.height, own.hidden, growths[still or 0], still is not None, width,
     )  # fmt: skip
 
@@ -299,6 +307,7 @@ class _Scan:
             float((areas * heights).sum()), variance, base.uncertainty,
             _bound_hidden(hidden, areas, heights, slopes, is_in),
             float(heights[is_known].max()), float(areas[hidden].sum()),
+            float((areas * base.heights).sum() / areas.sum()),
         )  # fmt: skip
 
     def _fit_sides(self, shape: Any) -> tuple[Heights, Heights]:

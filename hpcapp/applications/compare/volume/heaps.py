@@ -15,7 +15,7 @@ from hpcapp.wording import say_number
 _FEW = 0.01  # of a heap: less than that has no points along the border of the polygon
 _PARTS = {
     "from_noise": "noise", "from_base": "the ground below", "from_polygon": "the polygon",
-    "from_hidden": "hidden",
+    "from_hidden": "hidden", "from_cells": "the cells",
 }  # fmt: skip
 _BASES = {
     RIM: "what the ground round it is continued to", FLAT: "the plane through the ground round it",
