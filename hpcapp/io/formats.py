@@ -13,7 +13,7 @@ import numpy as np
 
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import PointCloud
-from hpcapp.io.crs import Crs
+from hpcapp.io.crs import METRES, Crs
 from hpcapp.io.frame import check_coordinates
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.output import list_mesh_files, list_point_files
@@ -28,6 +28,7 @@ from hpcapp.io.registry import (
     list_suffixes,
 )
 from hpcapp.io.text.endings import find_cut, warn_of_cut
+from hpccomponent.cli.option_names import name_option
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.files.outputs import STANDARD_INPUT, check_files
 
@@ -189,6 +190,8 @@ def write_mesh(
         log.warning("warning: %s", loss)
     find_mesh_writer(Path(path)).write(Path(path), stream)
     note_place(path, stream)
+    if (size := describe_printed_size(path, stream)) is not None:
+        log.info("%s", size)
 
 
 def place_mesh(
@@ -220,6 +223,19 @@ def describe_losses(path: str | PathLike[str], mesh: MeshStream) -> list[str]:
         step = float(np.spacing(np.float32(np.abs(mesh.box + mesh.origin).max())))
         losses.append(f"{path}: single precision rounds its coordinates to {step:.2g}")
     return losses
+
+
+def describe_printed_size(path: str | PathLike[str], mesh: MeshStream) -> str | None:
+    """Say in millimetres what a slicer makes of a mesh whose file does not say another unit.
+
+    None where it does, or the mesh has millimetres.
+    """
+    suffix, unit = Path(path).suffix.lower(), mesh.crs.unit
+    if suffix not in (".stl", ".3mf") or unit == "mm" or (suffix == ".3mf" and unit in METRES):
+        return None
+    sides = " x ".join(f"{side:.3g}" for side in mesh.box[1] - mesh.box[0])
+    why = f"its {unit} are" if unit else "no unit is known, which is"
+    return f"{path}: {sides} mm to a slicer: {why} read as mm; {name_option('print')} scales it"
 
 
 def _say_losses(

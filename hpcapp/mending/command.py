@@ -11,6 +11,7 @@ import click
 from hpcapp.mending.options import PIECES, SMALLEST
 from hpcapp.parts.crop import Crop
 from hpcapp.parts.options import PLACE, cropped
+from hpcapp.printing.request import GROUP, NAMES, add_print_options, take_printing
 from hpcapp.simplification.command import MESH, Output, with_output
 from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import UsageError
@@ -26,10 +27,12 @@ GROUPS = {
         "fill_holes", "pieces", "smallest", "box", "around", "polygon", "up", "faces", "tolerance",
         "size",
     ),
+    GROUP: NAMES,
     "Output": ("output", "origin"),
 }  # fmt: skip
 
 
+@add_print_options
 @click.command(
     cls=Verb,
     groups=GROUPS,
@@ -45,6 +48,10 @@ GROUPS = {
         (
             "hpcapp mend site.ply -o hall.glb --box 0,0,0,20,30,9 --up z",
             "Cut a hall out of a site, and let it stand in viewers.",
+        ),
+        (
+            "hpcapp mend lion.ply -o lion.3mf --print --unit m --scale 1:50",
+            "Make a print of a lion that was scanned in metres.",
         ),
     ],
 )
@@ -67,7 +74,7 @@ def mend(
     crop: Crop,
     **options: Any,
 ) -> None:
-    """Fill holes of a mesh, drop pieces, cut, turn and simplify it.
+    """Fill holes of a mesh, drop pieces, cut, turn, simplify and print it.
 
     In this order. What its vertices carry stays.
     """
@@ -76,13 +83,22 @@ def mend(
     from hpcapp.geometry.pieces import PieceChoice
     from hpcapp.mending.mend import Mending, mend_mesh
 
+    printing = take_printing(options)
     output = Output(**options)
     asked = Mending(fill_holes, PieceChoice(pieces, smallest), crop)
-    if not (asked.is_something or output.is_light or output.is_placed):
-        raise UsageError("nothing to mend", "give --fill-holes, --pieces, --box, --up or --faces")
+    if not (asked.is_something or output.is_light or output.is_placed or printing):
+        advice = "give --fill-holes, --pieces, --box, --up, --faces or --print"
+        raise UsageError("nothing to mend", advice)
 
     def change(whole: Mesh, crs: Crs) -> Mesh:
         return mend_mesh(whole, asked, crs.height_scale, str(mesh))
 
+    if printing is not None:
+        from hpcapp.printing.prepare import Printer
+
+        printer = Printer(printing, pieces or 1)
+        output.write(mesh, change, printer.finish)
+        log.info("%s: %s", output.output, printer.facts.describe())
+        return
     light = output.write(mesh, change)[1]
     log.info("%s: %s", output.output, summarize(check_mesh(light), {}))

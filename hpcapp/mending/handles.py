@@ -124,7 +124,7 @@ def find_shortest_loop(vertices: FloatArray, faces: IntArray) -> IntArray | None
     Faces (f, 3) are connected, manifold; their border may be any number of loops. None where each
     loop bounds something, or runs along the border.
     """
-    nodes, corners = _split_corners(faces)
+    nodes, corners = split_corners(faces)
     count = len(nodes)
     borders, is_simple = walk_borders(corners)
     if not is_simple:
@@ -177,7 +177,7 @@ def walk_borders(faces: IntArray) -> tuple[list[IntArray], bool]:
     return loops, is_simple
 
 
-def _split_corners(faces: IntArray) -> tuple[IntArray, IntArray]:
+def split_corners(faces: IntArray) -> tuple[IntArray, IntArray]:
     """Number the vertices of a piece, each once for every fan of faces that it has there."""
     one, other, _ = pair_sides(faces, int(faces.max()) + 1)
     after = np.arange(3 * len(faces)).reshape(-1, 3)[:, [1, 2, 0]].reshape(-1)

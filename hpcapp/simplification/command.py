@@ -95,8 +95,17 @@ class Output:
         """Whether it is to be turned or moved."""
         return self.up is not None or self.origin != "auto"
 
-    def write(self, mesh: Path, change: Callable[[Mesh, Crs], Mesh]) -> tuple[Mesh, Mesh]:
-        """Read a mesh, change, simplify and write it; return it as it was read, and as written."""
+    def write(
+        self,
+        mesh: Path,
+        change: Callable[[Mesh, Crs], Mesh],
+        finish: Callable[[Mesh, Crs, str | None], tuple[Mesh, Crs]] | None = None,
+    ) -> tuple[Mesh, Mesh]:
+        """Read a mesh, change, simplify, finish and write it; return it as read, and as written.
+
+        To finish is to bring it into other coordinates with z up, given the axis that is known to
+        point up.
+        """
         from dataclasses import replace
 
         from hpcapp.io import find_mesh_crs, find_mesh_up, read_mesh, write_mesh
@@ -118,6 +127,8 @@ class Output:
             light = simplify_mesh(change(whole, crs), target)
             if most_bytes is not None:
                 light = fit_mesh(light, most_bytes, path.suffix, crs, placement)
+            if finish is not None:
+                (light, crs), placement = finish(light, crs, placement.up), Placement(up="z")
             write_mesh(path, replace(as_stream(light), crs=crs), placement)
         is_bound = self.faces is not None and self.tolerance is None
         if is_bound and len(light.faces) > (self.faces or 0):

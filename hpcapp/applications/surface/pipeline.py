@@ -97,6 +97,7 @@ def reconstruct_cloud(
 
     `open_site` opens where it runs, for a grid of so many cells along the longest side.
     """
+    settings = settings.for_reading(loaded.reading)
     grid = find_grid(settings, loaded.cloud)
     with open_site(grid) as site:
         checks = Deferred(partial(check_points, grid, loaded.cloud))
@@ -152,6 +153,10 @@ def deliver(
         from hpcapp.applications.surface.steps.texture import write_textured  # stands on scipy
 
         outcome = write_textured(settings, outcome, carrying, target, clock)
+    elif settings.printing is not None:
+        from hpcapp.applications.surface.steps.print import write_print  # stands on scipy
+
+        return write_print(settings, outcome, carrying, target, clock)
     else:
         with clock.stage("write"):
             outcome.result.surface.write(target, outcome.backend.workforce, carrying)

@@ -33,6 +33,7 @@ from hpcapp.dashboard import DEFAULT_ADDRESS
 from hpcapp.mending.options import PIECES, SMALLEST
 from hpcapp.parts.crop import CROPPED, Crop, parse_crop
 from hpcapp.parts.options import AROUND, BOX, CLASSES, GROUND, INPUTS, NOT_CLASSES, POLYGON, SAMPLE
+from hpcapp.printing.request import PrintOptions, take_printing
 from hpcapp.progress import Progress
 from hpcapp.simplification.command import ORIGIN, UP
 from hpcapp.texture.request import check_library, check_texture
@@ -123,6 +124,7 @@ def check_flags(ctx: click.Context) -> None:
 
         parse_address(ctx.params["dashboard"])
     parse_typed(JobSettings, ctx.params)
+    take_printing(dict(ctx.params))
     if ctx.params["origin"] not in ("auto", "keep"):
         from hpcapp.io.placement import parse_origin
 
@@ -147,7 +149,7 @@ def _group_options() -> dict[str, list[str]]:
     """Return the names of all options below their headings."""
     groups: dict[str, list[str]] = {}
     methods = ((find_method(name), f"With --method {name}") for name in METHODS)
-    for settings, other in ((JobSettings, ""), *methods):
+    for settings, other in ((JobSettings, ""), (PrintOptions, ""), *methods):
         for title, name in group_options(settings, other):
             groups.setdefault(title, []).append(name)
     for title, names in _BESIDE.items():
@@ -157,7 +159,7 @@ def _group_options() -> dict[str, list[str]]:
 
 def _add_options(command: click.Command) -> click.Command:
     """Give a command the options of a job, before its own, and those of all methods, each once."""
-    kinds: tuple[type[Options], ...] = (JobSettings, *map(find_method, METHODS))
+    kinds: tuple[type[Options], ...] = (JobSettings, PrintOptions, *map(find_method, METHODS))
     made = [option for settings in kinds for option in make_click_options(settings)]
     points, *others = command.params
     command.params = [points, *made, *others]
@@ -307,6 +309,7 @@ def _read_options(options: dict[str, Any], names: Sequence[str]) -> partial[JobS
     if options["texture"] is not None:
         check_library()
         options["attributes"] = options["attributes"].for_texture()
+    options["printing"] = take_printing(options)
     options["origin"] = parse_origin(options["origin"])
     crop = parse_crop(*(options.pop(name) for name in CROPPED))
     if options["size"] is not None:

@@ -21,6 +21,7 @@ from hpcapp.applications.surface.normals.viewpoint import Viewpoint, parse_viewp
 from hpcapp.communicator.scheduling.policy import DEFAULT_POLICY, POLICIES
 from hpcapp.named_files import FILE_OR_WORD, MESH, PAGE, PICTURE, STORAGE
 from hpcapp.parts.crop import Crop
+from hpcapp.printing.request import Printing
 from hpcapp.simplification.target import Target
 from hpcapp.texture.request import LEAST_PIXELS, MOST_PIXELS
 from hpcapp.workforce import Workforce
@@ -29,6 +30,7 @@ from hpccomponent.dataclass import dataclass
 from hpccomponent.limits import available_cores
 
 if TYPE_CHECKING:
+    from hpcapp.applications.surface.types.reading import Reading
     from hpcapp.geometry.pieces import PieceChoice
     from hpcapp.geometry.points import PointCloud
     from hpcapp.io.placement import Placement
@@ -76,7 +78,7 @@ class Settings:
     """What a user asks of a reconstruction; its options say what each is.
 
     Of the others `pieces` and `smallest` tell which pieces of the mesh stay (see `PieceChoice`),
-    `origin` and `up` where it is written (see `Placement`).
+    `origin` and `up` where it is written (see `Placement`), and `printing` that it becomes a print.
     """
 
     method: MethodSettings = field(default_factory=Hierarchical)
@@ -177,6 +179,7 @@ class Settings:
         words=("--resume",),
     )
     crop: Crop = field(default_factory=Crop)
+    printing: Printing | None = None
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -194,6 +197,17 @@ class Settings:
         if isinstance(method, Hierarchical) and method.close == "auto":
             method = replace(method, close="no")
         return replace(self, method=method, viewpoint=self.viewpoint or "above")
+
+    def for_reading(self, reading: Reading) -> Self:
+        """Return the same; a print is closed, but of what goes on beyond the scan.
+
+        What else has been asked for stays.
+        """
+        method = self.method
+        is_free = isinstance(method, Hierarchical) and method.close == "auto"
+        if self.printing is None or not is_free or reading.share_going_on > 0.5:
+            return self
+        return replace(self, method=replace(method, close="yes"))
 
     @property
     def target(self) -> Target:

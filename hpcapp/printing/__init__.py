@@ -1,0 +1,1 @@
+"""Meshes that are to be printed: closed, in one piece, on a flat base, in millimetres."""
