@@ -271,6 +271,53 @@ class Mesh:
         mended = mend_mesh(self._plain, asked, self._crs.height_scale)
         return wrap_mesh(mended, crs=self._crs, up=self._up)
 
+    def for_print(
+        self,
+        *,
+        scale: str | None = None,
+        height: float | str | None = None,
+        unit: str | None = None,
+        wall: float | str = 2.0,
+        pieces: int = 1,
+        up: str | None = None,
+    ) -> Mesh:
+        """Return a print of it: closed, on a flat base, in millimetres from zero with z up.
+
+        Parameters
+        ----------
+        scale : str, optional
+            As "1:10"; by default the largest round one up to 1:1 that fits into 250 mm, or what is
+            100 mm along its longest side where no unit is known.
+        height : float or str, optional
+            In millimetres, or as "12cm".
+        unit : str, optional
+            Of its coordinates: mm, cm, m, km, in, ft; by default as its file says.
+        wall : float or str
+            How thick an open surface is made, and least what is below a terrain.
+        pieces : int
+            So many connected pieces are kept, the largest ones.
+        up : {"z", "y", "x", "-z", "-y", "-x"}, optional
+            The axis that points up; by default z, or y of what stands on a flat base there.
+
+        Raises
+        ------
+        UsageError
+            Something is out of its range, or a scale is asked for and no unit is known.
+        InputError
+            It is no surface.
+        MissingLibraryError
+            manifold3d is not installed.
+        """
+        from hpcapp.printing.request import make_printing
+
+        asked = make_printing(scale, height, unit, wall)
+        check_range("pieces", pieces, 1)
+        from hpcapp.printing.prepare import PRINTED, make_print
+
+        known = self._up if up is None else check_up(up)
+        made = make_print(self._plain, self._crs, asked, known, pieces)[0]
+        return wrap_mesh(made, crs=PRINTED, up="z")
+
     def save(
         self,
         path: str | PathLike[str],

@@ -38,12 +38,14 @@ takes minutes of a larger one, and tells nothing of what is missing there: it ge
 class Closed:
     """A mesh, manifold and oriented, that is open only where a sheet ends (see `mending.loops`).
 
-    `holes` is how many were closed; `is_inward` tells that it was seen from inside, as a room is:
-    then large holes stay open, and where it has none, its faces are turned over.
+    `holes` is how many were closed, `lids` how many large ones of them; `is_inward` tells that it
+    was seen from inside, as a room is: then large holes stay open, and where it has none, its faces
+    are turned over.
     """
 
     mesh: Mesh
     holes: int
+    lids: int
     is_inward: bool
 
 
@@ -63,9 +65,9 @@ def close_mesh(mesh: Mesh, pieces: int = 1) -> Closed:
     mesh, lids = _put_lids(filled.mesh)
     if not len(_find_bare(mesh.faces)) and signed_volume(mesh) < 0.0:
         if lids:
-            return Closed(filled.mesh, filled.holes, True)
-        return Closed(replace(mesh, faces=mesh.faces[:, ::-1]), filled.holes, True)
-    return Closed(mesh, filled.holes + lids, False)
+            return Closed(filled.mesh, filled.holes, 0, True)
+        return Closed(replace(mesh, faces=mesh.faces[:, ::-1]), filled.holes, 0, True)
+    return Closed(mesh, filled.holes + lids, lids, False)
 
 
 def _weld(mesh: Mesh) -> Mesh:

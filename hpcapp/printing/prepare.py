@@ -24,12 +24,12 @@ from hpcapp.io.meshes.mesh_stream import as_stream, find_vertices, make_mesh
 from hpcapp.io.placement import choose_up
 from hpcapp.mending.loops import SHEET
 from hpcapp.printing.closing import Closed, close_mesh
-from hpcapp.printing.request import MILLIMETRES, Printing
+from hpcapp.printing.request import Printing
 from hpcapp.printing.solid import Body, back_relief, stand, thicken
 from hpcapp.wording import say_count, say_number, say_share
 from hpccomponent.cli.option_names import name_option
 from hpccomponent.dataclass import dataclass
-from hpccomponent.errors import InputError, JobError
+from hpccomponent.errors import JobError, UsageError
 
 log = logging.getLogger("hpcapp")
 
@@ -42,9 +42,8 @@ _UNKNOWN = 100.0  # millimetres: the longest side of what has no unit
 _NOZZLE = 0.4  # millimetres: its usual width, below which nothing is laid down
 _PARALLEL = 1e-9  # sine: what points along y has no side by it
 _FEW = 0.04
-"""Share of a surface that may be thinner, as edges are everywhere: .011 of a cliff with overhangs on
-its base, .23 of a facade with the ground before it, whose walls such a base leaves without any
-thickness."""
+"""Share of a surface that may be thinner, as edges are: .011 of a cliff with overhangs on its base,
+.23 of a facade and the ground before it, to which a base below leaves no thickness."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,11 +108,11 @@ def make_print(
 ) -> tuple[Mesh, Facts]:
     """Return a mesh as it is to be printed, in millimetres from zero with z up, and what it is.
 
-    Its vertices carry what the nearest of the mesh did, but for normals. Raise InputError where no
-    solid can be made of it, or its unit is none of length.
+    Its vertices have the colours of the nearest ones of the mesh. Raise InputError where no solid
+    can be made of it, and UsageError as of `Printing.find_unit`, or where it is lower than a wall.
     """
-    mesh = replace(mesh, normals=None)
-    unit = _find_unit(crs, asked)
+    mesh = replace(mesh, normals=None, attributes={})
+    unit = asked.find_unit(crs.unit)
     axis = choose_up(replace(as_stream(mesh), crs=crs), up)
     closed = close_mesh(mesh, pieces)
     best: _Stance | None = None
@@ -173,19 +172,6 @@ def _stand(
     return _Stance(kind, _resize(body, last), places * last, factor * last)
 
 
-def _find_unit(crs: Crs, asked: Printing) -> float | None:
-    """Return the millimetres of a unit of the mesh; None where none is known."""
-    name = asked.unit or crs.unit
-    if name is None or name in MILLIMETRES:
-        if name is None and asked.scale is not None:
-            raise InputError(
-                "the unit of the mesh is not known, and so no scale of it",
-                f"give {name_option('unit', 'm')}, or {name_option('height', '120mm')}",
-            )
-        return None if name is None else MILLIMETRES[name]
-    raise InputError(f"the unit of the mesh is {name}: no length", "project it to metres first")
-
-
 def _list_stances(mesh: Mesh, is_up_asked: bool) -> list[tuple[str, FloatArray]]:
     """Return what may become of a surface with z up, and its vertices as they stand then.
 
@@ -217,7 +203,7 @@ def _choose_factor(sides: FloatArray, extra: float, unit: float | None, asked: P
     """
     if asked.height is not None:
         if asked.height <= extra:
-            raise InputError(
+            raise UsageError(
                 f"of {asked.height:g} mm nothing is left above walls of {extra:g} mm",
                 f"give a larger {name_option('height')}, or a smaller {name_option('wall')}",
             )
@@ -295,6 +281,11 @@ def _describe(stance: _Stance, unit: float | None, closed: Closed) -> Facts:
             f"{say_share(body.thin)} of the surface is thinner than {_NOZZLE:g} mm, a usual "
             "nozzle: it may be missing in the print"
         )
+    if closed.lids:
+        warnings.append(
+            f"{say_count(closed.lids, 'large hole')} got a lid of the least area, by guesswork: "
+            "reconstruct closes it by points"
+        )
     if closed.is_inward and stance.kind == "solid":
         warnings.append(
             "it is closed and was seen from inside, of which a print shows nothing: "
@@ -312,13 +303,13 @@ def _describe(stance: _Stance, unit: float | None, closed: Closed) -> Facts:
 
 
 def _carry(mesh: Mesh, stance: _Stance) -> Mesh:
-    """Return the body at zero, whose vertices carry what the nearest one of the mesh does."""
+    """Return the body at zero, whose vertices have the colours of the nearest ones."""
     from scipy.spatial import cKDTree  # scipy takes its time
 
     body = stance.body
     places = body.vertices - body.vertices.min(axis=0)
     made = Mesh(places, body.faces)
-    if mesh.colours is not None or mesh.attributes:
+    if mesh.colours is not None:
         nearest = cKDTree(stance.places).query(body.vertices)[1]
         vertices = replace(find_vertices(mesh).take(nearest), positions=places)
         made = make_mesh(vertices, body.faces, np.zeros(3))

@@ -92,6 +92,24 @@ class Printing:
     unit: str | None = None
     wall: float = 2.0
 
+    def find_unit(self, stated: str | None) -> float | None:
+        """Return the millimetres of a unit of the input, which its file may state; None if unknown.
+
+        Raise UsageError where it is none of length, or unknown and a scale is asked for.
+        """
+        name = self.unit or stated
+        if name is not None and name not in MILLIMETRES:
+            raise UsageError(
+                f"the unit of the input is {name}, which is no length",
+                f"project it to metres, or give {name_option('unit', 'm')}",
+            )
+        if name is None and self.scale is not None:
+            raise UsageError(
+                "the unit of the input is not known, and so no scale of it",
+                f"give {name_option('unit', 'm')}, too, or {name_option('height', '120mm')}",
+            )
+        return None if name is None else MILLIMETRES[name]
+
 
 NAMES = option_names(PrintOptions)
 

@@ -51,6 +51,8 @@ def load(settings: JobSettings, clock: StageClock, folder: PointFolder | None = 
     what is in the folder is taken, if it is whole.
     """
     whole = open_whole(settings)
+    if settings.printing is not None:
+        settings.printing.find_unit(whole.unit)  # refused before the work
     source, described = take_asked(settings, whole), describe_input(settings, whole)
     if folder is not None and settings.resume and (left := find_loaded(settings, source, folder)):
         return replace(left, described=described)
