@@ -62,7 +62,7 @@ class Facts:
         Cubic centimetres.
     base : float
         Square centimetres that it stands on.
-    closed_holes : int
+    pieces, closed_holes : int
     thin : float
         Share of the surface, 0 to 1, with less than a nozzle behind it.
     warnings : tuple of str
@@ -73,6 +73,7 @@ class Facts:
     sides: tuple[float, float, float]
     volume: float
     base: float
+    pieces: int
     closed_holes: int
     thin: float
     warnings: tuple[str, ...]
@@ -85,8 +86,8 @@ class Facts:
         """Say it in a line."""
         x, y, z = (f"{side:.1f}" for side in self.sides)
         scale = "" if self.scale is None else f", scale {_say_scale(self.scale)}"
-        volume = f"{say_number(self.volume)} cm3"
-        return f"{x} x {y} x {z} mm, {z} mm tall{scale}, {volume}, closed, manifold"
+        volume, pieces = f"{say_number(self.volume)} cm3", say_count(self.pieces, "piece")
+        return f"{x} x {y} x {z} mm, {z} mm tall{scale}, {volume}, closed, manifold, {pieces}"
 
 
 class Printer:
@@ -124,7 +125,7 @@ def make_print(
             break
     assert best is not None  # noqa: S101 - there is one stance at least
     _say_steps(best, asked, closed.holes, pieces)
-    return _carry(closed.mesh, best), _describe(best, unit, closed)
+    return _carry(closed.mesh, best), _describe(best, unit, closed, pieces)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -263,7 +264,7 @@ def _say_steps(stance: _Stance, asked: Printing, holes: int, pieces: int) -> Non
     log.info("it stands on %s cm2%s", say_number(body.base / 100.0), cut)
 
 
-def _describe(stance: _Stance, unit: float | None, closed: Closed) -> Facts:
+def _describe(stance: _Stance, unit: float | None, closed: Closed, pieces: int) -> Facts:
     """Return the facts, and warn of what a printer cannot do."""
     body, scale = stance.body, None if unit is None else stance.factor / unit
     sides = np.ptp(body.vertices, axis=0)
@@ -298,8 +299,9 @@ def _describe(stance: _Stance, unit: float | None, closed: Closed) -> Facts:
     x, y, z = sides.tolist()
     volume, base = body.volume / 1000.0, body.base / 100.0
     return Facts(
-        stance.kind, scale, (x, y, z), volume, base, closed.holes, body.thin, tuple(warnings)
-    )
+        stance.kind, scale, (x, y, z), volume, base, min(pieces, body.pieces), closed.holes,
+        body.thin, tuple(warnings),
+    )  # fmt: skip
 
 
 def _carry(mesh: Mesh, stance: _Stance) -> Mesh:
