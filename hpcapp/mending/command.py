@@ -42,10 +42,6 @@ GROUPS = {
             "Fill the holes that fit into a box with a diagonal of 0.05.",
         ),
         (
-            "hpcapp mend lion.ply -o lion.glb --pieces 1 --faces 50000",
-            "Keep the largest piece, and 50,000 triangles of it.",
-        ),
-        (
             "hpcapp mend site.ply -o hall.glb --box 0,0,0,20,30,9 --up z",
             "Cut a hall out of a site, and let it stand in viewers.",
         ),
@@ -74,7 +70,7 @@ def mend(
     crop: Crop,
     **options: Any,
 ) -> None:
-    """Fill holes of a mesh, drop pieces, cut, turn, simplify and print it.
+    """Fill holes, drop pieces, cut, turn, simplify or print a mesh.
 
     In this order. What its vertices carry stays.
     """

@@ -30,7 +30,7 @@ KNOWN = (InputFile, OutputFile, click.Choice, GridSize, *NUMBERS)
 WORDS = {
     "above", "around", "attributes", "backend", "box", "classes", "command", "dashboard", "eye",
     "integrand", "job", "max_memory", "name", "node", "nodes", "not_classes", "options", "origin",
-    "plane", "shape", "size", "fill_holes", "trim",
+    "plane", "shape", "size", "fill_holes", "trim", "scale", "height", "wall",
 }  # fmt: skip
 """Parameters that take text and never the name of a file."""
 THERE = {("put", "target"), ("get", "source")}

@@ -161,13 +161,12 @@ def test_python_makes_the_same_print(figure: Path, tmp_path: Path) -> None:
     assert (tmp_path / "typed.stl").read_bytes() == (tmp_path / "python.stl").read_bytes()
 
 
-def test_a_scan_becomes_a_print(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    caplog.set_level(logging.INFO, "hpcapp")
+def test_a_scan_becomes_a_print(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     scan, out = tmp_path / "scan.ply", tmp_path / "print.stl"
     assert run_verb("simulate", "--shape", "sphere", "--points", "2000", "-o", scan) == 0
     words = ["--print", "--unit", "m", "--scale", "1:20", "--grid", "32"]
     assert run_verb("reconstruct", scan, "-o", out, *words) == 0
-    assert any("scale 1:20" in line for line in caplog.messages)
+    assert "mm tall, scale 1:20" in capfd.readouterr().err
     check_solid(out)
 
 
