@@ -87,7 +87,7 @@ class Facts:
         x, y, z = (f"{side:.1f}" for side in self.sides)
         scale = "" if self.scale is None else f", scale {_say_scale(self.scale)}"
         volume, pieces = f"{say_number(self.volume)} cm3", say_count(self.pieces, "piece")
-        return f"{x} x {y} x {z} mm, {z} mm tall{scale}, {volume}, closed, manifold, {pieces}"
+        return f"{x} x {y} mm, {z} mm tall{scale}, {volume}, closed, manifold, {pieces}"
 
 
 class Printer:
