@@ -159,12 +159,13 @@ def _stand(
     extra = 0.0 if kind == "solid" else asked.wall
     factor = _choose_factor(np.ptp(turned, axis=0), extra, unit, asked)
     places = turned * factor
+    below = float(places[:, 2].min()) - asked.wall
     if kind == "relief":
-        cut = float(places[:, 2].min()) - asked.wall
-        body = stand(*back_relief(places, faces, asked.wall), pieces, _NOZZLE, cut=cut)
+        layer = (below, below)
+        body = stand(*back_relief(places, faces, asked.wall), pieces, _NOZZLE, layer)
     elif kind == "shell":
-        shell = thicken(places, faces, asked.wall)
-        body = stand(*shell, pieces, _NOZZLE, deepest=0.5 * asked.wall)
+        layer = (below, below + 0.5 * asked.wall)  # behind a rough floor it is rougher
+        body = stand(*thicken(places, faces, asked.wall), pieces, _NOZZLE, layer)
     else:
         body = stand(places, faces, pieces, _NOZZLE)
     if asked.height is None:

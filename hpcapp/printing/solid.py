@@ -119,9 +119,7 @@ def stand(
     faces: IntArray,
     pieces: int,
     least: float,
-    *,
-    deepest: float = np.inf,
-    cut: float | None = None,
+    layer: tuple[float, float] | None = None,
 ) -> Body:
     """Cut a closed surface flat where it stands, and keep the largest of what is left.
 
@@ -131,10 +129,8 @@ def stand(
         How many are kept, the largest by their volume.
     least : float
         How thick a wall should be, in millimetres.
-    deepest : float
-        The most of its height that `find_base` may cut off, in millimetres.
-    cut : float, optional
-        Where it is cut instead.
+    layer : tuple of float, optional
+        From where to where it may be cut; by default the lowest tenth.
 
     Raises
     ------
@@ -146,7 +142,8 @@ def stand(
     if solid.is_empty():
         raise JobError(f"no solid can be made of the mesh: {solid.status()}", "report this with it")
     low = solid.bounding_box()[2]
-    height = find_base(solid, deepest) if cut is None else cut
+    highest = low + _LOWEST * (solid.bounding_box()[5] - low)
+    height = find_base(solid, *(layer or (low, highest)))
     parts = solid.trim_by_plane((0.0, 0.0, 1.0), height).decompose()
     parts.sort(key=lambda part: -part.volume())
     if not parts:
@@ -166,16 +163,16 @@ def stand(
     )  # fmt: skip
 
 
-def find_base(solid: Manifold, deepest: float = np.inf) -> float:
+def find_base(solid: Manifold, low: float, high: float) -> float:
     """Return the height where a solid is cut to stand.
 
-    It is the knee of the area of its sections, from its lowest point to a tenth of its height, or
-    `deepest`: what a cut there gains in area is most beyond what it takes of the height, both as
-    shares. Of a plinth that is where it is whole, of a plane base the base, of a ball half of that
-    tenth.
+    It is the knee of the area of its sections in a layer: what a cut there gains in area is most
+    beyond what it takes of the layer, both as shares. Of a plinth that is where it is whole, of a
+    plane base the base, of a ball half of the layer.
     """
-    box = solid.bounding_box()
-    low, tall = box[2], min(_LOWEST * (box[5] - box[2]), deepest)
+    if low == high:
+        return low
+    tall = high - low
     shares = np.linspace(0.0, 1.0, _LAYERS + 1)
     shares[0] = _TOUCH
     areas = np.array([solid.slice(low + share * tall).area() for share in shares])

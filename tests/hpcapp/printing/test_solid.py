@@ -49,7 +49,7 @@ def check_flat(body: Body) -> None:
 def test_a_relief_is_the_prism_below_it() -> None:
     vertices, faces = make_hills()
     low = vertices[:, 2].min()
-    body = stand(*back_relief(vertices, faces, 2.0), 1, 0.4, cut=low - 2.0)
+    body = stand(*back_relief(vertices, faces, 2.0), 1, 0.4, (low - 2.0, low - 2.0))
     check_flat(body)
     corners = vertices[faces]
     edges = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -63,7 +63,7 @@ def test_a_relief_is_the_prism_below_it() -> None:
 
 def test_a_wall_is_as_thick_as_it_says_also_in_corners() -> None:
     room = SIDES[:-2, ::-1]  # seen from inside, without a ceiling
-    body = stand(*thicken(CUBE * [50, 40, 30], room, 2.0), 1, 0.4, deepest=1.0)
+    body = stand(*thicken(CUBE * [50, 40, 30], room, 2.0), 1, 0.4, (-2.0, -1.0))
     check_flat(body)
     assert body.volume == pytest.approx(54 * 44 * 32 - 50 * 40 * 30, rel=1e-6)
     assert np.ptp(body.vertices, axis=0).tolist() == pytest.approx([54, 44, 32])
