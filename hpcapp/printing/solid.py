@@ -27,6 +27,7 @@ _LAYERS = 50  # in which it is looked for
 _TOUCH = 1e-6  # of the height: the layer that touches the ground
 _SAME_PLANE = 0.02
 """Of the largest eigenvalue: faces that differ by less, 16 degrees, are taken for one plane."""
+_MOST_ROUNDS = 400  # of smoothing
 _LONGEST = 2.0  # walls: at sharper edges than of 60 degrees a wall is thinner
 _RAYS = 2000  # that look for thin walls
 _SKIN = 1e-3  # of a length that is looked for: where a ray begins above the surface, which it hits
@@ -103,7 +104,8 @@ def thicken(vertices: FloatArray, faces: IntArray, wall: float) -> tuple[FloatAr
     inverse = np.linalg.pinv(products, rcond=_SAME_PLANE, hermitian=True)
     steps = wall * np.einsum("vij,vj->vi", inverse, sums)
     lengths = np.maximum(np.linalg.norm(steps, axis=1), 1e-300)
-    behind = vertices - steps * np.minimum(1.0, _LONGEST * wall / lengths)[:, None]
+    steps *= np.minimum(1.0, _LONGEST * wall / lengths)[:, None]
+    behind = vertices - _smooth(steps, vertices, faces, wall)
     count, sides = len(vertices), [faces, faces[:, ::-1] + len(vertices)]
     for loop in walk_borders(faces)[0]:
         after = np.roll(loop, -1)
@@ -112,6 +114,27 @@ def thicken(vertices: FloatArray, faces: IntArray, wall: float) -> tuple[FloatAr
             np.stack([after, loop + count, after + count], axis=1),
         ]
     return np.concatenate([vertices, behind]), np.concatenate(sides)
+
+
+def _smooth(
+    steps: FloatArray, vertices: FloatArray, faces: IntArray, distance: float
+) -> FloatArray:
+    """Return the steps (v, 3) of vertices as means of those about so far around them.
+
+    Else a rough surface, of edges much shorter than a wall, would fold behind it.
+    """
+    from scipy.sparse import csr_matrix, diags  # scipy takes its time
+
+    ends = np.concatenate([faces, np.roll(faces, -1, axis=1)]).reshape(2, -1)
+    lengths = np.linalg.norm(vertices[ends[0]] - vertices[ends[1]], axis=1)
+    rounds = min(int((distance / np.median(lengths)) ** 2), _MOST_ROUNDS)
+    whole = (len(vertices), len(vertices))
+    joined = csr_matrix((np.ones(ends.shape[1]), (ends[0], ends[1])), whole)
+    joined = joined + joined.T + diags(np.ones(len(vertices)))
+    mean = diags(1.0 / np.asarray(joined.sum(axis=1)).reshape(-1)) @ joined
+    for _ in range(rounds):  # as heat spreads: as far as the root of their number
+        steps = mean @ steps
+    return steps
 
 
 def stand(
