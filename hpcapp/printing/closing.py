@@ -52,10 +52,12 @@ class Closed:
 def close_mesh(mesh: Mesh, pieces: int = 1) -> Closed:
     """Close the holes of the largest pieces of a mesh.
 
-    Raise InputError where nothing of it is a surface.
+    Raise InputError where nothing of it is a surface, or has an area.
     """
     mesh = _make_manifold(_weld(mesh))
     of_face, areas = measure_pieces(mesh)
+    if not areas.max() > 0.0:
+        raise InputError("the faces of the mesh have no area", "check the file")
     stays = PieceChoice(pieces).choose(areas)
     if not stays.all():
         log.info("%s", say_dropped(areas, stays))

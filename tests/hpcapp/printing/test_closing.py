@@ -75,3 +75,5 @@ def test_what_is_no_surface_is_refused() -> None:
     fan = np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]])
     with pytest.raises(InputError, match="no surface"):
         close_mesh(Mesh(corners, fan))
+    with pytest.raises(InputError, match="no area"):
+        close_mesh(Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]), fan[:1]))
