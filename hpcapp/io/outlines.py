@@ -82,7 +82,7 @@ def read_outline(given: str) -> str:
     UsageError where that is true of WKT itself, and MissingLibraryError without shapely, or pyshp
     for a shapefile.
     """
-    shapely, shapes = load_shapely("polygons"), [one.shape for one in read_polygons(given)]
+    shapely, shapes = load_shapely(), [one.shape for one in read_polygons(given)]
     text: str = shapely.to_wkt(shapely.union_all(shapes), rounding_precision=-1)
     return text
 
@@ -94,12 +94,12 @@ def read_polygons(given: str) -> list[Drawn]:
 
 def read_lines(given: str) -> list[Drawn]:
     """Return the lines of a file, or of WKT, one by one; errors are those of `read_outline`."""
-    shapely, drawn = load_shapely("lines"), _read_drawn(given, "along", _LINES)
+    shapely, drawn = load_shapely(), _read_drawn(given, "along", _LINES)
     return [Drawn(one.name, part) for one in drawn for part in shapely.get_parts(one.shape)]
 
 
 def _read_drawn(given: str, option: str, kind: _Kind) -> list[Drawn]:
-    shapely = load_shapely(f"{kind.word}s")
+    shapely = load_shapely()
     path, name = Path(given), name_option(option)
     if path.suffix.lower() in OUTLINE_SUFFIXES:
         with translated(path):

@@ -150,7 +150,7 @@ def measure_heaps(
     turned = ground.turn("z", origin)
     if level is not None:
         level = level * ground.crs.height_scale - origin[2]
-    shapely = load_shapely("polygons")
+    shapely = load_shapely()
     heaps = []
     for number, drawn in enumerate(polygons, 1):
         shape = shapely.transform(drawn.shape, lambda places: places - origin[:2])
@@ -315,7 +315,7 @@ class _Scan:
         if self.mesh is not None:
             return self.mesh, self.mesh
         assert self.points is not None  # noqa: S101 - it is one or the other
-        shapely = load_shapely("polygons")
+        shapely = load_shapely()
         shapely.prepare(shape)
         is_in = shapely.intersects_xy(shape, self.points[:, 0], self.points[:, 1])
         return self._fit(self.points[is_in]), self._fit(self.points[~is_in])
@@ -354,7 +354,7 @@ def _share_cells(shape: Any, lattice: Lattice, is_exact: bool) -> tuple[FloatArr
 
     Cells of what has heights at their middles only are in or out as a whole.
     """
-    shapely = load_shapely("polygons")
+    shapely = load_shapely()
     middles = lattice.middles
     share = shapely.contains_xy(shape, middles[..., 0], middles[..., 1]).astype(np.float64)
     offset = np.zeros(middles.shape)
