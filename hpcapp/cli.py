@@ -27,6 +27,7 @@ from hpccomponent.runtime.garbage_collection import rare_collections
 SHIPPED = {
     "reconstruct": "hpcapp.applications.surface.cli.command:reconstruct",
     "simulate": "hpcapp.lab.simulate.command:simulate",
+    "align": "hpcapp.alignment.command:align",
     "info": "hpcapp.applications.points.command:info",
     "convert": "hpcapp.applications.points.command:convert",
     "mend": "hpcapp.mending.command:mend",
@@ -40,7 +41,7 @@ SHIPPED = {
 EXIT_FAILED, EXIT_USAGE = 1, 2
 # The verbs as help shows them; those of a plug-in come last.
 SECTIONS = {
-    "Mesh": ("reconstruct", "mend", "simplify", "convert", "heights", "section"),
+    "Mesh": ("reconstruct", "align", "mend", "simplify", "convert", "heights", "section"),
     "Look": ("info", "view", "compare"),
     "Clusters": (
         "init", "validate", "plan", "doctor", "up", "status", "ls", "scale", "ssh", "exec", "put",

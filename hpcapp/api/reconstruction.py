@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hpcapp.alignment.place import choose_place
 from hpcapp.api.arrays import check_cloud, check_rows
 from hpcapp.api.mesh import JobRecord, Mesh, wrap_mesh
 from hpcapp.applications.surface.attributes.choice import parse_attributes
@@ -97,6 +98,7 @@ def reconstruct(
     fill_holes: str | None = None,
     uniform: bool | None = None,
     viewpoints: str | ArrayLike | None = None,
+    align: bool = False,
     outliers: bool = False,
     denoise: bool = False,
     resample: bool = False,
@@ -155,6 +157,8 @@ def reconstruct(
         Where the points were measured from, where they have no normals: ``above``, ``below``,
         ``outside``, ``inside``, the places of the sensor in the coordinates of `points`, or the
         name of a file with its trajectory, or one of cameras.
+    align : bool
+        The files are scans in frames of their own: align them first.
     outliers, denoise, resample : bool
         Remove statistical outliers, project the points by moving least squares, resample them to
         even density, before all else.
@@ -239,6 +243,7 @@ def reconstruct(
         workers=workers,
         policy=policy,
         verify=verify,
+        align=align,
         outliers=outliers,
         denoise=denoise,
         resample=resample,
@@ -259,6 +264,8 @@ def reconstruct(
     names = _find_names(points)
     if not names and sample is not None:
         raise UsageError("sample is for files", "leave it out")
+    if not names and align:
+        raise UsageError("align is for files", "leave it out")
     if sample is not None:
         check_range("sample", sample, 1)
     if not names and (temp_dir is not None or resume):
@@ -302,7 +309,12 @@ def _open_files(
     crop = settings.crop
     choose = partial(crop.narrow, margin=MARGIN)
     with gather_points(
-        names, sample, for_surface=True, keeps_noise=crop.keeps_noise, choose=choose
+        names,
+        sample,
+        for_surface=True,
+        keeps_noise=crop.keeps_noise,
+        choose=choose,
+        place=choose_place(settings.align),
     ) as path:
         job = JobSettings(points=path, output="", inputs=find_paths(names), **asked)
         yield job, Path(job.shown).name

@@ -33,6 +33,7 @@ BASES: dict[str, list[tuple[list[str], list[str]]]] = {
     "simplify": [(["mesh.ply"], ["-o", "out.ply", "--faces", "100"])],
     "convert": [(["ball.ply"], ["-o", "out.xyz"])],
     "heights": [(["ground.ply"], ["-o", "a.tif", "--contours", "a.json", "--interval", "1"])],
+    "align": [(["none.ply", "none.xyz"], ["-o", "out.ply"])],
     "info": [(["ball.ply"], [])],
     "view": [(["mesh.ply"], ["--png", "out.png", "--size", "16"])],
     "compare": [

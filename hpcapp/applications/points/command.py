@@ -156,7 +156,6 @@ def convert(
     """
     from hpcapp.io import open_points
     from hpcapp.io.output import open_output
-    from hpcapp.io.ply.joined import write_joined
     from hpcapp.io.points.inputs import find_paths, gather_points
 
     files = find_paths(points)
@@ -165,8 +164,7 @@ def convert(
         gather_points(points, sample, keeps_noise=crop.keeps_noise, choose=crop.narrow) as path,
     ):
         source = crop.take(open_points(path, keeps_noise=crop.keeps_noise))
-        is_ply = target.suffix.lower() == ".ply"
-        written = write_joined(target, [source]) if is_ply else _write_whole(target, source)
+        written = write_source(target, source)
         for warning in source.findings.lines():
             log.warning("warning: %s: %s", files[0] if files else "standard input", warning)
         log.info("%s: %d points", output, written)
@@ -198,10 +196,13 @@ def _write_rejected(target: Path, source: PointSource, shown: str) -> None:
     )  # fmt: skip
 
 
-def _write_whole(target: Path, source: PointSource) -> int:
-    """Write the points of a source that are in memory at once; return how many there are."""
+def write_source(target: Path, source: PointSource) -> int:
+    """Write the points of a source, in memory at once but for a PLY; return how many there are."""
     from hpcapp.io import read_whole, write_points
+    from hpcapp.io.ply.joined import write_joined
 
+    if target.suffix.lower() == ".ply":
+        return write_joined(target, [source])
     cloud = read_whole(source)
     write_points(target, cloud, source.crs, source.unit, source.scans, source.height_unit)
     return len(cloud)

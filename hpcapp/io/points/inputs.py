@@ -43,6 +43,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("hpcapp")
 
+Place = Callable[[Sequence[PointSource], Sequence[str]], Sequence[PointSource]]
+
 _PIPED = "-"
 _POINT_SUFFIXES = list_suffixes(lambda one: one.point_reader)
 _COMPRESSED = ".gz"
@@ -65,6 +67,7 @@ def gather_points(
     goes_elsewhere: bool = False,
     keeps_noise: bool = False,
     choose: Callable[[PointSource], PointSource] | None = None,
+    place: Place | None = None,
 ) -> Iterator[Path]:
     """Yield one file with all points that a user has named.
 
@@ -85,6 +88,8 @@ def gather_points(
     choose : callable, optional
         Which of the points are asked for, and are written where a file is written; where the file
         itself is yielded, it has them all.
+    place : callable, optional
+        Brings the files into one frame, given how the user named them; there must be several.
 
     Raises
     ------
@@ -94,6 +99,8 @@ def gather_points(
         The standard input is named beside other files, or a suffix is unknown.
     """
     files = find_files(names)
+    if place is not None and len(files) < 2:
+        raise UsageError("there is one file, and nothing to align it with", "name two or more")
     is_one, samples = len(files) == 1, list[int | None]()
 
     def choose_sample(path: Path) -> int | None:
@@ -127,7 +134,8 @@ def gather_points(
                 for path, points in zip(paths, samples, strict=True)
             ]
             unasked = sum(points is not None for points in samples) if sample is None else 0
-            write_joined(joined, sources, choose, unasked * SAMPLED)
+            placed = sources if place is None else place(sources, [_name(one) for one in files])
+            write_joined(joined, placed, choose, unasked * SAMPLED)
             for file, source in zip(files, sources, strict=True):
                 _report(file, source)
         with _named(renamed):

@@ -362,6 +362,7 @@ def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:
     if options["resume"]:  # it may wait for another job, and machines would give up meanwhile
         name = "auto"
     with start_early(name, options["workers"]) as machines:
+        from hpcapp.alignment.place import choose_place
         from hpcapp.applications.surface.cli.run import run_job  # while the machines start
         from hpcapp.applications.surface.job.source import MARGIN
         from hpcapp.io.points.inputs import gather_points
@@ -378,6 +379,7 @@ def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:
                 for_surface=True,
                 keeps_noise=crop.keeps_noise,
                 choose=partial(crop.narrow, margin=MARGIN),
+                place=choose_place(options["align"]),
             ) as points,
             watching.open(title, timeline) as (progress, say),
         ):

@@ -12,6 +12,7 @@ from typing import Any
 import click
 import numpy as np
 
+from hpcapp.alignment.place import choose_place
 from hpcapp.applications.surface.job.source import MARGIN
 from hpcapp.applications.surface.methods.options import typed_command, typed_options
 from hpcapp.applications.surface.normals.viewpoint import parse_viewpoint, type_viewpoint
@@ -30,7 +31,17 @@ from hpccomponent.foreign_json import convert
 DETAILS = ("timeline", "owners")
 """What a report has with --details."""
 
-OF_THIS_MACHINE = ("points", "sample", "output", "cluster", "events", "report", "png", "as_json")
+OF_THIS_MACHINE = (
+    "points",
+    "sample",
+    "align",
+    "output",
+    "cluster",
+    "events",
+    "report",
+    "png",
+    "as_json",
+)
 """What options name here; on the head they are the job's own."""
 
 _FILES = {
@@ -91,6 +102,7 @@ def run_on_cluster(ctx: click.Context) -> dict[str, Any]:
             goes_elsewhere=True,
             keeps_noise=crop.keeps_noise,
             choose=partial(crop.narrow, margin=MARGIN),
+            place=choose_place(ctx.params["align"]),
         ) as points,
     ):
         check_points(points)

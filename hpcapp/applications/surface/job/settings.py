@@ -119,6 +119,9 @@ class Settings:
         "those of the file as they are, or estimate all.",
         choices=("auto", "file", "estimate"),
     )
+    align: bool = _of_points(
+        False, "The files are scans in frames of their own: align them first, as 'hpcapp align'."
+    )
     outliers: bool = _of_points(False, "Remove statistical outliers first.")
     denoise: bool = _of_points(False, "Project the points by moving least squares first.")
     resample: bool = _of_points(False, "Resample the points to even density first.")

@@ -1,0 +1,99 @@
+"""A scan as alignment sees it: a sample of its points, thinned to cells of any edge."""
+
+from __future__ import annotations
+
+from dataclasses import field
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from hpcapp.geometry.points import FloatArray
+from hpccomponent.dataclass import dataclass
+
+_NEIGHBOURS = 12  # of which the normal of a cell is made
+_DRAWN = 2000  # points that tell the spacing
+_RARE = 0.03  # the share below which a direction of normals counts no more than others
+_ALIKE = 0.97  # cosine of normals that are counted as one direction, 14 degrees
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cells:
+    """One point and one normal, of unknown side, for each cell of a lattice that has points.
+
+    Weights are less where many cells have the normal: a floor must not outvote all else. Their
+    mean is 1.
+    """
+
+    edge: float
+    positions: FloatArray
+    normals: FloatArray
+    weights: FloatArray
+    tree: KDTree
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sample:
+    """Points of a scan about the centre of its box.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+        About `centre`.
+    centre : ndarray of float64, shape (3,)
+        In the coordinates of the scan.
+    spacing : float
+        Median distance of neighbours in what was drawn.
+    extent : float
+        Diagonal of the box.
+    eye : ndarray of float64, shape (3,), or None
+        Where the scan was taken from, about `centre`, where that is known or the points tell it.
+    """
+
+    positions: FloatArray
+    centre: FloatArray
+    spacing: float
+    extent: float
+    eye: FloatArray | None = None
+    cells: dict[float, Cells] = field(default_factory=dict)
+
+    def at(self, edge: float) -> Cells:
+        """Return the scan thinned to cells of an edge; made once."""
+        if edge not in self.cells:
+            self.cells[edge] = thin(self.positions, edge)
+        return self.cells[edge]
+
+
+def sample_scan(positions: FloatArray) -> Sample:
+    """Return a sample of points, shape (n, 3) in any frame, n at least 100."""
+    low, high = positions.min(axis=0), positions.max(axis=0)
+    centre = (low + high) / 2
+    local = positions - centre
+    drawn = np.random.default_rng(0).permutation(len(local))[:_DRAWN]
+    spacing = float(np.median(KDTree(local).query(local[drawn], 4)[0][:, 3]))
+    return Sample(local, centre, spacing, float(np.linalg.norm(high - low)))
+
+
+def thin(positions: FloatArray, edge: float) -> Cells:
+    """Return one point for each cell of an edge, with the normal of those around it."""
+    keys = np.floor((positions - positions.min(axis=0)) / edge).astype(np.int64)
+    sides = keys.max(axis=0) + 1
+    _, cell, counts = np.unique(
+        np.ravel_multi_index(tuple(keys.T), tuple(sides)), return_inverse=True, return_counts=True
+    )
+    means = np.stack([np.bincount(cell, axis) for axis in positions.T], axis=1) / counts[:, None]
+    tree = KDTree(means)
+    _, around = tree.query(means, min(_NEIGHBOURS, len(means)))
+    offsets = means[around] - means[around].mean(axis=1, keepdims=True)
+    values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", offsets, offsets))
+    # How flat it is there: 1 on a plane, 0 where the second direction is no longer than the normal.
+    flat = 1.0 - np.sqrt(np.maximum(values[:, 0], 0.0) / np.maximum(values[:, 1], 1e-300))
+    normals = vectors[:, :, 0]
+    weights = flat * _rarity(normals)
+    return Cells(edge, means, normals, weights / max(float(weights.mean()), 1e-300), tree)
+
+
+def _rarity(normals: FloatArray) -> FloatArray:
+    """Return a weight for each normal: the fewer have it, the more it tells."""
+    drawn = normals[np.random.default_rng(0).permutation(len(normals))[:_DRAWN]]
+    share = np.array([(np.abs(drawn @ normal) > _ALIKE).mean() for normal in normals])
+    return np.asarray(1.0 / (share + _RARE))
