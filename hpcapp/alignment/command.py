@@ -80,7 +80,7 @@ def align(
     write_poses: Path | None,
     as_json: bool,
 ) -> None:
-    """Align scans that lie in frames of their own, in that of the first.
+    """Bring scans in frames of their own into one, as one cloud.
 
     Each pair says its overlap and its residual. Scans that two poses explain as well are refused.
     """

@@ -36,7 +36,8 @@ WORDS = {
 THERE = {("put", "target"), ("get", "source")}
 """Files of another machine."""
 SUFFIXES = {"page": "html", "picture": "png", "mesh": "ply", "points": "ply", "GeoTIFF": "tif",
-            "GeoJSON": "json", "drawing": "svg", "table": "csv", "file": "x"}  # fmt: skip
+            "GeoJSON": "json", "drawing": "svg", "table": "csv",
+            "poses": "json", "file": "x"}  # fmt: skip
 
 
 def list_pairs() -> Iterator[tuple[str, click.Parameter, click.Parameter]]:

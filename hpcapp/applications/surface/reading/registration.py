@@ -85,7 +85,7 @@ def check_registration(chunks: Iterable[PointCloud], scans: Sequence[Scan]) -> s
         f"scans {worst.first + 1} and {worst.second + 1} do not fit together: of {worst.cells} "
         f"places where both have a surface it is the same in {worst.agreeing / worst.cells:.0%}"
     )
-    advice = "register the scans first (ICP), or make a mesh of each by itself"
+    advice = "align them first (one file each: --align), or make a mesh of each by itself"
     if worst.is_sided:
         raise InputError(problem, advice)
     return f"{problem}; if these are not the two sides of thin walls, {advice}"
