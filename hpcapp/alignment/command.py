@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import logging
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -21,7 +21,6 @@ from hpccomponent.cli.verb import Verb
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from hpcapp.alignment.graph import Alignment
     from hpcapp.io import PointSource
 
 log = logging.getLogger("hpcapp")
@@ -92,19 +91,16 @@ def align(
     from hpcapp.io.points.inputs import gather_points
     from hpcapp.io.staging import replacing
 
-    found: Alignment | None = None
-    files: Sequence[str] = ()
+    report: dict[str, Any] = {}
 
     def place(sources: Sequence[PointSource], names: Sequence[str]) -> Sequence[PointSource]:
-        nonlocal found, files
-        files = names
-        moved, found = align_sources(sources, names, max_shift, poses)
+        moved, alignment = align_sources(sources, names, max_shift, poses)
+        report.update(describe_alignment(alignment, names))
         return moved
 
     with open_output(output, "points") as target, gather_points(points, place=place) as path:
         written = write_source(target, open_points(path))
-        log.info("%s: %d points of %d scans", output, written, len(files))
-    report = {} if found is None else describe_alignment(found, files)
+        log.info("%s: %d points of %d scans", output, written, len(report["poses"]))
     if write_poses is not None:
         with replacing(write_poses) as file:
             file.write(json.dumps(report, indent=1).encode())

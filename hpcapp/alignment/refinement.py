@@ -39,9 +39,11 @@ def refine(judge: Judge, pose: FloatArray) -> Refined:
     rows = np.random.default_rng(0).permutation(count)[:_MOST_CELLS]
     stiffness, middle, residual = np.zeros((6, 6)), np.zeros(3), np.inf
     for reach, sharpness in _ROUNDS:
-        places, normals, heights, weights = judge.match(pose, rows, reach * edge, sharpness * edge)
-        middle = places.mean(axis=0)
-        lever = np.concatenate([np.cross(places - middle, normals), normals], axis=1)  # (n, 6)
+        match = judge.match(pose, rows, reach * edge, sharpness * edge)
+        heights, weights, middle = match.heights, match.weights, match.places.mean(axis=0)
+        # (m, 6): how each height grows with turns about the middle, and with shifts.
+        turns = np.cross(match.places - middle, match.normals)
+        lever = np.concatenate([turns, match.normals], axis=1)
         stiffness = np.einsum("n,ni,nj->ij", weights, lever, lever)
         if not stiffness.any():
             break

@@ -11,15 +11,16 @@ The first two give turns; the shifts of each come from the correlation of both s
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from itertools import combinations, permutations, product
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import fft
 from scipy.spatial.transform import Rotation
 
 from hpcapp.alignment.pose import make_pose
 from hpcapp.alignment.sample import Cells, Sample
 from hpcapp.geometry.points import FloatArray
-from hpccomponent.dataclass import dataclass
 
 _AXES, _LEAST_SHARE = 6, 0.02  # directions of a scan that are tried; share of the cells of each
 _ALIKE, _APART = 0.985, 0.94  # cosines: of one direction, and of the next
@@ -65,19 +66,16 @@ def find_directions(cells: Cells) -> FloatArray:
 def match_directions(directions: FloatArray, others: FloatArray) -> list[FloatArray]:
     """Return turns that bring two directions of the others onto two of the first."""
     turns = list[FloatArray]()
-    for i, j in _pairs(len(directions), ordered=True):
-        cosine = directions[i] @ directions[j]
-        if abs(cosine) > _APART:
+    signs = (1, -1)  # a direction is the same either way round
+    for (a, b), (c, d), sign, other_sign in product(
+        permutations(directions, 2), combinations(others, 2), signs, signs
+    ):
+        first, second = sign * c, other_sign * d
+        if abs(a @ b) > _APART or abs(first @ second - a @ b) > _SQUARE:
             continue
-        frame = _frame(directions[i], directions[j])
-        for k, m in _pairs(len(others), ordered=False):
-            for sign in (1, -1):
-                for other_sign in (1, -1):
-                    first, second = sign * others[k], other_sign * others[m]
-                    if abs(first @ second - cosine) < _SQUARE:
-                        turn = frame @ _frame(first, second).T
-                        if all(np.trace(turn.T @ one) < 1 + 2 * np.cos(_NEAR) for one in turns):
-                            turns.append(turn)
+        turn = _frame(a, b) @ _frame(first, second).T
+        if all(np.trace(turn.T @ one) < 1 + 2 * np.cos(_NEAR) for one in turns):
+            turns.append(turn)
     return turns[:_MOST_TURNS]
 
 
@@ -105,9 +103,10 @@ def correlate(fixed: Cells, moved: Cells, turns: Iterable[FloatArray]) -> list[F
         sides = np.floor(extent / pitch).astype(int) + 1
         other_sides = np.floor(other_extent / pitch).astype(int) + 1
         shape = tuple(fft.next_fast_len(int(n), real=True) for n in sides + other_sides)
-        first = _Voxels((fixed.positions - low) / pitch, fixed.normals, fixed.weights, shape)
-        second = _Voxels((places - other_low) / pitch, normals, moved.weights, shape)
-        counts = fft.irfftn((first.waves * second.waves.conj()).sum(axis=0), s=shape)
+        first = _transform((fixed.positions - low) / pitch, fixed.normals, fixed.weights, shape)
+        second = _transform((places - other_low) / pitch, normals, moved.weights, shape)
+        # By shift, in voxels that wrap around: how many cells meet their like.
+        counts = fft.irfftn((first * second.conj()).sum(axis=0), s=shape)
         for _ in range(_PEAKS):
             peak = np.array(np.unravel_index(counts.argmax(), shape))
             steps = np.where(peak >= sides, peak - shape, peak)
@@ -119,27 +118,23 @@ def correlate(fixed: Cells, moved: Cells, turns: Iterable[FloatArray]) -> list[F
     return [pose for _, pose in poses[:_KEPT]]
 
 
-@dataclass(frozen=True, slots=True, eq=False, init=False)
-class _Voxels:
-    """Cells as voxels: the sums of their normals' squares, Fourier transformed, (6, ...).
+def _transform(
+    places: FloatArray, normals: FloatArray, weights: FloatArray, shape: tuple[int, ...]
+) -> NDArray[np.complex64]:
+    """Return cells as voxels, Fourier transformed, (6, ...): the sums of their normals' squares.
 
     The product of two is the sum of the squared cosines between the normals that meet.
     """
-
-    waves: FloatArray
-
-    def __init__(
-        self, places: FloatArray, normals: FloatArray, weights: FloatArray, shape: tuple[int, ...]
-    ) -> None:
-        size = int(np.prod(shape))
-        voxel = np.ravel_multi_index(tuple(np.floor(places).astype(int).T), shape)
-        count = np.sqrt(np.maximum(np.bincount(voxel, weights, size), 1e-9))
-        x, y, z = normals.T
-        twice = np.sqrt(2)
-        squares = (x * x, y * y, z * z, twice * x * y, twice * x * z, twice * y * z)
-        sums = [np.bincount(voxel, weights * square, size) / count for square in squares]
-        grid = np.stack(sums).astype(np.float32).reshape(6, *shape)
-        object.__setattr__(self, "waves", fft.rfftn(grid, axes=(1, 2, 3)))
+    size = int(np.prod(shape))
+    voxel = np.ravel_multi_index(tuple(np.floor(places).astype(int).T), shape)
+    # Of a voxel with many cells each counts less.
+    count = np.sqrt(np.maximum(np.bincount(voxel, weights, size), 1e-9))
+    x, y, z = normals.T
+    twice = np.sqrt(2)
+    squares = (x * x, y * y, z * z, twice * x * y, twice * x * z, twice * y * z)
+    sums = [np.bincount(voxel, weights * square, size) / count for square in squares]
+    grid = np.stack(sums).astype(np.float32).reshape(6, *shape)
+    return np.asarray(fft.rfftn(grid, axes=(1, 2, 3)))
 
 
 def match_features(fixed: Sample, moved: Sample) -> Iterator[FloatArray]:
@@ -163,10 +158,6 @@ def match_features(fixed: Sample, moved: Sample) -> Iterator[FloatArray]:
         yield make_pose(
             np.asarray(solution.rotation), np.asarray(solution.translation) * size / _VOXEL
         )
-
-
-def _pairs(count: int, *, ordered: bool) -> Iterator[tuple[int, int]]:
-    return ((i, j) for i in range(count) for j in range(count) if (i != j if ordered else i < j))
 
 
 def _frame(first: FloatArray, second: FloatArray) -> FloatArray:

@@ -14,10 +14,11 @@ import numpy as np
 from hpcapp.alignment.graph import Alignment, Link, align_scans
 from hpcapp.alignment.pose import move
 from hpcapp.alignment.poses_file import read_poses
-from hpcapp.alignment.sample import Sample, sample_scan
-from hpcapp.alignment.viewpoint import find_eye
+from hpcapp.alignment.sample import Sample
+from hpcapp.alignment.viewpoint import see_scan
 from hpcapp.extras import how_to_install
 from hpcapp.geometry.points import FloatArray, PointCloud
+from hpcapp.io.ply.joined import refuse_mixed
 from hpcapp.io.points.point_source import PointSource, Scan
 from hpccomponent.errors import InputError
 
@@ -26,7 +27,7 @@ log = logging.getLogger("hpcapp")
 _DRAWN = 300_000  # points of a scan
 _FEWEST = 300
 _ROWS = 1 << 18
-_EYE_CELLS = 60  # along the diagonal, where it is asked what hides what
+_CELLS = 32  # along the diagonal: who has fewer than that in all shows no surface
 
 
 def align_sources(
@@ -34,8 +35,8 @@ def align_sources(
     names: Sequence[str],
     near: float | None = None,
     poses: Path | None = None,
-) -> tuple[list[PointSource], Alignment | None]:
-    """Return sources in the frame of the first.
+) -> tuple[list[PointSource], Alignment]:
+    """Return sources in the frame of the first, and how they came there.
 
     Parameters
     ----------
@@ -49,11 +50,26 @@ def align_sources(
     Raises
     ------
     InputError
-        A scan cannot be placed surely, or has too few points; or the file of poses lacks one.
+        A scan cannot be placed surely, has too few points or coordinates that cannot be turned; or
+        the file of poses lacks one.
     """
+    refuse_mixed(sources, ("unit", "height_unit"))
+    for source, name in zip(sources, names, strict=True):
+        if source.unit == "degree" or source.frame.height_scale != 1.0:
+            raise InputError(
+                f"{name}: coordinates in more than one unit cannot be turned",
+                "convert them to a projected coordinate system with one unit",
+            )
     if poses is not None:
-        known = read_poses(poses, names)
-        return [move_source(*pair, sources[0]) for pair in zip(sources, known, strict=True)], None
+        alignment = Alignment(tuple(read_poses(poses, names)), (), ())
+    else:
+        alignment = _search(sources, names, near)
+    placed = [pose for pose in alignment.poses if pose is not None]
+    return [move_source(*pair, sources[0]) for pair in zip(sources, placed, strict=True)], alignment
+
+
+def _search(sources: Sequence[PointSource], names: Sequence[str], near: float | None) -> Alignment:
+    """Find the pose of every source, or refuse."""
     if find_spec("kiss_matcher") is None:
         log.warning(
             "warning: features of the surface take no part, which curved things need: %s",
@@ -66,9 +82,7 @@ def align_sources(
     _refuse_unplaced(alignment, names)
     for link in alignment.links:
         log.info("%s", describe_link(link, names))
-    placed = [pose for pose in alignment.poses if pose is not None]
-    moved = [move_source(*pair, sources[0]) for pair in zip(sources, placed, strict=True)]
-    return moved, alignment
+    return alignment
 
 
 def draw_sample(source: PointSource, name: str) -> Sample:
@@ -83,15 +97,17 @@ def draw_sample(source: PointSource, name: str) -> Sample:
             share, drawn = share / 2, sum(map(len, parts))
     positions = np.concatenate(parts)
     positions = positions[rng.permutation(len(positions))[:_DRAWN]]
-    if len(positions) < _FEWEST or not np.ptp(positions, axis=0).any():
+    if len(np.unique(positions, axis=0)) < _FEWEST:
         raise InputError(
-            f"{name}: {len(positions)} usable points are too few to align", "leave it out"
+            f"{name}: fewer than {_FEWEST} usable points are too few to align", "leave it out"
         )
-    sample = sample_scan(positions)
-    edge = max(sample.extent / _EYE_CELLS, 2 * sample.spacing)
     scanners = [scan.scanner for scan in source.scans]
-    known = scanners[0] if len(scanners) == 1 else None
-    return replace(sample, eye=find_eye(sample, edge, known))
+    sample = see_scan(positions, scanners[0] if len(scanners) == 1 else None)
+    if len(sample.at(sample.extent / _CELLS).positions) < _CELLS:
+        raise InputError(
+            f"{name}: the points lie in a few places, and show no surface", "leave it out"
+        )
+    return sample
 
 
 def move_source(source: PointSource, pose: FloatArray, first: PointSource) -> PointSource:
@@ -103,9 +119,9 @@ def move_source(source: PointSource, pose: FloatArray, first: PointSource) -> Po
         return map(partial(_move_cloud, pose), source.scan(rows))
 
     def move_scan(one: Scan) -> Scan:
-        return (
-            one if one.scanner is None else replace(one, scanner=move(pose, one.scanner[None])[0])
-        )
+        if one.scanner is None:
+            return one
+        return replace(one, scanner=move(pose, one.scanner[None])[0])
 
     return replace(
         source, is_double=True, scan=scan, records=None, octree=None, upright=None,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import KDTree
 
-from hpcapp.alignment.sample import Cells, Sample
+from hpcapp.alignment.sample import Cells, Sample, sample_scan
 from hpcapp.geometry.points import BoolArray, FloatArray
 from hpccomponent.dataclass import dataclass
 
@@ -18,9 +18,10 @@ _NEIGHBOUR = 8  # the one whose distance tells how dense points are
 _QUANTILES = (0.15, 0.85)
 _EVENER = 0.08
 """How much more even (log of the quantiles' ratio) points must be seen from a viewpoint than on the
-surface before it is believed; objects from a side .13 to .5, tripods .3 to 1.1, where there is
-none (flights, random samples) up to .04."""
-_MOST_HIDDEN = 0.02
+surface before it is believed, and by half of it more than from its opposite: 24 objects from a side
+.06 to .48, tripods .3 to 1.1; where there is none (flights, random samples) up to .04."""
+_EDGE, _LEAST_EDGE = 60, 2.0  # cells of the diagonal, and spacings: to ask what hides what
+_MOST_HIDDEN, _BEHIND = 0.02, 2.0  # of the cells, by so many edges: no viewpoint sees more behind
 _FAR = (1.5, 10.0)  # extents: how far a camera outside is thought to be
 _SIDES = 120
 _NEAR_ORIGIN = 20.0  # extents: farther away the origin of coordinates is no scanner
@@ -69,15 +70,19 @@ class View:
         return covered, beyond / self.cells.edge, before / self.cells.edge
 
 
-def find_eye(sample: Sample, edge: float, known: FloatArray | None) -> FloatArray | None:
-    """Return where a scan was taken from, about its centre; None where nothing tells it.
+def see_scan(positions: FloatArray, scanner: FloatArray | None = None) -> Sample:
+    """Sample a scan, (n, 3), and tell where it was taken from; `scanner`, (3,), is known to."""
+    sample = sample_scan(positions)
+    sample.eye = find_eye(sample) if scanner is None else scanner - sample.centre
+    return sample
+
+
+def find_eye(sample: Sample) -> FloatArray | None:
+    """Return where a scan was taken from, about its centre; None where its points do not tell it.
 
     A scanner's directions are even; points that it has measured are so as it sees them, not as
-    they lie on the surface. Tried: what the file says, the origin of its coordinates, and places
-    all around outside.
+    they lie on the surface. Tried: the origin of coordinates, and places all around outside.
     """
-    if known is not None:
-        return known - sample.centre
     points = sample.positions[np.random.default_rng(0).permutation(len(sample.positions))[:_DRAWN]]
     on_surface = _unevenness(points)
 
@@ -103,9 +108,9 @@ def find_eye(sample: Sample, edge: float, known: FloatArray | None) -> FloatArra
             rating, eye = at_origin, -sample.centre
     if rating > -_EVENER:
         return None
-    cells = sample.at(edge)
+    cells = sample.at(max(sample.extent / _EDGE, _LEAST_EDGE * sample.spacing))
     covered, _, before = View.of(cells, eye).compare(cells.positions)
-    hidden = (before[covered] > 2.0).mean() if covered.any() else 1.0
+    hidden = (before[covered] > _BEHIND).mean() if covered.any() else 1.0
     return eye if hidden < _MOST_HIDDEN else None
 
 

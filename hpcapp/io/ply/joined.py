@@ -40,7 +40,7 @@ def write_joined(
     sampled on the faces of meshes, unasked. Raise InputError where a source is damaged, or has
     another unit or coordinate reference system.
     """
-    _refuse_mixed(sources)
+    refuse_mixed(sources)
     layout = _find_common(sources)
     properties = VertexProperties.of(layout)
     dtype = np.dtype([*((axis, "<f8") for axis in AXES), *properties.fields])
@@ -60,9 +60,11 @@ def write_joined(
     return count
 
 
-def _refuse_mixed(sources: Sequence[PointSource]) -> None:
-    """Refuse sources whose coordinates do not mean the same."""
-    for what in ("unit", "height_unit", "crs"):
+def refuse_mixed(
+    sources: Sequence[PointSource], whats: Sequence[str] = ("unit", "height_unit", "crs")
+) -> None:
+    """Raise InputError where coordinates of sources do not mean the same."""
+    for what in whats:
         known = [(source, getattr(source, what)) for source in sources if getattr(source, what)]
         for source, value in known[1:]:
             if value != known[0][1]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -13,14 +11,8 @@ from hpcapp.alignment.judge import Judge
 from hpcapp.alignment.pair import SLIDES, align_pair
 from hpcapp.alignment.pose import difference, make_pose, move, shift_pose
 from hpcapp.alignment.refinement import refine
-from hpcapp.alignment.sample import Sample, sample_scan
-from hpcapp.alignment.viewpoint import find_eye
+from hpcapp.alignment.viewpoint import see_scan
 from hpcapp.geometry.points import FloatArray
-
-
-def make_sample(positions: FloatArray) -> Sample:
-    sample = sample_scan(positions)
-    return replace(sample, eye=find_eye(sample, sample.extent / 60, None))
 
 
 def scan_pipe(start: float, rng: np.random.Generator) -> FloatArray:
@@ -36,7 +28,7 @@ def scan_pipe(start: float, rng: np.random.Generator) -> FloatArray:
 @pytest.mark.slow
 def test_a_pipe_that_fits_anywhere_is_never_sure() -> None:
     rng = np.random.default_rng(0)
-    first, second = (make_sample(scan_pipe(start, rng)) for start in (0.0, 2.0))
+    first, second = (see_scan(scan_pipe(start, rng)) for start in (0.0, 2.0))
     pair = align_pair(first, second)
     assert pair.verdict.worth > 0.5  # it fits well
     assert not pair.is_sure
@@ -47,20 +39,20 @@ def test_scans_that_are_registered_nearly_need_no_search() -> None:
     first, second = scan_stands()
     off = make_pose(Rotation.from_rotvec([0.01, 0.0, 0.02]).as_matrix(), np.full(3, 0.05))
     near = move(off @ true_pose(), second[0])
-    pair = align_pair(make_sample(first[0]), make_sample(near), given=np.eye(4))
+    pair = align_pair(see_scan(first[0]), see_scan(near), given=np.eye(4))
     placed = move(pair.pose, near)
     assert np.abs(placed - move(true_pose(), second[0])).max() < 0.02
 
 
 def test_a_pose_farther_off_than_was_said_is_never_sure() -> None:
-    first, second = (make_sample(points) for points, _ in scan_stands())
+    first, second = (see_scan(points) for points, _ in scan_stands())
     pair = align_pair(first, second, near=1e-3, given=true_pose() @ shift_pose(np.full(3, 0.05)))
     assert pair.verdict.worth > 0.5
     assert not pair.is_sure
 
 
 def test_what_a_scanner_has_looked_through_speaks_against_a_pose() -> None:
-    fixed, moved = (make_sample(points) for points, _ in scan_stands())
+    fixed, moved = (see_scan(points) for points, _ in scan_stands())
     judge = Judge(fixed, moved, fixed.extent / 60)
     local = shift_pose(-fixed.centre) @ true_pose() @ shift_pose(moved.centre)
     right = judge.judge(local)
@@ -72,7 +64,7 @@ def test_what_a_scanner_has_looked_through_speaks_against_a_pose() -> None:
 
 
 def test_refinement_comes_back_from_some_edges_of_a_cell() -> None:
-    fixed, moved = (make_sample(points) for points, _ in scan_stands())
+    fixed, moved = (see_scan(points) for points, _ in scan_stands())
     edge = fixed.extent / 60
     judge = Judge(fixed, moved, edge)
     local = shift_pose(-fixed.centre) @ true_pose() @ shift_pose(moved.centre)

@@ -7,7 +7,7 @@ import pytest
 from stands import scan_stands
 
 from hpcapp.alignment.sample import sample_scan, thin
-from hpcapp.alignment.viewpoint import View, find_eye
+from hpcapp.alignment.viewpoint import View, find_eye, see_scan
 from hpcapp.geometry.points import FloatArray
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -30,35 +30,34 @@ def scan_ball(distance: float, shift: FloatArray) -> FloatArray:
 def test_a_tripod_stands_at_the_origin_of_its_scan() -> None:
     for points, _ in scan_stands():
         sample = sample_scan(points)
-        eye = find_eye(sample, sample.extent / 60, None)
+        eye = find_eye(sample)
         assert eye is not None
         np.testing.assert_allclose(eye, -sample.centre)
 
 
 def test_a_camera_outside_is_found_by_the_way_that_it_looked() -> None:
     sample = sample_scan(scan_ball(3.0, np.array([9.0, 50.0, 3.0])))
-    eye = find_eye(sample, sample.extent / 60, None)
+    eye = find_eye(sample)
     assert eye is not None
     assert eye @ UP > 0.95 * np.linalg.norm(eye)
 
 
 def test_from_very_far_front_and_back_look_alike() -> None:
     sample = sample_scan(scan_ball(100.0, np.array([900.0, 50.0, 3.0])))
-    assert find_eye(sample, sample.extent / 60, None) is None
+    assert find_eye(sample) is None
 
 
 def test_points_that_are_even_on_the_surface_tell_no_viewpoint() -> None:
     rng = np.random.default_rng(0)
     plane = np.column_stack([rng.uniform(0, 9, (6000, 2)), rng.normal(0, 0.01, 6000)])
     sample = sample_scan(plane + np.array([900.0, 0.0, 0.0]))
-    assert find_eye(sample, sample.extent / 60, None) is None
+    assert find_eye(sample) is None
 
 
 def test_what_the_file_says_is_believed() -> None:
-    sample = sample_scan(scan_ball(3.0, np.zeros(3)))
-    eye = find_eye(sample, 0.1, np.array([0.0, 0.0, 7.0]))
-    assert eye is not None
-    np.testing.assert_allclose(eye + sample.centre, [0.0, 0.0, 7.0])
+    sample = see_scan(scan_ball(3.0, np.zeros(3)), np.array([0.0, 0.0, 7.0]))
+    assert sample.eye is not None
+    np.testing.assert_allclose(sample.eye + sample.centre, [0.0, 0.0, 7.0])
 
 
 @pytest.mark.parametrize(("height", "beyond", "before"), [(0.5, 5.0, -5.0), (-0.5, -5.0, 5.0)])
