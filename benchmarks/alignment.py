@@ -133,7 +133,8 @@ class Maker:
             places = rng.uniform([low, 0], [low + width, extent[1]], (count, 2))
             above = np.column_stack([places, np.full(count, mesh[0][:, 2].max() + 200.0)])
             face, depth = caster.cast(above, np.tile([0.0, 0.0, -1.0], (count, 1)))
-            points = (above - depth[:, None] * [0.0, 0.0, 1.0])[face >= 0]
+            above[:, 2] -= depth
+            points = above[face >= 0]
             scans.append(points + rng.normal(0, noise, points.shape) * [0.5, 0.5, 1.0])
             eyes.append(np.array([low + width / 2, extent[1] / 2, 0.0]))
         return self._free(scans, eyes, rng, rng.choice([ANY, UPRIGHT]))

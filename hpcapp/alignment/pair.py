@@ -7,7 +7,7 @@ import numpy as np
 from hpcapp.alignment.judge import Judge, Verdict
 from hpcapp.alignment.pose import difference, shift_pose, step_pose
 from hpcapp.alignment.refinement import Refined, refine
-from hpcapp.alignment.sample import Sample
+from hpcapp.alignment.sample import FEWEST, Sample
 from hpcapp.alignment.search import propose
 from hpcapp.geometry.points import FloatArray
 from hpccomponent.dataclass import dataclass
@@ -20,9 +20,9 @@ _SAME = 1.5  # edges of a cell: nearer poses are one
 WORTH, MARGIN = 0.30, 0.30
 """A pose is sure whose worth is at least the first, and of whose worth the best other pose lacks at
 least the second share. Of 60 pairs the wrong ones of symmetric things lack up to .27 (a screw)."""
-SLIDES = 0.9
+SLIDES = 0.85
 """Share of its worth that a pose may keep while the scan slides: pipes, plains and round things
-keep 1.0 and more, streets and terrains .45 to .82, objects and rooms up to .41."""
+keep .95 and more, what is sure otherwise and right up to .82 (a terrain)."""
 THROUGH = 0.03
 """Share of two scans that may lie where the other scanner has looked through: sure poses that are
 right have up to .028, two different facades .034."""
@@ -89,6 +89,9 @@ def align_pair(
     coarse, middle, fine = (
         max(extent / cells, _LEAST_EDGE * spacing) for cells in (_COARSE, _MIDDLE, _FINE)
     )
+    if min(len(one.at(coarse).positions) for one in (fixed, moved)) < FEWEST:
+        nothing = Verdict(0.0, 0.0, 0.0)
+        return PairPose(np.eye(4), nothing, 0.0, 0.0, 0.0, np.zeros((6, 6)), np.zeros(3))
     apart = shift_pose(-fixed.centre), shift_pose(moved.centre)
     start = apart[0] @ (np.eye(4) if given is None else given) @ apart[1]
     poses = [start] if near is not None or given is not None else []

@@ -10,6 +10,8 @@ from scipy.spatial import KDTree
 from hpcapp.geometry.points import FloatArray
 from hpccomponent.dataclass import dataclass
 
+FEWEST = 32
+"""Cells of a scan, below which they show no surface."""
 _NEARLY_ALL = (0.005, 0.995)  # quantiles along each axis
 _BEYOND = 0.5  # of the box between them, either side: what lies farther out is left out
 _NEIGHBOURS = 12  # of which the normal of a cell is made
@@ -93,7 +95,7 @@ def thin(positions: FloatArray, edge: float) -> Cells:
     # (c, 3): the mean of the points of each cell, and (c, k): the cells around it.
     means = np.stack([np.bincount(cell, axis) for axis in positions.T], axis=1) / counts[:, None]
     tree = KDTree(means)
-    _, around = tree.query(means, min(_NEIGHBOURS, len(means)))
+    _, around = tree.query(means, range(1, min(_NEIGHBOURS, len(means)) + 1))
     offsets = means[around] - means[around].mean(axis=1, keepdims=True)
     values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", offsets, offsets))
     # (c,): how flat it is there, 1 on a plane, 0 where no direction stands out as the normal.

@@ -27,7 +27,6 @@ log = logging.getLogger("hpcapp")
 _DRAWN = 300_000  # points of a scan
 _FEWEST = 300
 _ROWS = 1 << 18
-_CELLS = 32  # along the diagonal: who has fewer than that in all shows no surface
 
 
 def align_sources(
@@ -102,12 +101,7 @@ def draw_sample(source: PointSource, name: str) -> Sample:
             f"{name}: fewer than {_FEWEST} usable points are too few to align", "leave it out"
         )
     scanners = [scan.scanner for scan in source.scans]
-    sample = see_scan(positions, scanners[0] if len(scanners) == 1 else None)
-    if len(sample.at(sample.extent / _CELLS).positions) < _CELLS:
-        raise InputError(
-            f"{name}: the points lie in a few places, and show no surface", "leave it out"
-        )
-    return sample
+    return see_scan(positions, scanners[0] if len(scanners) == 1 else None)
 
 
 def move_source(source: PointSource, pose: FloatArray, first: PointSource) -> PointSource:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import KDTree
 
-from hpcapp.alignment.sample import Cells, Sample, sample_scan
+from hpcapp.alignment.sample import FEWEST, Cells, Sample, sample_scan
 from hpcapp.geometry.points import BoolArray, FloatArray
 from hpccomponent.dataclass import dataclass
 
@@ -109,6 +109,8 @@ def find_eye(sample: Sample) -> FloatArray | None:
     if rating > -_EVENER:
         return None
     cells = sample.at(max(sample.extent / _EDGE, _LEAST_EDGE * sample.spacing))
+    if len(cells.positions) < FEWEST:
+        return None
     covered, _, before = View.of(cells, eye).compare(cells.positions)
     hidden = (before[covered] > _BEHIND).mean() if covered.any() else 1.0
     return eye if hidden < _MOST_HIDDEN else None

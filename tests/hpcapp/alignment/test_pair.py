@@ -44,6 +44,17 @@ def test_scans_that_are_registered_nearly_need_no_search() -> None:
     assert np.abs(placed - move(true_pose(), second[0])).max() < 0.02
 
 
+@pytest.mark.parametrize("few", ["two places", "a speck"])
+def test_what_shows_no_surface_beside_the_other_is_never_sure(few: str) -> None:
+    rng = np.random.default_rng(0)
+    room = see_scan(scan_stands()[0][0])
+    places = rng.normal(0, 1e-4, (800, 3))
+    if few == "two places":
+        places[::2, 0] += 9.0
+    for pair in (align_pair(room, see_scan(places)), align_pair(see_scan(places), room)):
+        assert not pair.is_sure
+
+
 def test_a_pose_farther_off_than_was_said_is_never_sure() -> None:
     first, second = (see_scan(points) for points, _ in scan_stands())
     pair = align_pair(first, second, near=1e-3, given=true_pose() @ shift_pose(np.full(3, 0.05)))
