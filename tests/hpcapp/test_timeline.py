@@ -49,8 +49,8 @@ def test_every_task_is_a_span(name: str, workers: int) -> None:
     with open_executor(name, workers=workers) as opened:
         backend = opened.record(timeline)
         map_batches(backend.workforce, sees_files, [()] * 6)
-    spans = timeline.spans
-    assert [span.outcome for span in spans] == ["done"] * 6
+    spans = timeline.spans  # a task that takes long is given to an idle worker, too
+    assert [span.outcome for span in spans if span.outcome != "repeated"] == ["done"] * 6
     assert all("sees" in span.name for span in spans)
     assert all(0.0 <= span.begin <= span.end <= timeline.now() for span in spans)
     assert MASTER not in {span.worker for span in spans}

@@ -65,7 +65,8 @@ LIES: dict[str, Answer] = {
     "many lists": say_raw(b"\x91\xdd\x00\x38\x00\x00\x01" + b"\x90" * 3_670_015, [], []),
     "larger than assigned for": say(np.zeros(2_000_000)),
     "announces gigabytes": say_raw(b"\x90", [2**40], [b"x"]),
-    "more than it announces": say_raw(b"\x90", [1], [b"x" * 100_000] * 300),
+    # Less of it than may be on the way: else its connection is ended, and no reason reaches it.
+    "more than it announces": say_raw(b"\x90", [1], [b"x" * 100_000] * 100),
     "less than it announces": say_raw(b"\x90", [100], [b"x"]),
     "no value": say_raw(b"\x90", [], []),
     "junk": say_raw(b"\xc1" * 100, [], []),

@@ -17,6 +17,7 @@ from hpcapp.applications.surface.methods.table import METHODS, find_method
 from hpcapp.applications.view.command import view
 from hpcapp.io.registry import FORMATS
 from hpcapp.lab.simulate.command import simulate
+from hpcapp.printing.request import NAMES
 from hpccomponent.errors import UsageError
 
 
@@ -30,9 +31,9 @@ def test_every_option_is_explained(command: click.Command) -> None:
 def test_every_setting_can_be_typed() -> None:
     typed = {parameter.name for parameter in reconstruct.params}
     own = {name for method in METHODS for name in option_names(find_method(method))}
-    settings = JobSettings.__dataclass_fields__.keys() - {"inputs", "command", "crop"}
+    settings = JobSettings.__dataclass_fields__.keys() - {"inputs", "command", "crop", "printing"}
     parts = {"box", "around", "polygon", "classes", "not_classes", "ground"}
-    assert typed == {*settings, *own, *WATCHED, "as_json", "plan", "sample", *parts}
+    assert typed == {*settings, *own, *WATCHED, "as_json", "plan", "sample", *parts, *NAMES}
     assert not own & JobSettings.__dataclass_fields__.keys()
 
 
