@@ -332,7 +332,8 @@ def _unpack_big(entries: list[bytes], _supply: _Supply, _depth: int) -> int:
 
 def _unpack_record(entries: list[Any], supply: _Supply, depth: int) -> object:
     name, fields = entries
-    return make_record(name, _unpack_dict(fields, supply, depth + 1))
+    values: Any = _unpack(fields, supply, depth + 1)
+    return make_record(name, values)
 
 
 _UNPACKERS: dict[int, tuple[Callable[[Any, _Supply, int], object], list[type] | None]] = {

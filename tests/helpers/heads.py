@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from directions import random_directions
 
 WAITING = "waiting for the cluster's present job"
 """Said by a job while another program holds its cluster."""
@@ -35,8 +36,7 @@ def install_python(folder: Path, script: str = f'exec {sys.executable} "$@"') ->
 
 def write_sphere(path: Path) -> Path:
     """Write points of the unit sphere with their normals; return the file."""
-    normals = np.random.default_rng(7).normal(size=(1500, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = random_directions(1500, 7)
     np.savetxt(path, np.hstack([normals, normals]))
     return path
 

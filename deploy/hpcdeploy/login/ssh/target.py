@@ -31,7 +31,7 @@ class SshTarget:
         Files of the user's own.
     host_key_name : str
         What it is called there, where not by its address.
-    jumps : tuple of Target
+    jumps : tuple of SshTarget
         Machines on the way, the nearest first.
     name : str
         What the user calls it, where not by its address.

@@ -63,7 +63,7 @@ class CloudPass(Protocol):
         """Replace the points by what a task makes of them, region by region.
 
         The task returns a tuple that begins with what its region's own points become (see
-        `Region`), None where they stay; the rest of the tuples is returned, and no point is
+        `MemoryRegion`), None where they stay; the rest of the tuples is returned, and no point is
         replaced if `accepts` says no to it. With an `attribute` all points are replaced: the last
         value of a tuple, float32 (m,), is kept beside them, and none of them may be dropped later.
         If the pass that is returned is another, this one's points are not there any more.

@@ -99,10 +99,16 @@ class MethodSettings(Protocol):
         """
 
     def suggest_grid(self, cloud: ArrangedCloud) -> Resolution:
-        """Return the resolution that suits a cloud with normals, where the user asks for none."""
+        """Return the resolution that suits a cloud with normals, where the user asks for none.
+
+        InputError where there are none, or all points are the same.
+        """
 
     def open(self, grid: int, resources: Resources) -> Method[Any, Any]:
-        """Return the strategy for one job, whose grid has so many cells, margins included."""
+        """Return the strategy for one job, whose grid has so many cells, margins included.
+
+        UsageError where options contradict each other.
+        """
 
 
 class Method(Protocol[PartitionT, QuadricsT]):

@@ -93,9 +93,8 @@ def arrange_points(
         whole = MemoryPass(cloud, count_own_threads(settings, len(points)))
         cloud_pass, repeated = drop_repeated(whole)
     cleaned = Cleaned(len(points) - len(near), repeated=repeated, smoothed=smoothed)
-    columns = CarriedColumns(
-        points.take(np.empty(0, np.int64)), labels
-    )  # a view would hold the points
+    layout = points.take(np.empty(0, np.int64))  # a view would hold the points
+    columns = CarriedColumns(layout, labels)
     return Scan(cloud_pass, Dropped(0, 0), cleaned, columns, points.normals is not None)
 
 

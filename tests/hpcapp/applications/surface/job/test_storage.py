@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -475,6 +476,26 @@ def test_whatever_decides_the_mesh_is_part_of_the_name_of_a_job(scan: Path, tmp_
             found.append(opened.checkpoint.job.rpartition("-")[0])
     assert len(set(found)) == 1 + len(others)
     assert found[0] == found[-1]
+
+
+def test_without_a_folder_a_job_has_a_temporary_one(
+    scan: Path, whole: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Tiles and points lie there while it runs; workers elsewhere do not see it."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
+    (tmp_path / "temporary").mkdir()
+    settings = replace(_settings(scan, tmp_path / "room"), temp_dir=None, resume=False)
+    for backend in ("serial", "loky:ProcessPoolExecutor"):
+        with storage.open_storage(replace(settings, backend=backend), Place.DISK) as opened:
+            [near] = (tmp_path / "temporary").iterdir()
+            assert opened.checkpoint is not None
+            assert opened.folder == near / opened.checkpoint.job / "points"
+            assert opened.checkpoint.place == str(near)
+            assert opened.checkpoint.is_shared == (backend == "serial")
+    _let_tiles_be_small(monkeypatch)
+    assert run_job(settings, SILENT)["tiles"] > 1
+    assert (tmp_path / "mesh.ply").read_bytes() == whole
+    assert list((tmp_path / "temporary").iterdir()) == []
 
 
 @pytest.mark.slow
