@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,6 +11,8 @@ from hpcapp.geometry.points import ByteArray, FloatArray, IntArray, PointCloud
 from hpcapp.io import drop_unusable
 from hpcapp.io.frame import to_local
 from hpccomponent.errors import InputError, UsageError
+
+Number = TypeVar("Number", bound=np.generic)
 
 
 def check_cloud(
@@ -147,3 +149,10 @@ def check_faces(values: ArrayLike, vertices: int) -> IntArray:
             f"give rows of the {vertices} vertices",
         )
     return np.ascontiguousarray(array, dtype=np.int64)
+
+
+def read_only(array: NDArray[Number]) -> NDArray[Number]:
+    """Return a view of an array that cannot be written to."""
+    view = array.view()
+    view.flags.writeable = False
+    return view

@@ -4,17 +4,24 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hpcapp.api.arrays import check_colours, check_column, check_faces, check_rows
+from hpcapp.api.arrays import check_colours, check_column, check_faces, check_rows, read_only
+from hpcapp.api.mesh_page import (
+    IN_NOTEBOOK,
+    JobRecord,
+    build_mesh_page,
+    draw_small,
+    frame_page,
+)
 from hpcapp.applications.surface.stitching.topology import (
     Topology,
     check_mesh,
@@ -31,44 +38,12 @@ from hpcapp.io.meshes.mesh_stream import as_stream
 from hpcapp.io.placement import Placement, check_up, choose_up, parse_origin
 from hpcapp.named_files import PAGE, PICTURE
 from hpcapp.pages.browser import show_page
-from hpcapp.pages.page import build_page, write_page
-from hpcapp.pages.scene import Scene, fields_of
-from hpcapp.pages.templates import render
-from hpcapp.pages.thin import MOST_FACES, thin_mesh
+from hpcapp.pages.page import write_page
+from hpcapp.pages.thin import MOST_FACES
 from hpcapp.parts.crop import make_crop
-from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
 from hpccomponent.files.outputs import check_files
 from hpccomponent.ranges import check_range
-
-if TYPE_CHECKING:
-    from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
-
-
-Number = TypeVar("Number", bound=np.generic)
-
-_IN_NOTEBOOK = 200_000  # faces: the notebook keeps the page in its file
-_HEIGHT = 480  # pixels of a frame
-_PICTURE = 360  # pixels along a side
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class JobRecord:
-    """What a mesh knows of the job that made it.
-
-    Parameters
-    ----------
-    source : str
-        What was meshed, for titles.
-    cloud : ArrangedCloud or None
-        Its points, with normals; None where they lay in a folder, which is gone.
-    facts : dict
-        The report.
-    """
-
-    source: str
-    cloud: ArrangedCloud | None
-    facts: Mapping[str, Any] = field(default_factory=dict)
 
 
 class Mesh:
@@ -129,28 +104,28 @@ class Mesh:
     def vertices(self) -> FloatArray:
         """World coordinates, those of the input, shape (v, 3); nothing is to be added to them."""
         mesh = self._plain
-        return _read_only(mesh.vertices + mesh.origin if mesh.origin.any() else mesh.vertices)
+        return read_only(mesh.vertices + mesh.origin if mesh.origin.any() else mesh.vertices)
 
     @property
     def faces(self) -> IntArray:
         """Rows of `vertices`, shape (f, 3), anticlockwise as seen from outside."""
-        return _read_only(self._plain.faces)
+        return read_only(self._plain.faces)
 
     @property
     def normals(self) -> FloatArray | None:
         """Unit normals of the vertices, shape (v, 3), where they were asked for."""
-        return None if self._plain.normals is None else _read_only(self._plain.normals)
+        return None if self._plain.normals is None else read_only(self._plain.normals)
 
     @property
     def colours(self) -> ByteArray | None:
         """Red, green, blue of the vertices as uint8, shape (v, 3), where the points have them."""
-        return None if self._plain.colours is None else _read_only(self._plain.colours)
+        return None if self._plain.colours is None else read_only(self._plain.colours)
 
     @property
     def attributes(self) -> Mapping[str, NDArray[Any]]:
         """Any other numbers of the vertices, shape (v,), by name."""
         columns = self._plain.attributes
-        return MappingProxyType({name: _read_only(column) for name, column in columns.items()})
+        return MappingProxyType({name: read_only(column) for name, column in columns.items()})
 
     @property
     def origin(self) -> FloatArray:
@@ -158,7 +133,7 @@ class Mesh:
 
         `vertices` have it in them: subtract it before they become float32.
         """
-        return _read_only(self._plain.origin)
+        return read_only(self._plain.origin)
 
     @property
     def volume(self) -> float:
@@ -179,8 +154,8 @@ class Mesh:
     def bounds(self) -> FloatArray:
         """Least and greatest coordinates, shape (2, 3); NaN without vertices."""
         if not len(self._plain.vertices):
-            return _read_only(np.full((2, 3), np.nan))
-        return _read_only(np.array(bound_points(self._plain.vertices)) + self._plain.origin)
+            return read_only(np.full((2, 3), np.nan))
+        return read_only(np.array(bound_points(self._plain.vertices)) + self._plain.origin)
 
     @property
     def facts(self) -> Mapping[str, Any]:
@@ -381,20 +356,10 @@ class Mesh:
         """
         page = Path(path)
         check_files([*PAGE.list_written(page)])
-        job = self._job
-        if job is None:
+        if self._job is None:
             write_page(page, self._page(MOST_FACES))
-            return
-        if job.cloud is None:
-            raise UsageError(
-                "the points lay in a folder, which is gone with the job",
-                "hpcapp reconstruct --report writes the page of such a job",
-            )
-        from hpcapp.applications.surface.steps.report_page import show_cloud, write_job_page
-
-        spacing = float(job.facts.get("spacing") or 0.0)
-        write_job_page(page, show_cloud(as_stream(self._plain), job.cloud, spacing), job.facts,
-                       job.source)  # fmt: skip
+        else:
+            self._job.write_page(page, self._plain)
 
     def picture(
         self,
@@ -477,17 +442,11 @@ class Mesh:
 
     def _repr_html_(self) -> str:
         """Return a page in a frame, for notebooks."""
-        page = self._page(_IN_NOTEBOOK, is_small=True)
-        return render("frame.html", page=page, height=_HEIGHT)
+        return frame_page(self._page(IN_NOTEBOOK, is_small=True))
 
     def _repr_png_(self) -> bytes:
         """Return a picture, for notebooks where no page can be shown."""
-        from hpcapp.pages.picture import choose_eye
-        from hpcapp.pages.png import encode_png
-        from hpcapp.pages.render import render_mesh
-
-        thin, up = thin_mesh(self._plain, _IN_NOTEBOOK), self._choose_up()
-        return encode_png(render_mesh(thin, *choose_eye(thin, up), _PICTURE, up))
+        return draw_small(self._plain, self._choose_up())
 
     def _choose_up(self, asked: str | None = None) -> str:
         """Return the axis that points up."""
@@ -495,13 +454,8 @@ class Mesh:
         return choose_up(replace(as_stream(self._plain), crs=self._crs), known)
 
     def _page(self, most: int, points: PointCloud | None = None, *, is_small: bool = False) -> str:
-        thin = thin_mesh(self._plain, most)
-        summary = f"{len(self._plain.vertices):,} vertices, {len(self._plain.faces):,} faces"
-        if thin is not self._plain:
-            summary += f"; a copy with {len(thin.faces):,} faces is shown"
         unit = self._crs.unit or ""
-        scene = Scene(thin, fields_of(thin), points, up=self._choose_up(), unit=unit)
-        return build_page("Mesh", summary, scene, is_small=is_small)
+        return build_mesh_page(self._plain, most, self._choose_up(), unit, points, is_small)
 
 
 def wrap_mesh(
@@ -542,9 +496,3 @@ def read_mesh(path: str | PathLike[str]) -> Mesh:
     return wrap_mesh(
         formats.read_mesh(path), crs=formats.find_mesh_crs(path), up=formats.find_mesh_up(path)
     )
-
-
-def _read_only(array: NDArray[Number]) -> NDArray[Number]:
-    view = array.view()
-    view.flags.writeable = False
-    return view

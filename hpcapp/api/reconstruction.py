@@ -25,7 +25,8 @@ from numpy.typing import ArrayLike
 
 from hpcapp.alignment.place import choose_place
 from hpcapp.api.arrays import check_cloud, check_rows
-from hpcapp.api.mesh import JobRecord, Mesh, wrap_mesh
+from hpcapp.api.mesh import Mesh, wrap_mesh
+from hpcapp.api.mesh_page import JobRecord
 from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.attributes.labels import find_labels
 from hpcapp.applications.surface.cli.run import load_stored

@@ -90,11 +90,14 @@ def mend(
         return mend_mesh(whole, asked, crs.height_scale, str(mesh))
 
     if printing is not None:
-        from hpcapp.printing.prepare import Printer
+        from hpcapp.printing.prepare import PRINTED, make_print
 
-        printer = Printer(printing, pieces or 1)
-        output.write(mesh, change, printer.finish)
-        log.info("%s: %s", output.output, printer.facts.describe())
+        def finish(light: Mesh, crs: Crs, up: str | None) -> tuple[Mesh, Crs]:
+            made, facts = make_print(light, crs, printing, up, pieces or 1)
+            log.info("%s: %s", output.output, facts.describe())
+            return made, PRINTED
+
+        output.write(mesh, change, finish)
         return
     light = output.write(mesh, change)[1]
     log.info("%s: %s", output.output, summarize(check_mesh(light), {}))

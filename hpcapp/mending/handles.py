@@ -17,7 +17,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import breadth_first_order, connected_components, dijkstra
 
-from hpcapp.geometry.lattice import number_keys
+from hpcapp.geometry.lattice import find_keys, number_keys
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 from hpcapp.mending.holes import fill_loop
 from hpcapp.mending.loops import pair_sides
@@ -163,7 +163,8 @@ def walk_borders(faces: IntArray) -> tuple[list[IntArray], bool]:
     """Return the loops of edges with one face, as that face runs, and whether each is simple."""
     count = int(faces.max(initial=0)) + 1
     tails, heads = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
-    is_bare = ~np.isin(tails * count + heads, heads * count + tails)
+    # The sides that no face runs through the other way round.
+    is_bare = find_keys(np.sort(heads * count + tails), tails * count + heads) == faces.size
     tails, heads = tails[is_bare], heads[is_bare]
     after = dict(zip(tails.tolist(), heads.tolist(), strict=True))
     is_simple = len(after) == len(tails) == len(set(heads.tolist()))

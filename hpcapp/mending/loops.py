@@ -42,15 +42,12 @@ def find_holes(mesh: Mesh, size: float) -> Loops:
     """
     count = len(mesh.vertices)
     heads, tails = mesh.faces.reshape(-1), np.roll(mesh.faces, -1, axis=1).reshape(-1)
-    keys = np.minimum(tails, heads) * count + np.maximum(tails, heads)
-    edges, number = number_keys(keys)
-    sides = np.bincount(number, minlength=len(edges))
+    beside, is_odd = count_faces(tails, heads)
     # Sides with one face, as the face on their other side would run through them.
-    border = np.flatnonzero(sides[number] == 1)
+    border = np.flatnonzero(beside == 1)
     start, end = tails[border], heads[border]
     if not len(border):
         return Loops([], 0)
-    is_odd = _find_odd(tails < heads, number, sides)
     may_close = np.bincount(start, minlength=count) <= 1
     may_close &= np.bincount(end, minlength=count) <= 1
     may_close[np.concatenate([tails[is_odd], heads[is_odd]])] = False
@@ -66,6 +63,20 @@ def find_holes(mesh: Mesh, size: float) -> Loops:
     return Loops(holes, int((is_small & is_tangled).sum()))
 
 
+def count_faces(tails: IntArray, heads: IntArray) -> tuple[IntArray, BoolArray]:
+    """Return how many faces the edge of each side has, (s,), and which are of no solid's edge.
+
+    Sides run from tails to heads, (s,) each. Such an edge has more than two faces, or two that run
+    one way.
+    """
+    keys = np.minimum(tails, heads) * (int(tails.max(initial=0)) + 1) + np.maximum(tails, heads)
+    edges, number = number_keys(keys)
+    faces = np.bincount(number, minlength=len(edges))
+    ways = np.bincount(number, tails < heads, len(edges))
+    is_odd = (faces > 2) | ((faces == 2) & (ways != 1))
+    return faces[number], is_odd[number]
+
+
 def pair_sides(faces: IntArray, count: int) -> tuple[IntArray, IntArray, IntArray]:
     """Return the pairs of sides that lie on one edge; side s of face f is 3 f + s.
 
@@ -78,14 +89,6 @@ def pair_sides(faces: IntArray, count: int) -> tuple[IntArray, IntArray, IntArra
     order = np.argsort(keys, kind="stable")
     same = np.flatnonzero(np.diff(keys[order]) == 0)
     return order[same], order[same + 1], keys[order[same]]
-
-
-def _find_odd(runs_up: BoolArray, number: IntArray, sides: IntArray) -> BoolArray:
-    """Tell which sides are of edges with more than two faces, or with two that run one way."""
-    up = np.bincount(number, runs_up, len(sides))
-    is_odd = (sides > 2) | ((sides == 2) & (up != 1))
-    odd: BoolArray = is_odd[number]
-    return odd
 
 
 def _measure(mesh: Mesh, start: IntArray, loop: IntArray, count: int) -> IntArray:

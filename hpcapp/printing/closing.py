@@ -12,15 +12,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from hpcapp.applications.surface.stitching.topology import signed_volume
-from hpcapp.geometry.lattice import number_keys
+from hpcapp.applications.surface.stitching.topology import check_mesh, signed_volume
+from hpcapp.geometry.lattice import unique_keys
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.pieces import PieceChoice, say_dropped
 from hpcapp.geometry.points import IntArray
 from hpcapp.io.meshes.mesh_stream import find_vertices, make_mesh
 from hpcapp.mending.handles import split_corners
-from hpcapp.mending.holes import fill_holes
-from hpcapp.mending.loops import find_holes
+from hpcapp.mending.holes import Filled, fill_holes
+from hpcapp.mending.loops import count_faces, find_holes
 from hpcapp.mending.pieces import keep_faces, measure_pieces
 from hpcapp.mending.triangulation import triangulate
 from hpcapp.wording import say_count
@@ -46,6 +46,7 @@ class Closed:
     mesh: Mesh
     holes: int
     lids: int
+    is_open: bool
     is_inward: bool
 
 
@@ -54,7 +55,11 @@ def close_mesh(mesh: Mesh, pieces: int = 1) -> Closed:
 
     Raise InputError where nothing of it is a surface, or has an area.
     """
-    mesh = _make_manifold(_weld(mesh))
+    topology = check_mesh(mesh)
+    is_closed = topology.watertight and topology.oriented
+    is_closed &= topology.vertices == len(mesh.vertices)
+    if not is_closed:
+        mesh = _make_manifold(_weld(mesh))
     of_face, areas = measure_pieces(mesh)
     if not areas.max() > 0.0:
         raise InputError("the faces of the mesh have no area", "check the file")
@@ -62,42 +67,36 @@ def close_mesh(mesh: Mesh, pieces: int = 1) -> Closed:
     if not stays.all():
         log.info("%s", say_dropped(areas, stays))
     mesh = keep_faces(mesh, stays[of_face])
-    size = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
-    filled = fill_holes(mesh, _BENT * size)
-    mesh, lids = _put_lids(filled.mesh)
-    if not len(_find_bare(mesh.faces)) and signed_volume(mesh) < 0.0:
-        if lids:
-            return Closed(filled.mesh, filled.holes, 0, True)
-        return Closed(replace(mesh, faces=mesh.faces[:, ::-1]), filled.holes, 0, True)
-    return Closed(mesh, filled.holes + lids, lids, False)
+    if is_closed:
+        filled, lids = Filled(mesh, 0, 0), 0
+    else:
+        size = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+        filled = fill_holes(mesh, _BENT * size)
+        mesh, lids = _put_lids(filled.mesh)
+        is_closed = not check_mesh(mesh).boundary_edges
+    is_inward = is_closed and signed_volume(mesh) < 0.0
+    if is_inward and lids:
+        return Closed(filled.mesh, filled.holes, 0, is_open=True, is_inward=True)
+    if is_inward:
+        mesh = replace(mesh, faces=mesh.faces[:, ::-1])
+    return Closed(mesh, filled.holes + lids, lids, not is_closed, is_inward)
 
 
 def _weld(mesh: Mesh) -> Mesh:
     """Join vertices at one place along borders, as of a mesh that was cut for its texture."""
-    bare = _find_bare(mesh.faces)
-    if not len(bare):
-        return mesh
-    _, first, place = np.unique(
-        mesh.vertices[bare] + 0.0, axis=0, return_index=True, return_inverse=True
-    )
+    sides = _list_sides(mesh.faces)
+    is_border = count_faces(*sides)[0] == 1
+    bare = unique_keys(np.concatenate([ends[is_border] for ends in sides]))
+    places = mesh.vertices[bare] + 0.0  # no negative zeros
+    _, first, place = np.unique(places, axis=0, return_index=True, return_inverse=True)
     rows = np.arange(len(mesh.vertices))
     rows[bare] = bare[first[place.reshape(-1)]]
     return replace(mesh, faces=rows[mesh.faces])
 
 
-def _find_bare(faces: IntArray) -> IntArray:
-    """Return the vertices of edges with one face."""
-    edges, number, sides = _number_edges(faces)
-    is_bare = (np.bincount(number, minlength=len(edges)) == 1)[number]
-    return np.unique(sides[is_bare])
-
-
-def _number_edges(faces: IntArray) -> tuple[IntArray, IntArray, IntArray]:
-    """Return the edges as keys, the edge of each side, (3 f,), and the sides' ends, (3 f, 2)."""
-    sides = np.stack([faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)], axis=1)
-    keys = sides.min(axis=1) * (int(faces.max(initial=0)) + 1) + sides.max(axis=1)
-    edges, number = number_keys(keys)
-    return edges, number, sides
+def _list_sides(faces: IntArray) -> tuple[IntArray, IntArray]:
+    """Return the tails and heads of the sides of faces, (3 f,) each."""
+    return faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
 
 
 def _make_manifold(mesh: Mesh) -> Mesh:
@@ -106,11 +105,8 @@ def _make_manifold(mesh: Mesh) -> Mesh:
     # Of faces that are there twice the first stays.
     _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
     faces = faces[np.sort(first)]
-    edges, number, sides = _number_edges(faces)
-    ways = np.bincount(number, sides[:, 0] < sides[:, 1], len(edges))
-    counts = np.bincount(number, minlength=len(edges))
-    is_odd = (counts > 2) | ((counts == 2) & (ways != 1))
-    faces = faces[~is_odd[number].reshape(-1, 3).any(axis=1)]
+    is_odd = count_faces(*_list_sides(faces))[1]
+    faces = faces[~is_odd.reshape(-1, 3).any(axis=1)]
     if not len(faces):
         raise InputError(
             "the mesh is no surface: all of its faces meet others as those of a solid cannot",
@@ -127,12 +123,15 @@ def _put_lids(mesh: Mesh) -> tuple[Mesh, int]:
     loops = find_holes(mesh, np.inf).holes
     if not loops:
         return mesh, 0
-    at, sides = np.full(len(mesh.vertices), -1, np.int64), _number_edges(mesh.faces)[2]
+    # (s, 2): the sides that join vertices of borders; (v,): where on its loop each vertex is.
+    sides = np.stack(_list_sides(mesh.faces), axis=1)
+    sides = sides[np.isin(sides, np.concatenate(loops)).all(axis=1)]
+    at = np.full(len(mesh.vertices), -1)
     sources, places, faces = [np.arange(len(mesh.vertices))], [mesh.vertices], [mesh.faces]
     for loop in loops:
-        at[:] = -1
         at[loop] = np.arange(len(loop))
         taken = np.sort(at[sides[(at[sides] >= 0).all(axis=1)]], axis=1)
+        at[loop] = -1
         corners, blank = mesh.vertices[loop], np.zeros((len(loop), 3))
         lid = triangulate(corners, blank, set(map(tuple, taken.tolist())))
         if lid is None:

@@ -8,9 +8,8 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import asdict, replace
+from dataclasses import replace
 from math import floor, log10
-from typing import Any
 
 import numpy as np
 
@@ -78,30 +77,12 @@ class Facts:
     thin: float
     warnings: tuple[str, ...]
 
-    def to_json(self) -> dict[str, Any]:
-        """Return it for the report: JSON values."""
-        return asdict(self)
-
     def describe(self) -> str:
         """Say it in a line."""
         x, y, z = (f"{side:.1f}" for side in self.sides)
         scale = "" if self.scale is None else f", scale {_say_scale(self.scale)}"
         volume, pieces = f"{say_number(self.volume)} cm3", say_count(self.pieces, "piece")
         return f"{x} x {y} mm, {z} mm tall{scale}, {volume}, closed, manifold, {pieces}"
-
-
-class Printer:
-    """Makes a print as the last step before a mesh is written, and keeps what it is."""
-
-    facts: Facts
-
-    def __init__(self, asked: Printing, pieces: int) -> None:
-        self._asked, self._pieces = asked, pieces
-
-    def finish(self, mesh: Mesh, crs: Crs, up: str | None) -> tuple[Mesh, Crs]:
-        """Return the print of a mesh, and what its coordinates mean."""
-        made, self.facts = make_print(mesh, crs, self._asked, up, self._pieces)
-        return made, PRINTED
 
 
 def make_print(
@@ -116,14 +97,13 @@ def make_print(
     unit = asked.find_unit(crs.unit)
     axis = choose_up(replace(as_stream(mesh), crs=crs), up)
     closed = close_mesh(mesh, pieces)
-    best: _Stance | None = None
-    for kind, turned in _list_stances(_turn(closed.mesh, crs, axis), is_up_asked=up is not None):
-        stance = _stand(kind, turned, closed.mesh.faces, unit, asked, pieces)
-        if best is None or stance.body.thin < best.body.thin:
-            best = stance
-        if best.body.thin <= _FEW:
-            break
-    assert best is not None  # noqa: S101 - there is one stance at least
+    stances = (
+        _stand(kind, places, closed.mesh.faces, unit, asked, pieces)
+        for kind, places in _list_stances(_turn(closed.mesh, crs, axis), closed, up is not None)
+    )
+    best = next(stances)
+    while best.body.thin > _FEW and (other := next(stances, None)) is not None:
+        best = min(best, other, key=lambda stance: stance.body.thin)
     _say_steps(best, asked, closed.holes, pieces)
     return _carry(closed.mesh, best), _describe(best, unit, closed, pieces)
 
@@ -142,23 +122,23 @@ class _Stance:
     factor: float
 
 
-def _turn(mesh: Mesh, crs: Crs, axis: str) -> Mesh:
-    """Return a mesh with z up, and heights as long as the other coordinates."""
-    places = rotate(mesh.vertices * [1.0, 1.0, crs.height_scale], turn_up(axis))
-    return Mesh(places, mesh.faces)
+def _turn(mesh: Mesh, crs: Crs, axis: str) -> FloatArray:
+    """Return the vertices of a mesh with z up, and heights as long as the other coordinates."""
+    return rotate(mesh.vertices * [1.0, 1.0, crs.height_scale], turn_up(axis))
 
 
 def _stand(
     kind: str,
-    turned: FloatArray,
+    upright: FloatArray,
     faces: IntArray,
     unit: float | None,
     asked: Printing,
     pieces: int,
 ) -> _Stance:
+    """Return vertices (v, 3) with z up, and their faces, as a solid of the size that is asked."""
     extra = 0.0 if kind == "solid" else asked.wall
-    factor = _choose_factor(np.ptp(turned, axis=0), extra, unit, asked)
-    places = turned * factor
+    factor = _choose_factor(np.ptp(upright, axis=0), extra, unit, asked)
+    places = upright * factor
     below = float(places[:, 2].min()) - asked.wall
     if kind == "relief":
         layer = (below, below)
@@ -174,28 +154,31 @@ def _stand(
     return _Stance(kind, _resize(body, last), places * last, factor * last)
 
 
-def _list_stances(mesh: Mesh, is_up_asked: bool) -> list[tuple[str, FloatArray]]:
+def _list_stances(
+    places: FloatArray, closed: Closed, is_up_asked: bool
+) -> list[tuple[str, FloatArray]]:
     """Return what may become of a surface with z up, and its vertices as they stand then.
 
     A sheet that faces up is backed below; another one lies on its back, with the side up from which
     it was seen. Where that leaves thin walls, which is measured, or neither can be, it gets a wall.
     """
-    if not check_mesh(mesh).boundary_edges:
-        return [("solid", mesh.vertices)]
-    across = cross_edges(mesh.vertices[mesh.faces])
+    if not closed.is_open:
+        return [("solid", places)]
+    across = cross_edges(places[closed.mesh.faces])
     mean = across.sum(axis=0) / np.linalg.norm(across, axis=1).sum()
-    wall = ("shell", mesh.vertices)
+    shell = ("shell", places)
     if mean[2] > SHEET:
-        return [("relief", mesh.vertices), wall]
-    if np.linalg.norm(mean) > SHEET and not is_up_asked:
-        normal = mean / np.linalg.norm(mean)
-        side = np.cross([0.0, 1.0, 0.0], normal)
-        if np.linalg.norm(side) < _PARALLEL:
-            side = np.array([1.0, 0.0, 0.0])
-        side /= np.linalg.norm(side)
-        axes = np.stack([side, np.cross(normal, side), normal])
-        return [("relief", rotate(mesh.vertices, axes)), wall]
-    return [wall]
+        return [("relief", places), shell]
+    length = float(np.linalg.norm(mean))
+    if length <= SHEET or is_up_asked:
+        return [shell]
+    normal = mean / length
+    side = np.cross([0.0, 1.0, 0.0], normal)
+    if np.linalg.norm(side) < _PARALLEL:
+        side = np.array([1.0, 0.0, 0.0])
+    side /= np.linalg.norm(side)
+    axes = np.stack([side, np.cross(normal, side), normal])
+    return [("relief", rotate(places, axes)), shell]
 
 
 def _choose_factor(sides: FloatArray, extra: float, unit: float | None, asked: Printing) -> float:

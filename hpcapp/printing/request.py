@@ -7,17 +7,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import click
 
 from hpcapp.applications.surface.methods.options import make_click_options, option, option_names
-from hpcapp.extras import how_to_install
+from hpcapp.extras import require_library
 from hpccomponent.cli.option_names import name_option
 from hpccomponent.dataclass import dataclass
-from hpccomponent.errors import MissingLibraryError, UsageError
+from hpccomponent.errors import UsageError
 
 MILLIMETRES = {
     "mm": 1.0,
@@ -165,9 +164,8 @@ def make_printing(
     >>> make_printing("1:20"), make_printing(height="12cm").height
     (Printing(scale=0.05, height=None, unit=None, wall=2.0), 120.0)
     """
-    if find_spec("manifold3d") is None:
-        words = f"{name_option('print')} needs the package manifold3d"
-        raise MissingLibraryError(words, how_to_install("print"))
+    words = f"{name_option('print')} needs the package manifold3d"
+    require_library("manifold3d", words, "print")
     if scale is not None and height is not None:
         words = f"{name_option('scale')} and {name_option('height')} exclude each other"
         raise UsageError(words, "give one of them")

@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 from manifold3d import CrossSection, Manifold, Mesh64
 
-from hpcapp.geometry.faces import cross_edges
+from hpcapp.geometry.faces import cross_edges, unit_normals
 from hpcapp.geometry.points import FloatArray, IntArray
 from hpcapp.mending.handles import walk_borders
 from hpccomponent.dataclass import dataclass
@@ -94,8 +94,7 @@ def back_relief(vertices: FloatArray, faces: IntArray, least: float) -> tuple[Fl
 
 def thicken(vertices: FloatArray, faces: IntArray, wall: float) -> tuple[FloatArray, IntArray]:
     """Return an open surface with a second sheet behind it, and what joins their borders."""
-    across = cross_edges(vertices[faces])
-    units = across / np.maximum(np.linalg.norm(across, axis=1), 1e-300)[:, None]
+    units = unit_normals(vertices[faces])
     # Behind every vertex the place that lies, as nearly as can be, so far behind the planes of all
     # of the faces around it: (v, 3, 3) and (v, 3) are the equations of least squares.
     products, sums = np.zeros((len(vertices), 3, 3)), np.zeros((len(vertices), 3))
@@ -181,8 +180,8 @@ def stand(
     hull = CrossSection.hull_points(corners[triangles[on_bed].reshape(-1), :2]).to_polygons()
     return Body(
         corners, triangles, len(parts), height - low, -0.5 * float(across[on_bed, 2].sum()),
-        body.volume(), _find_thin(body, corners, triangles, least),
-        _is_within(hull, _find_centre(corners, triangles)),
+        body.volume(), _find_thin(body, corners[triangles], across, least),
+        _is_within(hull, _find_centre(corners[triangles], across)),
     )  # fmt: skip
 
 
@@ -205,25 +204,28 @@ def find_base(solid: Manifold, low: float, high: float) -> float:
     return float(low + shares[best] * tall)
 
 
-def _find_thin(body: Manifold, vertices: FloatArray, faces: IntArray, least: float) -> float:
-    """Return the share of the surface behind which another one is nearer than that."""
-    across = cross_edges(vertices[faces])
+def _find_thin(body: Manifold, corners: FloatArray, across: FloatArray, least: float) -> float:
+    """Return the share of the surface behind which another one is nearer than that.
+
+    Its faces have corners (f, 3, 3), and vectors (f, 3) across them, as `cross_edges` makes them.
+    """
     areas = np.linalg.norm(across, axis=1)
     sums = np.cumsum(areas)
-    # Faces as often as they are large, one ray each.
+    # (r,): faces as often as they are large, one ray each, from their middle inwards.
     chosen = np.searchsorted(sums, (np.arange(_RAYS) + 0.5) / _RAYS * sums[-1])
-    middles = vertices[faces[chosen]].mean(axis=1)
+    middles = corners[chosen].mean(axis=1)
     inward = -across[chosen] / np.maximum(areas[chosen], 1e-300)[:, None]
     starts, ends = middles - _SKIN * least * inward, middles + least * inward
     hits = (len(body.ray_cast(tuple(a), tuple(b))) for a, b in zip(starts, ends, strict=True))
     return sum(count > 1 for count in hits) / _RAYS
 
 
-def _find_centre(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """Return the centre of the mass of a solid, shape (3,)."""
-    corners = vertices[faces] - vertices[0]
-    sixfold = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
-    middle: FloatArray = vertices[0] + sixfold @ corners.sum(axis=1) / (4.0 * sixfold.sum())
+def _find_centre(corners: FloatArray, across: FloatArray) -> FloatArray:
+    """Return the centre of the mass, (3,), of a solid whose faces are as those of `_find_thin`."""
+    away = corners - corners[0, 0]
+    # (f,): six times the volume of the tetrahedron between a face and that corner of the first.
+    sixfold = np.einsum("ij,ij->i", away[:, 0], across)
+    middle: FloatArray = corners[0, 0] + sixfold @ away.sum(axis=1) / (4.0 * sixfold.sum())
     return middle
 
 

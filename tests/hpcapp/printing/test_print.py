@@ -14,15 +14,16 @@ import pytest
 import trimesh
 from click.testing import CliRunner
 from cut_mesh import ball, extract_shape
+from sheets import sweep
 
 import hpcapp as package
 from hpcapp.cli import main
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.io import read_mesh, write_mesh
-from hpcapp.io.crs import UNKNOWN, Crs
+from hpcapp.io.crs import METRES, UNKNOWN, Crs
 from hpcapp.io.meshes.mesh_stream import as_stream
 from hpcapp.mending.command import mend
-from hpcapp.printing.request import make_printing
+from hpcapp.printing.request import MILLIMETRES, make_printing
 from hpccomponent.errors import UsageError
 
 pytest.importorskip("manifold3d")
@@ -115,7 +116,9 @@ def test_by_default_it_fits_and_what_is_too_large_is_told(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     figure = make_figure()
-    assert make_print(figure, Crs(None, "m"), make_printing())[1].scale == pytest.approx(0.1)
+    # Of 1650 mm: 165 fit into 250, and 330, the next larger ones, do not.
+    smaller = replace(figure, vertices=0.868 * figure.vertices)
+    assert make_print(smaller, Crs(None, "m"), make_printing())[1].scale == pytest.approx(0.1)
     assert make_print(figure, Crs(None, "mm"), make_printing())[1].scale == 1.0
     facts = make_print(figure, UNKNOWN, make_printing())[1]
     assert facts.scale is None
@@ -142,17 +145,41 @@ def test_up_is_turned_up_and_heights_get_the_unit_of_the_others() -> None:
 
 
 def test_a_facade_lies_on_its_back_unless_it_is_asked_to_stand() -> None:
-    grid = np.stack(np.meshgrid(np.linspace(0, 8, 9), np.linspace(0, 6, 7)), -1).reshape(-1, 2)
-    rows = np.arange(63).reshape(7, 9)
-    a, b, c, d = (rows[:-1, :-1], rows[:-1, 1:], rows[1:, 1:], rows[1:, :-1])
-    faces = np.concatenate([np.stack(k, -1).reshape(-1, 3) for k in ((a, b, c), (a, c, d))])
-    wall = Mesh(np.stack([grid[:, 0], 0.2 * np.sin(grid[:, 0]), grid[:, 1]], 1), faces)
+    along = np.linspace(0, 8, 9)
+    sheet = sweep(np.stack([along, 0.2 * np.sin(along)], axis=1), 6.0, 7)
+    wall = replace(sheet, vertices=sheet.vertices[:, [0, 2, 1]])
     facts = make_print(wall, Crs(None, "m"), make_printing("1:100", wall=3))[1]
     assert facts.kind == "relief"
     assert 5.0 < facts.sides[2] < 8.0
     facts = make_print(wall, Crs(None, "m"), make_printing("1:100", wall=3), "z")[1]
     assert facts.kind == "shell"
     assert facts.sides[2] == pytest.approx(60.0, abs=1e-3)
+
+
+@pytest.mark.parametrize(("slope", "kind"), [(53.0, "relief"), (65.0, "shell")])
+def test_what_faces_up_enough_is_backed_below(slope: float, kind: str) -> None:
+    """The heights of its unit normals are .60 and .42."""
+    far = 80.0 * np.array([np.cos(np.radians(slope)), np.sin(np.radians(slope))])
+    facts = make_print(
+        sweep(np.stack([0 * far, far]), 80.0), Crs(None, "mm"), make_printing("1:1"), "z"
+    )[1]
+    assert facts.kind == kind
+    assert facts.sides[2] > 60.0
+
+
+@pytest.mark.parametrize(("height", "kind"), [(2.4, "relief"), (4.6, "shell")])
+def test_a_sheet_that_would_be_thin_when_backed_gets_a_wall(height: float, kind: str) -> None:
+    """A field and the wall at its end, behind which is nothing: .032 and .054 of the surface."""
+    field = sweep(np.array([[0, 0], [80, 0], [80, height]]), 80.0)
+    assert make_print(field, Crs(None, "mm"), make_printing("1:1"))[1].kind == kind
+
+
+@pytest.mark.parametrize(("height", "warnings"), [(0.3, 1), (0.5, 0)])
+def test_what_a_nozzle_cannot_lay_down_is_warned_of(height: float, warnings: int) -> None:
+    plate = trimesh.creation.box((80.0, 80.0, height))
+    mesh = Mesh(np.array(plate.vertices), np.array(plate.faces))
+    facts = make_print(mesh, Crs(None, "mm"), make_printing("1:1"))[1]
+    assert ["thinner than 0.4 mm" in said for said in facts.warnings] == [True] * warnings
 
 
 def test_python_makes_the_same_print(figure: Path, tmp_path: Path) -> None:
@@ -197,6 +224,8 @@ def test_a_scale_needs_a_unit() -> None:
     with pytest.raises(UsageError, match="no length"):
         make_printing().find_unit("degree")
     assert make_printing(unit="in").find_unit("degree") == 25.4
+    metres = {name: MILLIMETRES[name] / 1000.0 for name in METRES}
+    assert metres == pytest.approx(METRES)
 
 
 @pytest.mark.parametrize(

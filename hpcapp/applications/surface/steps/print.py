@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from hpcapp.applications.surface.attributes.carrying import Carrying
@@ -36,7 +36,7 @@ def write_print(
     result = replace(
         outcome.result,
         surface=surface,
-        facts={**outcome.result.facts, "print": facts.to_json()},
+        facts={**outcome.result.facts, "print": asdict(facts)},
     )
     printed = replace(outcome, result=result, warnings=[*outcome.warnings, *facts.warnings])
     bare = replace(carrying, evaluate=None, crs=PRINTED, placement=Placement(up="z"))
