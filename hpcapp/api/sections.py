@@ -7,13 +7,13 @@ from os import PathLike, fspath
 from pathlib import Path
 
 from hpcapp.api.mesh import Mesh, unwrap_mesh
-from hpcapp.applications.section.make import make_sections
+from hpcapp.applications.section.cut import make_sections
+from hpcapp.applications.section.planes import check_cuts
 from hpcapp.applications.section.sections import Sections
 from hpcapp.io import find_mesh_crs, formats
 from hpcapp.io.crs import UNKNOWN
 from hpcapp.io.outlines import read_lines
 from hpcapp.io.usable_mesh import check_usable
-from hpccomponent.errors import UsageError
 from hpccomponent.ranges import check_range
 
 
@@ -56,10 +56,7 @@ def section(
     >>> [one.is_closed for one in ring.outlines]
     [True, True]
     """
-    if bool(planes) == (along is not None):
-        raise UsageError("planes and along exclude each other", "give one of them")
-    if width is not None and (along is None or step is None):
-        raise UsageError("width is for sections across a line", "give along and step, too")
+    check_cuts(planes, along, step, width)
     for name, length in (("step", step), ("width", width)):
         if length is not None:
             check_range(name, length, 0.0, is_open=True)

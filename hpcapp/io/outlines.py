@@ -11,12 +11,12 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta
 
-from hpcapp.extras import how_to_install
+from hpcapp.extras import load_library
 from hpcapp.geometry.regions.prism import load_shapely
 from hpcapp.io.points.point_source import translated
 from hpccomponent.cli.option_names import name_option
 from hpccomponent.dataclass import dataclass
-from hpccomponent.errors import InputError, MissingLibraryError, UsageError
+from hpccomponent.errors import InputError, UsageError
 from hpccomponent.foreign_json import convert, decode
 from hpccomponent.ranges import FARTHEST, is_place
 
@@ -199,12 +199,7 @@ def _make_shape(found: dict[str, Any], path: Path, shapely: Any) -> Any:
 
 
 def _read_shapefile(content: bytes, path: Path, kind: _Kind) -> list[dict[str, Any]]:
-    try:
-        import shapefile
-    except ModuleNotFoundError:
-        raise MissingLibraryError(
-            f"{path}: shapefiles need the package pyshp", how_to_install("gis")
-        ) from None
+    shapefile = load_library("shapefile", f"{path}: shapefiles need the package pyshp", "gis")
     try:
         _check_shapefile(content, kind)
         with shapefile.Reader(shp=BytesIO(content)) as reader:

@@ -18,6 +18,7 @@ from hpcapp.io.crs import UNKNOWN, Crs
 from hpcapp.io.geocentric import refuse_geocentric
 from hpcapp.io.usable_mesh import check_usable
 from hpcapp.named_files import SHAPE
+from hpcapp.terrain.cover import cover_cells
 from hpcapp.terrain.heights import Heights, drop_heights, fit_heights
 from hpcapp.terrain.lattice import Lattice
 from hpccomponent.dataclass import dataclass
@@ -109,7 +110,8 @@ class Epoch:
     def read_heights(self, lattice: Lattice, spacing: float) -> Heights:
         """Return its heights; guesswork of a mesh, which no point supports, is none."""
         if isinstance(self.surface, PointCloud):
-            return fit_heights(self.surface.positions, lattice, spacing)
+            cover = cover_cells(self.surface.positions, spacing, lattice)
+            return fit_heights(self.surface.positions, lattice, cover)
         support = self.surface.attributes.get(SUPPORT)
         if support is None:
             return drop_heights(self.surface, lattice)

@@ -9,7 +9,6 @@ from scipy.ndimage import uniform_filter
 
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
-from hpcapp.terrain.cover import cover_cells
 from hpcapp.terrain.lattice import Lattice
 from hpccomponent.dataclass import dataclass
 
@@ -47,12 +46,12 @@ class Heights:
     is_layered: BoolArray
 
 
-def fit_heights(points: FloatArray, lattice: Lattice, spacing: float) -> Heights:
+def fit_heights(points: FloatArray, lattice: Lattice, cover: FloatArray) -> Heights:
     """Return the mean height of each cell: of its points, each taken along a slope to the middle.
 
     The slope is that of the plane through the points (n, 3) of three by three cells. Where a cell
     has none, its height is the plane's, if the mean of the points around is no farther than a cell.
-    The spacing is that of the points where they are sparse.
+    The cover is the share of each cell, (rows, columns), that the whole scan covers.
     """
     places = lattice.in_cells(points)
     cells = np.rint(places).astype(np.int64)
@@ -60,7 +59,8 @@ def fit_heights(points: FloatArray, lattice: Lattice, spacing: float) -> Heights
     rows, columns = lattice.shape
     is_in = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
     u, v = (places[is_in] - cells[is_in]).T
-    middle = float(points[:, 2].mean())  # so that sums of heights far from zero keep their digits
+    # so that sums of heights far from zero keep their digits
+    middle = float(points[:, 2].mean()) if len(points) else 0.0
     z = points[is_in, 2] - middle
     keys = cells[is_in, 1] * lattice.shape[1] + cells[is_in, 0]
     terms = (np.ones_like(u), u, v, z, u * u, u * v, v * v, u * z, v * z, z * z)
@@ -97,10 +97,9 @@ def fit_heights(points: FloatArray, lattice: Lattice, spacing: float) -> Heights
     noise = np.maximum(uniform_filter(squares, _AROUND), 0.0)
     noise /= np.maximum(uniform_filter(freedom, _AROUND), 1e-9)
     values = np.where(has_own, middle + mean, heights)
-    cover = cover_cells(points, spacing, lattice) * is_known
     return Heights(
         np.where(is_known, values, np.nan), noise / np.where(has_own, n1, count / PLANE),
-        np.where(is_known, heights, np.nan), cover, is_layered,
+        np.where(is_known, heights, np.nan), cover * is_known, is_layered,
     )  # fmt: skip
 
 

@@ -12,7 +12,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-_IN_PYTHON = {"backend": "executor", "print": "for_print", "viewpoint": "viewpoints"}
+_IN_PYTHON = {
+    "backend": "executor",
+    "print": "for_print",
+    "viewpoint": "viewpoints",
+    "plane": "planes",
+}
 _speakers = 0  # of flags; the whole process speaks one way, its threads too
 
 

@@ -73,18 +73,25 @@ def write_block(excerpt: str) -> str:
     return "\n".join(f"    {visible_line(line)}" for line in excerpt.splitlines() if line.strip())
 
 
-def align_rows(rows: Sequence[Sequence[str]]) -> list[str]:
+def align_rows(rows: Sequence[Sequence[str]], *, numbers: bool = False) -> list[str]:
     r"""Return rows as lines whose columns are as wide as their widest cell, each cell visible.
+
+    Numbers stand below each other at their ends, in all columns but the first.
 
     Examples
     --------
     >>> align_rows([("JOB", "STATE"), ("1", "do\nne"), ("12", "")])
     ['JOB  STATE', '1    do\\nne', '12']
+    >>> align_rows([("", "volume"), ("heap", "9")], numbers=True)
+    ['      volume', 'heap       9']
     """
     cells = [[visible_line(cell) for cell in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     return [
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        "  ".join(
+            cell.rjust(width) if numbers and k else cell.ljust(width)
+            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
         for row in cells
     ]
 

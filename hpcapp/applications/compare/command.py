@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,7 +16,7 @@ from click.core import ParameterSource
 
 from hpcapp.named_files import FILE_OR_WORD, PAGE, PICTURE, SCAN, SCAN_OR_WORD
 from hpccomponent.cli.named_files import OutputFile, json_option
-from hpccomponent.cli.terminal import echo, echo_json
+from hpccomponent.cli.terminal import align_rows, echo, echo_json
 from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import InputError, UsageError
 
@@ -227,18 +227,12 @@ def _measure_heaps(
     if as_json:
         echo_json({"heaps": tables.list_values(heaps, unit)})
     else:
-        _echo_table(tables.list_rows(heaps, unit))
+        for line in align_rows(tables.list_rows(heaps, unit), numbers=True):
+            echo(line)
         for note in tables.list_notes(heaps, above, unit):
             echo(note)
     if csv is not None:
         log.info("%s: a table of %d heaps", csv, len(heaps))
-
-
-def _echo_table(table: Sequence[Sequence[str]]) -> None:
-    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-    for name, *cells in table:
-        columns = (f"{one:>{w}}" for one, w in zip(cells, widths[1:], strict=True))
-        echo("  ".join([f"{name:{widths[0]}}", *columns]).rstrip())
 
 
 def _measure_volume(
@@ -275,7 +269,9 @@ def _measure_volume(
     if as_json:
         echo_json(to_json(change, unit))
     else:
-        _echo_table([page.HEAD, *page.list_rows(change, unit)])
+        table = [page.HEAD, *page.list_rows(change, unit)]
+        for line in align_rows(table, numbers=True):
+            echo(line)
         for note in page.list_notes(change, unit):
             echo(note)
     if doubted := page.doubt(change, unit):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from math import ceil, floor, log10
 from pathlib import Path
@@ -13,7 +12,7 @@ from skimage.measure import find_contours
 from hpcapp.applications.heights.geotiff import Crs
 from hpcapp.applications.heights.grid import HeightGrid
 from hpcapp.geometry.points import FloatArray
-from hpcapp.io.staging import replacing
+from hpcapp.io.geojson import write_lines
 from hpccomponent.errors import UsageError
 
 _MOST_LEVELS = 10_000
@@ -22,26 +21,13 @@ _MOST_LEVELS = 10_000
 def write_contours(path: Path, grid: HeightGrid, interval: float, crs: Crs | None) -> int:
     """Write the lines of all heights that are multiples of an interval, and return how many.
 
-    Coordinates are those of the map: a member ``crs`` names it as GDAL reads it, by EPSG's code or
-    as WKT. They are rounded to a thousandth of a cell. Raise OutputError where the file cannot be
-    written, and UsageError where there are too many heights.
+    Coordinates are those of the map, rounded to a thousandth of a cell. Raise OutputError where the
+    file cannot be written, and UsageError where there are too many heights.
     """
-    features = [
-        {
-            "type": "Feature",
-            "properties": {"height": height},
-            "geometry": {"type": "LineString", "coordinates": line.tolist()},
-        }
-        for height, line in find_lines(grid, interval)
-    ]
-    collection: dict[str, object] = {"type": "FeatureCollection"}
-    if crs is not None:
-        code = crs.to_epsg()
-        name = crs.to_wkt() if code is None else f"urn:ogc:def:crs:EPSG::{code}"
-        collection["crs"] = {"type": "name", "properties": {"name": name}}
-    with replacing(path) as file:
-        file.write(json.dumps(collection | {"features": features}).encode())
-    return len(features)
+    lines = (({"height": height}, line) for height, line in find_lines(grid, interval))
+    code = None if crs is None else crs.to_epsg()
+    text = None if crs is None else crs.to_wkt() if code is None else f"EPSG:{code}"
+    return write_lines(path, lines, text)
 
 
 def find_lines(grid: HeightGrid, interval: float) -> Iterator[tuple[float, FloatArray]]:

@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import logging
 import sys
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from hpcapp.named_files import FILE_OR_WORD, SCAN
-from hpcapp.parts.crop import parse_crop
-from hpcapp.parts.options import AROUND, BOX, POLYGON
+from hpcapp.parts.options import PLACE, cropped
 from hpccomponent.cli.named_files import OutputFile, json_option
-from hpccomponent.cli.terminal import echo, echo_json
+from hpccomponent.cli.terminal import align_rows, echo, echo_json
 from hpccomponent.cli.verb import Verb
-from hpccomponent.errors import UsageError
+
+if TYPE_CHECKING:
+    from hpcapp.geometry.mesh import Mesh
+    from hpcapp.io.crs import Crs
+    from hpcapp.parts.crop import Crop
+    from hpcapp.progress import Progress
 
 log = logging.getLogger("hpcapp")
 
@@ -82,9 +88,7 @@ GROUPS = {
     metavar="LENGTH",
     help="Of each section across a line, half of it to either side.  [default: all that is there]",
 )
-@BOX
-@AROUND
-@POLYGON
+@cropped(*PLACE)
 @click.option("--flat", is_flag=True, help="Lay the sections of a .dxf side by side, as an .svg.")
 @json_option()
 def section(
@@ -94,49 +98,74 @@ def section(
     along: str | None,
     step: float | None,
     width: float | None,
-    box: str | None,
-    around: str | None,
-    polygon: str | None,
     flat: bool,
     as_json: bool,
+    crop: Crop,
 ) -> None:
     """Cut a surface by planes, and draw the outlines.
 
     They are closed where the mesh is, and end where it ends.
     """
-    if bool(plane) == (along is not None):
-        raise UsageError(
-            "nothing says where to cut"
-            if along is None
-            else "--plane and --along exclude each other",
-            "give --plane z=10, or --along LINE.geojson --step 5",
-        )
-    if width is not None and (along is None or step is None):
-        raise UsageError("--width is for sections across a line", "give --along and --step, too")
+    from hpcapp.applications.section.cut import make_sections
     from hpcapp.applications.section.drawings import load_ezdxf
-    from hpcapp.applications.section.make import list_rows, list_values, make_sections, open_surface
+    from hpcapp.applications.section.planes import check_cuts
+    from hpcapp.applications.section.sections import check_drawing
     from hpcapp.io.outlines import read_lines
     from hpcapp.progress import Progress, StageClock
     from hpcapp.progress_display import open_progress
 
+    check_cuts(plane, along, step, width)
+    check_drawing(output, flat)
     if output.suffix.lower() == ".dxf":
         load_ezdxf(output)
-    crop = parse_crop(box, around, polygon)
     lines = None if along is None else read_lines(along)
     with open_progress(sys.stderr) as display:
         progress = Progress(display)
-        mesh, crs = open_surface(surface, crop, progress)
+        mesh, crs = _open_surface(surface, crop, progress)
         clock = StageClock(progress)
         with clock.stage("cut"):
             sections = make_sections(mesh, crs, plane, lines, step, width, str(surface))
         with clock.stage("write"):
             sections.save(output, flat=flat)
     if as_json:
-        echo_json({"sections": list_values(sections), "unit": crs.unit})
+        echo_json(sections.to_json())
         return
-    rows = list_rows(sections)
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for name, *cells in rows:
-        columns = (f"{one:>{w}}" for one, w in zip(cells, widths[1:], strict=True))
-        echo("  ".join([f"{name:{widths[0]}}", *columns]).rstrip())
+    for line in align_rows(sections.list_rows(), numbers=True):
+        echo(line)
     log.info("%s: %s", output, sections.describe())
+
+
+def _open_surface(path: Path, crop: Crop, progress: Progress) -> tuple[Mesh, Crs]:
+    """Read a mesh, or mesh points, and cut out the part that is asked for."""
+    from hpcapp.io import find_mesh_crs, holds_faces, open_points, read_mesh
+    from hpcapp.io.usable_mesh import check_usable
+    from hpcapp.progress import StageClock
+
+    if not holds_faces(path):
+        return _mesh_points(path, crop, progress), open_points(path).frame
+    with StageClock(progress).stage("read"):
+        mesh, crs = read_mesh(path), find_mesh_crs(path)
+        check_usable(mesh, path)
+        return crop.cut(mesh, crs.height_scale, str(path)), crs
+
+
+def _mesh_points(path: Path, crop: Crop, progress: Progress) -> Mesh:
+    """Mesh the points of a file as ``hpcapp reconstruct`` does by default."""
+    from hpcapp.applications.surface.cli.run import run_job
+    from hpcapp.applications.surface.job.settings import JobSettings
+    from hpcapp.applications.surface.job.source import MARGIN
+    from hpcapp.io import read_mesh
+    from hpcapp.io.points.inputs import gather_points
+    from hpccomponent.files.held_folders import temporary_folder
+
+    log.info("%s: points, which are meshed first, as by hpcapp reconstruct", path)
+    choose = partial(crop.narrow, margin=MARGIN)
+    with (
+        temporary_folder() as folder,
+        gather_points([str(path)], None, for_surface=True, choose=choose) as points,
+    ):
+        output = folder / "mesh.ply"
+        settings = JobSettings(points=points, output=str(output), inputs=(path,), crop=crop)
+        report = run_job(settings, progress)
+        log.info("the mesh: %s", report["summary"])
+        return read_mesh(output)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import re
 from collections.abc import Callable
@@ -14,13 +13,12 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
 
-from hpcapp.applications.section.sections import Section, Sections
-from hpcapp.extras import how_to_install
+from hpcapp.applications.section.sections import Outline, Section, Sections
+from hpcapp.extras import load_library
 from hpcapp.geometry.points import FloatArray
-from hpcapp.io.crs import parse_epsg
+from hpcapp.io.geojson import write_lines
 from hpcapp.io.staging import replacing
 from hpccomponent.dataclass import dataclass
-from hpccomponent.errors import MissingLibraryError
 
 log = logging.getLogger("hpcapp")
 
@@ -58,15 +56,8 @@ class Panel:
 
 
 def load_ezdxf(path: Path) -> Any:
-    """Import the library; raise MissingLibraryError where it is not installed."""
-    try:
-        import ezdxf
-        from ezdxf import units as _  # noqa: F401 - a part that is not imported by itself
-    except ImportError as error:
-        raise MissingLibraryError(
-            f"{path}: DXF needs the package ezdxf", how_to_install("dxf")
-        ) from error
-    return ezdxf
+    """Return the library; MissingLibraryError where it is not installed."""
+    return load_library("ezdxf", f"{path}: DXF needs the package ezdxf", "dxf")
 
 
 def write_dxf(path: Path, sections: Sections, is_flat: bool) -> None:
@@ -76,39 +67,44 @@ def write_dxf(path: Path, sections: Sections, is_flat: bool) -> None:
     """
     drawing = load_ezdxf(path).new("R2010", units=_UNITS.get(sections.crs.unit, 0))
     space = drawing.modelspace()
-    panels = {id(one.section): one for one in lay_out(sections)} if is_flat else {}
-    for section in sections:
-        layer = _FORBIDDEN.sub(" ", section.name).strip() or "section"
+    for layer in [*map(_name_layer, sections), *[_FRAMES] * is_flat]:
         if layer not in drawing.layers:
             drawing.layers.add(layer)
-        style = {"layer": layer}
-        for outline in section.outlines:
-            count = len(outline.points) - outline.is_closed
-            if is_flat:
-                places = panels[id(section)].move(outline.flat[:count])
-                space.add_lwpolyline(places.tolist(), close=outline.is_closed, dxfattribs=style)
-            else:
-                corners = outline.points[:count].tolist()
-                space.add_polyline3d(corners, close=outline.is_closed, dxfattribs=style)
     if is_flat:
-        drawing.layers.add(_FRAMES)
-    for panel in panels.values():
-        _frame(space, panel, _FORBIDDEN.sub(" ", panel.section.name).strip())
+        for panel in lay_out(sections)[0]:
+            _add_panel(space, panel)
+    else:
+        for section in sections:
+            for one in section.outlines:
+                _add_line(space.add_polyline3d, one, one.points, section)
     stream = StringIO()
     drawing.write(stream)
     with replacing(path) as file:
         file.write(stream.getvalue().encode(drawing.output_encoding, "dxfreplace"))
 
 
-def _frame(space: Any, panel: Panel, name: str) -> None:
-    """Draw a frame round a section, and write below where its lower left is."""
-    x, y = panel.place.tolist()
-    width, height = panel.size.tolist()
+def _name_layer(section: Section) -> str:
+    return _FORBIDDEN.sub(" ", section.name).strip() or "section"
+
+
+def _add_line(
+    add: Callable[..., object], outline: Outline, places: FloatArray, section: Section
+) -> None:
+    corners = places[: len(places) - outline.is_closed].tolist()
+    add(corners, close=outline.is_closed, dxfattribs={"layer": _name_layer(section)})
+
+
+def _add_panel(space: Any, panel: Panel) -> None:
+    """Draw a section in a frame, and write below where its lower left is."""
+    for one in panel.section.outlines:
+        _add_line(space.add_lwpolyline, one, panel.move(one.flat), panel.section)
+    (x, y), (right, top) = panel.place.tolist(), (panel.place + panel.size).tolist()
     letter, style = 0.25 * panel.step, {"layer": _FRAMES}
-    corners = [(x, y), (x + width, y), (x + width, y + height), (x, y + height)]
+    corners = [(x, y), (right, y), (right, top), (x, top)]
     space.add_lwpolyline(corners, close=True, dxfattribs=style)
     left, bottom = (f"{along:.10g}" for along in panel.low.tolist())
-    text = space.add_text(f"{name}: lower left {left}, {bottom}", height=letter, dxfattribs=style)
+    said = f"{_name_layer(panel.section)}: lower left {left}, {bottom}"
+    text = space.add_text(said, height=letter, dxfattribs=style)
     text.set_placement((x, y - 2.0 * letter))
 
 
@@ -117,27 +113,19 @@ def write_geojson(path: Path, sections: Sections) -> None:
 
     Raise OutputError where the file cannot be written.
     """
-    features = [
-        {
-            "type": "Feature",
-            "properties": {
+    lines = [
+        (
+            {
                 "section": section.name, "line": section.line or None, "station": section.station,
-                "closed": outline.is_closed, "length": outline.length, "area": outline.area,
+                "closed": one.is_closed, "length": one.length, "area": one.area,
             },
-            "geometry": {"type": "LineString", "coordinates": outline.points.tolist()},
-        }
-        for section in sections for outline in section.outlines
+            one.points,
+        )
+        for section in sections for one in section.outlines
     ]  # fmt: skip
-    collection: dict[str, object] = {"type": "FeatureCollection"}
-    text = sections.crs.text
-    if text is None:
+    if sections.crs.text is None:
         log.warning("%s: states no coordinate reference system: the input has none", path)
-    else:
-        code = parse_epsg(text)
-        name = text if code is None else f"urn:ogc:def:crs:EPSG::{code}"
-        collection["crs"] = {"type": "name", "properties": {"name": name}}
-    with replacing(path) as file:
-        file.write(json.dumps(collection | {"features": features}).encode())
+    write_lines(path, lines, sections.crs.text)
 
 
 def write_svg(path: Path, sections: Sections) -> None:
@@ -145,8 +133,7 @@ def write_svg(path: Path, sections: Sections) -> None:
 
     Raise OutputError where the file cannot be written.
     """
-    panels = lay_out(sections)
-    scale = find_scale(panels)
+    panels, scale = lay_out(sections)
     said = f"{scale:g} {sections.crs.unit or ''}".rstrip()
     low = np.min([one.place for one in panels], axis=0)
     high = np.max([one.place + one.size for one in panels], axis=0)
@@ -160,20 +147,21 @@ def write_svg(path: Path, sections: Sections) -> None:
     SubElement(page, "style").text = _STYLE
     SubElement(page, "rect", {"width": "100%", "height": "100%", "fill": "#fff"})
     for panel in panels:
-
-        def place(flat: FloatArray, panel: Panel = panel) -> FloatArray:
-            """Return where places of the section, (n, 2), are on paper."""
-            x, y = panel.move(flat).T
-            return np.stack([x - low[0], high[1] - y], axis=1) / scale + _MARGIN
-
-        _draw_panel(SubElement(page, "g"), panel, place)
+        _draw_panel(SubElement(page, "g"), panel, np.array([low[0], high[1]]), scale)
     with replacing(path) as file:
         file.write(tostring(page, encoding="utf-8"))
     log.info("%s: 1 mm on paper is %s", path, said)
 
 
-def _draw_panel(group: Element, panel: Panel, place: Callable[[FloatArray], FloatArray]) -> None:
-    """Draw one section: its name, a grid with numbers, and the outlines."""
+def _draw_panel(group: Element, panel: Panel, corner: FloatArray, scale: float) -> None:
+    """Draw one section: its name, a grid with numbers, and the outlines.
+
+    The page has a scale, in lengths of the input a mm, and its upper left at a corner.
+    """
+
+    def place(flat: FloatArray) -> FloatArray:
+        return (panel.move(flat) - corner) * (1.0, -1.0) / scale + _MARGIN
+
     ends = np.stack([panel.low, panel.low + panel.size])
     (left, bottom), (right, top) = place(ends).tolist()
     group.set("id", f"section-{panel.section.name}")
@@ -203,34 +191,27 @@ def _write(group: Element, x: float, y: float, text: str, style: dict[str, str])
     SubElement(group, "text", {"x": f"{x:.2f}", "y": f"{y:.2f}", **style}).text = text
 
 
-def lay_out(sections: Sections) -> list[Panel]:
-    """Return the sections that have outlines, in rows from the top, about as wide as high."""
+def lay_out(sections: Sections) -> tuple[list[Panel], float]:
+    """Return the sections that have outlines, in rows from the top, about as wide as high.
+
+    The scale comes with them: what a mm of paper is, a round number.
+    """
     shown = [one for one in sections if one.outlines]
     flats = [np.concatenate([one.flat for one in section.outlines]) for section in shown]
     step = round_up(max(float(np.ptp(flat, axis=0).max()) for flat in flats) / _LINES)
     lows = [step * np.floor(flat.min(axis=0) / step) for flat in flats]
     highs = [step * np.ceil(flat.max(axis=0) / step) for flat in flats]
-    sizes = [np.maximum(high - low, step) for low, high in zip(lows, highs, strict=True)]
-    largest = np.max(sizes, axis=0)
-    gap = 2.0 * _MARGIN * round_up(float(largest.max()) / _PAPER)
-    wide, high = (largest + gap).tolist()
+    sizes = np.maximum(np.subtract(highs, lows), step)  # (sections, 2)
+    scale = round_up(float(sizes.max()) / _PAPER)
+    gap = 2.0 * _MARGIN * scale
+    wide, high = (sizes.max(axis=0) + gap).tolist()
     columns = max(round((len(shown) * high / wide) ** 0.5), 1)
     panels, bottom = [], 0.0
-    for first in range(0, len(shown), columns):
-        row = slice(first, first + columns)
-        bottom -= float(np.max(sizes[row], axis=0)[1]) + gap
-        panels += [
-            Panel(section, low, size, np.array([k * wide, bottom]), step)
-            for k, (section, low, size) in enumerate(
-                zip(shown[row], lows[row], sizes[row], strict=True)
-            )
-        ]
-    return panels
-
-
-def find_scale(panels: list[Panel]) -> float:
-    """Return what a millimetre of paper is, so that the largest section fits: a round number."""
-    return round_up(max(float(one.size.max()) for one in panels) / _PAPER)
+    for k, (section, low, size) in enumerate(zip(shown, lows, sizes, strict=True)):
+        if k % columns == 0:
+            bottom -= float(sizes[k : k + columns, 1].max()) + gap
+        panels.append(Panel(section, low, size, np.array([k % columns * wide, bottom]), step))
+    return panels, scale
 
 
 def round_up(width: float) -> float:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
-from math import ceil, floor
+from collections.abc import Sequence
+from math import ceil, floor, inf
 
 import numpy as np
 
@@ -15,14 +14,14 @@ from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
 from hpccomponent.ranges import FARTHEST, is_place
 
-_AXES = "xyz"
+_AXES = ("x", "y", "z")
 _ABOVE = np.array([0.0, 0.0, 1.0])
 _TOWARDS = (-1.0, 1.0, -1.0)
 """Along x, y and z, the way to look at what lies square to it, so that the drawing has the two
 other coordinates of the map to the right and upwards."""
-_UPRIGHT = 1e-9  # of a unit vector: a plane as upright as that has heights
-_MOST_SECTIONS = 10_000
-_ENDS = 1e-9  # of a step: a station that is so near the end of a line is on it
+_UPRIGHT = 1e-9  # of a unit vector: rounding of a plane that was meant to be upright
+_MOST_SECTIONS = 10_000  # of one drawing: the step was meant to be another one
+_ENDS = 1e-9  # of a step: rounding of a station that is at the end of a line
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,11 +31,11 @@ class Plane:
     Parameters
     ----------
     place : ndarray of float64, shape (3,)
-        In the plane.
+        In the plane; at zero height where it is upright, so that drawings have heights.
     towards : ndarray of float64, shape (3,)
-        Unit vector square to it, along which it is looked at.
-    start : tuple of 2 floats
-        The place in the drawing.
+        Square to it, the way that it is looked at; of any length.
+    start : float
+        Where the place is in the drawing, to the right.
     span : tuple of 2 floats
         What counts, to the right of the place.
     ends : tuple of 2 ints
@@ -45,24 +44,21 @@ class Plane:
 
     place: FloatArray
     towards: FloatArray
-    start: tuple[float, float]
-    span: tuple[float, float] = (-np.inf, np.inf)
+    start: float = 0.0
+    span: tuple[float, float] = (-inf, inf)
     ends: tuple[int, int] = (0, 1)
 
-    @property
-    def axes(self) -> FloatArray:
-        """Rows to the right and upwards in the drawing, shape (2, 3)."""
-        right = np.cross(self.towards, _ABOVE)
-        size = float(np.linalg.norm(right))
-        right = right / size if size > _UPRIGHT else np.array([1.0, 0.0, 0.0])
-        return np.stack([right, np.cross(right, self.towards)])
+    def find_axes(self, scales: FloatArray) -> FloatArray:
+        """Return unit vectors to the right and upwards in the drawing, shape (2, 3).
 
-    def scale(self, scales: FloatArray) -> Plane:
-        """Return it in coordinates that are so many times as long; x and y stay as they are."""
+        They are of coordinates that are so many times as long as those of the input, shape (3,).
+        """
         towards = self.towards / scales
         towards /= np.linalg.norm(towards)
-        start = self.start[0], float(self.start[1] * scales[2])
-        return replace(self, place=self.place * scales, towards=towards, start=start)
+        right = np.cross(towards, _ABOVE)
+        size = float(np.linalg.norm(right))
+        right = right / size if size > _UPRIGHT else np.array([1.0, 0.0, 0.0])
+        return np.stack([right, np.cross(right, towards)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,12 +70,23 @@ class Cut:
     station: float | None = None
     line: str = ""
 
-    def scale(self, scales: FloatArray) -> Cut:
-        """Return it in coordinates that are so many times as long, shape (3,)."""
-        return (
-            self
-            if (scales == 1.0).all()
-            else replace(self, planes=tuple(one.scale(scales) for one in self.planes))
+
+def check_cuts(
+    planes: str | Sequence[str], along: object, step: float | None, width: float | None
+) -> None:
+    """Raise UsageError where what is said of the planes does not fit together."""
+    if bool(planes) == (along is not None):
+        raise UsageError(
+            f"{name_option('plane')} and {name_option('along')} exclude each other"
+            if planes
+            else "nothing says where to cut",
+            f"give {name_option('plane', 'z=10')}, or {name_option('along', 'LINE.geojson')} "
+            f"{name_option('step', 5)}",
+        )
+    if width is not None and (along is None or step is None):
+        raise UsageError(
+            f"{name_option('width')} is for sections across a line",
+            f"give {name_option('along')} and {name_option('step')}, too",
         )
 
 
@@ -99,61 +106,32 @@ def plan_planes(
     UsageError
         One is none of these, or there are too many.
     """
-    cuts: list[Cut] = []
-    for text in texts:
-        axis, _, value = text.strip().partition("=")
-        if axis in _AXES and axis and not value:
-            k = _AXES.index(axis)
-            cuts += [_cut_axis(k, at) for at in _list_multiples(text, step, low[k], high[k])]
-            continue
-        numbers = _parse(value if axis in _AXES and axis else text)
-        if axis in _AXES and len(numbers) == 1:
-            cuts.append(_cut_axis(_AXES.index(axis), numbers[0]))
-            continue
-        size = float(np.linalg.norm(numbers[3:]))
-        if len(numbers) != 6 or not size:
-            raise UsageError(
-                f"{name_option('plane', text)}: it is no plane",
-                "write it as z=10, as z with a --step, or as X,Y,Z,DX,DY,DZ: a place in it and a "
-                "direction square to it",
-            )
-        cuts.append(_cut_freely(text, np.array(numbers[:3]), np.array(numbers[3:]) / size))
-    if step is not None and not any(text.strip() in tuple(_AXES) for text in texts):
+    if step is not None and not any(text.strip() in _AXES for text in texts):
         raise UsageError(
             f"{name_option('step')} has nothing to step along",
-            "give an axis as plane, as in --plane z --step 3, or a line with --along",
+            f"give an axis as {name_option('plane', 'z')}, or a line as {name_option('along')}",
         )
-    return cuts
+    return [cut for text in texts for cut in _plan_text(text, step, low, high)]
 
 
-def plan_along(lines: Sequence[Drawn], step: float | None, width: float | None) -> list[Cut]:
-    """Return the sections square to lines at every step, to the right as one walks along them.
-
-    Without a step the one along each line; its stations are to the right. `width` is that of each
-    cross section, half of it to either side. Raise UsageError where there are too many.
-    """
-    cuts: list[Cut] = []
-    for number, line in enumerate(lines, 1):
-        name = line.name or ("" if len(lines) == 1 else f"line {number}")
-        corners = np.array(line.shape.coords, dtype=np.float64)
-        lengths = np.linalg.norm(np.diff(corners, axis=0), axis=1)
-        corners, lengths = corners[np.append(True, lengths > 0.0)], lengths[lengths > 0.0]
-        at = np.append(0.0, np.cumsum(lengths))
-        if step is None:
-            cuts.append(_cut_along(name, corners, at))
-            continue
-        if at[-1] / step > _MOST_SECTIONS:
-            raise UsageError(
-                f"{name_option('step', step)} makes more than {_MOST_SECTIONS:,} sections",
-                "give a larger one",
-            )
-        half = np.inf if width is None else 0.5 * width
-        cuts += _cut_across(name, corners, at, step, (-half, half))
-    if len(cuts) > _MOST_SECTIONS:
-        raise UsageError(
-            f"{len(cuts):,} sections are too many", f"give a larger {name_option('step')}"
-        )
-    return cuts
+def _plan_text(text: str, step: float | None, low: FloatArray, high: FloatArray) -> list[Cut]:
+    axis, equals, value = text.strip().partition("=")
+    if axis in _AXES:
+        k = _AXES.index(axis)
+        if not equals:
+            return [_cut_axis(k, at) for at in _list_multiples(axis, step, low[k], high[k])]
+        if len(numbers := _parse(value)) == 1:
+            return [_cut_axis(k, numbers[0])]
+    elif len(numbers := _parse(text)) == 6 and any(numbers[3:]):
+        place, towards = np.array(numbers).reshape(2, 3)
+        if abs(towards[2]) < _UPRIGHT * np.linalg.norm(towards):
+            place[2] = towards[2] = 0.0
+        return [Cut(text, (Plane(place, towards),))]
+    raise UsageError(
+        f"{name_option('plane', text)}: it is no plane",
+        f"write it as z=10, as z with {name_option('step')}, or as X,Y,Z,DX,DY,DZ: a place in it "
+        "and a direction square to it",
+    )
 
 
 def _parse(text: str) -> list[float]:
@@ -165,59 +143,85 @@ def _parse(text: str) -> list[float]:
     return numbers if is_place(*numbers) else []
 
 
-def _list_multiples(text: str, step: float | None, low: float, high: float) -> list[float]:
+def _list_multiples(axis: str, step: float | None, low: float, high: float) -> list[float]:
     if step is None:
         raise UsageError(
-            f"{name_option('plane', text)}: nothing says where",
-            f"write {text.strip()}=10, or give a --step for all of its multiples",
+            f"{name_option('plane', axis)}: nothing says where",
+            f"write {axis}=10, or give {name_option('step')} for all of its multiples",
         )
-    if max(abs(low), abs(high)) / step > FARTHEST or (high - low) / step > _MOST_SECTIONS:
-        raise UsageError(
-            f"{name_option('step', step)} makes more than {_MOST_SECTIONS:,} sections",
-            "give a larger one",
-        )
+    can_be_told = max(abs(low), abs(high)) / step <= FARTHEST
+    _check_count((high - low) / step if can_be_told else inf)
     return [k * step for k in range(ceil(low / step), floor(high / step) + 1)]
+
+
+def _check_count(count: float) -> None:
+    if count > _MOST_SECTIONS:
+        raise UsageError(
+            f"more than {_MOST_SECTIONS:,} sections are asked for",
+            f"give a larger {name_option('step')}, or fewer lines",
+        )
 
 
 def _cut_axis(axis: int, at: float) -> Cut:
     place, towards = np.zeros(3), np.zeros(3)
     place[axis], towards[axis] = at, _TOWARDS[axis]
-    return Cut(f"{_AXES[axis]}={_say(at)}", (Plane(place, towards, (0.0, 0.0)),))
+    return Cut(f"{_AXES[axis]}={_say(at)}", (Plane(place, towards),))
 
 
-def _cut_freely(name: str, place: FloatArray, towards: FloatArray) -> Cut:
-    """Return a section through a place; where it is upright the drawing has heights."""
-    is_upright = abs(towards[2]) < _UPRIGHT
-    return Cut(name, (Plane(place, towards, (0.0, float(place[2]) if is_upright else 0.0)),))
+def plan_along(lines: Sequence[Drawn], step: float | None, width: float | None) -> list[Cut]:
+    """Return the sections square to lines at every step, to the right as one walks along them.
+
+    Without a step the one along each line; its stations are to the right. `width` is that of each
+    cross section, half of it to either side. Raise UsageError where there are too many.
+    """
+    _check_count(sum(line.shape.length / step if step else 1.0 for line in lines))
+    half = inf if width is None else 0.5 * width
+    cuts: list[Cut] = []
+    for number, line in enumerate(lines, 1):
+        name = line.name or ("" if len(lines) == 1 else f"line {number}")
+        corners = np.array(line.shape.coords, dtype=np.float64)
+        sides = np.diff(corners, axis=0)
+        lengths = np.linalg.norm(sides, axis=1)
+        is_side = lengths > 0.0
+        # (s, 2) and (s,): where each side begins, its unit vector, and the stations of its ends
+        begins, ways = corners[:-1][is_side], sides[is_side] / lengths[is_side, None]
+        at = np.append(0.0, np.cumsum(lengths[is_side]))
+        if step is None:
+            cuts.append(_cut_along(name, begins, ways, at))
+        else:
+            cuts += _cut_across(name, begins, ways, at, step, half)
+    return cuts
 
 
-def _cut_along(name: str, corners: FloatArray, at: FloatArray) -> Cut:
-    ways = np.diff(corners, axis=0) / np.diff(at)[:, None]
+def _cut_along(name: str, begins: FloatArray, ways: FloatArray, at: FloatArray) -> Cut:
     planes = [
         Plane(
-            np.array([*corners[k], 0.0]), np.array([-way[1], way[0], 0.0]), (float(at[k]), 0.0),
-            (0.0, float(at[k + 1] - at[k])), (k, k + 1),
+            np.array([*begin, 0.0]), np.array([-y, x, 0.0]), start, (0.0, end - start), (k, k + 1)
         )
-        for k, way in enumerate(ways)
-    ]  # fmt: skip
+        for k, (begin, (x, y), start, end) in enumerate(
+            zip(begins, ways, at[:-1].tolist(), at[1:].tolist(), strict=True)
+        )
+    ]
     return Cut(name or "profile", tuple(planes), None, name)
 
 
 def _cut_across(
-    name: str, corners: FloatArray, at: FloatArray, step: float, span: tuple[float, float]
-) -> Iterator[Cut]:
-    ways = np.diff(corners, axis=0) / np.diff(at)[:, None]
-    for station in step * np.arange(floor(at[-1] / step + _ENDS) + 1.0):
-        after = min(int(np.searchsorted(at, station, "right")) - 1, len(ways) - 1)
-        # at a corner of the line the section halves the angle
-        before = min(int(np.searchsorted(at, station, "left")), len(ways)) - 1
-        way = ways[after] + ways[max(before, 0)]
-        size = float(np.linalg.norm(way))
-        way = way / size if size > _UPRIGHT else ways[after]
-        x, y = corners[after] + (station - at[after]) * ways[after]
-        plane = Plane(np.array([x, y, 0.0]), np.array([*way, 0.0]), (0.0, 0.0), span)
-        said = _say(float(station))
-        yield Cut(f"{name} {said}" if name else said, (plane,), float(station), name)
+    name: str, begins: FloatArray, ways: FloatArray, at: FloatArray, step: float, half: float
+) -> list[Cut]:
+    stations = step * np.arange(floor(at[-1] / step + _ENDS) + 1.0)
+    # (n,): the sides before and after each station, which are two at a corner of the line
+    before = np.clip(np.searchsorted(at, stations, "left") - 1, 0, len(ways) - 1)
+    after = np.clip(np.searchsorted(at, stations, "right") - 1, 0, len(ways) - 1)
+    # (n, 2): there a section halves the angle, unless the line turns back
+    towards = ways[before] + ways[after]
+    turns_back = np.linalg.norm(towards, axis=1) <= _UPRIGHT
+    towards = np.where(turns_back[:, None], ways[after], towards)
+    places = begins[after] + (stations - at[after])[:, None] * ways[after]
+    cuts = []
+    for station, place, way in zip(stations.tolist(), places, towards, strict=True):
+        plane = Plane(np.append(place, 0.0), np.append(way, 0.0), span=(-half, half))
+        cuts.append(Cut(f"{name} {_say(station)}".strip(), (plane,), station, name))
+    return cuts
 
 
 def _say(number: float) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
@@ -11,7 +10,7 @@ import numpy as np
 
 from hpcapp.geometry.points import FloatArray
 from hpcapp.io.crs import UNKNOWN, Crs
-from hpcapp.wording import say_count
+from hpcapp.wording import say_count, say_number
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
 
@@ -69,11 +68,6 @@ class Section:
     line: str
     outlines: tuple[Outline, ...]
 
-    def scale(self, scales: FloatArray) -> Section:
-        """Return it with points that have so many times as long coordinates, shape (3,)."""
-        outlines = (replace(one, points=one.points * scales) for one in self.outlines)
-        return self if (scales == 1.0).all() else replace(self, outlines=tuple(outlines))
-
     @property
     def closed(self) -> int:
         """How many outlines are closed."""
@@ -116,6 +110,29 @@ class Sections:
         ]
         return "; ".join([*told, f"{empty:,} sections meet nothing"] if empty else told)
 
+    def list_rows(self) -> list[tuple[str, str, str, str, str]]:
+        """Return a table for people, with its head."""
+        unit = self.crs.unit or ""
+        return [("section", "outlines", "closed", "length", "area")] + [
+            (
+                one.name, str(len(one.outlines)), str(one.closed), say_number(one.length, unit),
+                say_number(one.area, unit and f"{unit}²"),
+            )
+            for one in self
+        ]  # fmt: skip
+
+    def to_json(self) -> dict[str, object]:
+        """Return the same as plain values."""
+        sections = [
+            {
+                "name": one.name, "station": one.station, "line": one.line or None,
+                "outlines": len(one.outlines), "closed": one.closed,
+                "length": one.length, "area": one.area,
+            }
+            for one in self
+        ]  # fmt: skip
+        return {"sections": sections, "unit": self.crs.unit}
+
     def save(self, path: str | PathLike[str], *, flat: bool = False) -> None:
         """Write a drawing: ``.dxf`` or ``.geojson`` in place, ``.svg`` flat.
 
@@ -125,16 +142,21 @@ class Sections:
         from hpcapp.applications.section import drawings
 
         file = Path(path)
-        suffix = file.suffix.lower()
-        if suffix not in SUFFIXES:
-            raise UsageError(
-                f"{file}: no drawing has this suffix", f"give one of {', '.join(SUFFIXES)}"
-            )
-        if flat and suffix in (".geojson", ".json"):
-            raise UsageError(f"{file}: GeoJSON is in place, not flat", "give a .dxf or an .svg")
-        if suffix == ".dxf":
+        check_drawing(file, flat)
+        if file.suffix.lower() == ".dxf":
             drawings.write_dxf(file, self, flat)
-        elif suffix == ".svg":
+        elif file.suffix.lower() == ".svg":
             drawings.write_svg(file, self)
         else:
             drawings.write_geojson(file, self)
+
+
+def check_drawing(path: Path, is_flat: bool) -> None:
+    """Raise UsageError where a file is no drawing, or none that can be flat."""
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise UsageError(
+            f"{path}: no drawing has this suffix", f"give one of {', '.join(SUFFIXES)}"
+        )
+    if is_flat and suffix in (".geojson", ".json"):
+        raise UsageError(f"{path}: GeoJSON is in place, not flat", "give a .dxf or an .svg")

@@ -13,12 +13,14 @@ from __future__ import annotations
 from math import hypot
 
 import numpy as np
-from scipy.sparse import coo_matrix, csc_matrix, diags
+from scipy.sparse import coo_matrix, csc_matrix, eye
+from scipy.sparse.csgraph import laplacian
 from scipy.sparse.linalg import splu
 from scipy.stats import t as student
 
 from hpcapp.geometry.points import BoolArray, FloatArray
 from hpcapp.terrain.errors import CONFIDENCE
+from hpcapp.terrain.heights import Heights
 from hpcapp.terrain.lattice import Lattice
 from hpccomponent.dataclass import dataclass
 
@@ -45,8 +47,8 @@ class Base:
 
 
 def fit_base(
-    is_membrane: bool, areas: FloatArray, heights: FloatArray, variances: FloatArray,
-    is_near: BoolArray, is_known: BoolArray, lattice: Lattice,
+    is_membrane: bool, areas: FloatArray, ground: Heights, is_near: BoolArray,
+    is_known: BoolArray, lattice: Lattice,
 ) -> Base:  # fmt: skip
     """Continue the heights of a rim below a heap, as a membrane or as a plane.
 
@@ -54,34 +56,33 @@ def fit_base(
     ----------
     areas : ndarray of float64, shape (rows, columns)
         What of each cell the heap stands on.
-    heights, variances : ndarray of float64, shape (rows, columns)
-        Of the ground.
+    ground : Heights
+        Those outside of the heap.
     is_near : ndarray of bool, shape (rows, columns)
         The cells of the heap and of its rim.
     is_known : ndarray of bool, shape (rows, columns)
         Those of the rim that have a height.
     """
-    places = lattice.middles
-    places = (places - places[is_known].mean(axis=0)) / np.ptp(places[is_known], axis=0).max()
-    x, y = places[..., 0], places[..., 1]
+    # (rows, columns): where cells are from the middle of the rim, in its extents
+    places = lattice.middles - lattice.middles[is_known].mean(axis=0)
+    x, y = np.moveaxis(places / np.ptp(places[is_known], axis=0).max(), -1, 0)
     square = x**2 + y**2
-    rim = heights[is_known]
-    middle = float(rim.mean())  # so that heights far from zero keep their digits
+    # so that heights far from zero keep their digits
+    middle = float(ground.values[is_known].mean())
+    rim = ground.values[is_known] - middle  # (k,)
     terms = np.stack([np.ones_like(x), x, y, x**2 - y**2, 2.0 * x * y], axis=-1)
-    saddles = np.linalg.lstsq(terms[is_known], rim - middle, rcond=None)[0][3:]
+    saddles = np.linalg.lstsq(terms[is_known], rim, rcond=None)[0][3:]
     membrane = _Membrane(is_near, is_known)
-    stretched = membrane.solve(rim - middle)
-    weights = membrane.weigh(areas)
-    if is_membrane:
-        base, between = stretched, 0.0
-    else:
-        plane, told = terms[..., :3], terms[is_known][:, :3]
-        inverse = np.linalg.pinv(told)
-        base = np.where(is_near, plane @ (inverse @ (rim - middle)), 0.0)
+    # weights (k,): what of the volume below each height of the rim makes
+    base, weights, between = membrane.solve(rim), membrane.weigh(areas), 0.0
+    if not is_membrane:
+        plane = terms[..., :3]
+        inverse = np.linalg.pinv(plane[is_known])  # (3, k)
+        stretched, base = base, np.where(is_near, plane @ (inverse @ rim), 0.0)
         weights = (areas[..., None] * plane).sum(axis=(0, 1)) @ inverse
         between = abs(float((areas * (base - stretched)).sum()))
     bowl = abs(float(weights @ square[is_known] - (areas * square).sum()))
-    variance = float((weights**2 * variances[is_known]).sum())
+    variance = float((weights**2 * ground.variances[is_known]).sum())
     return Base(base + middle, variance, _UNSURE * hypot(*saddles.tolist()) * bowl + between)
 
 
@@ -90,36 +91,31 @@ def interpolate(values: FloatArray, is_known: BoolArray, is_in: BoolArray) -> Fl
 
     Parts without a known cell have their mean.
     """
-    filled = np.where(is_known, values, values[is_known].mean())
-    if (is_in & ~is_known).any():
-        found = _Membrane(is_in, is_known).solve(filled[is_known])
-        filled = np.where(is_in, found, filled)
-    return filled
+    mean = float(values[is_known].mean())
+    if not (is_in & ~is_known).any():
+        return np.where(is_known, values, mean)
+    return mean + _Membrane(is_in, is_known).solve(values[is_known] - mean)
 
 
 class _Membrane:
     """Laplace's equation on some cells: the known ones hold it up, elsewhere its rim is free."""
 
     def __init__(self, is_near: BoolArray, is_known: BoolArray) -> None:
-        self._near, self._known = is_near, is_known
+        self._near, count = is_near, np.count_nonzero(is_near)
         number = np.full(is_near.shape, -1, dtype=np.int64)
-        number[is_near] = np.arange(np.count_nonzero(is_near))
-        pairs = np.concatenate([
-            np.stack([number[:, :-1].ravel(), number[:, 1:].ravel()], axis=1),
-            np.stack([number[:-1].ravel(), number[1:].ravel()], axis=1),
-        ])  # fmt: skip
-        pairs = pairs[(pairs >= 0).all(axis=1)]
-        row, column = np.concatenate([pairs, pairs[:, ::-1]]).T
-        links = coo_matrix(
-            (np.ones(len(row)), (row, column)), shape=(number.max() + 1,) * 2
-        ).tocsr()
+        number[is_near] = np.arange(count)
+        sides = (number[:, :-1], number[:, 1:]), (number[:-1], number[1:])
+        # (p, 2): the cells, by number, that touch along x, then along y
+        pairs = np.concatenate([np.stack([a.ravel(), b.ravel()], axis=1) for a, b in sides])
+        row, column = pairs[(pairs >= 0).all(axis=1)].T
+        links = coo_matrix((np.ones(len(row)), (row, column)), shape=(count, count))
         held = is_known[is_near]
         self._free, self._held = np.flatnonzero(~held), np.flatnonzero(held)
-        self._links = links[self._free][:, self._held]
-        degree = np.asarray(links.sum(axis=1)).ravel()[self._free]
-        inner = links[self._free][:, self._free]
+        rows = laplacian(links + links.T).tocsr()[self._free]
+        self._links, inner = -rows[:, self._held], rows[:, self._free]
         # a part that nothing holds up lies at zero
-        self._factors = splu(csc_matrix(diags(degree + _RIDGE) - inner)) if len(degree) else None
+        ridge = _RIDGE * eye(len(self._free))
+        self._factors = splu(csc_matrix(inner + ridge)) if len(self._free) else None
 
     def solve(self, heights: FloatArray) -> FloatArray:
         """Return the heights of all cells, given those of the known ones; zero elsewhere."""

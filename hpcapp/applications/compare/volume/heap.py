@@ -8,7 +8,6 @@ what no point shows.
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from math import hypot
@@ -31,8 +30,6 @@ from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.ranges import is_place
 
-log = logging.getLogger("hpcapp")
-
 RIM, FLAT = "rim", "plane"
 """What a base may be, beside a height."""
 _MOST_CELLS = 10_000  # of one polygon: its base is solved for
@@ -43,6 +40,7 @@ _RING = 0.05
 _MOST_RINGS = 5  # that may be part of the heap: a foot that was cut off
 _AFTER = 3  # rings that tell what lies beyond
 _STILL = 0.005  # of a volume: what a ring may add to one that stays
+_UNSETTLED = 2.0  # times what widening adds, of a volume that does not stay
 _KNOWN_RIM = 0.5  # share of the cells round a polygon that need ground
 _HALF = 0.5  # of a cell: one that is covered by less has no height
 _BY_HALVES = 4.0 / 3.0
@@ -125,45 +123,27 @@ def measure_heaps(
     cell: float | None = None,
     registration: float | None = None,
 ) -> list[Heap]:
-    """Measure what lies above a base within polygons.
+    """Measure what lies above a base within polygons, as `hpcapp.measure_heaps` says.
 
-    Parameters
-    ----------
-    above : str or float
-        ``rim``: what the heights round the polygon are continued to; ``plane``: the plane through
-        them; or a height, in the unit of heights of the file.
-    cell : float, optional
-        Width of a cell; by default as the points around need.
-    registration : float, optional
-        Standard deviation of the place of a polygon against the points; by default it is grown as
-        long as that adds to the volume, by a tenth to a half of its radius.
-
-    Raises
-    ------
-    InputError
-        There are too few points in a polygon, or hardly any round it.
-    UsageError
-        `above` is none of these.
+    A height is in the unit of heights of the file.
     """
-    level = _read_level(above)
     origin = ground.surface.origin
     turned = ground.turn("z", origin)
-    if level is not None:
-        level = level * ground.crs.height_scale - origin[2]
+    base = _read_base(above)
+    if not isinstance(base, str):
+        base = base * ground.crs.height_scale - origin[2]
     shapely = load_shapely()
     heaps = []
     for number, drawn in enumerate(polygons, 1):
         shape = shapely.transform(drawn.shape, lambda places: places - origin[:2])
         name = drawn.name or (f"heap {number}" if len(polygons) > 1 else "heap")
-        heaps.append(
-            _measure(turned, shape, name, above if level is None else level, cell, registration)
-        )
+        heaps.append(_measure(turned, shape, name, base, cell, registration))
     return heaps
 
 
-def _read_level(above: str | float) -> float | None:
+def _read_base(above: str | float) -> str | float:
     if above in (RIM, FLAT):
-        return None
+        return above
     try:
         level = float(above)
     except ValueError:
@@ -177,55 +157,72 @@ def _read_level(above: str | float) -> float | None:
 
 
 def _measure(
-    ground: Epoch, shape: Any, name: str, above: str | float, cell: float | None,
+    ground: Epoch, shape: Any, name: str, base: str | float, cell: float | None,
     registration: float | None,
 ) -> Heap:  # fmt: skip
-    radius = float(shape.area / np.pi) ** 0.5
-    need = _take_near(ground, shape.buffer(0.5 * radius), name).choose_step()
     # a height is no ground that a foot would end at: the polygon counts as it is drawn
-    known = 0.0 if registration is None and not isinstance(above, str) else registration
-    low, high = np.array(shape.bounds).reshape(2, 2)
-    beyond = _list_growths(radius, 0.0, known)[-1]
-    least = (float(np.prod(high - low + 2.0 * beyond)) / _MOST_WITH_RIM) ** 0.5
-    width = cell or max(need, least, (shape.area / _MOST_CELLS) ** 0.5)
-    if width < least:
-        raise UsageError(
-            f"{name}: cells {width:.3g} wide are more than {_MOST_WITH_RIM:,}",
-            f"give {name_option('cell')} {least:.2g} or more, or a smaller "
-            f"{name_option('registration')}",
-        )
+    known = 0.0 if registration is None and not isinstance(base, str) else registration
+    radius = float(shape.area / np.pi) ** 0.5
+    around = np.array(shape.buffer(0.5 * radius).bounds).reshape(2, 2)
+    need = _take_near(ground, around, name).choose_step()
+    box = np.array(shape.bounds).reshape(2, 2)
+    farthest = _list_growths(radius, 0.0, known)[-1]
+    width = _choose_width(cell, max(need, (shape.area / _MOST_CELLS) ** 0.5), box, farthest, name)
     growths = _list_growths(radius, width, known)
-    margin = growths[-1] + 3.0 * width
-    near = _take_near(ground, shape.buffer(margin), name)
-    lattice = Lattice.over(low - margin, high + margin, width)
-    scan = _Scan.of(near, lattice, need / PER_CELL**0.5)
-    sums = [scan.sum_volume(shape, above, name)]
-    for growth in growths[1:]:
-        try:
-            sums.append(scan.sum_volume(shape.buffer(growth), above, name))
-        except InputError:  # the survey ends there
-            break
-        last = _find_still(sums)
-        if known is None and last is not None and len(sums) > last + _AFTER:
-            break
-    still = _find_still(sums) if known is None else 0
-    own = sums[still or 0]
-    from_polygon = max(abs(one.volume - own.volume) for one in sums[still or 0 :])
+    box = box + np.array([[-1.0], [1.0]]) * (growths[-1] + 3.0 * width)
+    near, spacing = _take_near(ground, box, name), need / PER_CELL**0.5
+    sums = _sum_rings(_Scan.over(near, box, width, spacing), shape, base, name, growths, known)
+    found = _find_still(sums) if known is None else 0
+    still = found or 0
+    own = sums[still]
+    fine = _Scan.over(near, box, 0.5 * width, spacing)
+    narrow = fine.sum_volume(shape.buffer(growths[still]), own.level, name)
+    from_polygon = max(abs(one.volume - own.volume) for one in sums[still:])
     if known is None:  # what seems to stay may go on, and what does not is not at its end
-        from_polygon = max(from_polygon, _STILL * abs(own.volume)) * (
-            1.0 if still is not None else 2.0
-        )
+        from_polygon = max(from_polygon, _STILL * abs(own.volume))
+        from_polygon *= _UNSETTLED if found is None else 1.0
     from_noise = LIKELY * own.variance**0.5
-    outline = shape.buffer(growths[still or 0])
-    fine = _Scan.of(near, Lattice.over(low - margin, high + margin, 0.5 * width), scan.spacing)
-    wide, narrow = (one.sum_volume(outline, own.level, name).volume for one in (scan, fine))
-    from_cells = _BY_HALVES * abs(wide - narrow)
+    from_cells = _BY_HALVES * abs(own.volume - narrow.volume)
     return Heap(
         name, own.volume,
         hypot(from_noise, own.from_base) + from_polygon + own.from_hidden + from_cells,
         from_noise, own.from_base, from_polygon, own.from_hidden, from_cells, float(shape.area),
-        own.height, own.hidden, growths[still or 0], still is not None, width,
+        own.height, own.hidden, growths[still], found is not None, width,
     )  # fmt: skip
+
+
+def _choose_width(
+    cell: float | None, need: float, box: FloatArray, beyond: float, name: str
+) -> float:
+    """Return the width of cells: as asked for or needed, but not too many in a box that is widened.
+
+    Raise UsageError where those asked for are.
+    """
+    least = (float(np.prod(np.ptp(box, axis=0) + 2.0 * beyond)) / _MOST_WITH_RIM) ** 0.5
+    if cell is not None and cell < least:
+        raise UsageError(
+            f"{name}: cells {cell:.3g} wide are more than {_MOST_WITH_RIM:,}",
+            f"give {name_option('cell')} {least:.2g} or more, or a smaller "
+            f"{name_option('registration')}",
+        )
+    return cell or max(need, least)
+
+
+def _sum_rings(
+    scan: _Scan, shape: Any, base: str | float, name: str, growths: Sequence[float],
+    known: float | None,
+) -> list[_Sum]:  # fmt: skip
+    """Return the volume of a polygon, and as it is grown until that has stayed, or ground ends."""
+    sums = [scan.sum_volume(shape, base, name)]
+    for growth in growths[1:]:
+        try:
+            sums.append(scan.sum_volume(shape.buffer(growth), base, name))
+        except InputError:  # the survey ends there
+            break
+        still = _find_still(sums)
+        if known is None and still is not None and len(sums) > still + _AFTER:
+            break
+    return sums
 
 
 def _list_growths(radius: float, width: float, registration: float | None) -> list[float]:
@@ -246,13 +243,12 @@ def _find_still(sums: Sequence[_Sum]) -> int | None:
     return None
 
 
-def _take_near(ground: Epoch, around: Any, name: str) -> Epoch:
-    """Return the points in the box of a polygon; a mesh as it is."""
+def _take_near(ground: Epoch, box: FloatArray, name: str) -> Epoch:
+    """Return the points in a box, with its low and its high corner, (2, 2); a mesh as it is."""
     if not isinstance(ground.surface, PointCloud):
         return ground
-    low, high = np.array(around.bounds).reshape(2, 2)
     places = ground.surface.positions
-    is_near = ((places[:, :2] >= low) & (places[:, :2] <= high)).all(axis=1)
+    is_near = ((places[:, :2] >= box[0]) & (places[:, :2] <= box[1])).all(axis=1)
     if not is_near.any():
         raise InputError(
             f"{ground.name}: no points in {name}",
@@ -263,77 +259,75 @@ def _take_near(ground: Epoch, around: Any, name: str) -> Epoch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scan:
-    """The points or the mesh around one polygon, and a lattice."""
+    """The points or the mesh around one polygon, and a lattice.
 
-    points: FloatArray | None
-    mesh: Heights | None
+    Of points, `cover` is the share of each cell that they cover, (rows, columns). A mesh has
+    `faces`, heights of whole cells, which no polygon parts.
+    """
+
+    points: FloatArray
     lattice: Lattice
-    spacing: float
-    is_covered: BoolArray
+    cover: FloatArray
+    faces: Heights | None
 
     @classmethod
-    def of(cls, ground: Epoch, lattice: Lattice, spacing: float) -> _Scan:
+    def over(cls, ground: Epoch, box: FloatArray, width: float, spacing: float) -> _Scan:
+        lattice = Lattice.over(box[0], box[1], width)
         if isinstance(ground.surface, PointCloud):
-            points = ground.surface.positions
-            cover = cover_cells(points, spacing, lattice)
-            return cls(points, None, lattice, spacing, cover >= _HALF)
-        heights = ground.read_heights(lattice, spacing)
-        return cls(None, heights, lattice, spacing, heights.cover >= _HALF)
+            cover = cover_cells(ground.positions, spacing, lattice)
+            return cls(ground.positions, lattice, cover, None)
+        faces = ground.read_heights(lattice, spacing)
+        return cls(ground.positions, lattice, faces.cover, faces)
 
-    def sum_volume(self, shape: Any, above: str | float, name: str) -> _Sum:
+    def sum_volume(self, shape: Any, base: str | float, name: str) -> _Sum:
         """Return the volume within an outline; InputError where its heights or its rim lack."""
         lattice = self.lattice
-        share, offset = _share_cells(shape, lattice, self.mesh is None)
+        # (rows, columns) each, with two numbers more of places and slopes
+        share, offset = _share_cells(shape, lattice, self.faces is None)
+        areas, is_in = lattice.step**2 * share, share > 0.0
         inner, outer = self._fit_sides(shape)
-        areas = lattice.step**2 * share
-        is_in = share > 0.0
-        is_known = is_in & np.isfinite(inner.values) & self.is_covered
+        is_known = is_in & (inner.cover >= _HALF)
         if np.count_nonzero(is_known) < _FEWEST_CELLS:
             raise InputError(
                 f"{name}: the scan shows {np.count_nonzero(is_known)} cells of it, "
                 f"{lattice.step:.3g} wide",
                 "draw the polygon over the scan, or give more points",
             )
+        # heights of the top where the middle of what is inside of a cell is, hidden ones filled
         slopes = _find_slopes(inner.planes, lattice.step)
-        tops = inner.values + (slopes * offset).sum(axis=-1)
-        tops = interpolate(tops, is_known, is_in)
-        base = self._find_base(
-            above, areas, outer.values, outer.variances, is_in, share < 1.0, name
-        )
-        heights = np.where(is_in, tops - base.heights, 0.0)
-        variance = float((areas**2 * inner.variances)[is_known].sum()) + base.variance
+        tops = interpolate(inner.values + (slopes * offset).sum(axis=-1), is_known, is_in)
+        below = self._find_base(base, areas, outer, share < 1.0, name)
+        heights = np.where(is_in, tops - below.heights, 0.0)
         hidden = is_in & ~is_known
         return _Sum(
-            float((areas * heights).sum()), variance, base.uncertainty,
-            _bound_hidden(hidden, areas, heights, slopes, is_in),
+            float((areas * heights).sum()),
+            float((areas**2 * inner.variances)[is_known].sum()) + below.variance,
+            below.uncertainty, _bound_hidden(hidden, areas, heights, slopes, is_in),
             float(heights[is_known].max()), float(areas[hidden].sum()),
-            float((areas * base.heights).sum() / areas.sum()),
+            float((areas * below.heights).sum() / areas.sum()),
         )  # fmt: skip
 
     def _fit_sides(self, shape: Any) -> tuple[Heights, Heights]:
         """Return the heights of what lies inside, and of what lies outside."""
-        if self.mesh is not None:
-            return self.mesh, self.mesh
-        assert self.points is not None  # noqa: S101 - it is one or the other
+        if self.faces is not None:
+            return self.faces, self.faces
         shapely = load_shapely()
         shapely.prepare(shape)
-        is_in = shapely.intersects_xy(shape, self.points[:, 0], self.points[:, 1])
-        return self._fit(self.points[is_in]), self._fit(self.points[~is_in])
-
-    def _fit(self, points: FloatArray) -> Heights:
-        if len(points):
-            return fit_heights(points, self.lattice, self.spacing)
-        none = np.full(self.lattice.shape, np.nan)
-        return Heights(none, none, none, np.zeros(none.shape), np.zeros(none.shape, dtype=bool))
+        is_in = shapely.intersects_xy(shape, *self.points[:, :2].T)
+        inner, outer = (
+            fit_heights(self.points[of], self.lattice, self.cover) for of in (is_in, ~is_in)
+        )
+        return inner, outer
 
     def _find_base(
-        self, above: str | float, areas: FloatArray, heights: FloatArray, variances: FloatArray,
-        is_in: BoolArray, is_out: BoolArray, name: str,
-    ) -> Base:  # fmt: skip
-        if not isinstance(above, str):
-            return Base(np.full(areas.shape, above), 0.0, 0.0)
+        self, base: str | float, areas: FloatArray, ground: Heights, is_out: BoolArray, name: str
+    ) -> Base:
+        if not isinstance(base, str):
+            return Base(np.full(areas.shape, base), 0.0, 0.0)
+        is_in = areas > 0.0
         rim = binary_dilation(is_in, np.ones((3, 3))) & is_out
-        is_known = rim & np.isfinite(heights) & self.is_covered
+        is_known = rim & (ground.cover >= _HALF)
+        # (parts,): the cells round each part of the polygon, those with ground and all
         parts, count = label(is_in | rim)
         known = np.bincount(parts[is_known], minlength=count + 1)[1:]
         every = np.bincount(parts[rim], minlength=count + 1)[1:]
@@ -344,9 +338,7 @@ class _Scan:
                 "draw the polygon where there are points around it, or give the height of the base "
                 f"as {name_option('above', 12.5)}",
             )
-        return fit_base(
-            above == RIM, areas, heights, variances, is_in | rim, is_known, self.lattice
-        )
+        return fit_base(base == RIM, areas, ground, is_in | rim, is_known, self.lattice)
 
 
 def _share_cells(shape: Any, lattice: Lattice, is_exact: bool) -> tuple[FloatArray, FloatArray]:
@@ -360,16 +352,12 @@ def _share_cells(shape: Any, lattice: Lattice, is_exact: bool) -> tuple[FloatArr
     offset = np.zeros(middles.shape)
     if not is_exact:
         return share, offset
-    half = 0.5 * lattice.step
-    boxes = shapely.box(
-        middles[..., 0] - half,
-        middles[..., 1] - half,
-        middles[..., 0] + half,
-        middles[..., 1] + half,
-    )
+    low, high = middles - 0.5 * lattice.step, middles + 0.5 * lattice.step
+    boxes = shapely.box(low[..., 0], low[..., 1], high[..., 0], high[..., 1])
     border = shape.boundary
     shapely.prepare(border)
     is_cut = shapely.intersects(border, boxes)
+    # (c,): what of each cell on the border is inside
     parts = shapely.intersection(boxes[is_cut], shape)
     share[is_cut] = shapely.area(parts) / lattice.step**2
     centres = shapely.get_coordinates(shapely.centroid(parts[share[is_cut] > 0.0]))
@@ -379,14 +367,13 @@ def _share_cells(shape: Any, lattice: Lattice, is_exact: bool) -> tuple[FloatArr
 
 def _find_slopes(planes: FloatArray, step: float) -> FloatArray:
     """Return the slopes of heights along x and y, (rows, columns, 2); 0 where nothing tells one."""
-    slopes = np.zeros((*planes.shape, 2))
-    for k, axis in enumerate((1, 0)):
-        rise = np.diff(planes, axis=axis) / step
-        none = np.full_like(planes.take([0], axis=axis), np.nan)
-        both = np.stack([np.concatenate(pair, axis=axis) for pair in ((none, rise), (rise, none))])
-        count = np.isfinite(both).sum(axis=0)
-        slopes[..., k] = np.nansum(both, axis=0) / np.maximum(count, 1)
-    return slopes
+    slopes = []
+    for axis in (1, 0):
+        rises = np.diff(planes, axis=axis, prepend=np.nan, append=np.nan) / step
+        # (2, rows, columns): from the cell before, and to the one behind
+        both = np.stack([np.delete(rises, end, axis) for end in (-1, 0)])
+        slopes.append(np.nansum(both, axis=0) / np.maximum(np.isfinite(both).sum(axis=0), 1))
+    return np.stack(slopes, axis=-1)
 
 
 def _bound_hidden(
@@ -396,13 +383,11 @@ def _bound_hidden(
     """Return within what the volume of cells that no point shows is known, hole by hole."""
     parts, count = label(hidden)
     total = 0.0
-    for k in range(1, count + 1):
-        part = parts == k
+    for part in (parts == k for k in range(1, count + 1)):
         around = binary_dilation(part, np.ones((3, 3))) & is_in & ~hidden
+        if not around.any():  # a part of the polygon of which the scan shows nothing
+            around = is_in & ~hidden
         area = float(areas[part].sum())
-        if not around.any():
-            continue
         steep = float(np.sqrt(np.mean((slopes[around] ** 2).sum(axis=-1))))
-        spread = max(0.5 * float(np.ptp(heights[around])), _PEAK * steep * area**0.5)
-        total += area * spread
+        total += area * max(0.5 * float(np.ptp(heights[around])), _PEAK * steep * area**0.5)
     return total

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict
+from functools import partial
 from io import StringIO
 from pathlib import Path
 
@@ -29,7 +30,7 @@ def list_rows(heaps: Sequence[Heap], unit: str) -> list[tuple[str, ...]]:
         ("", "volume", "uncertainty", "most of it", "area", "height", "")
     ]
     for heap in heaps:
-        most = max(_PARTS, key=lambda part, heap=heap: getattr(heap, part))  # type: ignore[misc]
+        most = max(_PARTS, key=partial(getattr, heap))
         rows.append((
             heap.name, say_number(heap.volume, cubed), f"± {say_number(heap.uncertainty, cubed)}",
             _PARTS[most], say_number(heap.area, squared), say_number(heap.height, unit),
@@ -67,10 +68,9 @@ def list_values(heaps: Sequence[Heap], unit: str) -> list[dict[str, object]]:
 
 def write_csv(path: Path, heaps: Sequence[Heap], unit: str) -> None:
     """Write a table of heaps, a line each; raise OutputError where it cannot be written."""
-    text = StringIO()
-    names = [field.name for field in fields(Heap)]
-    table = csv.DictWriter(text, [*names, "is_significant", "unit"], lineterminator="\n")
+    text, values = StringIO(), list_values(heaps, unit)
+    table = csv.DictWriter(text, list(values[0]), lineterminator="\n")
     table.writeheader()
-    table.writerows(list_values(heaps, unit))
+    table.writerows(values)
     with replacing(path) as file:
         file.write(text.getvalue().encode())

@@ -15,8 +15,7 @@ import trimesh
 from ezdxf.filemanagement import readfile
 
 import hpcapp
-from hpcapp.applications.section.cut import cut_mesh
-from hpcapp.applications.section.make import make_sections
+from hpcapp.applications.section.cut import cut_mesh, make_sections
 from hpcapp.applications.section.planes import plan_planes
 from hpcapp.applications.section.sections import Section
 from hpcapp.geometry.mesh import Mesh
@@ -132,6 +131,15 @@ def test_sections_across_a_road_are_square_to_it_and_as_wide_as_asked(road: Path
         assert np.abs(height - 300.0 - true).max() < 1e-8
 
 
+def test_a_section_halves_the_angle_at_a_corner_and_the_end_of_a_line_has_one(road: Path) -> None:
+    line = "LINESTRING (512010 5403020, 512030 5403020, 512030 5403040)"
+    corner = hpcapp.section(road, along=line, step=20.0)[1].outlines[0]
+    x, y, _ = (corner.points - PLACE).T
+    assert np.abs((x - 30.0) + (y - 20.0)).max() < 1e-8
+    short = "LINESTRING (512010 5403020, 512010.3 5403020)"  # .3 / .1 is less than 3
+    assert [one.name for one in hpcapp.section(road, along=short, step=0.1)][-1] == "0.3"
+
+
 def test_the_profile_along_a_bent_line_is_one_outline(road: Path) -> None:
     line = "LINESTRING (512010 5403020, 512040 5403020, 512040 5403032, 512064 5403014)"
     ((outline,),) = [one.outlines for one in hpcapp.section(road, along=line)]
@@ -166,6 +174,8 @@ def test_a_drawing_is_in_place(run: Run, road: Path, axis: Path, tmp_path: Path)
         np.abs(np.array(found["features"][1]["geometry"]["coordinates"])[:, 0] - 512_035.0).max()
         < 1e-8
     )
+    axis.write_text(axis.read_text().replace("A 7", "frames"))  # as another layer is called
+    assert run(*words[:4], "-o", "profile.dxf", "--flat")[0] == 0
 
 
 def test_flat_drawings_lie_side_by_side(run: Run, tmp_path: Path) -> None:
@@ -225,6 +235,7 @@ def test_what_cannot_be_cut_is_refused_in_one_line(
         (2, (), "nothing says where to cut"),
         (2, ("--plane", "z=1", "--along", str(axis)), "exclude each other"),
         (2, ("--plane", "q=1"), "it is no plane"),
+        (2, ("--plane", "xy=1"), "it is no plane"),
         (2, ("--plane", "z=nan"), "it is no plane"),
         (2, ("--plane", "0,0,0,0,0,0"), "it is no plane"),
         (2, ("--plane", "z"), "nothing says where; write z=10"),

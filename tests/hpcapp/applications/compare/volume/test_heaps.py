@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Callable
+from contextlib import nullcontext
 from functools import cache
 from pathlib import Path
 
@@ -16,6 +17,7 @@ import hpcapp
 from hpcapp.applications.compare.volume.base import fit_base
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import write_points
+from hpcapp.terrain.heights import Heights
 from hpcapp.terrain.lattice import Lattice
 
 Run = Callable[..., tuple[int, str, str]]
@@ -106,6 +108,54 @@ def test_a_hidden_side_is_filled_and_uncertain() -> None:
     assert abs(heap.volume - CONE) <= heap.uncertainty
 
 
+def test_what_a_hidden_tip_adds_is_bounded_by_its_slope() -> None:
+    whole = scan(0.003)
+    heap = measure(whole.take(away(whole.positions[:, :2]) > 1.5), draw(6.5))
+    tip = np.pi * 1.5**3 * (HIGH / RADIUS) / 3.0
+    assert 1.05 * tip < heap.from_hidden < 2.5 * tip
+    assert abs(heap.volume - CONE) <= heap.uncertainty
+
+
+def test_a_part_of_a_polygon_beyond_the_scan_is_as_uncertain_as_the_heap_is_high() -> None:
+    x, y = (PLACE[:2] + np.array([44.0, 18.0])).tolist()
+    beyond = shapely.box(x, y, x + 2.0, y + 2.0)
+    whole, part = (
+        measure(scan(slope=0.0), one, above=300.0) for one in (draw(6.5), draw(6.5) | beyond)
+    )
+    assert part.hidden - whole.hidden == pytest.approx(4.0, rel=0.02)
+    assert part.from_hidden - whole.from_hidden == pytest.approx(4.0 * 0.5 * HIGH, rel=0.1)
+    assert abs(part.volume - whole.volume) < 4.0 * HIGH
+
+
+def test_a_polygon_is_widened_by_a_quarter_at_most() -> None:
+    reached, far = (measure(scan(), draw(radius)) for radius in (4.9, 4.4))
+    assert reached.is_still
+    assert reached.grown == pytest.approx(1.1, abs=0.3)
+    assert (far.grown, far.is_still) == (0.0, False)
+    assert abs(far.volume - CONE) <= far.uncertainty
+    assert far.from_polygon > far.volume
+
+
+@pytest.mark.parametrize(("shown", "is_told"), [(0.65, True), (0.35, False)])
+def test_half_of_the_ground_round_a_heap_has_to_be_shown(shown: float, is_told: bool) -> None:
+    x, y = (scan().positions[:, :2] - MIDDLE).T
+    is_shown = (np.abs(np.arctan2(y, x)) < np.pi * shown) | (np.hypot(x, y) < 6.5)
+    with nullcontext() if is_told else pytest.raises(hpcapp.InputError, match="the ground in"):
+        measure(scan().take(is_shown), draw(6.5), registration=0.0)
+
+
+def test_a_ring_may_add_unseen_what_a_volume_that_stays_may_change_by() -> None:
+    heap = measure(scan(0.003, 0.0), draw(6.5))
+    assert heap.from_polygon == pytest.approx(0.005 * heap.volume, rel=0.2)
+
+
+@pytest.mark.parametrize(("side", "is_told"), [(3.0, True), (2.0, False)])  # 16 and 9 cells
+def test_a_heap_of_less_than_a_dozen_cells_is_refused(side: float, is_told: bool) -> None:
+    x, y = (PLACE[:2] + MIDDLE).tolist()
+    with nullcontext() if is_told else pytest.raises(hpcapp.InputError, match="9 cells of it"):
+        measure(scan(), shapely.box(x, y, x + side, y + side), above=300.0, cell=1.0)
+
+
 def test_mean_errors_of_many_scans_are_within_what_noise_makes() -> None:
     off = [
         (measure(scan(0.2, seed=seed), draw(6.5), registration=0.0).volume - CONE)
@@ -126,7 +176,9 @@ def test_what_the_ground_does_below_is_exact_or_uncertain(
     r = np.hypot(x, 1.5 * y)
     areas = 0.0625 * (r < 8.0)
     is_near, is_known = r < 8.6, (r >= 8.0) & (r < 8.6)
-    base = fit_base(is_membrane, areas, ground, 1e-4 + 0.0 * x, is_near, is_known, lattice)
+    even, none = np.full(x.shape, 1e-4), np.zeros(x.shape, dtype=bool)
+    heights = Heights(ground, even, ground, np.ones(x.shape), none)
+    base = fit_base(is_membrane, areas, heights, is_near, is_known, lattice)
     off = abs(float((areas * (base.heights - ground)).sum()))
     if not bowl and (is_membrane or not saddle):
         assert off < 1e-3 * areas.sum() * max(saddle, 1e-6) * 64.0
