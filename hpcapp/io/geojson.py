@@ -1,4 +1,4 @@
-"""Lines as GeoJSON."""
+"""Lines as GeoJSON, and the member that names a coordinate reference system."""
 
 from __future__ import annotations
 
@@ -16,9 +16,8 @@ def write_lines(
 ) -> int:
     """Write lines, each with its properties and its points (n, 2) or (n, 3); return how many.
 
-    A member ``crs`` names the coordinate reference system as GDAL reads it: by EPSG's code where
-    the text is ``EPSG:`` and one, or else as it is. Raise OutputError where the file cannot be
-    written.
+    The coordinate reference system is that of `name_crs`. Raise OutputError where the file cannot
+    be written.
     """
     features = [
         {
@@ -29,10 +28,20 @@ def write_lines(
         for properties, points in lines
     ]
     collection: dict[str, object] = {"type": "FeatureCollection"}
-    if crs is not None:
-        code = parse_epsg(crs)
-        name = crs if code is None else f"urn:ogc:def:crs:EPSG::{code}"
-        collection["crs"] = {"type": "name", "properties": {"name": name}}
+    if member := name_crs(crs):
+        collection["crs"] = member
     with replacing(path) as file:
         file.write(json.dumps(collection | {"features": features}).encode())
     return len(features)
+
+
+def name_crs(crs: str | None) -> dict[str, object] | None:
+    """Return the member ``crs`` of a collection, as GDAL reads it.
+
+    It has EPSG's code where the text is ``EPSG:`` and one, or else the text.
+    """
+    if crs is None:
+        return None
+    code = parse_epsg(crs)
+    name = crs if code is None else f"urn:ogc:def:crs:EPSG::{code}"
+    return {"type": "name", "properties": {"name": name}}

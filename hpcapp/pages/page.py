@@ -20,7 +20,16 @@ _MODULES = (
     ("hpcapp/viewer.js", "viewer.js"),
     ("hpcapp/numbers.js", "numbers.js"),
     ("hpcapp/colours.js", "colours.js"),
+    ("hpcapp/taps.js", "taps.js"),
+    ("hpcapp/saving.js", "saving.js"),
+    ("hpcapp/frame.js", "frame.js"),
     ("hpcapp/measuring.js", "measuring.js"),
+    ("hpcapp/cutting/kept.js", "cutting/kept.js"),
+    ("hpcapp/cutting/handles.js", "cutting/handles.js"),
+    ("hpcapp/cutting/box.js", "cutting/box.js"),
+    ("hpcapp/cutting/polygon.js", "cutting/polygon.js"),
+    ("hpcapp/cutting/pieces.js", "cutting/pieces.js"),
+    ("hpcapp/cutting/cutting.js", "cutting/cutting.js"),
     ("hpcapp/page.js", "page.js"),
 )
 

@@ -12,6 +12,7 @@ from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
 from hpcapp.pages.arrays import Packable, PackedArray, pack_array, quantise
+from hpcapp.pages.cutting import Cutting, pack_cutting
 from hpccomponent.dataclass import dataclass
 
 MOST_POINTS = 200_000
@@ -93,6 +94,12 @@ class Scene:
         The field that is shown at first; by default the colours, where there are some.
     unit : str
         Of length; nothing where it is not known.
+    origin : ndarray of float64, shape (3,), or None
+        What makes places of the scene coordinates of its file; None where it has none.
+    height_scale : float
+        How long a unit of z is, in units of x and y.
+    cutting : Cutting or None
+        How the file is cut, in the coordinates that `origin` gives.
     """
 
     mesh: Mesh | None
@@ -103,6 +110,9 @@ class Scene:
     colouring: str | None = None
     unit: str = ""
     tint: Tint | None = None
+    origin: FloatArray | None = None
+    height_scale: float = 1.0
+    cutting: Cutting | None = None
 
 
 def fields_of(shown: Mesh | PointCloud) -> list[Field]:
@@ -144,6 +154,9 @@ def pack_scene(scene: Scene) -> tuple[dict[str, object], list[PackedArray]]:
         "up": scene.up,
         "unit": scene.unit,
         "tint": None if scene.tint is None else asdict(scene.tint),
+        "origin": None if scene.origin is None else scene.origin.tolist(),
+        "heightScale": scene.height_scale,
+        "cutting": None if scene.cutting is None else pack_cutting(scene.cutting, pack),
     }
     return described, arrays
 

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from hpcapp.applications.surface.stitching.topology import check_mesh
+from hpcapp.applications.view.cutting import mark_pieces, plan_cutting, take_pieces
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import FloatArray, PointCloud
@@ -21,6 +22,7 @@ from hpcapp.io import (
     read_whole,
     take_finite,
 )
+from hpcapp.io.crs import Crs
 from hpcapp.io.meshes.mesh_stream import as_stream
 from hpcapp.io.placement import choose_up
 from hpcapp.pages.job import describe_job, find_unit
@@ -45,8 +47,12 @@ def read_shown(path: Path, crop: Crop = EVERYTHING) -> Mesh | PointCloud:
 
 def find_shown_unit(path: Path, shown: Mesh | PointCloud) -> str:
     """Return the unit of the coordinates in a file; nothing where it does not say that."""
-    source = open_points(path) if isinstance(shown, PointCloud) else find_mesh_crs(path)
-    return source.unit or ""
+    return _find_crs(path, shown).unit or ""
+
+
+def _find_crs(path: Path, shown: Mesh | PointCloud) -> Crs:
+    """Return what the coordinates in a file mean."""
+    return open_points(path).frame if isinstance(shown, PointCloud) else find_mesh_crs(path)
 
 
 def find_shown_up(path: Path, shown: Mesh | PointCloud) -> str:
@@ -71,13 +77,21 @@ def make_page(
     """
     facts = {} if report is None else read_report(report)
     sections = [] if report is None else describe_job(facts, has_mesh=False)
+    crs = _find_crs(path, shown)
+    cutting = None if crop.has_region else plan_cutting(path, shown, crs)  # no cut of a cut
+    frame = Scene(
+        None, up=up, unit=crs.unit or "", origin=shown.origin, height_scale=crs.height_scale,
+        cutting=cutting,
+    )  # fmt: skip
     if isinstance(shown, PointCloud):
         sections.insert(0, tabulate("Points", _describe_points(shown)))
-        scene = _show_points(shown, up, find_shown_unit(path, shown))
+        scene = _show_points(shown, frame)
         return build_page(path.name, f"{len(shown):,} points", scene, sections)
-    marked, workers = mark_tiles(shown, path, facts, str(report))
-    thin, labels = take_labels(thin_mesh(marked), workers)
     topology = check_mesh(shown)
+    marked, workers = mark_tiles(shown, path, facts, str(report))
+    marked, areas = mark_pieces(marked)
+    thin, labels = take_labels(thin_mesh(marked), workers)
+    thin, pieces = take_pieces(thin, areas)
     rows: dict[str, object] = {
         "vertices": topology.vertices,
         "faces": topology.faces,
@@ -91,23 +105,25 @@ def make_page(
     sections.insert(0, tabulate("Mesh", rows))
     cloud = None if points is None else _read_beside(points, shown, crop)
     stated = find_unit(facts) if points is None else open_points(points).unit
-    unit = stated or find_shown_unit(path, shown)
+    unit = stated or frame.unit
     measured = [] if cloud is None else [_measure(thin, cloud, unit)]
     fields = [*fields_of(thin), *measured, *labels]
     closed = "watertight" if topology.watertight else "not watertight"
     summary = f"{topology.vertices:,} vertices, {topology.faces:,} faces, {closed}"
-    return build_page(path.name, summary, Scene(thin, fields, cloud, up=up, unit=unit), sections)
+    cutting = cutting and replace(cutting, pieces=pieces)
+    scene = replace(frame, mesh=thin, fields=fields, points=cloud, unit=unit, cutting=cutting)
+    return build_page(path.name, summary, scene, sections)
 
 
-def _show_points(cloud: PointCloud, up: str, unit: str) -> Scene:
+def _show_points(cloud: PointCloud, frame: Scene) -> Scene:
     """Return points alone: in their colours, else by their normals, else by their heights."""
-    axis = "xyz".index(up[-1])
+    axis = "xyz".index(frame.up[-1])
     heights = cloud.positions[:, axis] + cloud.origin[axis]
-    fields = [Field("height", "Height", heights, unit), *fields_of(cloud)]
+    fields = [Field("height", "Height", heights, frame.unit), *fields_of(cloud)]
     colouring = "height" if cloud.normals is None else "normals"
     if cloud.colours is not None:
         colouring = "colours"
-    return Scene(None, fields, cloud, up=up, colouring=colouring, unit=unit)
+    return replace(frame, fields=fields, points=cloud, colouring=colouring)
 
 
 def _describe_points(cloud: PointCloud) -> dict[str, object]:

@@ -1,20 +1,16 @@
 // Two places, picked with the pointer, and how far they are from each other.
 import { sayNumber } from 'hpcapp/numbers.js';
-
-const STILL = 4; // pixels: a press that moves farther turns the view
+import { onTap } from 'hpcapp/taps.js';
 
 export class Measuring {
-  /** A button switches it on and off; `said` is where the result stands. */
-  constructor(viewer, button, said, unit) {
-    Object.assign(this, { viewer, button, said, unit, places: [] });
-    const canvas = viewer.renderer.domElement;
-    let pressed = null;
+  /**
+   * A button switches it on and off; `said` is where the result stands, in the unit of x and y, of
+   * which a unit of z is `heightScale`; coordinates are those of a frame, if there is one.
+   */
+  constructor(viewer, button, said, frame, { unit, heightScale }) {
+    Object.assign(this, { viewer, button, said, frame, unit, heightScale, places: [] });
     button.addEventListener('click', () => this.turn(!this.isOn));
-    canvas.addEventListener('pointerdown', (event) => { pressed = event; });
-    canvas.addEventListener('pointerup', (event) => {
-      const moved = Math.hypot(event.clientX - pressed?.clientX, event.clientY - pressed?.clientY);
-      if (this.isOn && moved < STILL) this.take(viewer.pick(event.clientX, event.clientY));
-    });
+    onTap(viewer.renderer.domElement, (x, y) => { if (this.isOn) this.take(viewer.pick(x, y)); });
     this.turn(false);
   }
 
@@ -33,14 +29,15 @@ export class Measuring {
     this.places = this.places.length === 2 ? [place] : [...this.places, place];
     const [from, to] = this.places;
     if (!to) {
-      this.said.textContent = 'Pick another one.';
+      const at = this.frame ? `${from.map((part, axis) => this.frame.world(part, axis)).join(', ')}. ` : '';
+      this.said.textContent = `${at}Pick another one.`;
       this.viewer.setLine(this.places);
       return;
     }
-    const steps = to.map((part, k) => part - from[k]);
+    const steps = to.map((part, k) => (part - from[k]) * (k === 2 ? this.heightScale : 1));
     const length = sayNumber(Math.hypot(...steps), this.unit);
-    this.said.textContent = `${length} (${['x', 'y', 'z'].map((axis, k) => (
-      `${axis} ${sayNumber(steps[k])}`)).join(', ')})`;
+    this.said.textContent = `${length} (${['dx', 'dy', 'dz'].map((axis, k) => (
+      `${axis} ${sayNumber(steps[k], this.unit)}`)).join(', ')})`;
     this.viewer.setLine(this.places, length);
   }
 }

@@ -1,7 +1,10 @@
 // Decodes what a page holds, and joins its controls to the viewer.
 import { BACK_CSS, Viewer } from 'hpcapp/viewer.js';
 import { endAt, explainTint, legend, markGuesses, placeOf, shadeField, tint } from 'hpcapp/colours.js';
+import { Frame } from 'hpcapp/frame.js';
 import { Measuring } from 'hpcapp/measuring.js';
+import { Cutting } from 'hpcapp/cutting/cutting.js';
+import { save } from 'hpcapp/saving.js';
 
 const TYPES = { u1: Uint8Array, u2: Uint16Array, u4: Uint32Array };
 const find = (id) => document.getElementById(id);
@@ -89,8 +92,8 @@ async function join(viewer, scene, drawn) {
   listen('show-points', 'change', (box) => viewer.show('points', box.checked));
   listen('show-markers', 'change', (box) => viewer.show('markers', box.checked));
   listen('wireframe', 'change', (box) => viewer.setWireframe(box.checked));
-  const look = (up) => {
-    viewer.look(up);
+  const look = (up, isAbove) => {
+    viewer.look(up, isAbove);
     if (find('backs')) find('backs').checked = viewer.hasBacks;
   };
   look(scene.up);
@@ -103,14 +106,14 @@ async function join(viewer, scene, drawn) {
   for (const id of ['clip-axis', 'clip-at', 'clip-flip']) listen(id, 'input', clip);
   listen('up', 'change', (select) => look(select.value));
   listen('reset', 'click', () => look());
-  listen('picture', 'click', async () => {
-    const link = document.createElement('a');
-    link.href = URL.createObjectURL(await viewer.picture());
-    link.download = `${document.title}.png`;
-    link.click();
-    URL.revokeObjectURL(link.href);
-  });
-  new Measuring(viewer, find('measure'), find('measured'), scene.unit);
+  listen('picture', 'click', async () => save(await viewer.picture(), `${document.title}.png`));
+  const frame = scene.origin && new Frame(scene.origin, viewer.box);
+  const measuring = new Measuring(viewer, find('measure'), find('measured'), frame, scene);
+  if (scene.cutting && drawn) {
+    const { pieces } = scene.cutting, ranks = pieces && await readArray(pieces.ranks);
+    new Cutting(viewer, scene,
+      { mesh: drawn, ranks, frame, measuring, look: (isAbove) => look(undefined, isAbove) });
+  }
   const approach = (index) => viewer.approach(scene.markers[index].place);
   viewer.setMarkers(scene.markers, (index) => {
     approach(index);

@@ -16,6 +16,7 @@ const GLANCE = 128; // pixels along a side of the picture by which a room is tol
 const HIDDEN = 0.4; // of what is seen, as in hpcapp/pages/render.py
 const SAMPLED = 20000; // places of a mesh by which the view is fitted
 const MARGIN = 1.06; // around what is looked at
+const FOV = 40, FLAT_FOV = 10; // degrees of the camera; from above, heights hardly move a place
 const PICKED = 6; // pixels: so far from a point it is meant
 const UPS = { x: [1, 0, 0], y: [0, 1, 0], z: [0, 0, 1], '-x': [-1, 0, 0], '-y': [0, -1, 0],
   '-z': [0, 0, -1] };
@@ -76,6 +77,7 @@ export class Viewer {
     this.meshes = [];
     this.points = null;
     this.markers = [];
+    this.overlays = []; // functions that place elements over each frame
     this.frames = 0;
     this.renderer = new THREE.WebGLRenderer({ antialias: true, preserveDrawingBuffer: true });
     this.renderer.outputColorSpace = THREE.LinearSRGBColorSpace;
@@ -83,7 +85,7 @@ export class Viewer {
     this.renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
     element.append(this.renderer.domElement);
     this.scene = new THREE.Scene();
-    this.camera = new THREE.PerspectiveCamera(40, 1, 0.01, 100);
+    this.camera = new THREE.PerspectiveCamera(FOV, 1, 0.01, 100);
     this.scene.add(new THREE.AmbientLight(0xffffff, 0.28 * Math.PI), this.camera);
     const lamp = new THREE.DirectionalLight(0xffffff, 0.72 * Math.PI);
     lamp.position.set(-0.4, 0.5, 1);
@@ -163,6 +165,9 @@ export class Viewer {
     return new Promise((resolve) => { this.renderer.domElement.toBlob(resolve, 'image/png'); });
   }
 
+  /** The colour of what is drawn over the scene, as CSS. */
+  get accent() { return getComputedStyle(document.body).getPropertyValue('--accent').trim(); }
+
   /** The one plain colour of a mesh: three numbers up to 255. */
   get plain() { return PLAIN.map((part) => 255 * part); }
 
@@ -236,17 +241,21 @@ export class Viewer {
     this.render();
   }
 
-  /** Look at all that is shown, as large as fits, with the axis `up` upwards; into a room, too. */
-  look(up = this.up) {
+  /**
+   * Look at all that is shown, as large as fits, with the axis `up` upwards; into a room, too.
+   * From above it is seen as a map: along z, with y upwards, moved and not turned.
+   */
+  look(up = this.up, isAbove = false) {
     this.up = up;
     this.controls?.dispose();
     const middle = new THREE.Vector3(), size = new THREE.Vector3(1, 1, 1);
     if (!this.box.isEmpty()) { this.box.getCenter(middle); this.box.getSize(size); }
     const radius = 0.5 * size.length() || 1;
-    this.camera.up.set(...UPS[up]);
-    this.camera.near = 0.01 * radius;
+    this.camera.up.set(...UPS[isAbove ? 'z' : up]);
+    this.camera.fov = isAbove ? FLAT_FOV : FOV;
+    this.camera.near = (isAbove ? 0.05 : 0.01) * radius; // farther away: as fine in depth
     this.camera.far = 100 * radius;
-    const back = this.#chooseSide();
+    const back = isAbove ? new THREE.Vector3(0, -1e-4, 1).normalize() : this.#chooseSide();
     const { x, y, distance } = this.#fit(back, middle, radius);
     middle.add(x).add(y);
     this.camera.position.copy(back).multiplyScalar(distance).add(middle);
@@ -254,6 +263,11 @@ export class Viewer {
     this.controls = new OrbitControls(this.camera, this.renderer.domElement);
     this.controls.target.copy(middle);
     this.controls.zoomToCursor = true;
+    if (isAbove) {
+      this.controls.enableRotate = false;
+      this.controls.mouseButtons.LEFT = THREE.MOUSE.PAN;
+      this.controls.touches.ONE = THREE.TOUCH.PAN;
+    }
     this.controls.addEventListener('change', () => this.render());
     this.controls.update();
     this.setBacks(!this.#looksAtRoom());
@@ -337,15 +351,24 @@ export class Viewer {
     };
   }
 
-  /** The place on a mesh or of a point that is seen at a place of the window, or null. */
-  pick(clientX, clientY) {
+  /** What casts a ray into the scene from a place of the window. */
+  #caster(clientX, clientY) {
     const { left, top, width, height } = this.renderer.domElement.getBoundingClientRect();
     const caster = new THREE.Raycaster();
     caster.setFromCamera(new THREE.Vector2(2 * (clientX - left) / width - 1,
       1 - 2 * (clientY - top) / height), this.camera);
+    return caster;
+  }
+
+  /** The ray from the camera through a place of the window. */
+  ray(clientX, clientY) { return this.#caster(clientX, clientY).ray; }
+
+  /** The place on a mesh or of a point that is seen at a place of the window, or null. */
+  pick(clientX, clientY) {
+    const caster = this.#caster(clientX, clientY), { clientHeight } = this.element;
     const far = this.camera.position.distanceTo(this.controls.target);
     caster.params.Points.threshold = PICKED * far * Math.tan(Math.PI / 360 * this.camera.fov)
-      / (0.5 * height);
+      / (0.5 * clientHeight);
     const shown = [...this.meshes, this.points].filter((one) => one?.visible);
     const isLeft = ({ point }) => !this.clipping || this.plane.distanceToPoint(point) >= 0;
     const hits = caster.intersectObjects(shown, false).filter(isLeft);
@@ -371,6 +394,20 @@ export class Viewer {
         parts: [...dots, stroke, label] };
     }
     this.render();
+  }
+
+  /** Go back until places are seen, but not for ever. */
+  include(places) {
+    const { target } = this.controls;
+    const isSeen = (place) => { // of the middle nine tenths
+      const { x, y } = place.clone().project(this.camera);
+      return Math.max(Math.abs(x), Math.abs(y)) < 0.9;
+    };
+    for (let step = 0; step < 20 && !places.every(isSeen); step++) {
+      this.camera.position.sub(target).multiplyScalar(1.1).add(target);
+      this.camera.updateMatrixWorld();
+    }
+    this.controls.update();
   }
 
   /** Look closely at a place, from where the camera is. */
@@ -413,24 +450,25 @@ export class Viewer {
   draw() {
     this.frames += 1;
     this.renderer.render(this.scene, this.camera);
-    for (const { label, place } of this.markers) this.#put(label, place);
+    for (const { label, place } of this.markers) this.put(label, place);
     if (this.line) this.#drawLine();
+    for (const place of this.overlays) place();
   }
 
   #drawLine() {
     const { places, dots, stroke, label } = this.line;
-    const [from, to] = places.map((place, k) => this.#put(dots[k], place));
+    const [from, to] = places.map((place, k) => this.put(dots[k], place));
     stroke.hidden = !to;
     if (!to) return;
     stroke.style.left = `${from[0]}px`;
     stroke.style.top = `${from[1]}px`;
     stroke.style.width = `${Math.hypot(to[0] - from[0], to[1] - from[1])}px`;
     stroke.style.rotate = `${Math.atan2(to[1] - from[1], to[0] - from[0])}rad`;
-    this.#put(label, places[0].clone().lerp(places[1], 0.5));
+    this.put(label, places[0].clone().lerp(places[1], 0.5));
   }
 
   /** Put an element where a place is seen; returns that, in pixels. */
-  #put(element, place) {
+  put(element, place) {
     const { clientWidth: width, clientHeight: height } = this.element;
     const seen = place.clone().project(this.camera);
     const [left, top] = [(0.5 + 0.5 * seen.x) * width, (0.5 - 0.5 * seen.y) * height];

@@ -1,0 +1,20 @@
+// From places of the scene to coordinates of its file, with the digits that the page can tell.
+
+export class Frame {
+  /** The page holds a place to a 65535th of the longest side of `box`. */
+  constructor(origin, box) {
+    this.origin = origin;
+    this.low = box.min.toArray();
+    this.high = box.max.toArray();
+    this.longest = Math.max(...this.high.map((end, k) => end - this.low[k])) || 1;
+    this.decimals = Math.min(100, Math.max(0, Math.ceil(-Math.log10(this.longest / 65535))));
+  }
+
+  /** A coordinate in the file, as short as it can be. */
+  world(number, axis) {
+    return Number((number + this.origin[axis]).toFixed(this.decimals));
+  }
+
+  /** The place of the scene that such a coordinate is. */
+  local(number, axis) { return this.world(number, axis) - this.origin[axis]; }
+}
