@@ -35,8 +35,8 @@ def plan_cutting(path: Path, shown: Mesh | PointCloud, crs: Crs) -> Cutting:
         label: shlex.join(["hpcapp", verb, str(path), "-o", str(_name_beside(path, ending))])
         for label, (verb, ending) in verbs.items()
     }
-    polygon = re.sub(r"[^\w.-]", "_", path.stem, flags=re.ASCII).lstrip("-.")
-    return Cutting(commands, f"{polygon}-polygon.geojson", name_crs(crs.text))
+    plain = re.sub(r"[^\w.-]", "_", path.stem, flags=re.ASCII)
+    return Cutting(commands, f"polygon-{plain}.geojson", name_crs(crs.text))
 
 
 def _name_beside(path: Path, suffix: str) -> Path:
