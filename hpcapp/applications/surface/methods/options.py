@@ -180,8 +180,8 @@ WATCHED = ("events", "trace", "dashboard")
 
 
 def typed_command(ctx: click.Context) -> tuple[str, ...]:
-    """Return the command to be typed again for the same mesh, but for what is written beside it."""
-    words = typed_options(ctx, ("points", "report", "png", *WATCHED, "as_json", "details"))
+    """Return the command to be typed again for the same mesh, page and picture."""
+    words = typed_options(ctx, ("points", *WATCHED, "as_json", "details"))
     return ("hpcapp", ctx.command.name or "", *ctx.params["points"], *words)
 
 

@@ -60,6 +60,7 @@ def test_a_page_says_what_the_job_says(capless: Path, tmp_path: Path) -> None:
     assert say_number(report["cell_size"]) in page
     assert "taken as normal" in page
     assert f"reconstruct {capless} --output {tmp_path / 'm.ply'} --grid 48" in page
+    assert f"--report {tmp_path / 'r.html'}" in page  # the same command makes the page, too
     assert {"distance", "support", "normals", "plain"} <= names_of(page)
     assert scene_of(page)["points"]["shown"] == report["points"]
     assert "show" in report["stages"]
