@@ -305,19 +305,27 @@ class Mesh {
     this.viewer.setBackground(getComputedStyle(document.body).backgroundColor);
   }
 
-  /** Fetch the parts that have come, one after the other: the job's machine has other work. */
-  async update(parts) {
+  /**
+   * Fetch the parts that have come, one after the other: the job's machine has other work. When it
+   * is over they are drawn behind the last one: its server does not wait for ever.
+   */
+  async update() {
     if (this.isBusy) return;
     this.isBusy = true;
+    const waiting = [];
+    const draw = () => waiting.splice(0).forEach((content) => this.add(content));
     try {
-      while (this.asked < parts()) {
+      while (this.asked < (news.parts ?? 0)) {
         const answer = await fetch(at(`parts/${this.asked}`));
         this.asked += 1;
-        if (answer.ok) this.add(await answer.arrayBuffer());
+        if (answer.ok) waiting.push(await answer.arrayBuffer());
+        if (news.state === 'running') draw();
       }
     } catch {
       // the server has gone: what is drawn stays
     } finally {
+      draw();
+      if (news.state !== 'running' && !this.isTurned) this.viewer.look();
       this.isBusy = false;
     }
   }
@@ -332,7 +340,7 @@ class Mesh {
     this.viewer.addMesh({ positions, step, low, indices });
     this.faces += faces;
     this.colour(this.viewer.meshes.length - 1);
-    if (!this.isTurned) this.viewer.look();
+    if (!this.isTurned) this.viewer.frame(); // a part may look like a room
     element('empty').hidden = true;
     element('drawn').textContent = `${this.viewer.meshes.length} part${this.viewer.meshes.length > 1 ? "s" : ""}, `
       + `${this.faces.toLocaleString('en')} triangles drawn`;
@@ -354,7 +362,7 @@ class Mesh {
 let mesh = null;
 import('hpcapp/viewer.js').then(({ Viewer }) => {
   mesh = new Mesh(Viewer);
-  mesh.update(() => news.parts ?? 0);
+  mesh.update();
 }).catch((error) => { element('failure').textContent = `The mesh cannot be drawn: ${error.message}`; });
 
 const source = new EventSource(at('events'));
@@ -364,7 +372,7 @@ source.addEventListener('message', (event) => {
   spans.push(...news.spans);
   showLines(news.lines);
   if (!news.more) show();
-  mesh?.update(() => news.parts);
+  mesh?.update();
   if (news.state !== 'running' && !news.more) source.close();
 });
 source.addEventListener('error', () => showState('cut off'));

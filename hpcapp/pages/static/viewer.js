@@ -241,11 +241,17 @@ export class Viewer {
     this.render();
   }
 
-  /**
-   * Look at all that is shown, as large as fits, with the axis `up` upwards; into a room, too.
-   * From above it is seen as a map: along z, with y upwards, moved and not turned.
-   */
+  /** Look at all that is shown as `frame` does, and into a room through its near walls. */
   look(up = this.up, isAbove = false) {
+    this.frame(up, isAbove);
+    this.setBacks(!this.#looksAtRoom());
+  }
+
+  /**
+   * Look at all that is shown, as large as fits, with the axis `up` upwards. From above it is seen
+   * as a map: along z, with y upwards, moved and not turned.
+   */
+  frame(up = this.up, isAbove = false) {
     this.up = up;
     this.controls?.dispose();
     const middle = new THREE.Vector3(), size = new THREE.Vector3(1, 1, 1);
@@ -270,7 +276,7 @@ export class Viewer {
     }
     this.controls.addEventListener('change', () => this.render());
     this.controls.update();
-    this.setBacks(!this.#looksAtRoom());
+    this.render();
   }
 
   /** Whether backs hide fronts in much of what is seen, as the near walls of a room do. */

@@ -324,6 +324,8 @@ def test_near_walls_of_a_room_are_left_out(open_page: Open, share: float, is_roo
     page.set_checked("#backs", is_room)
     page.click("#reset")  # the first view again
     assert page.is_checked("#backs") is not is_room
+    page.evaluate("viewer.setBacks(true); viewer.frame()")  # of parts nothing is judged
+    assert page.evaluate("viewer.hasBacks")
 
 
 def test_facets_are_shaded_alike(cube: Page) -> None:
