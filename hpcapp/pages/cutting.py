@@ -34,6 +34,8 @@ class Cutting:
     ----------
     commands : mapping of str to str
         By what they make; words are quoted as a shell reads them.
+    bounds : ndarray of float64, shape (2, 3)
+        Of all that the file holds, in the frame of the scene: of many points a page shows a part.
     polygon : str
         Name of the GeoJSON that a drawn polygon is saved as; the shell's word is the same.
     crs : mapping or None
@@ -43,6 +45,7 @@ class Cutting:
     """
 
     commands: Mapping[str, str]
+    bounds: FloatArray
     polygon: str
     crs: Mapping[str, object] | None = None
     pieces: Pieces | None = None
@@ -51,7 +54,10 @@ class Cutting:
 def pack_cutting(cutting: Cutting, pack: Callable[[Packable], str]) -> dict[str, object]:
     """Return what the program of a page is told, as JSON values."""
     pieces = cutting.pieces
+    low, high = cutting.bounds.tolist()
     return {
+        "low": low,
+        "high": high,
         "commands": [{"label": label, "text": text} for label, text in cutting.commands.items()],
         "polygon": cutting.polygon,
         "crs": cutting.crs,

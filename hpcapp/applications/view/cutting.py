@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.pieces import find_small
 from hpcapp.geometry.points import FloatArray, PointCloud
@@ -25,18 +26,20 @@ def plan_cutting(path: Path, shown: Mesh | PointCloud, crs: Crs) -> Cutting:
     """Return the commands that cut a file into another one beside it."""
     suffix = path.suffix.lower()
     if isinstance(shown, Mesh):
-        written = list_suffixes(lambda one: one.mesh_writer)
+        places, written = shown.vertices, list_suffixes(lambda one: one.mesh_writer)
         verbs = {"mesh": ("mend", suffix if suffix in written else ".ply")}
     else:
-        written = list_suffixes(lambda one: one.point_writer)
+        places, written = shown.positions, list_suffixes(lambda one: one.point_writer)
         points = suffix if suffix in written else ".ply"
         verbs = {"points": ("convert", points), "mesh": ("reconstruct", ".ply")}
     commands = {
         label: shlex.join(["hpcapp", verb, str(path), "-o", str(_name_beside(path, ending))])
         for label, (verb, ending) in verbs.items()
     }
+    finite = places[np.isfinite(places).all(axis=1)]
+    bounds = np.stack(bound_points(finite)) if len(finite) else np.zeros((2, 3))
     plain = re.sub(r"[^\w.-]", "_", path.stem, flags=re.ASCII)
-    return Cutting(commands, f"polygon-{plain}.geojson", name_crs(crs.text))
+    return Cutting(commands, bounds, f"polygon-{plain}.geojson", name_crs(crs.text))
 
 
 def _name_beside(path: Path, suffix: str) -> Path:

@@ -4,10 +4,9 @@ export class Frame {
   /** The page holds a place to a 65535th of the longest side of `box`. */
   constructor(origin, box) {
     this.origin = origin;
-    this.low = box.min.toArray();
-    this.high = box.max.toArray();
-    this.longest = Math.max(...this.high.map((end, k) => end - this.low[k])) || 1;
-    this.decimals = Math.min(100, Math.max(0, Math.ceil(-Math.log10(this.longest / 65535))));
+    const low = box.min.toArray(), high = box.max.toArray();
+    const step = (Math.max(...high.map((end, k) => end - low[k])) || 1) / 65535;
+    this.decimals = Math.min(100, Math.max(0, Math.ceil(-Math.log10(step))));
   }
 
   /** A coordinate in the file, as short as it can be. */

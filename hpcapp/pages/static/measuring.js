@@ -29,8 +29,8 @@ export class Measuring {
     this.places = this.places.length === 2 ? [place] : [...this.places, place];
     const [from, to] = this.places;
     if (!to) {
-      const at = this.frame ? `${from.map((part, axis) => this.frame.world(part, axis)).join(', ')}. ` : '';
-      this.said.textContent = `${at}Pick another one.`;
+      const at = this.frame && from.map((part, axis) => this.frame.world(part, axis)).join(', ');
+      this.said.textContent = `${at ? `${at}. ` : ''}Pick another one.`;
       this.viewer.setLine(this.places);
       return;
     }

@@ -3,17 +3,19 @@ import * as THREE from 'three';
 import { alongAxis, onPlane } from 'hpcapp/cutting/handles.js';
 import { sayNumber } from 'hpcapp/numbers.js';
 
-const AROUND = 0.02; // of the longest side: so far around all that is shown it begins
+const AROUND = 0.02; // of the longest side: so far around all of the file it begins
 const FARTHEST = 0.1; // likewise: so far it can be dragged
 const THINNEST = 0.001;
 
 export class BoxCut {
-  constructor({ viewer, frame, kept, handles, unit, onChange }) {
-    Object.assign(this, { viewer, frame, kept, handles, unit, onChange });
+  /** The file lies between `low` and `high` in the frame of the scene. */
+  constructor({ viewer, frame, kept, handles, unit, heightScale, onChange }, { low, high }) {
+    Object.assign(this, { viewer, frame, kept, handles, unit, heightScale, onChange, low, high });
+    this.longest = Math.max(...high.map((end, k) => end - low[k])) || 1;
     this.box = new THREE.Box3();
     [0, 1, 2].forEach((axis) => {
-      this.box.min.setComponent(axis, this.#round(frame.low[axis] - AROUND * frame.longest, axis));
-      this.box.max.setComponent(axis, this.#round(frame.high[axis] + AROUND * frame.longest, axis));
+      this.box.min.setComponent(axis, frame.local(low[axis] - AROUND * this.longest, axis));
+      this.box.max.setComponent(axis, frame.local(high[axis] + AROUND * this.longest, axis));
     });
   }
 
@@ -44,12 +46,11 @@ export class BoxCut {
   }
 
   get said() {
-    const size = this.box.getSize(new THREE.Vector3()).toArray();
-    return `Drag its faces and corners. It is ${size.map((side) => sayNumber(side)).join(' × ')}`
-      + `${this.unit && ` ${this.unit}`}.`;
+    const size = this.box.getSize(new THREE.Vector3());
+    size.z *= this.heightScale;
+    const sides = size.toArray().map((side) => sayNumber(side)).join(' × ');
+    return `Drag its faces and corners. It is ${sides}${this.unit && ` ${this.unit}`}.`;
   }
-
-  #round(number, axis) { return this.frame.local(number, axis); }
 
   #face(axis, side) {
     const place = () => this.box.getCenter(new THREE.Vector3())
@@ -76,12 +77,12 @@ export class BoxCut {
 
   /** Move a side, not through the other one. */
   #set(axis, side, at) {
-    const { low, high, longest } = this.frame;
+    const { low, high, longest } = this;
     const least = side === 'min' ? low[axis] - FARTHEST * longest
       : this.box.min.getComponent(axis) + THINNEST * longest;
     const most = side === 'max' ? high[axis] + FARTHEST * longest
       : this.box.max.getComponent(axis) - THINNEST * longest;
-    this.box[side].setComponent(axis, this.#round(Math.min(Math.max(at, least), most), axis));
+    this.box[side].setComponent(axis, this.frame.local(Math.min(Math.max(at, least), most), axis));
   }
 
   #change() {

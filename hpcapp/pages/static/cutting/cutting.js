@@ -19,9 +19,10 @@ export class Cutting {
     const { commands, polygon, crs, pieces } = scene.cutting;
     Object.assign(this, { viewer, commands, look, cut: null });
     const shared = { viewer, frame, kept: new Kept(viewer), handles: new Handles(viewer),
-      unit: scene.unit, onChange: () => this.#say() };
+      unit: scene.unit, heightScale: scene.heightScale, onChange: () => this.#say() };
     this.kept = shared.kept;
-    this.ways = { box: new BoxCut(shared), polygon: new PolygonCut(shared, polygon, crs) };
+    this.ways = { box: new BoxCut(shared, scene.cutting) };
+    this.ways.polygon = new PolygonCut(shared, polygon, crs);
     if (pieces) {
       mesh.geometry.setAttribute('piece', new THREE.BufferAttribute(ranks, 1));
       this.ways.pieces = new PiecesCut(shared, pieces, find('cut-most'));

@@ -45,7 +45,8 @@ export class Handles {
     event.preventDefault();
     this.viewer.element.setPointerCapture(event.pointerId);
     near.dot.classList.add('dragged');
-    this.dragged = { handle: near, pointer: event.pointerId, aside: [near.at[0] - x, near.at[1] - y] };
+    const aside = [near.at[0] - x, near.at[1] - y];
+    this.dragged = { handle: near, pointer: event.pointerId, aside };
   }
 
   #move(event) {
@@ -62,7 +63,7 @@ export class Handles {
   }
 }
 
-/** Where a line through a place along an axis (0 to 2) is nearest to a ray: a coordinate, or null. */
+/** Where along an axis (0 to 2) a line through a place is nearest to a ray; null where parallel. */
 export function alongAxis(ray, place, axis) {
   const away = place.clone().sub(ray.origin), along = ray.direction.getComponent(axis);
   const parallel = 1 - along * along;

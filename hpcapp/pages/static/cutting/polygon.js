@@ -4,6 +4,7 @@ import { onPlane } from 'hpcapp/cutting/handles.js';
 import { MOST_CORNERS } from 'hpcapp/cutting/kept.js';
 import { sayNumber } from 'hpcapp/numbers.js';
 
+const ASKED = ['three corners or more', 'two more corners', 'one more corner'];
 const UP = new THREE.Vector3(0, 0, 1);
 
 export class PolygonCut {
@@ -39,10 +40,10 @@ export class PolygonCut {
 
   get said() {
     const count = this.corners.length;
-    if (count < 3) return `Tap ${['three corners or more', 'two more corners', 'one more corner'][count]}.`;
+    if (count < 3) return `Tap ${ASKED[count]}.`;
     if (!this.isDrawn) return 'Its sides cross: drag a corner, or take one back.';
-    const squared = this.unit ? `${this.unit}²` : 'squared units';
-    return `${count} corners, ${sayNumber(Math.abs(this.#area()))} ${squared}. Save it where the command is to run.`;
+    const area = sayNumber(Math.abs(this.#area()), this.unit ? `${this.unit}²` : 'squared units');
+    return `${count} corners, ${area}. Save it where the command is to run.`;
   }
 
   /** The polygon as GeoJSON: counterclockwise, in the coordinates of the file. */
@@ -57,7 +58,9 @@ export class PolygonCut {
     });
   }
 
-  #round(place) { return place.setX(this.frame.local(place.x, 0)).setY(this.frame.local(place.y, 1)); }
+  #round(place) {
+    return place.setX(this.frame.local(place.x, 0)).setY(this.frame.local(place.y, 1));
+  }
 
   #area() {
     return this.corners.reduce((sum, { x, y }, k) => {
@@ -86,7 +89,8 @@ export class PolygonCut {
       new THREE.LineBasicMaterial({ color: this.viewer.accent, depthTest: false }));
     this.line.frustumCulled = false;
     this.viewer.scene.add(this.line);
-    if (this.isDrawn) this.kept.polygon(this.corners.map(({ x, y }) => [x, y])); else this.kept.all();
+    if (this.isDrawn) this.kept.polygon(this.corners.map(({ x, y }) => [x, y]));
+    else this.kept.all();
     this.onChange();
   }
 
@@ -112,8 +116,8 @@ export function crosses(corners) {
   const count = corners.length;
   const side = (k) => [corners[k], corners[(k + 1) % count]];
   for (let i = 0; i < count; i++) {
-    const [a, b] = side(i);
-    if (isBetween(a, b, corners[(i + 2) % count]) || isBetween(...side((i + 1) % count), a)) return true;
+    const [a, b] = side(i), next = side((i + 1) % count);
+    if (isBetween(a, b, next[1]) || isBetween(...next, a)) return true; // back on itself
     for (let j = i + 2; j < count; j++) {
       if (i === 0 && j === count - 1) continue;
       const [c, d] = side(j);

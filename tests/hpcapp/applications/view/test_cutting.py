@@ -19,6 +19,7 @@ from hpcapp.io import write_mesh, write_points
 from hpcapp.io.crs import UNKNOWN, Crs
 from hpcapp.mending.mend import Mending, mend_mesh
 from hpcapp.pages.cutting import MOST_PIECES
+from hpcapp.pages.scene import MOST_POINTS
 from hpcapp.pages.thin import thin_mesh
 from hpcapp.parts.crop import EVERYTHING, Crop
 
@@ -67,6 +68,17 @@ def test_the_polygon_has_a_name_that_no_shell_takes_apart(name: str) -> None:
     polygon = plan_cutting(Path(name), MESH, Crs("EPSG:25832", "m")).polygon
     assert shlex.quote(polygon) == polygon
     assert not polygon.startswith("-")
+
+
+def test_a_box_begins_around_points_that_the_page_leaves_out(tmp_path: Path) -> None:
+    places = np.random.default_rng(0).random((MOST_POINTS + 2, 3))
+    places[[1, 3]] = [[7.0, -8.0, 9.0], [np.nan, 0.0, 0.0]]  # of each two the first is shown
+    write_points(tmp_path / "c.npz", PointCloud(places))
+    scene = read_scene(tmp_path / "c.npz")
+    assert scene["points"]["shown"] == MOST_POINTS // 2 + 1
+    corners = np.array([scene["cutting"][name] for name in ("low", "high")]) + scene["origin"]
+    finite = np.delete(places, 3, axis=0)
+    np.testing.assert_array_equal(corners, [finite.min(axis=0), finite.max(axis=0)])
 
 
 def test_pieces_are_sorted_as_they_are_kept() -> None:
