@@ -187,7 +187,8 @@ def test_the_page_of_a_fetched_mesh_is_made_here(
     assert cluster.options == ["--grid", "32", "--details"]
     mesh = str(tmp_path / "m.ply")
     assert cluster.typed == ["reconstruct", str(sphere_file), "--output", mesh, "--grid", "32",
-                             "--cluster", "cluster.yaml"]  # fmt: skip
+                             "--cluster", "cluster.yaml", "--report", str(page),
+                             "--png", str(png)]  # fmt: skip
     shown = page.read_text()
     assert "a tetrahedron" in shown
     assert "0.125" in shown
