@@ -15,13 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hpcapp.api.arrays import check_colours, check_column, check_faces, check_rows, read_only
-from hpcapp.api.mesh_page import (
-    IN_NOTEBOOK,
-    JobRecord,
-    build_mesh_page,
-    draw_small,
-    frame_page,
-)
+from hpcapp.api.mesh_page import IN_NOTEBOOK, JobRecord, build_mesh_page, draw_small, frame_page
+from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.stitching.topology import (
     Topology,
     check_mesh,
@@ -298,6 +293,7 @@ class Mesh:
         path: str | PathLike[str],
         size: int | str | None = None,
         *,
+        attributes: str = "auto",
         origin: str | Sequence[float] = "auto",
         up: str | None = None,
     ) -> None:
@@ -313,7 +309,9 @@ class Mesh:
             .tiles and .3dtiles. What a format does not hold is logged as a warning.
         size : int or str, optional
             Bytes that the file has at most, as 20_000_000 or "20MB": what is written is simplified
-            to fit.
+            to fit. A .glb leaves out `attributes` first, of which viewers show none.
+        attributes : str
+            What of its vertices is written: ``auto`` (all), ``none``, or names as "normals,c".
         origin : str or sequence of float, shape (3,)
             What is subtracted from the coordinates: ``auto`` subtracts `origin` in .glb, .obj, .stl
             and .3mf, which are read in single precision; ``keep`` nothing; or a place. It is
@@ -325,19 +323,20 @@ class Mesh:
         Raises
         ------
         UsageError
-            No mesh that was tried fits the size, the output is a folder, or `origin` or `up` is
-            none.
+            No mesh that was tried fits the size, the output is a folder, or what is given is none.
         OutputError
             The suffix is unknown, or the file cannot be written.
         """
         formats.check_writable(path)
-        plain = self._plain
+        choice = parse_attributes(attributes)
+        plain = choice.select_of_mesh(self._plain, "the mesh")
         words = origin if isinstance(origin, str) else ",".join(map(repr, map(float, origin)))
         placement = Placement(parse_origin(words), self._up if up is None else check_up(up))
         if size is not None:
             from hpcapp.simplification.size import fit_mesh, read_size
 
-            plain = fit_mesh(plain, read_size(size, path), Path(path).suffix, self._crs, placement)
+            most, suffix, named = read_size(size, path), Path(path).suffix, choice.named
+            plain = fit_mesh(plain, most, suffix, self._crs, placement, named)
         formats.write_mesh(path, replace(as_stream(plain), crs=self._crs), placement)
 
     def report(self, path: str | PathLike[str]) -> None:

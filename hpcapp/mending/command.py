@@ -25,7 +25,7 @@ log = logging.getLogger("hpcapp")
 GROUPS = {
     "In this order": (
         "fill_holes", "pieces", "smallest", "box", "around", "polygon", "up", "faces", "tolerance",
-        "size",
+        "size", "attributes",
     ),
     GROUP: NAMES,
     "Output": ("output", "origin"),
@@ -82,7 +82,8 @@ def mend(
     printing = take_printing(options)
     output = Output(**options)
     asked = Mending(fill_holes, PieceChoice(pieces, smallest), crop)
-    if not (asked.is_something or output.is_light or output.is_placed or printing):
+    is_written_anew = output.is_light or output.is_placed or output.is_bare
+    if not (asked.is_something or is_written_anew or printing):
         advice = "give --fill-holes, --pieces, --box, --up, --faces or --print"
         raise UsageError("nothing to mend", advice)
 

@@ -64,12 +64,19 @@ _TOLERANCE = click.option(
     metavar="LENGTH",
     help="Simplify it while its surface moves by less, in its own units.",
 )
+_ATTRIBUTES = click.option(
+    "--attributes",
+    default="auto",
+    show_default=True,
+    metavar="NAMES",
+    help="What of its vertices stays: auto (all), none, or names as normals,colours,c.",
+)
 _SIZE = click.option("--size", metavar="BYTES", help="Simplify it to a file of at most that: 20MB.")
 
 
 def with_output(command: Callable[..., Any]) -> Callable[..., Any]:
     """Give a verb the options of a mesh that is simplified and written: those of `Output`."""
-    for option in (UP, ORIGIN, _SIZE, _TOLERANCE, _FACES, _OUTPUT):
+    for option in (UP, ORIGIN, _ATTRIBUTES, _SIZE, _TOLERANCE, _FACES, _OUTPUT):
         command = option(command)
     return command
 
@@ -82,6 +89,7 @@ class Output:
     faces: int | None
     tolerance: float | None
     size: str | None
+    attributes: str
     origin: str
     up: str | None
 
@@ -94,6 +102,11 @@ class Output:
     def is_placed(self) -> bool:
         """Whether it is to be turned or moved."""
         return self.up is not None or self.origin != "auto"
+
+    @property
+    def is_bare(self) -> bool:
+        """Whether something of its vertices is to be left out."""
+        return self.attributes != "auto"
 
     def write(
         self,
@@ -108,6 +121,7 @@ class Output:
         """
         from dataclasses import replace
 
+        from hpcapp.applications.surface.attributes.choice import parse_attributes
         from hpcapp.io import find_mesh_crs, find_mesh_up, read_mesh, write_mesh
         from hpcapp.io.meshes.mesh_stream import as_stream
         from hpcapp.io.output import open_output
@@ -118,15 +132,15 @@ class Output:
 
         target = Target(self.faces, self.tolerance)
         target.check()
-        origin = parse_origin(self.origin)
+        origin, choice = parse_origin(self.origin), parse_attributes(self.attributes)
         most_bytes = None if self.size is None else read_size(self.size, self.output)
         with open_output(self.output) as path:
-            whole = read_mesh(mesh)
+            whole = choice.select_of_mesh(read_mesh(mesh), str(mesh))
             crs = find_mesh_crs(mesh)
             placement = Placement(origin, self.up or find_mesh_up(mesh))
             light = simplify_mesh(change(whole, crs), target)
             if most_bytes is not None:
-                light = fit_mesh(light, most_bytes, path.suffix, crs, placement)
+                light = fit_mesh(light, most_bytes, path.suffix, crs, placement, choice.named)
             if finish is not None:
                 (light, crs), placement = finish(light, crs, placement.up), Placement(up="z")
             write_mesh(path, replace(as_stream(light), crs=crs), placement)
@@ -159,7 +173,7 @@ class Output:
 def simplify(mesh: Path, crop: Crop, **options: Any) -> None:
     """Simplify a mesh, or a part, with all that its vertices carry."""
     output = Output(**options)
-    if not output.is_light and not crop.has_region:
+    if not (output.is_light or output.is_bare or crop.has_region):
         raise UsageError("nothing to simplify to", "give --faces, --tolerance or --size")
     whole, light = output.write(
         mesh, lambda whole, crs: crop.cut(whole, crs.height_scale, str(mesh))

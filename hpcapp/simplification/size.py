@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import logging
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -15,9 +16,12 @@ from hpcapp.io.placement import Placement
 from hpcapp.io.registry import find_mesh_writer
 from hpcapp.simplification.mesh import simplify_mesh
 from hpcapp.simplification.target import Target
+from hpccomponent.cli.option_names import name_option
 from hpccomponent.errors import UsageError
 from hpccomponent.files.held_folders import temporary_folder
 from hpccomponent.units import parse_size
+
+log = logging.getLogger("hpcapp")
 
 _LEAST_BYTES = 16
 """Of a triangle: no format of ours takes fewer, or the first file would be too small."""
@@ -77,10 +81,42 @@ def weigh_mesh(path: Path, mesh: MeshStream, placement: Placement) -> int:
     return path.stat().st_size
 
 
-def fit_mesh(mesh: Mesh, size: int, suffix: str, crs: Crs, placement: Placement) -> Mesh:
+def leave_unread(
+    names: Iterable[str],
+    suffix: str,
+    named: Collection[str],
+    faces: int,
+    size: int,
+    weigh: Callable[[int], int],
+) -> list[str]:
+    """Return which attributes stay in a file of a size; say which do not.
+
+    Where a GLB of all `faces` is larger, as `weigh` tells, those go first that were not named: its
+    format keeps them for who wrote it, and viewers show none.
+    """
+    names = list(names)
+    unread = [name for name in names if suffix.lower() == ".glb" and name not in named]
+    if not unread or (faces * _LEAST_BYTES <= size and weigh(faces) <= size):
+        return names
+    log.info(
+        "left out for the size: %s, which no viewer reads from a .glb; name in %s what is to stay",
+        ", ".join(unread), name_option("attributes"),
+    )  # fmt: skip
+    return [name for name in names if name not in unread]
+
+
+def fit_mesh(
+    mesh: Mesh,
+    size: int,
+    suffix: str,
+    crs: Crs,
+    placement: Placement,
+    named: Collection[str] = (),
+) -> Mesh:
     """Return a mesh of as many triangles as fit a file of a format, of a size in bytes.
 
-    Its suffix names the format. Errors are those of `fit_size`.
+    Its suffix names the format; of its attributes those that are `named` stay in any case. Errors
+    are those of `fit_size`.
     """
     with temporary_folder() as folder:
         path = folder / f"mesh{suffix}"
@@ -89,4 +125,7 @@ def fit_mesh(mesh: Mesh, size: int, suffix: str, crs: Crs, placement: Placement)
             light = replace(as_stream(simplify_mesh(mesh, Target(faces))), crs=crs)
             return weigh_mesh(path, light, placement)
 
-        return simplify_mesh(mesh, Target(fit_size(size, len(mesh.faces), weigh)))
+        most = len(mesh.faces)
+        stays = leave_unread(mesh.attributes, suffix, named, most, size, weigh)
+        mesh = replace(mesh, attributes={name: mesh.attributes[name] for name in stays})
+        return simplify_mesh(mesh, Target(fit_size(size, most, weigh)))

@@ -150,7 +150,8 @@ def deliver(
     carrying = carry_columns(settings, loaded, outcome, clock)
     if settings.size is not None:
         with clock.stage("fit size"):
-            outcome = fit_surface(outcome, settings.size, target.suffix, carrying)
+            named = settings.attributes.named
+            outcome, carrying = fit_surface(outcome, settings.size, target.suffix, carrying, named)
     if settings.texture is not None:
         from hpcapp.applications.surface.steps.texture import write_textured  # stands on scipy
 

@@ -38,15 +38,15 @@ def add_texture(document: dict[str, Any], texture: Texture) -> list[bytes]:
         )
     (material,) = document["materials"]
     document |= {"images": [], "textures": []}
-    for picture, owner, name in (
-        (texture.colours, material["pbrMetallicRoughness"], "baseColorTexture"),
-        (texture.normals, material, "normalTexture"),
+    for picture, owner, name, title in (
+        (texture.colours, material["pbrMetallicRoughness"], "baseColorTexture", "colours"),
+        (texture.normals, material, "normalTexture", "normals"),
     ):
         if picture is not None:
             number = len(document["images"])
             view = _add_view(document, body, _encode(picture))
-            document["images"].append({"bufferView": view, "mimeType": "image/jpeg"})
-            document["textures"].append({"source": number, "sampler": 0})
+            document["images"].append({"name": title, "bufferView": view, "mimeType": "image/jpeg"})
+            document["textures"].append({"name": title, "source": number, "sampler": 0})
             owner[name] = {"index": number}
     sampler = {"magFilter": _SMOOTH, "minFilter": _MIPMAPS, "wrapS": _ENDS, "wrapT": _ENDS}
     document["samplers"] = [sampler]

@@ -35,6 +35,8 @@ _JSON, _BINARY = b"JSON", b"BIN\0"
 _USHORT, _UINT, _FLOAT = 5123, 5125, 5126  # component types
 _VERTICES, _FACES = 34962, 34963  # targets of buffer views
 _MOST_BYTES = 2**32 - 1
+_NAME = "mesh"
+"""Of node, mesh and material; not the file's: bytes depend on what is in it alone."""
 _SHAPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 
 
@@ -172,9 +174,10 @@ def _describe(
         "asset": {"version": "2.0", "generator": "hpcapp"} | say_frame(stream),
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "name": "mesh", **_place(stream)}],
-        "meshes": [{"primitives": [primitive], "extras": extras}],
-        "materials": [{"pbrMetallicRoughness": {"metallicFactor": 0.0}}],  # else it is metal
+        "nodes": [{"mesh": 0, "name": _NAME, **_place(stream)}],
+        "meshes": [{"name": _NAME, "primitives": [primitive], "extras": extras}],
+        # without a factor it is metal
+        "materials": [{"name": _NAME, "pbrMetallicRoughness": {"metallicFactor": 0.0}}],
         "accessors": [*accessors, {**indices, "type": "SCALAR"}],
         "bufferViews": [
             {"buffer": 0, "byteOffset": sum(sizes[:number]), "byteLength": size, "target": target}

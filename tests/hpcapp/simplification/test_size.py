@@ -10,8 +10,13 @@ import pytest
 from click.testing import CliRunner
 from level_sets import mesh_level_set
 
+from hpcapp.applications.surface.attributes.choice import parse_attributes
+from hpcapp.applications.surface.cli.run import run_job
+from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.geometry.mesh import Mesh
-from hpcapp.io import read_mesh, write_mesh
+from hpcapp.geometry.points import PointCloud
+from hpcapp.io import read_mesh, write_mesh, write_points
+from hpcapp.progress import Progress
 from hpcapp.simplification.command import simplify
 from hpcapp.simplification.size import fit_size, read_size
 from hpccomponent.errors import UsageError
@@ -72,3 +77,59 @@ def test_meshes_that_are_weighed_say_nothing(
         CliRunner().invoke(simplify, words, catch_exceptions=False)
     assert caplog.text.count("relative to") == 1
     assert caplog.text.count("no colours") == 1
+
+
+def add_columns(mesh: Mesh) -> Mesh:
+    rows = np.arange(len(mesh.vertices), dtype=np.float64)
+    return replace(mesh, attributes={"gps_time": rows, "scan_angle": rows, "intensity": rows})
+
+
+@pytest.mark.parametrize(
+    ("suffix", "size", "words", "stays"),
+    [
+        (".glb", "60K", [], []),
+        (".glb", "60K", ["--attributes", "auto,gps_time"], ["gps_time"]),
+        (".glb", "60K", ["--attributes", "colours,intensity"], ["intensity"]),
+        (".glb", "20M", [], ["gps_time", "scan_angle", "intensity"]),
+        (".ply", "60K", [], ["gps_time", "scan_angle", "intensity"]),
+    ],
+)
+def test_triangles_go_after_what_no_viewer_reads(
+    ball: Mesh,
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+    suffix: str,
+    size: str,
+    words: list[str],
+    stays: list[str],
+) -> None:
+    write_mesh(tmp_path / "ball.ply", add_columns(ball))
+    light = tmp_path / f"light{suffix}"
+    typed = [str(tmp_path / "ball.ply"), "-o", str(light), "--size", size, *words]
+    with caplog.at_level("INFO", "hpcapp"):
+        CliRunner().invoke(simplify, typed, catch_exceptions=False)
+    mesh = read_mesh(light)
+    assert list(mesh.attributes) == stays
+    assert mesh.colours is not None
+    said = [line for line in caplog.messages if line.startswith("left out for the size: ")]
+    assert len(said) == (suffix == ".glb" and size == "60K" and "colours,intensity" not in words)
+    assert all("scan_angle" in line for line in said)
+
+
+def test_a_job_leaves_them_out_too(ball: Mesh, tmp_path: Path) -> None:
+    """And of the place that they took twice the triangles are made."""
+    cloud = PointCloud(ball.vertices, ball.vertices, ball.colours, add_columns(ball).attributes)
+    write_points(tmp_path / "ball.ply", cloud)
+    faces = []
+    for attributes in ("auto", "auto,gps_time,scan_angle,intensity"):
+        job = JobSettings(
+            tmp_path / "ball.ply",
+            str(tmp_path / "ball.glb"),
+            grid=48,
+            size=60 << 10,
+            attributes=parse_attributes(attributes),
+        )
+        faces.append(run_job(job, Progress())["faces"])
+        assert (tmp_path / "ball.glb").stat().st_size <= 60 << 10
+        assert bool(read_mesh(tmp_path / "ball.glb").attributes) == (attributes != "auto")
+    assert faces[0] > 1.2 * faces[1]

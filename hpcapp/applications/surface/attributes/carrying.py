@@ -6,7 +6,7 @@ are and on nothing else, so that tiles and workers give the same bits.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import field, replace
 from typing import TYPE_CHECKING
 
@@ -67,6 +67,12 @@ class Carrying:
         normals = none if self.has_normals else None
         return PointCloud(none, normals, self.layout.colours, attributes)
 
+    def with_attributes(self, names: Collection[str]) -> Carrying:
+        """Return the same with the attributes of some names alone."""
+        spacing = self.spacing if SUPPORT in names else None
+        kept = (name for name in self.layout.attributes if name in names)
+        return replace(self, layout=_take(self.layout, kept), spacing=spacing)
+
     def to_stream(self, stream: MeshStream) -> MeshStream:
         """Return a mesh whose vertices carry it, in the input's coordinates.
 
@@ -114,7 +120,7 @@ class Carrying:
             stop = start + len(block)
             if self.evaluate is not None:
                 carried = self.evaluate(block.positions)
-                block = carried.points
+                block = _take(carried.points, self.layout.attributes)
                 if self.spacing is not None:
                     support = (carried.nearest / self.spacing).astype(np.float32)
                     block = replace(block, attributes={**block.attributes, SUPPORT: support})
@@ -122,6 +128,11 @@ class Carrying:
                 block = replace(block, normals=scale_normals(sums[:, start:stop]))
             yield block
             start = stop
+
+
+def _take(points: PointCloud, names: Iterable[str]) -> PointCloud:
+    """Return points with the attributes of some names."""
+    return replace(points, attributes={name: points.attributes[name] for name in names})
 
 
 NOTHING = Carrying(PointCloud(np.empty((0, 3))))

@@ -5,6 +5,7 @@ This module is imported for every ``--help``: nothing heavy is imported.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,7 @@ from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
 
 if TYPE_CHECKING:
+    from hpcapp.geometry.mesh import Mesh
     from hpcapp.geometry.points import PointCloud
 
 
@@ -71,13 +73,7 @@ class AttributeChoice:
         known = list(cloud.attributes)
         if cloud.colours is not None:
             known.insert(0, _COLOURS[0])
-        for name in self.names:
-            if name not in known:
-                there = f"{source} has {', '.join(known) if known else 'no other columns'}"
-                raise UsageError(
-                    f"{name_option('attributes', name)}: the points have no such column",
-                    f"{there}; {' and '.join(_MADE)} can always be had",
-                )
+        _check_known(self.names, known, source, f"; {' and '.join(_MADE)} can always be had")
         automatic = [name for name in known if self.is_auto and self._suits(name)]
         wanted = {*self.names, *automatic, *[CONFIDENCE] * self.has_confidence}
         return replace(
@@ -86,8 +82,41 @@ class AttributeChoice:
             attributes={name: c for name, c in cloud.attributes.items() if name in wanted},
         )
 
+    @property
+    def named(self) -> tuple[str, ...]:
+        """All that is asked for by its name, made or not."""
+        asked = (self.has_normals, self.has_support, self.has_confidence)
+        made = zip((*_MADE, CONFIDENCE), asked, strict=True)
+        return (*self.names, *(name for name, is_asked in made if is_asked))
+
+    def select_of_mesh(self, mesh: Mesh, source: str) -> Mesh:
+        """Leave out what the vertices of a mesh have and is not asked for; nothing is made.
+
+        Raises UsageError as `select` does.
+        """
+        has = {_MADE[0]: mesh.normals is not None, _COLOURS[0]: mesh.colours is not None}
+        known = [name for name, is_there in has.items() if is_there] + list(mesh.attributes)
+        _check_known(self.named, known, source)
+        wanted = set(known) if self.is_auto else set(self.named)
+        return replace(
+            mesh,
+            normals=mesh.normals if _MADE[0] in wanted else None,
+            colours=mesh.colours if _COLOURS[0] in wanted else None,
+            attributes={name: c for name, c in mesh.attributes.items() if name in wanted},
+        )
+
     def _suits(self, name: str) -> bool:
         return name == _COLOURS[0] if self.is_picture else name not in _OF_THE_SCAN
+
+
+def _check_known(names: Iterable[str], known: list[str], source: str, made: str = "") -> None:
+    """Refuse the names of columns that are not there; `made` says what is there besides."""
+    for name in names:
+        if name not in known:
+            raise UsageError(
+                f"{name_option('attributes', name)}: there is no such column",
+                f"{source} has {', '.join(known) if known else 'no other columns'}{made}",
+            )
 
 
 def parse_attributes(text: str) -> AttributeChoice:

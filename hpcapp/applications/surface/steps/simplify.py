@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Collection
 from dataclasses import replace
 
 from hpcapp.applications.surface.attributes.carrying import Carrying
 from hpcapp.applications.surface.job.outcome import Outcome, Reconstruction
 from hpcapp.applications.surface.stitching.surface import Surface, simplify_surface
 from hpcapp.progress import StageClock
-from hpcapp.simplification.size import fit_size, weigh_mesh
+from hpcapp.simplification.size import fit_size, leave_unread, weigh_mesh
 from hpcapp.simplification.target import Target
 from hpccomponent.files.held_folders import temporary_folder
 
@@ -33,8 +34,13 @@ def simplify(
     return replace(result, surface=light), warnings
 
 
-def fit_surface(outcome: Outcome, size: int, suffix: str, carrying: Carrying) -> Outcome:
-    """Return an outcome whose surface is simplified to a file of a size at most."""
+def fit_surface(
+    outcome: Outcome, size: int, suffix: str, carrying: Carrying, named: Collection[str]
+) -> tuple[Outcome, Carrying]:
+    """Return an outcome whose surface is simplified to a file of a size at most.
+
+    Return, too, what it carries: attributes that are `named` stay.
+    """
     surface = outcome.result.surface
     most = surface.stream().face_count
     with temporary_folder() as folder:
@@ -47,5 +53,8 @@ def fit_surface(outcome: Outcome, size: int, suffix: str, carrying: Carrying) ->
             with simplify(faces).open_stream() as stream:
                 return weigh_mesh(path, carrying.to_stream(stream), carrying.placement)
 
+        attributes = carrying.columns.attributes
+        stays = leave_unread(attributes, suffix, named, most, size, weigh)
+        carrying = carrying.with_attributes(stays)
         light = simplify(fit_size(size, most, weigh))
-    return replace(outcome, result=replace(outcome.result, surface=light))
+    return replace(outcome, result=replace(outcome.result, surface=light)), carrying

@@ -14,11 +14,12 @@ from hpcapp.geometry.mesh import Mesh
 from hpcapp.io import find_mesh_up, read_mesh, write_mesh
 from hpcapp.io.glb.writer import write_glb
 from hpcapp.io.meshes.mesh_stream import as_stream
+from hpcapp.io.meshes.texture import Texture
 from hpcapp.io.placement import Placement
 from hpccomponent.errors import OutputError
 
 TYPES = {5123: "<u2", 5125: "<u4", 5126: "<f4"}
-WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 
 
 def read_glb(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
@@ -156,3 +157,17 @@ def test_a_file_of_another_program_is_y_up(tmp_path: Path, tetrahedron: Mesh) ->
     turned = read_mesh(path)  # as it stands there
     write_mesh(path, turned, Placement(up="y"))
     np.testing.assert_array_equal(read_glb(path)[1]["POSITION"], turned.vertices)
+
+
+def test_what_an_editor_lists_has_a_name(tmp_path: Path) -> None:
+    """Else importers number them; the file's name would make its bytes depend on it."""
+    triangle = Mesh(np.eye(3), np.arange(3)[None])
+    picture = np.full((4, 4, 3), 128, np.uint8)
+    places, tangents = np.zeros((3, 2)), np.tile([1.0, 0.0, 0.0, 1.0], (3, 1))
+    texture = Texture(places, tangents, picture, picture, np.arange(3))
+    write_glb(tmp_path / "a.glb", replace(as_stream(triangle), texture=texture))
+    told = read_glb(tmp_path / "a.glb")[0]
+    names = {kind: [one["name"] for one in told[kind]] for kind in ("nodes", "meshes", "materials")}
+    assert names == {"nodes": ["mesh"], "meshes": ["mesh"], "materials": ["mesh"]}
+    for kind in ("images", "textures"):
+        assert [one["name"] for one in told[kind]] == ["colours", "normals"]

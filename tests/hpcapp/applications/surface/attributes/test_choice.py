@@ -1,9 +1,12 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from hpcapp.applications.surface.attributes.choice import AttributeChoice, parse_attributes
+from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import PointCloud
 from hpccomponent.errors import UsageError
 
@@ -54,7 +57,7 @@ def test_an_unknown_column_is_refused_with_those_there_are() -> None:
     with pytest.raises(UsageError) as refused:
         parse_attributes("auto,reflectance").select(CLOUD, "scan.ply")
     assert str(refused.value) == (
-        "attributes='reflectance': the points have no such column; scan.ply has colours, "
+        "attributes='reflectance': there is no such column; scan.ply has colours, "
         "intensity, row, scan, label; normals and support can always be had"
     )
     with pytest.raises(UsageError, match=r"scan.ply has no other columns"):
@@ -65,3 +68,25 @@ def test_an_unknown_column_is_refused_with_those_there_are() -> None:
 def test_what_makes_no_sense_is_refused(text: str) -> None:
     with pytest.raises(UsageError, match="attributes="):
         parse_attributes(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "has_normals", "has_colours", "names"),
+    [
+        ("auto", True, True, ["intensity", "scan", "support"]),
+        ("none", False, False, []),
+        ("normals,support", True, False, ["support"]),
+        ("colors,scan", False, True, ["scan"]),
+    ],
+)
+def test_of_a_mesh_all_that_is_there_can_be_named(
+    text: str, has_normals: bool, has_colours: bool, names: list[str]
+) -> None:
+    columns = {name: np.zeros(3) for name in ("intensity", "scan", "support")}
+    mesh = Mesh(np.eye(3), np.arange(3)[None], np.zeros(3), np.eye(3), np.zeros((3, 3), np.uint8))
+    chosen = parse_attributes(text).select_of_mesh(replace(mesh, attributes=columns), "mesh.ply")
+    assert (chosen.normals is not None) == has_normals
+    assert (chosen.colours is not None) == has_colours
+    assert list(chosen.attributes) == names
+    with pytest.raises(UsageError, match="support': there is no such column"):
+        parse_attributes("support").select_of_mesh(mesh, "mesh.ply")
