@@ -196,20 +196,20 @@ class Mesh:
     def mend(
         self,
         *,
-        fill_holes: float | None = None,
+        fill_holes: float | str | None = None,
         pieces: int | None = None,
         smallest: float | None = None,
         box: Sequence[float] | None = None,
         around: Sequence[float] | None = None,
         polygon: str | PathLike[str] | None = None,
     ) -> Mesh:
-        """Return it with holes filled, then without some of its pieces, then cut.
+        """Return it with holes filled, then cut, then without some of its pieces.
 
         Parameters
         ----------
-        fill_holes : float, optional
+        fill_holes : float or str, optional
             Holes up to this size are filled: the diagonal of the box around a border, in units of
-            the input.
+            the input, or in median edges as "10s".
         pieces : int, optional
             So many connected pieces are kept, the largest ones.
         smallest : float, optional
@@ -229,15 +229,15 @@ class Mesh:
         InputError
             It has no faces, or nothing where it is cut.
         """
+        from hpcapp.applications.surface.boundary.lengths import require_length
         from hpcapp.geometry.pieces import PieceChoice
         from hpcapp.mending.mend import Mending, mend_mesh
 
-        asked = Mending(fill_holes, PieceChoice(pieces, smallest), make_crop(box, around, polygon))
+        largest = None if fill_holes is None else require_length("fill_holes", str(fill_holes))
+        asked = Mending(largest, PieceChoice(pieces, smallest), make_crop(box, around, polygon))
         asked.choice.check()
         if not asked.is_something:
             raise UsageError("nothing to mend", "give fill_holes, pieces or a part")
-        if fill_holes is not None:
-            check_range("fill_holes", fill_holes, 0.0, is_open=True)
         mended = mend_mesh(self._plain, asked, self._crs.height_scale)
         return wrap_mesh(mended, crs=self._crs, up=self._up)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +25,7 @@ log = logging.getLogger("hpcapp")
 
 GROUPS = {
     "In this order": (
-        "fill_holes", "pieces", "smallest", "box", "around", "polygon", "up", "faces", "tolerance",
+        "fill_holes", "box", "around", "polygon", "pieces", "smallest", "up", "faces", "tolerance",
         "size", "attributes",
     ),
     GROUP: NAMES,
@@ -54,9 +55,9 @@ GROUPS = {
 @MESH
 @click.option(
     "--fill-holes",
-    type=click.FloatRange(0, min_open=True),
     metavar="LENGTH",
-    help="Fill holes up to this size, the diagonal of the box around a border, in its own units.",
+    help="Fill holes up to this size, the diagonal of the box around a border: in its own units, "
+    "or in median edges as 10s.",
 )
 @PIECES
 @SMALLEST
@@ -64,31 +65,37 @@ GROUPS = {
 @with_output
 def mend(
     mesh: Path,
-    fill_holes: float | None,
+    fill_holes: str | None,
     pieces: int | None,
     smallest: float | None,
     crop: Crop,
     **options: Any,
 ) -> None:
-    """Fill holes, drop pieces, cut, turn, simplify or print a mesh.
+    """Fill holes, cut, drop pieces, turn, simplify or print a mesh.
 
     In this order. What its vertices carry stays.
     """
+    from hpcapp.applications.surface.boundary.lengths import require_length
     from hpcapp.applications.surface.steps.summary import summarize
     from hpcapp.applications.surface.stitching.topology import check_mesh
     from hpcapp.geometry.pieces import PieceChoice
     from hpcapp.mending.mend import Mending, mend_mesh
+    from hpcapp.progress import Progress, StageClock
+    from hpcapp.progress_display import open_progress
 
     printing = take_printing(options)
     output = Output(**options)
-    asked = Mending(fill_holes, PieceChoice(pieces, smallest), crop)
+    largest = None if fill_holes is None else require_length("fill_holes", fill_holes)
+    asked = Mending(largest, PieceChoice(pieces, smallest), crop)
     is_written_anew = output.is_light or output.is_placed or output.is_bare
     if not (asked.is_something or is_written_anew or printing):
         advice = "give --fill-holes, --pieces, --box, --up, --faces or --print"
         raise UsageError("nothing to mend", advice)
 
     def change(whole: Mesh, crs: Crs) -> Mesh:
-        return mend_mesh(whole, asked, crs.height_scale, str(mesh))
+        with open_progress(sys.stderr) as display:
+            clock = StageClock(Progress(display))
+            return mend_mesh(whole, asked, crs.height_scale, str(mesh), clock)
 
     if printing is not None:
         from hpcapp.printing.prepare import PRINTED, make_print

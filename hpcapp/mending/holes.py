@@ -8,7 +8,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -50,14 +50,17 @@ class Patch:
     nearest: IntArray
 
 
-def fill_holes(mesh: Mesh, size: float) -> Filled:
+def fill_holes(
+    mesh: Mesh, size: float, advance: Callable[[int, int], object] = lambda *_: None
+) -> Filled:
     """Fill the holes of a mesh up to a size, the diagonal of the box around their border.
 
+    `advance` is told (vertices on borders that are done, in all), hole by hole.
     Old vertices and faces, at least one, stay as they are. New vertices carry what the nearest one
     on the border of their hole does, and normals of their own.
     """
     loops = find_holes(mesh, size)
-    patches = [patch for patch in _fill(mesh, loops.holes) if patch is not None]
+    patches = [patch for patch in _fill(mesh, loops.holes, advance) if patch is not None]
     left = loops.tangled + len(loops.holes) - len(patches)
     if not patches:
         return Filled(mesh, 0, left)
@@ -87,7 +90,9 @@ def _add_normals(mesh: Mesh, first: int) -> FloatArray:
     return normals
 
 
-def _fill(mesh: Mesh, holes: list[IntArray]) -> Iterator[Patch | None]:
+def _fill(
+    mesh: Mesh, holes: list[IntArray], advance: Callable[[int, int], object]
+) -> Iterator[Patch | None]:
     """Fill holes; yield None where no faces can."""
     if not holes:
         return
@@ -110,9 +115,11 @@ def _fill(mesh: Mesh, holes: list[IntArray]) -> Iterator[Patch | None]:
     pairs = number[faces] * len(faces) + np.arange(len(faces))[:, None]
     near = unique_keys(pairs[number[faces] >= 0])
     starts = np.searchsorted(near, len(faces) * np.arange(len(holes) + 1))
+    ends = np.cumsum([len(loop) for loop in holes]).tolist()
     for index, loop in enumerate(holes):
         around = faces[near[starts[index] : starts[index + 1]] % len(faces)]
         yield fill_loop(mesh.vertices, loop, around, sides[loop])
+        advance(ends[index], ends[-1])
 
 
 def fill_loop(

@@ -1,17 +1,20 @@
-"""A mesh that is there, mended: its holes filled, then its pieces chosen, then cut."""
+"""A mesh that is there, mended: its holes filled, then cut, then its pieces chosen."""
 
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import field
 
 import numpy as np
 
+from hpcapp.applications.surface.boundary.lengths import Length
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.pieces import PieceChoice, find_small, say_dropped, say_small
 from hpcapp.mending.holes import fill_holes
 from hpcapp.mending.pieces import keep_faces, measure_pieces
 from hpcapp.parts.crop import Crop
+from hpcapp.progress import Progress, StageClock
 from hpcapp.wording import say_count
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
@@ -23,11 +26,12 @@ log = logging.getLogger("hpcapp")
 class Mending:
     """What is asked of a mesh that is there.
 
-    Holes up to a size are filled: the diagonal of the box around a border. Where nothing is chosen,
-    small pieces are named. The crop is in the coordinates of the mesh.
+    Holes up to a size are filled: the diagonal of the box around a border; a spacing is the median
+    edge. Where nothing is chosen, small pieces are named. The crop is in the coordinates of the
+    mesh.
     """
 
-    fill_holes: float | None = None
+    fill_holes: Length | None = None
     choice: PieceChoice = field(default_factory=PieceChoice)
     crop: Crop = field(default_factory=Crop)
 
@@ -37,16 +41,25 @@ class Mending:
         return self.fill_holes is not None or self.choice.is_something or self.crop.has_region
 
 
-def mend_mesh(mesh: Mesh, asked: Mending, height_unit: float = 1.0, name: str = "the mesh") -> Mesh:
-    """Fill holes of a mesh, drop pieces of it, and cut it; a unit of z is so many of x and y.
+def mend_mesh(
+    mesh: Mesh,
+    asked: Mending,
+    height_unit: float = 1.0,
+    name: str = "the mesh",
+    clock: StageClock | None = None,
+) -> Mesh:
+    """Fill holes of a mesh, cut it, and drop pieces of it; a unit of z is so many of x and y.
 
-    Raise UsageError where no piece is as large as was asked for, and InputError where the mesh has
-    no faces, or places that are none, or nothing where it is to be cut.
+    The clock is told how far the filling has come. Raise UsageError where no piece is as large as
+    was asked for, and InputError where the mesh has no faces, or places that are none, or nothing
+    where it is to be cut.
     """
     _check(mesh)
     if asked.fill_holes is not None:
-        mesh = _fill(mesh, asked.fill_holes)
-    return asked.crop.cut(_choose(mesh, asked.choice), height_unit, name)
+        clock = clock or StageClock(Progress())
+        with clock.stage("fill holes"):
+            mesh = _fill(mesh, asked.fill_holes, clock.progress.advance)
+    return _choose(asked.crop.cut(mesh, height_unit, name), asked.choice)
 
 
 def _check(mesh: Mesh) -> None:
@@ -61,15 +74,22 @@ def _check(mesh: Mesh) -> None:
         )
 
 
-def _fill(mesh: Mesh, size: float) -> Mesh:
-    filled = fill_holes(mesh, size)
-    log.info("filled %s", say_count(filled.holes, "hole"))
+def _fill(mesh: Mesh, length: Length, advance: Callable[[int, int], None]) -> Mesh:
+    size = length.value * (_measure_edge(mesh) if length.in_spacings else 1.0)
+    filled = fill_holes(mesh, size, advance)
+    log.info("filled %s up to %g", say_count(filled.holes, "hole"), size)
     if filled.left:
         log.warning(
             "warning: %s up to %g left open, where the mesh is not manifold",
             say_count(filled.left, "border"), size,
         )  # fmt: skip
     return filled.mesh
+
+
+def _measure_edge(mesh: Mesh) -> float:
+    """Return the median length of the sides of faces."""
+    places = mesh.vertices[mesh.faces]
+    return float(np.median(np.linalg.norm(places - np.roll(places, 1, axis=1), axis=2)))
 
 
 def _choose(mesh: Mesh, choice: PieceChoice) -> Mesh:

@@ -20,6 +20,7 @@ from hpcapp.io import find_mesh_crs, read_mesh, write_mesh
 from hpcapp.io.crs import Crs
 from hpcapp.io.meshes.mesh_stream import as_stream
 from hpcapp.mending.command import mend
+from hpcapp.mending.holes import fill_holes
 from hpcapp.mending.pieces import keep_faces
 from hpccomponent.cli.option_names import speaking_flags
 from hpccomponent.errors import InputError, UsageError
@@ -54,7 +55,7 @@ def test_holes_are_filled_first(
     caplog.set_level(logging.INFO, "hpcapp")
     out = tmp_path / "whole.ply"
     run(holed, "-o", out, "--fill-holes", "2", "--pieces", "1")
-    assert "filled 2 holes" in caplog.messages
+    assert "filled 2 holes up to 2" in caplog.messages
     assert "dropped 1 of 2 pieces, 5.7 % of the area" in caplog.messages
     assert caplog.messages[-1].endswith("faces, watertight, 1 piece")
     whole = read_mesh(out)
@@ -72,10 +73,42 @@ def test_the_mesh_is_cut_after_that_and_then_simplified(holed: Path, tmp_path: P
     assert part.vertices[:, 2].min() == pytest.approx(0.2, abs=2e-3)
     assert part.vertices[:, 2].max() > 0.58
     assert check_mesh(part).boundaries == 1
-    run(holed, "-o", out, "--smallest", "1", "--around", "0.65,0,0,0.5")
+
+
+def test_pieces_are_chosen_from_what_is_within(holed: Path, tmp_path: Path) -> None:
+    """There the small ball is the largest piece."""
+    out = tmp_path / "cut.ply"
+    run(holed, "-o", out, "--pieces", "1", "--around", "0.65,0,0,0.3")
     ends = read_mesh(out)
-    assert np.linalg.norm(ends.vertices - (0.65, 0, 0), axis=1).max() < 0.501
-    assert ends.vertices[:, 0].max() < 0.41  # the small ball had gone before
+    assert check_mesh(ends).components == 1
+    assert np.linalg.norm(ends.vertices - (0.65, 0, 0), axis=1).max() < 0.2
+
+
+@pytest.mark.parametrize(("edges", "filled"), [(0.9, 0), (1.1, 1)])
+def test_a_hole_is_measured_in_edges_too(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, edges: float, filled: int
+) -> None:
+    """Of a lattice one cell is missing: its diagonal, in its own edge, the median one."""
+    caplog.set_level(logging.INFO, "hpcapp")
+    u, v = np.meshgrid(np.arange(6.0), np.arange(6.0), indexing="ij")
+    places = 7.0 * np.stack([u, v, np.zeros_like(u)], axis=-1).reshape(-1, 3)
+    corner = np.delete((6 * u + v)[:-1, :-1].astype(np.int64).ravel(), 12)
+    faces = [corner, corner + 6, corner + 1], [corner + 1, corner + 6, corner + 7]
+    sheet = Mesh(places, np.concatenate([np.stack(half, axis=1) for half in faces]))
+    write_mesh(tmp_path / "sheet.ply", sheet)
+    words = "--fill-holes", f"{edges * np.sqrt(2.0)}s"
+    run(tmp_path / "sheet.ply", "-o", tmp_path / "whole.ply", *words)
+    assert len(read_mesh(tmp_path / "whole.ply").faces) == 48 + 2 * filled
+    told = f"filled {filled} hole{'s' * (not filled)} up to "
+    assert any(line.startswith(told) for line in caplog.messages)
+
+
+def test_who_waits_is_told_how_far_it_has_come() -> None:
+    told: list[tuple[int, int]] = []
+    mesh = make_balls()
+    fill_holes(mesh, 2.0, lambda done, total: told.append((done, total)))
+    assert len(told) == 2
+    assert 0 < told[0][0] < told[0][1] == told[1][0] == told[1][1]
 
 
 def test_any_format_and_what_is_up(holed: Path, tmp_path: Path) -> None:
@@ -144,5 +177,7 @@ def test_from_python(holed: Path) -> None:
     assert wedge.bounds[1][0] == pytest.approx(mesh.bounds[1][0])
     with pytest.raises(UsageError, match="nothing to mend"):
         mesh.mend()
-    with pytest.raises(UsageError, match="fill_holes is -1"):
-        mesh.mend(fill_holes=-1.0)
+    assert mesh.mend(fill_holes="200s").is_watertight
+    for bad in (-1.0, 0.0, "auto", "nan", "s"):
+        with pytest.raises(UsageError, match=f"fill_holes is '{bad}'"):
+            mesh.mend(fill_holes=bad)

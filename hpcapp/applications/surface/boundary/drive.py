@@ -44,6 +44,7 @@ from hpcapp.applications.surface.tiles.plan import TilePlan
 from hpcapp.geometry.lattice import pack_places, unique_keys, unpack_keys
 from hpcapp.geometry.points import IntArray
 from hpcapp.kernels.types.grid import BRICK
+from hpcapp.wording import say_count
 from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.cli.option_names import name_option
 from hpccomponent.dataclass import dataclass
@@ -223,11 +224,16 @@ def close_surface(
         )
     crumbs = opened.plan.dropped
     log.info(
-        "%s; trim distance %g, %d hole(s) up to %g filled, %d crumb(s) dropped",
-        closure.reason, rule.typical, holes, fill.typical, crumbs,
+        "%s; trim distance %g, %s, %s dropped",
+        closure.reason, rule.typical, _say_filled(holes, fill.typical), say_count(crumbs, "crumb"),
     )  # fmt: skip
     closure = replace(closure, trim=rule.typical, fill_holes=fill.typical)
     return opened, replace(closure, holes=holes, crumbs=crumbs)
+
+
+def _say_filled(holes: int, size: float) -> str:
+    """Say how many holes up to a size were filled."""
+    return f"{say_count(holes, 'hole')} up to {size:g} filled" if size else "no holes to be filled"
 
 
 def _decide(parts: _ClosedParts, rule: SupportRule, advance: Advance) -> Closure:

@@ -28,8 +28,21 @@ def parse_length(name: str, text: str) -> Length | None:
     >>> parse_length("trim", "0.02")
     Length(value=0.02, in_spacings=False)
     """
-    if text == "auto":
-        return None
+    return None if text == "auto" else _read_length(name, text, "auto, ")
+
+
+def require_length(name: str, text: str) -> Length:
+    """Return what an option says that must say something: as `parse_length`, but not ``auto``.
+
+    Raises UsageError where it does not, or says zero.
+    """
+    length = _read_length(name, text)
+    if not length.value:
+        raise UsageError(f"{name_option(name)} is {text!r}", "give a length greater than zero")
+    return length
+
+
+def _read_length(name: str, text: str, words: str = "") -> Length:
     in_spacings = text.endswith("s")
     try:
         value = float(text[:-1] if in_spacings else text)
@@ -38,6 +51,6 @@ def parse_length(name: str, text: str) -> Length | None:
     if not (is_number(value) and value >= 0.0):
         raise UsageError(
             f"{name_option(name)} is {text!r}",
-            "give auto, a length in the units of the input, as 0.05, or in spacings, as 3s",
+            f"give {words}a length in the units of the input, as 0.05, or in spacings, as 3s",
         )
     return Length(value, in_spacings)
