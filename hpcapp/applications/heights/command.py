@@ -21,7 +21,7 @@ log = logging.getLogger("hpcapp")
     examples=[
         (
             "hpcapp heights ground.laz -o dtm.tif",
-            "Write the heights of points in cells as wide as they need.",
+            "Write the heights of points in cells as wide as they are apart.",
         ),
         (
             "hpcapp heights ground.ply -o dtm.tif --step 0.5",
@@ -46,7 +46,7 @@ log = logging.getLogger("hpcapp")
     "--step",
     type=click.FloatRange(0, min_open=True),
     metavar="LENGTH",
-    help="Width of a cell.  [default: as the points need, rounded up]",
+    help="Width of a cell.  [default: as the points are apart, rounded]",
 )
 @click.option(
     "--contours",
@@ -77,7 +77,7 @@ def heights(
     from hpcapp.progress import Progress, StageClock
     from hpcapp.progress_display import open_progress
     from hpcapp.terrain.epoch import open_epoch
-    from hpcapp.wording import say_number
+    from hpcapp.wording import say_number, say_share
 
     load_rasterio(output)
     with open_progress(sys.stderr) as display:
@@ -94,9 +94,9 @@ def heights(
     rows, columns = grid.values.shape
     unit = grid.crs.height_unit or grid.crs.unit or ""
     log.info(
-        "%s: %d by %d cells %s wide, %.3g %% of them with a height, from %s to %s",
+        "%s: %d by %d cells %s wide, %s of them with a height, from %s to %s",
         output, columns, rows, say_number(grid.step, grid.crs.unit or ""),
-        100.0 * known.size / grid.values.size,
+        say_share(known.size / grid.values.size),
         say_number(known.min(), unit), say_number(known.max(), unit),
     )  # fmt: skip
     if grid.uncertainty:

@@ -12,12 +12,13 @@ from scipy.ndimage import uniform_filter
 from scipy.stats import norm
 
 from hpcapp.geometry.bounds import bound_points
-from hpcapp.geometry.points import FloatArray
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io.crs import Crs
 from hpcapp.terrain.epoch import FEW_LAYERS, MOST_CELLS, PER_CELL, Epoch
 from hpcapp.terrain.errors import CONFIDENCE
 from hpcapp.terrain.heights import PLANE, Heights
 from hpcapp.terrain.lattice import Lattice
+from hpcapp.wording import say_share
 from hpccomponent.cli.option_names import name_option
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError, UsageError
@@ -34,6 +35,11 @@ _UNSEEN = 0.4
 _TOLD = 1000  # deviations whose normal distributions are mixed
 _NORMAL = np.abs(norm.ppf(np.arange(0.5, 100.0) / 200.0))
 """A normal distribution, either way, in hundredths."""
+_MAP = 0.8
+"""Width of a cell of a map by the spacing of points where they are sparse, before it is rounded up:
+the narrowest that leaves no holes. Of ground points of an airborne scan that were held back, 6.0 ft
+apart, 5 ft miss .19 ft and cover 90 %, 10 ft .31 and 96 %, 20 ft .57 and 92 %; cells of .78
+spacings cover a tenth less than those of twice the width, of .82 to 1.0 at most .03 less."""
 _ROUND = (1.0, 2.0, 5.0, 10.0)  # times a power of ten: widths that a map has
 
 
@@ -91,25 +97,28 @@ class HeightGrid:
 def grid_heights(ground: Epoch, step: float | None) -> HeightGrid:
     """Return the heights of a mesh, or of points, in cells whose borders are multiples of a step.
 
-    By default cells are as wide as points or faces are dense enough for, rounded up. Raise
-    InputError where no cell has a height, and UsageError where there are too many cells.
+    By default cells are as wide as points are apart where they are sparse, or a five-hundredth of a
+    mesh, rounded to what a map has; wider where that were too many. Raise InputError where no cell
+    has a height, and UsageError where a step makes too many cells.
     """
     origin = ground.surface.origin
     flat = ground.turn("z", origin)
     need = flat.choose_step()
-    width = step or _round_up(need)
+    is_cloud = isinstance(flat.surface, PointCloud)
+    usual = _round_up(_MAP * need / PER_CELL**0.5 if is_cloud else need)
+    width = step or usual
     low, high = (corner + origin for corner in bound_points(flat.positions))
-    west, south = (width * floor(along / width) for along in low[:2].tolist())
-    columns, rows = (
-        max(ceil((along - start) / width), 1)
-        for along, start in zip(high[:2].tolist(), (west, south), strict=True)
-    )
+    (west, south), (columns, rows) = _lay_cells(low, high, width)
     if columns * rows > MOST_CELLS:
-        least = _round_up(width * (columns * rows / MOST_CELLS) ** 0.5)
-        raise UsageError(
-            f"{columns:,} by {rows:,} cells {width:.3g} wide are more than {MOST_CELLS:,}",
-            f"give {name_option('step', least)} or more",
-        )
+        # a row and a column more than the area has, where it does not begin at a border
+        least = _round_up(width * (1.01 * columns * rows / MOST_CELLS) ** 0.5)
+        if step is not None:
+            raise UsageError(
+                f"{columns:,} by {rows:,} cells {width:.3g} wide are more than {MOST_CELLS:,}",
+                f"give {name_option('step', least)} or more",
+            )
+        width = least
+        (west, south), (columns, rows) = _lay_cells(low, high, width)
     parts = _split(width, need, MOST_CELLS / (columns * rows))
     lattice = Lattice(
         (west - origin[0], south - origin[1]), width / parts, (rows * parts, columns * parts)
@@ -122,21 +131,32 @@ def grid_heights(ground: Epoch, step: float | None) -> HeightGrid:
     if not is_known.any():
         raise InputError(
             f"{ground.name}: has no height at the middles of cells {width:.3g} wide",
-            f"give another {name_option('step')}: its points are dense enough for "
-            f"{_round_up(need):g}",
+            f"give another {name_option('step')}: its points are dense enough for {usual:g}",
         )
     layered = float(heights.is_layered[heights.cover > 0.0].mean())
     if layered > FEW_LAYERS:
         log.warning(
-            "heights differ by more than a cell is wide on %.2g %% of the area: crowns and walls "
+            "heights differ by more than a cell is wide on %s of the area: crowns and walls "
             "are counted as ground unless they are left out",
-            100.0 * layered,
+            say_share(layered),
         )
     scale = ground.crs.height_scale
     return HeightGrid(
         (values[::-1] + origin[2]) / scale, west, south + rows * width, width, ground.crs,
         _find_uncertainty(deviations[is_known]) / scale,
     )  # fmt: skip
+
+
+def _lay_cells(
+    low: FloatArray, high: FloatArray, width: float
+) -> tuple[tuple[float, float], tuple[int, int]]:
+    """Return west and south of the cells over a box, and the number of columns and rows."""
+    west, south = (width * floor(along / width) for along in low[:2].tolist())
+    columns, rows = (
+        max(ceil((along - start) / width), 1)
+        for along, start in zip(high[:2].tolist(), (west, south), strict=True)
+    )
+    return (west, south), (columns, rows)
 
 
 def _split(width: float, need: float, most: float) -> int:

@@ -20,6 +20,7 @@ from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
 from hpcapp.pages.thin import thin_mesh
 from hpcapp.terrain.epoch import FEW_LAYERS, MOST_CELLS, PER_CELL, Epoch, find_turn
 from hpcapp.terrain.lattice import Lattice
+from hpcapp.wording import say_share
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError, UsageError
 
@@ -98,9 +99,9 @@ def _measure_heights(
     change = measure_terrain(*heights, border, lattice, registration)
     if change.layered > FEW_LAYERS * change.common:
         log.warning(
-            "heights differ by more than a cell is wide on %.2g %% of the common area: crowns "
+            "heights differ by more than a cell is wide on %s of the common area: crowns "
             "and walls are counted as ground unless they are left out",
-            100.0 * change.layered / change.common,
+            say_share(change.layered / change.common),
         )
     mesh, rows = _mesh_heights(heights[0].values, lattice)
     return change, mesh, (heights[0].values - heights[1].values).ravel()[rows]

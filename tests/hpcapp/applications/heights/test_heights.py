@@ -16,6 +16,7 @@ from on_earth import put_on_earth
 
 import hpcapp
 from hpcapp.applications.heights.command import heights
+from hpcapp.applications.heights.grid import HeightGrid
 from hpcapp.cli import hpcapp as program
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import BoolArray, FloatArray, PointCloud
@@ -132,6 +133,40 @@ def test_borders_are_multiples_of_the_step(
         assert np.nanmedian(np.abs(found - true)) < NOISE
 
 
+@pytest.mark.parametrize("count", [3_000, 8_000, 20_000])
+def test_cells_are_as_wide_as_points_are_apart(tmp_path: Path, count: int) -> None:
+    """Half as wide has holes; twice as wide errs more in between, of a ground without noise."""
+    write_points(tmp_path / "ground.las", scan(count, noise=0.0), "EPSG:25832")
+    usual = hpcapp.heights(tmp_path / "ground.las")
+    narrow, wide = (
+        hpcapp.heights(tmp_path / "ground.las", step=factor * usual.step) for factor in (0.5, 2.0)
+    )
+    error, more = (find_error(grid) for grid in (usual, wide))
+    known, less, _ = (np.isfinite(grid.values).mean() for grid in (usual, narrow, wide))
+    assert more > 2.0 * error
+    assert known > 0.9
+    assert less < known - 0.05
+
+
+def find_error(grid: HeightGrid) -> float:
+    """Return the root mean square where four cells meet: a map is read between its middles."""
+    v = grid.values
+    rows, columns = np.indices(v[1:, 1:].shape) + 1
+    between = (v[:-1, :-1] + v[1:, :-1] + v[:-1, 1:] + v[1:, 1:]) / 4.0
+    true = rise(grid.west + grid.step * columns, grid.north - grid.step * rows)
+    return float(np.sqrt(np.nanmean((between - true) ** 2)))
+
+
+def test_cells_are_wider_where_they_would_be_too_many(
+    survey: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usual = hpcapp.heights(survey)
+    monkeypatch.setattr("hpcapp.applications.heights.grid.MOST_CELLS", usual.values.size // 2)
+    fewer = hpcapp.heights(survey)
+    assert usual.step < fewer.step
+    assert fewer.values.size <= usual.values.size // 2
+
+
 def test_contours_lie_at_their_heights(survey: Path, tmp_path: Path) -> None:
     lines = tmp_path / "lines.geojson"
     run(survey, "-o", tmp_path / "dtm.tif", "--contours", lines, "--interval", "0.5")
@@ -221,7 +256,7 @@ def test_what_cannot_be_written_is_refused_in_one_line(
     write_points(tmp_path / "few.ply", PointCloud(np.eye(3)))
     with pytest.raises(InputError, match="no height at the middles of cells"):
         run(tmp_path / "few.ply", "-o", dtm)
-    with pytest.raises(InputError, match=r"cells 5e\+03 wide.*dense enough for 1$"):
+    with pytest.raises(InputError, match=r"cells 5e\+03 wide.*dense enough for 0.5$"):
         run(survey, "-o", dtm, "--step", "5000")
     assert not dtm.exists()
     monkeypatch.setitem(sys.modules, "rasterio", None)
