@@ -74,6 +74,12 @@ _FLAT = 0.9  # cosine: the base looks down
 # its holes, .27 of a room without a ceiling, .5 to .9 of facades, corners and terrain.
 _MOST_OPEN = 0.06
 
+_SHELL = 0.05  # of a side of the box: where the walls of a room stand, and what hangs on them
+# Of a side of the box: what looks inwards there. Of ten scanned rooms walls and floors cover .73 or
+# more, where doors, windows and furniture take their share; a ceiling that was not scanned 0 to .1.
+_LEAST_WALL = 0.45
+_MOST_CEILING = 0.2
+
 
 def measure_faces(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the middles of triangles, of shape (f, 3, 3), and their normals as long as areas."""
@@ -83,12 +89,13 @@ def measure_faces(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
 def find_up(faces: Iterator[tuple[FloatArray, FloatArray]], box: FloatArray) -> str:
     """Return the axis that points up: y where a surface stands on a flat base there, else z.
 
-    An open one tells nothing: the wall of a house lies as flat as the base of a statue. Faces come
-    as their middles and their normals as long as their areas, (f, 3) each, with the box (2, 3)
-    around.
+    Of open ones y is up in a room with four walls and a floor whose ceiling is open, as phones scan
+    it, if it is lower there than it is wide; others tell nothing: the wall of a house lies as flat
+    as the base of a statue. Faces come as their middles and their normals as long as their areas,
+    (f, 3) each, with the box (2, 3) around.
     """
     sides = box[1] - box[0]
-    total, whole, bases = 0.0, np.zeros(3), np.zeros((2, 3))
+    total, whole, bases, shell = 0.0, np.zeros(3), np.zeros((2, 3)), np.zeros((2, 3))
     for middles, vectors in faces:
         areas = np.linalg.norm(vectors, axis=1)
         total += float(areas.sum())
@@ -98,8 +105,21 @@ def find_up(faces: Iterator[tuple[FloatArray, FloatArray]], box: FloatArray) -> 
         ):
             is_base = (depths < _LAYER * sides) & (facing > _FLAT * areas[:, None])
             bases[side] += np.where(is_base, facing, 0.0).sum(axis=0)
-    if not sides.all() or np.linalg.norm(whole) > _MOST_OPEN * total:
+            is_shell = (depths < _SHELL * sides) & (facing < -_FLAT * areas[:, None])
+            shell[side] -= np.where(is_shell, facing, 0.0).sum(axis=0)
+    if not sides.all():
         return "z"
+    if np.linalg.norm(whole) > _MOST_OPEN * total:
+        return "y" if _is_room(shell / (sides.prod() / sides), sides) else "z"
     shares = bases / (sides.prod() / sides)
     base, shares[0, 1] = float(shares[0, 1]), 0.0
     return "y" if base > _LEAST_BASE and shares.max() < _MOST_OF_OTHERS * base else "z"
+
+
+def _is_room(shell: FloatArray, sides: FloatArray) -> bool:
+    """Tell whether a room is open at the upper end of y alone, and lowest along y.
+
+    The shell (2, 3) is the share of each side of its box, low and high, that looks inwards.
+    """
+    ceiling, walls = float(shell[1, 1]), np.delete(shell.ravel(), 4)
+    return bool(walls.min() > _LEAST_WALL and ceiling < _MOST_CEILING and np.argmin(sides) == 1)

@@ -6,12 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from shared_data import shared
 
 from hpcapp.geometry import axes
 from hpcapp.geometry.axes import find_up, measure_faces, turn_up
 from hpcapp.geometry.axis_names import AXES
 from hpcapp.geometry.mesh import Mesh
+from hpcapp.geometry.points import FloatArray
 from hpcapp.io import read_mesh
 from hpcapp.io.meshes.mesh_stream import as_stream
 
@@ -98,3 +100,50 @@ def test_turns_are_turns() -> None:
             turn = turn_up(one, to=other)
             assert np.linalg.det(turn) == 1.0
             np.testing.assert_array_equal(turn @ turn_up(other, to=one), np.eye(3))
+
+
+def test_a_room_without_a_ceiling_stands_on_its_floor() -> None:
+    """As phones scan it, with y up; with z up, as all others do, it stays."""
+    room = read_mesh(shared("raw/truth/room_without_ceiling.ply"))
+    assert _find(room) == "z"
+    assert _find(replace(room, vertices=room.vertices @ turn_up("z", to="y").T)) == "y"
+
+
+@pytest.mark.parametrize(
+    ("sides", "door", "up"),
+    [
+        ((6.0, 2.5, 4.0), 0.0, "y"),
+        ((6.0, 2.5, 4.0), 0.4, "y"),
+        ((6.0, 2.5, 4.0), 0.7, "z"),  # that is half a room
+        ((6.0, 4.0, 2.5), 0.0, "z"),  # higher than wide: a wall of it is missing
+    ],
+)
+def test_its_walls_tell(sides: tuple[float, float, float], door: float, up: str) -> None:
+    """A box that looks inwards, open at the upper end of y, with a gap in one wall."""
+    assert _find(_open_box(np.array(sides), door)) == up
+
+
+def test_part_of_a_ceiling_may_be_there() -> None:
+    assert _find(_open_box(np.array([6.0, 2.5, 4.0]), ceiling=0.1)) == "y"
+    assert _find(_open_box(np.array([6.0, 2.5, 4.0]), ceiling=0.4)) == "z"
+
+
+def _open_box(sides: FloatArray, door: float = 0.0, ceiling: float = 0.0) -> Mesh:
+    u, v = np.meshgrid(np.linspace(0.0, 1.0, 21), np.linspace(0.0, 1.0, 21), indexing="ij")
+    number = np.arange(u.size).reshape(u.shape)
+    a, b, c, d = (each.ravel() for each in (
+        number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:],
+    ))  # fmt: skip
+    faces: list[NDArray[np.int64]] = []
+    vertices: list[FloatArray] = []
+    for axis in range(3):
+        for end in (0.0, 1.0):
+            place = np.insert(np.stack([u.ravel(), v.ravel()], axis=1), axis, end, axis=1)
+            share = {(0, 1.0): 1.0 - door, (1, 1.0): ceiling}.get((axis, end), 1.0)
+            kept = u[:-1, :-1].ravel() < share - 1e-9
+            turned = (end == 1.0) != (axis == 1)
+            quads = np.concatenate([np.stack([a, b, c], 1)[kept], np.stack([a, c, d], 1)[kept]])
+            quads = quads[:, ::-1] if turned else quads
+            faces.append(quads + u.size * len(vertices))
+            vertices.append(place * sides)
+    return Mesh(np.concatenate(vertices), np.concatenate(faces))

@@ -153,7 +153,7 @@ def find_error(grid: HeightGrid) -> float:
     v = grid.values
     rows, columns = np.indices(v[1:, 1:].shape) + 1
     between = (v[:-1, :-1] + v[1:, :-1] + v[:-1, 1:] + v[1:, 1:]) / 4.0
-    true = rise(grid.west + grid.step * columns, grid.north - grid.step * rows)
+    true = rise(*(np.stack([columns, -rows]) * grid.step + [[[grid.west]], [[grid.north]]]))
     return float(np.sqrt(np.nanmean((between - true) ** 2)))
 
 
