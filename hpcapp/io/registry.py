@@ -332,6 +332,7 @@ FORMATS = (
     Format((".vtk",), PointReader("points.vtk:open_vtk", 6)),
     Format((".pcd",), PointReader("pcd.points:open_pcd", 3, states_count=True)),
     Format((".npy",), _NUMPY),
+    Format((".bin",), PointReader("numpy_files.kitti:open_kitti", 16)),
     Format((".npz",), _NUMPY, None, PointWriter("numpy_files.writer:write_npz_points")),
     Format(
         (".glb",),

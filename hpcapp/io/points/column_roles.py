@@ -30,13 +30,18 @@ component is negative, as no closed cloud has them; or none of these: no normals
 MOST_COLUMNS = 4096
 """That a point may have: features and spectra have some hundreds."""
 
+_DEPTHS = ("depth", "depths", "tiefe")
 _SPELLINGS = {
     **dict.fromkeys(("x", "px", "pointx", "coordx", "xcoordinate", "points0"), "x"),
     **dict.fromkeys(("y", "py", "pointy", "coordy", "ycoordinate", "points1"), "y"),
     **dict.fromkeys(("z", "pz", "pointz", "coordz", "zcoordinate", "points2"), "z"),
-    **dict.fromkeys(("easting", "east", "lon", "long", "longitude"), "x"),
-    **dict.fromkeys(("northing", "north", "lat", "latitude"), "y"),
-    **dict.fromkeys(("elevation", "elev", "height"), "z"),
+    **dict.fromkeys(("easting", "east", "rechtswert", "ostwert"), "x"),
+    **dict.fromkeys(("northing", "north", "hochwert", "nordwert"), "y"),
+    **dict.fromkeys(("lon", "long", "lng", "longitude"), "x"),
+    **dict.fromkeys(("lat", "latitude"), "y"),
+    **dict.fromkeys(("elevation", "elev", "height", "alt", "altitude"), "z"),
+    **dict.fromkeys(("hoehe", "hohe", "hhe"), "z"),  # the last is left of an umlaut
+    **dict.fromkeys(_DEPTHS, "z"),
     **{f"cartesian{axis}": axis for axis in "xyz"},
     **{
         f"{stem}{axis}": f"n{axis}"
@@ -75,6 +80,18 @@ def find_role(name: str) -> str:
     ['x', 'ny', 'red', 'z', 'OffsetTime']
     """
     return _SPELLINGS.get(_strip(name), name.strip().strip("\"'").strip())
+
+
+def counts_down(names: Sequence[str]) -> bool:
+    """Tell whether the heights of a file are depths, by the names of its columns.
+
+    Examples
+    --------
+    >>> counts_down(["X", "Y", "Depth (m)"]), counts_down(["x", "y", "z", "depth"])
+    (True, False)
+    """
+    heights = [_strip(name) for name in names if find_role(name) == "z"]
+    return bool(heights) and all(name in _DEPTHS for name in heights)
 
 
 def spell_letters(names: Sequence[str]) -> tuple[str, ...]:

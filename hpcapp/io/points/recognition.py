@@ -18,6 +18,7 @@ many points at the origin, or any  dropped and counted, with a warning
 where all others are far from it
 many points at another same place  dropped and counted, with a warning
 a coordinate that is no data       dropped and counted, with a warning (see `no_data`)
+a height called a depth            taken down where most are positive, with a warning
 degrees                            a warning
 numbers too coarse for the points  a warning (see `precision`)
 whole metres                       a warning: they may be millimetres
@@ -44,7 +45,12 @@ from hpcapp.io.columns import Numbers
 from hpcapp.io.crs import Crs
 from hpcapp.io.frame import finite_bounds
 from hpcapp.io.geocentric import find_upright
-from hpcapp.io.points.column_roles import ColourScale, judge_colours, judge_normals
+from hpcapp.io.points.column_roles import (
+    ColourScale,
+    counts_down,
+    judge_colours,
+    judge_normals,
+)
 from hpcapp.io.points.no_data import (
     find_at,
     find_no_data,
@@ -89,12 +95,13 @@ class _Decisions:
     """What is done to each part of a file.
 
     Colours are scaled, where there are some; missing (k, 3) are the places of missing returns and
-    of no data, as of `find_no_data`.
+    of no data, as of `find_no_data`; positive depths become heights.
     """
 
     colours: ColourScale | None
     normals: Use
     missing: FloatArray
+    are_depths: bool
 
     def apply(self, part: PointCloud, findings: Findings) -> PointCloud:
         """Return a part as it is meant, and count what is dropped of it."""
@@ -114,6 +121,8 @@ class _Decisions:
                 findings.warn(line)
                 findings.drop(reason, int(is_there.sum()))
                 dropped |= is_there
+        if self.are_depths:
+            meant = replace(meant, positions=part.positions * (1.0, 1.0, -1.0))
         return meant.take(~dropped) if dropped.any() else meant
 
 
@@ -142,7 +151,10 @@ def recognise(source: PointSource) -> PointSource:
     use: Use = "normals" if source.normals_from == "faces" else _judge_use(usable, findings)
     colours = usable.normals if use == "colours" else usable.colours
     scale = None if colours is None else _judge_scale(colours, findings)
-    decisions = _Decisions(scale, use, missing)
+    are_depths = counts_down(source.columns) and bool((usable.positions[:, 2] > 0.0).mean() > 0.5)
+    if are_depths:
+        findings.warn("z is a depth, which counts down: heights are its negative")
+    decisions = _Decisions(scale, use, missing, are_depths)
     unit = _find_unit(source, usable.positions)
 
     def apply(read: Read) -> Read:
@@ -171,7 +183,7 @@ def recognise(source: PointSource) -> PointSource:
 
 def _keep_records(records: PointRecords | None, decisions: _Decisions) -> PointRecords | None:
     """Return where the points are; None where they are not used as they are there."""
-    if records is None or len(decisions.missing):
+    if records is None or len(decisions.missing) or decisions.are_depths:
         return None
     if decisions.normals not in ("normals", "nothing"):
         return None

@@ -239,3 +239,43 @@ def test_many_columns_without_names_are_told_in_one_line(make_file: Make) -> Non
     (warning,) = [w for w in open_points(path).findings.warnings if "without a name" in w]
     assert warning.startswith("without a name, and kept as attributes: ")
     assert warning.endswith(" and so on")
+
+
+@pytest.mark.parametrize(
+    ("names", "order", "down"),
+    [
+        ("lon,lat,alt", (0, 1, 2), False),
+        ("Rechtswert;Hochwert;Höhe", (0, 1, 2), False),
+        ("Hochwert;Rechtswert;Hoehe", (1, 0, 2), False),
+        ("X,Y,Depth (m)", (0, 1, 2), True),
+        ("Northing,Easting,Depth", (1, 0, 2), True),
+        ("Tiefe;x;y", (1, 2, 0), True),
+    ],
+)
+def test_words_of_surveyors_are_coordinates(
+    tmp_path: Path, names: str, order: tuple[int, int, int], down: bool
+) -> None:
+    mark = ";" if ";" in names else ","
+    rows = np.array([1.0, 2.0, 3.0]) + np.random.default_rng(0).random((40, 3))
+    lines = [mark.join(f"{number:.6f}" for number in row) for row in rows]
+    (tmp_path / "points.csv").write_text("\n".join([names, *lines]), encoding="utf-8")
+    source = open_points(tmp_path / "points.csv")
+    (part,) = source.chunks(100)
+    true = rows[:, order] * (1.0, 1.0, -1.0 if down else 1.0)
+    assert np.abs(part.positions - true).max() < 1e-6
+    assert ("z is a depth, which counts down: heights are its negative" in
+            source.findings.warnings) == down  # fmt: skip
+
+
+def test_depths_that_are_negative_are_heights(tmp_path: Path) -> None:
+    (tmp_path / "points.csv").write_text("x,y,depth\n1,2,-3\n2,3,-4\n4,4,-2\n")
+    source = open_points(tmp_path / "points.csv")
+    assert next(source.chunks(9)).positions[:, 2].tolist() == [-3.0, -4.0, -2.0]
+    assert not source.findings.warnings
+
+
+def test_a_depth_beside_z_is_an_attribute(tmp_path: Path) -> None:
+    (tmp_path / "points.csv").write_text("x,y,z,depth\n1,2,3,4\n2,3,4,5\n4,4,5,6\n")
+    (part,) = open_points(tmp_path / "points.csv").chunks(9)
+    assert part.positions[:, 2].tolist() == [3.0, 4.0, 5.0]
+    assert part.attributes["depth"].tolist() == [4.0, 5.0, 6.0]
