@@ -18,6 +18,8 @@ TAG = "tag:yaml.org,2002:"
 PLAIN = {TAG + kind for kind in ("str", "timestamp")}  # nothing here wants a date
 COLLECTION = {TAG + "map": "a mapping", TAG + "seq": "a list"}
 
+_SECRET = re.compile(r"secret|passw|passphrase|token|credential", re.IGNORECASE)
+
 _MOST_LINES = 100  # of mistakes that are told at once
 
 Location = tuple[int | str, ...]
@@ -50,15 +52,18 @@ def _dotted(location: Location) -> str:
     return text.removeprefix(".")
 
 
-def show(node: yaml.Node) -> str:
+def show(node: yaml.Node, location: Location = ()) -> str:
     """Show a node as the user wrote it, cut to a readable length.
 
-    A collection is shown as what it is, an address without its password.
+    A collection is shown as what it is, an address without its password, and what a key at its
+    location calls a secret not at all.
     """
     if node.tag in COLLECTION:
         return COLLECTION[node.tag]
     if node.tag == TAG + "null":
         return "nothing"
+    if _SECRET.search(next((part for part in reversed(location) if isinstance(part, str)), "")):
+        return "what is not shown"
     text = re.sub(r"(://[^/@:]*:)[^/@]*@", r"\1...@", str(node.value))  # no password in a log
     text = text if len(text) <= 60 else text[:57] + "..."
     return repr(text) if node.tag in PLAIN else text
@@ -85,8 +90,12 @@ def place_finding(detail: ErrorDetails, root: yaml.MappingNode, model: type[Base
     if kind in ("missing", "union_tag_not_found"):
         absent = loc[-1] if kind == "missing" else str(context["discriminator"]).strip("'")
         return key, (*location, absent), "missing key"
-    message = f"{_reworded(kind, detail['msg'])} (got {show(value)})"
-    choices = list(_valid_keys(model, loc)) if kind == "extra_forbidden" else []
+    message = _reworded(kind, detail["msg"])
+    if kind == "extra_forbidden":  # whose value helps nobody, and may be a secret
+        choices = list(_valid_keys(model, loc))
+    else:
+        choices = []
+        message += f" (got {show(value, location)})"
     wrong = str(location[-1]) if location else ""
     if kind in ("literal_error", "enum", "union_tag_invalid"):
         choices = re.findall(
@@ -111,7 +120,7 @@ def place_misfit(
         if path == location[:end]:
             break
     if path == location and isinstance(value, yaml.ScalarNode):
-        message += f" (got {show(value)}){_nearest(str(value.value), choices)}"
+        message += f" (got {show(value, location)}){_nearest(str(value.value), choices)}"
     return key, location, message
 
 

@@ -7,7 +7,7 @@
                                ├──────── line and column of a path <───┤
                                └──────── and of what does not fit <── check(model), if there is one
 
-A message reads ``loader.yaml:5:1: restart.frist_s: unknown key (got 2), did you mean "first_s"?``.
+A message reads ``loader.yaml:5:1: restart.frist_s: unknown key, did you mean "first_s"?``.
 
 Values are validated in pydantic's strict JSON mode: text is never taken for a number, ``yes``
 never for text, while a string still makes a path and a list a tuple.
@@ -117,7 +117,7 @@ def parse_config(
     >>> parse_config("frist_s: 2", "loader.yaml", Restart)
     Traceback (most recent call last):
     hpccomponent.errors.ConfigError: loader.yaml:1:1: first_s: missing key
-    loader.yaml:1:1: frist_s: unknown key (got 2), did you mean "first_s"?
+    loader.yaml:1:1: frist_s: unknown key, did you mean "first_s"?
     """
     problems: list[Problem] = []
     root = compose(text, name)

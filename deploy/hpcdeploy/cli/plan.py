@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
     from hpcdeploy.reconcile.plan import ClusterPlan
     from hpcdeploy.spec.cluster import ClusterSpec
 
+log = logging.getLogger("hpcapp")
+
 
 @click.command(
     cls=Verb,
@@ -33,10 +36,14 @@ if TYPE_CHECKING:
 )
 @FILE
 def validate(file: Path) -> None:
-    """Name every mistake in a cluster file; asks no network."""
+    """Name every mistake in a cluster file; asks no network.
+
+    Warns of what is allowed and hardly meant: an unknown region, SSH open to everybody.
+    """
     from hpcdeploy.spec.cluster import read_spec
 
     spec = read_spec(file)
+    _warn(file, spec)
     echo(
         f"{file}: valid: cluster {spec.cluster}, {spec.provider.type}, "
         f"a head and {spec.worker_count} workers"
@@ -66,6 +73,7 @@ def plan(file: Path, offline: bool, as_json: bool) -> None:
     from hpcdeploy.spec.cluster import read_spec
 
     spec = read_spec(file)
+    _warn(file, spec)
     ahead = _plan_alone(file, spec) if offline else _look(file, spec, as_json)
     ahead.show(as_json)
     check_limits(spec, estimate_cost(spec))
@@ -77,6 +85,14 @@ def plan(file: Path, offline: bool, as_json: bool) -> None:
             f"{len(hidden)} of {len(spec.nodes())} hosts cannot be looked at: {nodes}",
             f"hpcapp doctor {file} looks closer",
         )
+
+
+def _warn(file: Path, spec: ClusterSpec) -> None:
+    """Warn of what is allowed and hardly meant."""
+    from hpcdeploy.spec.checks import find_doubts
+
+    for doubt in dict.fromkeys(find_doubts(spec)):
+        log.warning("warning: %s: %s", file, doubt)
 
 
 @dataclass(frozen=True, slots=True)

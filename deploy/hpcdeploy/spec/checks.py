@@ -11,6 +11,7 @@ from hpccomponent.config.problems import Location
 from hpccomponent.config.reader import ConfigModel, Misfit
 from hpccomponent.errors import UsageError
 from hpccomponent.files.paths import expand_home
+from hpcdeploy.spec.prices import read_prices
 from hpcdeploy.spec.provider import LEGAL_REGION, CloudSpec, Host
 
 if TYPE_CHECKING:
@@ -170,3 +171,23 @@ def _named_files(spec: ClusterSpec) -> Iterator[tuple[Location, str]]:
     packages: list[tuple[Location, str]] = [(("env", "package"), spec.env.package)]
     packages += [(("env", "packages", i), text) for i, text in enumerate(spec.env.packages)]
     yield from ((where, text) for where, text in packages if text.endswith(".whl"))
+
+
+def find_doubts(spec: ClusterSpec) -> Iterator[str]:
+    """Yield what is allowed and is hardly meant, each with its key, on one line.
+
+    That is a region or an instance type that no list has, and an SSH port open to everybody.
+    """
+    cloud = spec.provider.cloud
+    if cloud is not None and cloud.has_list_prices:
+        for name, profile in cloud.profiles.items():
+            for instance_type in profile.instance_types:
+                for key, doubt in read_prices().doubt(instance_type, cloud.region):
+                    within = f"profiles.{name}." if key == "instance_type" else ""
+                    yield f"provider.{within}{key}: {doubt}"
+    for index, network in enumerate(spec.auth.allow_from):
+        if network.endswith("/0"):
+            yield (
+                f"auth.allow_from[{index}]: {network} opens SSH to everybody: auto, your own "
+                "address, will do"
+            )

@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from hpccomponent.config.reader import ConfigModel, read_config
+from hpccomponent.errors import ConfigError
 from hpccomponent.units import parse_duration
 from hpcdeploy.spec.checks import find_misfits
 from hpcdeploy.spec.names import HEAD, MOST_WORKERS, NAME_PATTERN
@@ -276,4 +277,6 @@ def read_spec(path: Path) -> ClusterSpec:
     Raises ConfigError with a line for each mistake.
     """
     base = path.absolute().parent
+    if not path.exists():
+        raise ConfigError(f"{path}: no such cluster file", f"write one: hpcapp init {path}")
     return read_config(path, ClusterSpec, lambda spec: find_misfits(spec, base), os.environ)

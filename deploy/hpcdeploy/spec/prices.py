@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from difflib import get_close_matches
 from functools import cache
 from importlib.resources import files
 from typing import Literal
@@ -12,6 +14,7 @@ from hpccomponent.config.reader import ConfigModel, parse_config
 _HOURS_A_MONTH = 730.0
 _DISK_GB = 8  # of an image that says nothing else
 _SMALL_SIZES = {"nano": 1 / 16, "micro": 1 / 8, "small": 1 / 4, "medium": 1 / 2, "large": 1.0}
+_USUAL_SIZES = (*_SMALL_SIZES, "xlarge", *(f"{number}xlarge" for number in (2, 4, 8, 12, 16, 24)))
 
 
 class PriceTable(ConfigModel):
@@ -67,6 +70,28 @@ class PriceTable(ConfigModel):
             return None
         disk = (_DISK_GB if disk_gb is None else disk_gb) * self.disk_gb_month / _HOURS_A_MONTH
         return (self.large[family] * share + disk) * factor + self.public_address
+
+    def doubt(self, instance_type: str, region: str) -> Iterator[tuple[str, str]]:
+        """Yield what the list does not know of a machine: its key, and what is said of it.
+
+        Examples
+        --------
+        >>> dict(read_prices().doubt("m6i.2xlrage", "us-east-1"))
+        {'instance_type': 'm6i.2xlrage is not in the price list of 2025-06; m6i.2xlarge is'}
+        """
+        family, _, size = instance_type.partition(".")
+        told = f"is not in the price list of {self.as_of}"
+        if family not in self.large or _size(size) is None:
+            known = [f"{one}.{other}" for one in self.large for other in _USUAL_SIZES]
+            yield "instance_type", f"{instance_type} {told}{_say_near(instance_type, known)}"
+        if region not in self.regions:
+            yield "region", f"{region} {told}{_say_near(region, list(self.regions))}"
+
+
+def _say_near(wrong: str, known: list[str]) -> str:
+    """Say which name is near; nothing where none is."""
+    nearest = get_close_matches(wrong, known, n=1)
+    return f"; {nearest[0]} is" if nearest else ""
 
 
 def _size(size: str) -> float | None:

@@ -94,19 +94,18 @@ def test_a_right_file_becomes_the_model() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("wrokers: 2", 'c.yaml:1:1: wrokers: unknown key (got 2), did you mean "workers"?'),
+        ("wrokers: 2", 'c.yaml:1:1: wrokers: unknown key, did you mean "workers"?'),
         (
             "restarts:\n- {}\n- first_s: 1\n  capp_s: 2",
-            'c.yaml:4:3: restarts[1].capp_s: unknown key (got 2), did you mean "cap_s"?',
+            'c.yaml:4:3: restarts[1].capp_s: unknown key, did you mean "cap_s"?',
         ),
         (
             "by_host:\n  alpha: {frist_s: 2}",
-            'c.yaml:2:11: by_host.alpha.frist_s: unknown key (got 2), did you mean "first_s"?',
+            'c.yaml:2:11: by_host.alpha.frist_s: unknown key, did you mean "first_s"?',
         ),
         (
             "provider:\n  kind: aws\n  instance_typ: c5.large",
-            "c.yaml:3:3: provider.instance_typ: unknown key (got 'c5.large'), "
-            'did you mean "instance_type"?',
+            'c.yaml:3:3: provider.instance_typ: unknown key, did you mean "instance_type"?',
         ),
         (
             "provider: {kind: awss}",
@@ -319,8 +318,8 @@ def test_anchors_and_merge_keys_are_those_of_yaml() -> None:
 def test_a_mistake_in_what_is_merged_is_named_where_it_stands() -> None:
     text = "by_host:\n  a: &a {capp_s: 1}\n  b: {<<: *a, first_s: 1, first_s: 2}"
     assert complaint(text).splitlines() == [
-        'c.yaml:2:10: by_host.a.capp_s: unknown key (got 1), did you mean "cap_s"?',
-        'c.yaml:2:10: by_host.b.capp_s: unknown key (got 1), did you mean "cap_s"?',
+        'c.yaml:2:10: by_host.a.capp_s: unknown key, did you mean "cap_s"?',
+        'c.yaml:2:10: by_host.b.capp_s: unknown key, did you mean "cap_s"?',
         "c.yaml:3:27: by_host.b.first_s: key given twice, first in line 3",
     ]
 
@@ -400,3 +399,26 @@ def test_entries_that_are_wrong_are_not_counted_as_missing(text: str, said: list
 def test_numbers_are_finite(number: str) -> None:
     with pytest.raises(ConfigError, match=r"c.yaml:2:5: restarts\[0\].first_s: "):
         parse_config(f"restarts:\n  - first_s: {number}\n", "c.yaml", Cluster)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "aws_secret_access_key: geheim",
+        "workers: 1\nby_host: {a: {passphrase: geheim}}",
+        "workers: 1\napi: {token: geheim}",
+    ],
+)
+def test_no_secret_is_echoed(text: str) -> None:
+    class Api(ConfigModel):
+        token: int
+
+    class Keys(ConfigModel):
+        workers: int = 1
+        by_host: dict[str, dict[str, int]] = Field(default_factory=dict)
+        api: Api | None = None
+
+    with pytest.raises(ConfigError) as found:
+        parse_config(text, "c.yaml", Keys)
+    assert str(found.value).startswith("c.yaml:")
+    assert "geheim" not in str(found.value)

@@ -57,7 +57,45 @@ def test_mistakes_are_one_a_line_and_exit_code_2(
     assert len(lines) == 2
     assert all(line.startswith(f"hpcapp: {file}:") for line in lines)
     assert "head.profile: missing key" in lines[0]
-    assert lines[1].endswith("limits.laese: unknown key (got '2h'), did you mean \"lease\"?")
+    assert lines[1].endswith('limits.laese: unknown key, did you mean "lease"?')
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("m6i.large", "m6i.lagre", "provider.profiles.small.instance_type: m6i.lagre is not in the "
+         "price list of 2025-06; m6i.large is"),
+        ("type: aws", "type: aws\n  region: us-eats-1",
+         "provider.region: us-eats-1 is not in the price list of 2025-06; us-east-1 is"),
+        ("[192.0.2.0/24]", "[192.0.2.7, 0.0.0.0/0]",
+         "auth.allow_from[1]: 0.0.0.0/0 opens SSH to everybody"),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("verb", [["validate"], ["plan", "--offline"]])
+def test_what_is_hardly_meant_is_warned_of(
+    file: Path,
+    cloud: MemoryProvider,
+    capsys: pytest.CaptureFixture[str],
+    verb: list[str],
+    old: str,
+    new: str,
+    told: str,
+) -> None:
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new))
+    assert run(verb[0], file, *verb[1:]) == 0
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"warning: {file}: {told}")
+
+
+def test_a_file_that_is_not_there_can_be_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for verb in ("validate", "plan", "up"):
+        assert run(verb, tmp_path / "none.yaml") == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert line.endswith(f"no such cluster file; write one: hpcapp init {tmp_path}/none.yaml")
 
 
 def test_a_plan_says_what_would_be_made_and_what_it_costs(

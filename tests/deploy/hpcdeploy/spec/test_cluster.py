@@ -196,7 +196,7 @@ CLOUD = "\n  type: aws\n  profiles:\n    one: {image: {id: ami-1}, instance_type
         (
             CLOUD + ", instance_typ: x}",
             "",
-            "c:6:56: provider.profiles.one.instance_typ: unknown key (got 'x'), "
+            "c:6:56: provider.profiles.one.instance_typ: unknown key, "
             'did you mean "instance_type"?',
         ),
         (
