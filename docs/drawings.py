@@ -267,7 +267,7 @@ def _machine(x: float, title: str, loader: str, component: str, *within: str) ->
     return tuple(parts)
 
 
-_PAPER_MACHINE = ("Loader daemon", "HPC Component", "slave")
+_PAPER_MACHINE = ("Loader", "HPC Component", "slave")
 _OUR_MACHINE = ("loader", "component", "session", "worker")
 PARTS_PAPER = Drawing(
     "The paper: the parts",
