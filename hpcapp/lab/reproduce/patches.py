@@ -56,7 +56,8 @@ def make_figure_4(subject: Subject, up: str, clock: StageClock) -> tuple[Finding
                 f"{limit:,}",
                 f"{paper:,}",
                 *(f"{len(patches):,}" for patches in cuts.values()),
-                f"{count:,}, {_CONES[best]} ({count / paper - 1.0:+.0%})" if is_near else "none",
+                ("" if is_near else "none is near: ")
+                + f"{count:,}, {_CONES[best]} ({count / paper - 1.0:+.0%})",
                 f"{len(readings[best].cut(prepared)):,}",
             ))  # fmt: skip
             picture = render_mesh(_colour(mesh, cuts[best], nearest), size=PANEL, up=up)
@@ -64,7 +65,13 @@ def make_figure_4(subject: Subject, up: str, clock: StageClock) -> tuple[Finding
             clock.progress.advance(number + 1, len(PAPER_COUNTS))
     finding = Finding(
         f"Figure 4: patches of {subject.name} by their most points",
-        ("most points", "in the paper", *_CONES.values(), "nearest reading", "that with step 1"),
+        (
+            "most points",
+            "in the paper",
+            *_CONES.values(),
+            f"nearest reading, near if within {_NEAR:.0%}",
+            "that with step 1",
+        ),
         tuple(rows),
         (_ON_BUNNY if subject.is_papers else OTHER_CLOUD) + f"{STEP_1}.",
         "Each patch in a colour of its own, by the reading with the nearest number: at most "

@@ -68,7 +68,7 @@ class Hierarchical:
     )
     trim: str = option(
         "auto",
-        "Open, with gaps up to twice as wide bridged: a length, or spacings as 3s.",
+        "Open, with gaps up to twice as wide bridged: a length, or spacings as 2s.",
         group="Surface",
     )
     fill_holes: str = option(

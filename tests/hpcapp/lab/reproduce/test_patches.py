@@ -21,6 +21,6 @@ def test_all_four_counts_have_their_nearest_reading() -> None:
         ("683", "2,556", "582"),
     ]  # fmt: skip
     nearest = [row[5].split(",")[0] for row in finding.rows[:3]]
-    assert nearest == ["none", "none", "254"]
+    assert nearest == ["none is near: 3", "none is near: 240", "254"]  # as the picture shows them
     assert finding.rows[3][5].startswith("2,556, complement")
     assert "No reading gives 4 or 115" in finding.sentence
