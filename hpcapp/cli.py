@@ -21,6 +21,7 @@ from hpccomponent.cli.terminal import echo, write_block
 from hpccomponent.cli.verb import COMMON
 from hpccomponent.cli.verbosity import Verbosity, set_verbosity
 from hpccomponent.errors import ConfigError, HpcError
+from hpccomponent.posix import ADVICE, MODULES
 from hpccomponent.runtime.garbage_collection import rare_collections
 
 # The verbs that ship; named here so that finding them costs no search through installed packages.
@@ -253,6 +254,9 @@ def _run(arguments: list[str], debug: bool) -> int:
         if isinstance(error, RuntimeError) and "start new thread" in str(error):
             _report("no further thread can be started; raise 'ulimit -u', or use fewer --workers")
             return EXIT_FAILED
+        if isinstance(error, ModuleNotFoundError) and error.name in MODULES:
+            _report(f"this needs {error.name}, which this system has not; {ADVICE}")
+            return EXIT_USAGE
         if debug:
             logging.getLogger("hpcapp").exception("the error's way:")
         _report(f"internal error: {type(error).__name__}: {error}; "

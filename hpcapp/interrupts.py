@@ -46,15 +46,16 @@ _SHOW_CURSOR = b"\x1b[?25h"  # bars hide it
 
 def obey_signals() -> None:
     """Have signals end this process from now on; in the main thread."""
-    reader, writer = os.pipe()
-    os.set_blocking(writer, False)
     numbers = {getattr(signal, name) for name in SIGNALS if hasattr(signal, name)}
     handler = _Handler()
     for number in numbers:
         signal.signal(number, handler)
-    if hasattr(signal, "setitimer"):
-        signal.signal(signal.SIGALRM, handler.unwind)
-        sys.unraisablehook = handler.notice
+    if not hasattr(signal, "setitimer"):  # Windows, where no pipe can be waited for either
+        return
+    signal.signal(signal.SIGALRM, handler.unwind)
+    sys.unraisablehook = handler.notice
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
     signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
     thread = threading.Thread(target=_count, args=(reader, numbers), name="signals", daemon=True)
     with contextlib.suppress(RuntimeError):  # no room for a thread: the handler counts alone

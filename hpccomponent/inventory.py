@@ -6,7 +6,6 @@ need not know one another. Beside it lies a lock: one master at a time holds the
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 from collections.abc import Callable, Iterator
@@ -16,6 +15,7 @@ from pathlib import Path
 
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import ConfigError
+from hpccomponent.posix import AS_BYTES, fcntl
 from hpccomponent.protocol.keys import check_keys, is_key, read_private_json
 
 INVENTORY_VERSION = 1
@@ -98,7 +98,7 @@ def hold_cluster(path: Path | str, on_wait: Callable[[], None]) -> Iterator[None
     """
     lock = Path(path).with_suffix(".lock")
     try:
-        descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | AS_BYTES, 0o600)
     except OSError as error:
         raise ConfigError(
             f"{lock}: cannot be opened ({error.strerror})", "run as the user who set the cluster up"

@@ -8,9 +8,10 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import resource
 from collections.abc import Iterator
 from pathlib import Path
+
+from hpccomponent.posix import resource
 
 _ROOT = Path("/")
 
@@ -76,6 +77,8 @@ def available_memory(root: Path = _ROOT) -> float | None:
 
 def address_space_limit() -> int | None:
     """Return how many bytes of address space this process may have; None for no limit."""
+    if resource is None:
+        return None
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     return None if limit == resource.RLIM_INFINITY else limit
 
@@ -88,6 +91,8 @@ def available_descriptors() -> int:
 
 def raise_descriptor_limit(more: int) -> None:
     """Raise the soft limit of open files so that so many more can be opened, as far as may be."""
+    if resource is None:
+        return
     soft, hard = _descriptor_limits()
     wanted = min(hard, _count_open() + more)
     if wanted > soft:
@@ -99,6 +104,8 @@ def raise_descriptor_limit(more: int) -> None:
 
 def _descriptor_limits() -> tuple[int, int]:
     """Return the soft and the hard limit of open files; a great number for none."""
+    if resource is None:
+        return 1 << 30, 1 << 30
     soft, hard = (
         1 << 30 if limit == resource.RLIM_INFINITY else limit
         for limit in resource.getrlimit(resource.RLIMIT_NOFILE)
@@ -117,9 +124,10 @@ def _count_open() -> int:
 def available_tasks(root: Path = _ROOT) -> tuple[int, str] | None:
     """Return how many more processes and threads there may be, and the limit that says so."""
     free: list[tuple[int, str]] = []
-    user_limit, _ = resource.getrlimit(resource.RLIMIT_NPROC)
-    if user_limit != resource.RLIM_INFINITY and os.geteuid() != 0:  # it does not bind root
-        free.append((user_limit - _count_tasks_of_user(root), "'ulimit -u'"))
+    if resource is not None and os.geteuid() != 0:  # no limit of users binds root
+        user_limit, _ = resource.getrlimit(resource.RLIMIT_NPROC)
+        if user_limit != resource.RLIM_INFINITY:
+            free.append((user_limit - _count_tasks_of_user(root), "'ulimit -u'"))
     for group in control_groups("pids", root):
         limit = read_text(group / "pids.max").strip()
         used = read_text(group / "pids.current").strip()

@@ -44,6 +44,7 @@ from hpccomponent.cli.option_names import name_option
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
 from hpccomponent.limits import available_cores
+from hpccomponent.posix import ADVICE, resource
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -112,6 +113,8 @@ def check_backend(name: str) -> None:
 
     Raise UsageError where none has it, or what it needs is not installed or not running.
     """
+    if resource is None and (name in ("processes", "zmq") or name.endswith(CLUSTER_FILES)):
+        raise UsageError(f"{name_option('backend', name)} cannot run on this system", ADVICE)
     if name not in BACKENDS and not name.endswith(CLUSTER_FILES):
         from hpcapp.backends.engines import check_engine
 

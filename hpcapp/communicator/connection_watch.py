@@ -14,6 +14,7 @@ grown. Linux only: elsewhere nothing is watched.
 
 from __future__ import annotations
 
+import mmap
 import os
 import socket
 import struct
@@ -35,7 +36,7 @@ INTERVAL_S = 0.1
 GROWTH_BYTES = 16 << 20  # of this process, between two looks at all connections
 PROBE_BYTES_PER_S = 256  # of ZeroMQ's heartbeats, which are no messages: measured 182
 BYTES_RECEIVED_AT = 128  # in the kernel's struct tcp_info
-PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
+PAGE_BYTES = mmap.PAGESIZE
 
 
 def wire_bytes(frame_bytes: int) -> int:

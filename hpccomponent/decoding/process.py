@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 
 from hpccomponent.decoding.claims import Claims, most_memory
 from hpccomponent.errors import InputError, JobError, UsageError
+from hpccomponent.posix import resource
 
 Refuse = Callable[[str], InputError]
 """Makes the error that refuses a file, of why."""
@@ -127,8 +128,14 @@ def open_decoder(
 
     It runs a module of this package, shares `size` bytes of memory, and may take `patience_s` for
     an answer beside the time that it may compute. Raise InputError where the file claims too much
-    memory, OSError where it is not there or the process cannot be started.
+    memory, UsageError where the system cannot limit processes, and OSError where the file is not
+    there or the process cannot be started.
     """
+    if resource is None:
+        raise UsageError(
+            f"{path}: is decoded by a process that must be limited, which this system cannot",
+            "convert it to .las or .ply elsewhere, as in WSL",
+        )
     Claims(path).add(size, "what is decoded at once")
     computing_s = _LEAST_S + path.stat().st_size / _BYTES_PER_S
     with _open_shared(max(size, 1)) as shared:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import mmap
 import os
-import resource
 import sys
 
 TYPE_CHECKING = False
@@ -28,6 +27,8 @@ def serve(open_file: Callable[[str, memoryview, list[str]], Answer]) -> None:
     in bytes and of computing time in seconds; then arguments of `open_file`, which opens the file
     when the first request is there.
     """
+    import resource  # whoever imports this module for its words may have none
+
     path, shared, size, most_bytes, most_s, *arguments = sys.argv[1:]
     answers = os.dup(1)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # for what libraries print
@@ -54,5 +55,7 @@ def serve(open_file: Callable[[str, memoryview, list[str]], Answer]) -> None:
 
 def _limit(what: int, most: int) -> None:
     """Set a soft limit, within the hard one."""
+    import resource
+
     _, hard = resource.getrlimit(what)
     resource.setrlimit(what, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))

@@ -7,13 +7,13 @@
 
 The system lets go of a lock when the process that holds it ends, however it ends: a folder whose
 lock can be had was left by one that was killed. Neither its age nor its name says so. A file system
-without such locks (some network ones) holds folders that have no owner, and are nobody's to remove.
+without such locks (some network ones) holds folders that have no owner, and are nobody's to remove;
+so does a system without them (Windows), where each process removes its own alone.
 """
 
 from __future__ import annotations
 
 import errno
-import fcntl
 import getpass
 import json
 import os
@@ -31,11 +31,12 @@ from pathlib import Path
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import OutputError
 from hpccomponent.files.private_files import create_private, make_private_folder, remove_path
+from hpccomponent.posix import AS_BYTES, AT_ONCE, NO_LINK, fcntl, user_number
 
 _OWNER = ".owner"
 _PREFIX = "hpcapp-"
 _UNSUPPORTED = {errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.ENOLCK, errno.EINVAL}
-_OPEN = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC  # no link is followed, no pipe waited for
+_OPEN = NO_LINK | AT_ONCE | AS_BYTES  # no link is followed, no pipe waited for
 _MOST_BYTES = 4096  # of what an owner says of itself
 _LONGEST = 200  # characters of a command
 _TRIES = 3  # a worker that is late may put something into a folder that is being removed
@@ -59,7 +60,7 @@ class FolderOwner:
         try:
             user = getpass.getuser()
         except (KeyError, OSError):  # nobody has its number
-            user = str(os.geteuid())
+            user = str(user_number())
         command = shlex.join([os.path.basename(sys.argv[0]) or "python", *sys.argv[1:]])
         return cls(user, socket.gethostname(), os.getpid(), command[:_LONGEST])
 
@@ -80,6 +81,9 @@ class HeldFolder:
 
     def remove(self) -> None:
         """Take the folder away, as far as the system lets us."""
+        if fcntl is None:
+            shutil.rmtree(self.path, ignore_errors=True)
+            return
         for _ in range(_TRIES):
             with _opened(self.path) as folder:
                 if folder is None or not self._is_still(folder):
@@ -225,6 +229,8 @@ def remove_killed() -> None:
 
 def _create_lock(folder: Path) -> int | None:
     """Create and lock the file that says who holds a folder; None where there are no locks."""
+    if fcntl is None:
+        return None
     path = folder / _OWNER
     with create_private(path) as file:
         lock = os.dup(file.fileno())
@@ -253,7 +259,7 @@ def _opened(path: Path) -> Iterator[int | None]:
     """Yield the descriptor of a folder of this user; None where it is none, or a link to one."""
     try:
         folder = os.open(path, os.O_RDONLY | os.O_DIRECTORY | _OPEN)
-    except OSError:
+    except (OSError, AttributeError):  # the latter where no folder can be opened
         yield None
         return
     try:
@@ -288,7 +294,7 @@ def _empty(folder: int) -> None:
 def _is_own(file: int, is_kind: Callable[[int], bool]) -> bool:
     """Tell whether something open is this user's, and of a kind."""
     status = os.fstat(file)
-    return is_kind(status.st_mode) and status.st_uid == os.geteuid()
+    return is_kind(status.st_mode) and status.st_uid == user_number()
 
 
 def _is_at(lock: int, folder: int) -> bool:

@@ -26,6 +26,7 @@ from unicodedata import normalize
 
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import OutputError
+from hpccomponent.posix import AS_BYTES
 
 STANDARD_INPUT = ("-", "/dev/stdin", "/dev/fd/0", "/proc/self/fd/0")
 STANDARD_OUTPUT = ("-", "/dev/stdout", "/dev/fd/1", "/proc/self/fd/1")
@@ -241,7 +242,7 @@ def _check_stream(path: Path) -> None:
         elif path.is_dir():
             raise OutputError(f"{path}: is not a file", "name a file to write to")
         elif path.is_file():
-            os.close(os.open(path, os.O_WRONLY | os.O_CLOEXEC))
+            os.close(os.open(path, os.O_WRONLY | AS_BYTES))
 
 
 def check_folder(path: Path) -> None:

@@ -9,6 +9,7 @@ import stat
 from pathlib import Path
 
 from hpccomponent.errors import UsageError
+from hpccomponent.posix import AS_BYTES, AT_ONCE
 
 _KINDS = (
     (stat.S_ISFIFO, "it is a pipe, not a regular file"),
@@ -20,7 +21,7 @@ _KINDS = (
 
 def home_folder() -> Path:
     """Return ``$HOME``, or the home that the system knows; UsageError where neither is known."""
-    named = os.environ.get("HOME", "")
+    named = os.environ.get("HOME") or os.environ.get("USERPROFILE", "")
     if not named:
         try:
             import pwd
@@ -89,7 +90,7 @@ def read_regular(path: Path, most: int = -1) -> bytes:
 
     Raise OSError where it cannot be read, or is something else: a pipe is not waited for.
     """
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    descriptor = os.open(path, os.O_RDONLY | AT_ONCE | AS_BYTES)
     try:
         refuse_special(os.fstat(descriptor).st_mode, path)
         with open(descriptor, "rb", closefd=False) as file:

@@ -13,6 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
 
+from hpccomponent.posix import AT_ONCE, NO_LINK, block
+
 _FILE, _FOLDER = 0o600, 0o700
 
 
@@ -35,11 +37,13 @@ def create_private(path: Path, buffering: int = -1) -> BinaryIO:
     """Create a file for its owner alone, to be written; OSError where something is there."""
 
     def opener(name: str, flags: int) -> int:
-        return os.open(name, flags | os.O_NOFOLLOW, _FILE)
+        return os.open(name, flags | NO_LINK, _FILE)
 
     file = open(path, "xb", buffering=buffering, opener=opener)  # noqa: SIM115 - the caller's
     try:
         os.fchmod(file.fileno(), _FILE)
+    except AttributeError:  # a system without modes: folders of a user are its own
+        pass
     except OSError:  # a file system without modes
         if stat.S_IMODE(os.fstat(file.fileno()).st_mode) & 0o077:
             file.close()
@@ -50,13 +54,13 @@ def create_private(path: Path, buffering: int = -1) -> BinaryIO:
 
 def open_at_once(name: str, flags: int) -> int:
     """Open a file, as an `opener` of `open` does; a pipe that has its name is not waited for."""
-    return os.open(name, flags | os.O_NONBLOCK)
+    return os.open(name, flags | AT_ONCE)
 
 
 def open_if_read(name: str, flags: int) -> int:
     """Open a file likewise; of a pipe that nobody reads it is an error."""
-    descriptor = os.open(name, flags | os.O_NONBLOCK, 0o666)
-    os.set_blocking(descriptor, True)
+    descriptor = os.open(name, flags | AT_ONCE, 0o666)
+    block(descriptor)
     return descriptor
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import platform
 from importlib import metadata
 
 KERNEL_GROUP = "hpc.kernels"
@@ -23,7 +23,7 @@ def numerics_id(build: str | None = None) -> str:
     """
     entries = sorted(metadata.entry_points(group=KERNEL_GROUP), key=lambda entry: entry.name)
     kernels = "-".join(entry.load()(build) for entry in entries)
-    return f"{kernels}-numpy{metadata.version('numpy')}-{os.uname().machine}"
+    return f"{kernels}-numpy{metadata.version('numpy')}-{platform.machine()}"
 
 
 def package_version() -> str:

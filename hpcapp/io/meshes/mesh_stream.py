@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from dataclasses import field, replace
 from tempfile import TemporaryFile
@@ -18,6 +17,7 @@ from hpcapp.io.frame import finite_bounds, scale_heights
 from hpcapp.io.meshes.texture import Texture
 from hpccomponent.dataclass import dataclass
 from hpccomponent.files.held_folders import temporary_room
+from hpccomponent.posix import reserve
 
 _ROWS_AT_ONCE = 1 << 16
 
@@ -117,7 +117,7 @@ def make_array(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray
     shape = tuple(max(rows, 1) for rows in shape)
     size = int(np.prod(shape)) * np.dtype(dtype).itemsize
     with temporary_room() as room, TemporaryFile(dir=room) as file:  # the array holds it open
-        os.posix_fallocate(file.fileno(), 0, size)  # a full disk says so here
+        reserve(file, size)
         return np.memmap(file, dtype, "r+", shape=shape)
 
 

@@ -38,6 +38,7 @@ from hpccomponent.files.held_folders import (
     temporary_folder,
 )
 from hpccomponent.files.private_files import remove_path
+from hpccomponent.posix import user_number
 from hpccomponent.store.places import open_store
 
 log = logging.getLogger("hpcapp")
@@ -214,7 +215,7 @@ def _name_busy(path: Path) -> Path | None:
     if read_owner(path) is not None:
         return path
     with suppress(OSError):
-        if os.lstat(path).st_uid == os.geteuid() and not os.access(path, os.R_OK | os.X_OK):
+        if os.lstat(path).st_uid == user_number() and not os.access(path, os.R_OK | os.X_OK):
             log.warning("warning: %s cannot be looked into: what it keeps is not used", path)
     return None
 

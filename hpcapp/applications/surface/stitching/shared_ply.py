@@ -26,6 +26,7 @@ from hpcapp.kernels.freed_memory import leave_for_files
 from hpccomponent.cutting import cut_equal
 from hpccomponent.errors import OutputError
 from hpccomponent.files.checksum import note_written
+from hpccomponent.posix import AS_BYTES, write_at
 from hpccomponent.runtime.tasks import declare
 from hpccomponent.store.places import hold_store
 
@@ -37,7 +38,7 @@ def write_part(part: MeshPart, places: PartPlaces, shared: SharedPly) -> None:
 
     The file is there and long enough; OSError where it cannot be written.
     """
-    file = os.open(shared.path, os.O_WRONLY)
+    file = os.open(shared.path, os.O_WRONLY | AS_BYTES)
     try:
         _write_rows(file, part, places, shared)
     finally:
@@ -56,7 +57,7 @@ def write_kept(kept: tuple[str, str], places: PartPlaces, shared: SharedPly) -> 
     leave_for_files()  # what tiles have left
     place, name = kept
     try:
-        file = os.open(shared.path, os.O_WRONLY)
+        file = os.open(shared.path, os.O_WRONLY | AS_BYTES)
     except OSError:
         return False
     try:
@@ -99,5 +100,5 @@ def _write_runs(file: int, rows: NDArray[Any], runs: Runs, start: int) -> None:
         note_written(run)
         # The system may write less than it was given.
         while run:
-            done = os.pwrite(file, run, at)
+            done = write_at(file, run, at)
             run, at = run[done:], at + done

@@ -51,6 +51,7 @@ from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import HpcError, JobError
 from hpccomponent.files.private_files import open_at_once
 from hpccomponent.files.whole_files import write_whole
+from hpccomponent.posix import read_into
 from hpccomponent.store.value import DamagedError, from_bytes, to_buffers
 
 _INDEX = "index"
@@ -237,7 +238,7 @@ def _read_runs(file: int, layout: RecordLayout, begins: IntArray, sizes: IntArra
     view, at = content.data, 0
     for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
         while at < end:  # it may be less than was asked for
-            taken = os.preadv(file, [view[at:end]], start)
+            taken = read_into(file, view[at:end], start)
             if not taken:
                 raise ValueError("the file has become shorter")
             at, start = at + taken, start + taken

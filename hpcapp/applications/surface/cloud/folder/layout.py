@@ -11,7 +11,6 @@ there are no normals, 21 for normals of any lengths.
 
 from __future__ import annotations
 
-import os
 import struct
 from collections.abc import Iterator, Sequence
 from typing import ClassVar
@@ -23,6 +22,7 @@ from hpcapp.applications.surface.cloud.arrangement import PackedPoints, interlea
 from hpcapp.geometry.points import ByteArray, Float32Array, IntArray
 from hpccomponent.dataclass import dataclass
 from hpccomponent.files.checksum import PAGE
+from hpccomponent.posix import read_at
 from hpccomponent.store.value import DamagedError
 
 _COLUMNS = 7  # as `kernels.fold_records` has them
@@ -51,7 +51,7 @@ class FoldedLayout:
     @classmethod
     def read(cls, file: int) -> FoldedLayout:
         """Return that of an open file; DamagedError where it has none."""
-        head = os.pread(file, _HEAD.size, 0)
+        head = read_at(file, _HEAD.size, 0)
         if len(head) < _HEAD.size or not head.startswith(_MAGIC):
             raise DamagedError("does not begin as packed points do")
         numbers = np.array(_HEAD.unpack(head)[1:])
