@@ -11,16 +11,18 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hpcapp.named_files import PICTURE
+from hpcapp.named_files import FILE_OR_WORD, PICTURE
 from hpcapp.named_files import POINTS as POINT_FILE
 from hpcapp.parts.crop import Crop
 from hpcapp.parts.options import INPUTS, POINTS, SAMPLE, cropped
 from hpccomponent.cli.named_files import json_option
+from hpccomponent.cli.option_names import name_option
 from hpccomponent.cli.terminal import echo, echo_json, visible_line
 from hpccomponent.cli.verb import Verb
 from hpccomponent.errors import UsageError
 
 if TYPE_CHECKING:
+    from hpcapp.applications.surface.normals.viewpoint import Viewpoint
     from hpcapp.io import PointSource
 
 
@@ -141,7 +143,16 @@ def readable(value: object) -> str:
     "--rejected",
     type=POINT_FILE,
     metavar="FILE",
-    help="Write the outliers, strays and wires that a job drops into a cloud of their own, too.",
+    help="Write the outliers, strays and wires that a job drops into a cloud of their own, too, "
+    "and what a scanner has looked through from elsewhere.",
+)
+@click.option(
+    "--viewpoint",
+    type=FILE_OR_WORD,
+    multiple=True,
+    metavar="WHERE",
+    help="With --rejected: where the points were measured from, as of reconstruct: a trajectory "
+    "with times tells what moved.",
 )
 def convert(
     points: tuple[str, ...],
@@ -149,16 +160,22 @@ def convert(
     crop: Crop,
     output: str,
     rejected: str | None,
+    viewpoint: tuple[str, ...],
 ) -> None:
     """Convert point clouds into one file of another format.
 
     What the output cannot hold is left out, with a warning.
     """
+    from hpcapp.applications.surface.normals.viewpoint import parse_viewpoint
     from hpcapp.io import open_points
     from hpcapp.io.output import open_output
     from hpcapp.io.points.inputs import find_paths, gather_points
 
-    files = find_paths(points)
+    if viewpoint and rejected is None:
+        raise UsageError(
+            f"{name_option('viewpoint')} tells what is rejected", "give --rejected, too"
+        )
+    where, files = parse_viewpoint(viewpoint), find_paths(points)
     with (
         open_output(output, "points") as target,
         gather_points(points, sample, keeps_noise=crop.keeps_noise, choose=crop.narrow) as path,
@@ -170,14 +187,15 @@ def convert(
         log.info("%s: %d points", output, written)
         if rejected is not None:
             with open_output(rejected, "points") as target:
-                _write_rejected(target, source, rejected)
+                _write_rejected(target, source, rejected, where)
 
 
-def _write_rejected(target: Path, source: PointSource, shown: str) -> None:
+def _write_rejected(target: Path, source: PointSource, shown: str, where: Viewpoint) -> None:
     """Write the points of a source that a job drops."""
     import numpy as np
 
     from hpcapp.applications.points.rejected import take_rejected
+    from hpcapp.applications.surface.normals.sensor import find_path
     from hpcapp.applications.surface.reading.seen_through import are_seen_through, look_around
     from hpcapp.io import read_whole, write_points
     from hpcapp.io.batches import join_points
@@ -185,13 +203,14 @@ def _write_rejected(target: Path, source: PointSource, shown: str) -> None:
 
     source = source.isotropic()
     whole = read_whole(source)
-    is_ghost = are_seen_through(whole, look_around(source))
+    path = find_path(where) * [1.0, 1.0, source.frame.height_scale, 1.0]
+    is_ghost = are_seen_through(whole, look_around(source, path))
     cloud, cleaned = take_rejected(whole.take(np.flatnonzero(~is_ghost)), shown)
     cloud = join_points([cloud, whole.take(np.flatnonzero(is_ghost))])
     cloud = scale_heights(cloud, 1.0 / source.frame.height_scale)
     write_points(target, cloud, source.crs, source.unit, source.scans, source.height_unit)
     log.info(
-        "%s: %d outliers, %d strays, %d points along lone lines, %d seen through by another scan",
+        "%s: %d outliers, %d strays, %d points along lone lines, %d seen through from elsewhere",
         shown, cleaned.outliers, cleaned.strays, cleaned.lone_lines, int(is_ghost.sum()),
     )  # fmt: skip
 

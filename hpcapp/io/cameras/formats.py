@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 
+from hpcapp.geometry.paths import MOST_PLACES
 from hpcapp.geometry.points import FloatArray
 from hpcapp.io.cameras.bundler import read_bundle
 from hpcapp.io.cameras.colmap import (
@@ -27,7 +28,6 @@ from hpcapp.io.cameras.json_poses import (
 from hpcapp.io.cameras.metashape import read_metashape
 from hpcapp.io.points.point_source import translated
 from hpcapp.io.text.lines import find_encoding
-from hpcapp.io.text.trajectory import MOST_PLACES
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
 from hpccomponent.ranges import FARTHEST

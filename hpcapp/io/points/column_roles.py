@@ -59,6 +59,7 @@ _SPELLINGS = {
     "columnindex": "column",
     **dict.fromkeys(("class", "classification", "scalarclassification"), "classification"),
 }
+_TIMES = frozenset(("gpstime", "time", "timestamp", "t", "seconds"))
 _LETTERS = {"n": "northing", "e": "easting", "h": "height", "el": "elevation"}
 _LETTERS_IN_ONE = re.compile(r"p?(ne|en)[zh]d?")  # PNEZD, as surveyors say what a list holds
 _BRACKET = re.compile(r"[\[(]")
@@ -92,6 +93,17 @@ def counts_down(names: Sequence[str]) -> bool:
     """
     heights = [_strip(name) for name in names if find_role(name) == "z"]
     return bool(heights) and all(name in _DEPTHS for name in heights)
+
+
+def is_time(name: str) -> bool:
+    """Tell whether a column is of times.
+
+    Examples
+    --------
+    >>> [is_time(name) for name in ("gps_time", "GpsTime [s]", "//Timestamp", "OffsetTime")]
+    [True, True, True, False]
+    """
+    return _strip(name) in _TIMES
 
 
 def spell_letters(names: Sequence[str]) -> tuple[str, ...]:

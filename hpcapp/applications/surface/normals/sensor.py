@@ -7,8 +7,9 @@ from typing import Literal
 
 import numpy as np
 
-from hpcapp.applications.surface.normals.viewpoint import Viewpoint
+from hpcapp.applications.surface.normals.viewpoint import TIMED, Viewpoint
 from hpcapp.geometry.axes import rotate
+from hpcapp.geometry.paths import MOST_PLACES, thin_path
 from hpcapp.geometry.points import FloatArray
 from hpccomponent.cli.option_names import name_option
 from hpccomponent.dataclass import dataclass
@@ -95,11 +96,20 @@ class Sensor:
         )
 
 
+def find_path(viewpoint: Viewpoint) -> FloatArray:
+    """Return the places whose times are said, with the times last, shape (n, 4)."""
+    places = () if isinstance(viewpoint, str) else viewpoint
+    return np.array([place for place in places if len(place) == TIMED]).reshape(-1, TIMED)
+
+
 def sensor_of(viewpoint: Viewpoint, upright: FloatArray | None = None) -> Sensor:
     """Return what a user says of where points were measured from."""
     if isinstance(viewpoint, str):
         return Sensor(viewpoint, is_told=True, upright=upright)
     if not viewpoint:
         return Sensor(upright=upright)
-    rows = np.array([(*place, 0.0, 0.0, 0.0)[:6] for place in viewpoint])
+    path = find_path(viewpoint)
+    others = [(*place, 0.0, 0.0, 0.0)[:6] for place in viewpoint if len(place) != TIMED]
+    thin = thin_path(path, MOST_PLACES)[:, :3]
+    rows = np.concatenate([np.array(others).reshape(-1, 6), np.pad(thin, ((0, 0), (0, 3)))])
     return Sensor("places", rows[:, :3], rows[:, 3:], is_told=True, upright=upright)

@@ -14,20 +14,26 @@ from hpccomponent.errors import UsageError
 from hpccomponent.ranges import FARTHEST, is_place
 
 Direction = Literal["above", "below", "inside", "outside"]
-Place = tuple[float, float, float] | tuple[float, float, float, float, float, float]
-"""Coordinates; of a camera also the direction along which it looks."""
+Place = (
+    tuple[float, float, float]
+    | tuple[float, float, float, float]
+    | tuple[float, float, float, float, float, float]
+)
+"""Coordinates; of a path also the time; of a camera also the direction along which it looks."""
 
 Viewpoint = Direction | tuple[Place, ...]
 """From which direction points were measured, or from which places; no places: nobody has said."""
 
+TIMED = 4
 _DIRECTIONS: tuple[Direction, ...] = get_args(Direction)
 
 
 def parse_viewpoint(words: Sequence[str]) -> Viewpoint:
     """Parse what was typed; read the files of trajectories and cameras.
 
-    A direction stands alone (else UsageError, as for unknown words); places are ``X,Y,Z``, cameras
-    ``X,Y,Z,DX,DY,DZ``, or names of files. InputError where one is of neither kind.
+    A direction stands alone (else UsageError, as for unknown words); places are ``X,Y,Z``, those of
+    a path ``X,Y,Z@TIME``, cameras ``X,Y,Z,DX,DY,DZ``, or names of files. InputError where one is of
+    neither kind.
 
     Examples
     --------
@@ -49,19 +55,26 @@ def type_viewpoint(viewpoint: Viewpoint) -> list[str]:
     """Return words of the command line that say the same without a file."""
     if isinstance(viewpoint, str):
         return ["--viewpoint", viewpoint]
-    return [w for place in viewpoint for w in ("--viewpoint", ",".join(map(repr, place)))]
+    return [w for place in viewpoint for w in ("--viewpoint", _type_place(place))]
+
+
+def _type_place(place: Place) -> str:
+    word = ",".join(map(repr, place))
+    return "@".join(word.rsplit(",", 1)) if len(place) == TIMED else word
 
 
 def _parse_places(word: str) -> tuple[Place, ...]:
+    place, is_timed, time = word.partition("@")
     try:
-        numbers = tuple(float(number) for number in word.split(","))
+        numbers = tuple(float(number) for number in place.split(","))
+        times = (float(time),) if is_timed else ()
     except ValueError:
         path = Path(word)
         if word and (path.is_file() or path.is_dir()):
             return _read_places(path)
     else:
-        if len(numbers) in (3, 6) and is_place(*numbers):
-            return (cast(Place, numbers),)
+        if (len(numbers), len(times)) in ((3, 0), (3, 1), (6, 0)) and is_place(*numbers):
+            return (cast(Place, (*numbers, *times)),)
     raise UsageError(
         f"{name_option('viewpoint', word)} is neither {', '.join(_DIRECTIONS)}, nor three numbers "
         f"up to {FARTHEST:.0e}, nor a file of a trajectory or of cameras",

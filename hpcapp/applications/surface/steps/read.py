@@ -16,13 +16,13 @@ from hpcapp.applications.surface.cloud.folder.folder_pass import FolderPass, mak
 from hpcapp.applications.surface.job.columns import CarriedColumns
 from hpcapp.applications.surface.job.scan import PointFolder, Scan
 from hpcapp.applications.surface.job.settings import JobSettings, Settings, count_own_threads
-from hpcapp.applications.surface.normals.sensor import Sensor, sensor_of
+from hpcapp.applications.surface.normals.sensor import Sensor, find_path, sensor_of
 from hpcapp.applications.surface.reading.depth_steps import smooth_cloud, smooth_source
 from hpcapp.applications.surface.reading.drive import ingest_file
 from hpcapp.applications.surface.reading.reach import drop_far
 from hpcapp.applications.surface.reading.registration import check_registration
 from hpcapp.applications.surface.reading.seen_through import drop_seen_through
-from hpcapp.geometry.points import PointCloud
+from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.geometry.validity import Dropped
 from hpcapp.io import PointSource, drop_unusable, read_whole
 from hpcapp.io.points.point_source import SCAN
@@ -42,7 +42,7 @@ def read_file(
         source = source.without_normals()
     if settings.method.cleans:
         with clock.stage("read"):
-            source = drop_seen_through(source)
+            source = drop_seen_through(source, _find_path(settings, source))
     if folder is None:
         scan = _read_into_memory(settings, source, clock)
     else:
@@ -131,6 +131,11 @@ def _check_scans(chunks: Iterable[PointCloud], source: PointSource) -> None:
         warning = check_registration(chunks, source.scans)
         if warning is not None:
             source.findings.warn(warning)
+
+
+def _find_path(settings: JobSettings, source: PointSource) -> FloatArray:
+    """Return where the sensor was, and when, (n, 4), as the user says."""
+    return find_path(settings.viewpoint) * [1.0, 1.0, source.frame.height_scale, 1.0]
 
 
 def _find_sensor(settings: JobSettings, source: PointSource) -> Sensor:

@@ -20,9 +20,9 @@ from camera_files import (
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from hpcapp.geometry.paths import MOST_PLACES
 from hpcapp.io.cameras.formats import FORMATS as READ
 from hpcapp.io.cameras.formats import find_camera_file, read_cameras
-from hpcapp.io.text.trajectory import MOST_PLACES
 from hpccomponent.errors import InputError
 
 PLACES, TARGET = ring(), np.array([0.3, -0.2, 0.5])

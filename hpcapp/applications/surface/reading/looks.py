@@ -1,0 +1,144 @@
+"""From where a scanner looked around, and which points it measured from there.
+
+A tripod's scans are looks as they are. A path is cut into short pieces, each a look from its
+middle; a point is of the piece in whose time it was measured.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from hpcapp.applications.surface.reading.reach import EvenSample
+from hpcapp.geometry.points import FloatArray, IntArray, PointCloud
+from hpcapp.geometry.validity import are_finite
+from hpcapp.io import PointSource
+from hpcapp.io.points.column_roles import is_time
+from hpcapp.io.points.point_source import SCAN
+from hpccomponent.dataclass import dataclass
+
+_ROWS = 1 << 20  # at once
+_UNTOLD = 1 << 20  # points of a file that does not say how many there are
+_PIECE = 0.2  # of the distance at which half of the points are: how long a piece of a path is
+_PIECE_S = 2.0  # and how long it takes at most
+_PASSED = 4  # of so many pieces one is looked from: what lies between sees nothing else
+_NEAREST = 0.4  # of that distance: nearer to a path, the middle of a piece is not where it looked
+_APART_S = 4.0  # between a point and what looks through it: what moves must have gone on
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Look:
+    """One of them: where it was, when (from, to), and about how many points it has."""
+
+    place: FloatArray
+    points: int
+    times: tuple[float, float] = (0.0, 0.0)
+
+
+class Looks:
+    """All looks of a file; nothing where it does not tell them.
+
+    Parameters
+    ----------
+    looks : list of Look
+    nearest : float
+        Points nearer to one than that are not judged by it, in length units.
+    time : str or None
+        The column of times by which points are told; None where they have the number of a scan.
+    """
+
+    def __init__(self, looks: list[Look], nearest: float = 0.0, time: str | None = None) -> None:
+        self.looks, self.nearest, self._time = looks, nearest, time
+
+    @cached_property
+    def judges(self) -> IntArray:
+        """Which of them look at what others have measured."""
+        return np.arange(0, len(self.looks), 1 if self._time is None else _PASSED)
+
+    def number(self, part: PointCloud) -> IntArray | None:
+        """Return the look of each point, (n,), or -1; None where points do not tell."""
+        values = part.attributes.get(self._time or SCAN)
+        if values is None or self._time is None:
+            return None if values is None else values.astype(np.int64)
+        begins = np.array([one.times[0] for one in self.looks])
+        numbers: IntArray = np.searchsorted(begins, values, "right") - 1
+        return np.where(values > self.looks[-1].times[1], -1, numbers)
+
+    def list_others(self, number: int) -> IntArray:
+        """Return which judges may have looked through a point of one: at another time."""
+        judges = self.judges
+        is_other = judges != number
+        if self._time is not None:
+            begin, end = self.looks[number].times
+            times = np.array([one.times for one in self.looks])[judges]
+            is_other = (times[:, 0] - end > _APART_S) | (begin - times[:, 1] > _APART_S)
+        others: IntArray = judges[is_other]
+        return others
+
+
+def find_looks(source: PointSource, path: FloatArray) -> Looks:
+    """Return the looks of a file of several scans, or along a path (n, 4) with the time last."""
+    places = [one.scanner for one in source.scans if one.scanner is not None]
+    if len(places) >= 2 and len(places) == len(source.scans):
+        # Where a file says of none how many points it has, each has as many.
+        share = (source.count or _UNTOLD) // len(places)
+        return Looks([
+            Look(place, one.points or share)
+            for place, one in zip(places, source.scans, strict=True)
+        ])  # fmt: skip
+    return _cut_path(source, path) if len(path) >= 2 else Looks([])
+
+
+def list_parts(source: PointSource, looks: Looks) -> Iterator[tuple[FloatArray, IntArray]]:
+    """Yield finite points (n, 3) and the look of each."""
+    for part in source.chunks(_ROWS):
+        numbers = looks.number(part)
+        if numbers is None:
+            return
+        is_there = are_finite(part.positions) & (numbers >= 0)
+        yield part.positions[is_there], numbers[is_there]
+
+
+def _cut_path(source: PointSource, path: FloatArray) -> Looks:
+    """Return the pieces of a path, where points have times within those of it."""
+    sample, times, count, name = EvenSample(), list[FloatArray](), 0, None
+    for part in source.chunks(_ROWS):
+        name = next((one for one in part.attributes if is_time(one)), None)
+        if name is None:
+            return Looks([])
+        clock = part.attributes[name].astype(np.float64)
+        is_within = are_finite(part.positions) & (clock >= path[0, 3]) & (clock <= path[-1, 3])
+        count += int(is_within.sum())
+        # (n, 3): from the sensor to each point
+        eyes = _follow(path, clock[is_within])
+        sample.add(part.positions[is_within] - eyes)
+        times.append(clock[np.isfinite(clock)][:: max(len(clock) // 1000, 1)])
+    if not count:
+        known = np.concatenate(times)
+        if len(known):
+            source.findings.warn(
+                f"what moved is not looked for: points were measured from {known.min():g} to "
+                f"{known.max():g}, the trajectory goes from {path[0, 3]:g} to {path[-1, 3]:g}"
+            )
+        return Looks([])
+    far = float(np.median(np.linalg.norm(sample.positions, axis=1)))
+    steps = np.linalg.norm(np.diff(path[:, :3], axis=0), axis=1)
+    # (n,): how many pieces the path has taken at each of its places, by length or by time
+    pieces = np.maximum(steps / (_PIECE * far), np.diff(path[:, 3]) / _PIECE_S)
+    taken = np.append(0.0, np.cumsum(pieces))
+    bounds = np.interp(np.linspace(0.0, taken[-1], int(taken[-1]) + 2), taken, path[:, 3])
+    shares = np.diff(bounds) / (bounds[-1] - bounds[0])
+    middles = _follow(path, 0.5 * (bounds[:-1] + bounds[1:]))
+    looks = [
+        Look(place, int(share * count), ends)
+        for place, share, ends in zip(middles, shares, pairwise(bounds.tolist()), strict=True)
+    ]
+    return Looks(looks, _NEAREST * far, name)
+
+
+def _follow(path: FloatArray, times: FloatArray) -> FloatArray:
+    """Return where a sensor was at some times, (n, 3)."""
+    return np.stack([np.interp(times, path[:, 3], path[:, axis]) for axis in range(3)], axis=1)
