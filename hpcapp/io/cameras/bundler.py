@@ -1,5 +1,7 @@
 """Bundler's bundle.out: a focal length, a rotation and a translation from world to camera.
 
+The names of the pictures are in list.txt beside it, one at the beginning of each line.
+
 https://www.cs.cornell.edu/~snavely/bundler/bundler-v0.3-manual.html
 """
 
@@ -9,14 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
-from hpcapp.geometry.points import FloatArray
-from hpcapp.io.cameras.poses import BACKWARDS, world_to_camera
+from hpcapp.io.cameras.lens import Lens
+from hpcapp.io.cameras.poses import BACKWARDS, Camera, world_to_camera
 
 _NUMBERS = 15  # of a camera: f, k1, k2; three rows of R; t
 _LONGEST_LINE = 1 << 16
+_NAMES = "list.txt"
 
 
-def read_bundle(path: Path, encoding: str) -> FloatArray:
+def read_bundle(path: Path, encoding: str) -> list[Camera]:
     """Read the cameras, those left out that were not registered: their numbers are all zero.
 
     Raise ValueError where the file is cut, or has words where numbers belong.
@@ -35,5 +38,18 @@ def read_bundle(path: Path, encoding: str) -> FloatArray:
     if len(words) < _NUMBERS * count:
         raise ValueError(f"it ends after {len(words) // _NUMBERS} of {count} cameras")
     rows = np.array([float(word) for word in words[: _NUMBERS * count]]).reshape(-1, _NUMBERS)
-    rows = rows[rows.any(axis=1)]
-    return world_to_camera(rows[:, 3:12], rows[:, 12:], BACKWARDS)
+    is_known = rows.any(axis=1)
+    names = np.array(_read_names(path, count), object)[is_known].tolist()
+    rows = rows[is_known]
+    lenses = [Lens((0.0, 0.0), (f, f), radial=(k1, k2)) if f > 0.0 else None
+              for f, k1, k2 in rows[:, :3].tolist()]  # fmt: skip
+    return world_to_camera(rows[:, 3:12], rows[:, 12:], BACKWARDS, names, lenses)
+
+
+def _read_names(path: Path, count: int) -> list[str]:
+    """Return the names of so many pictures, empty where no file has them."""
+    beside = path.with_name(_NAMES)
+    if not beside.is_file():
+        return [""] * count
+    with beside.open(encoding="utf-8", errors="replace") as file:
+        return [file.readline(_LONGEST_LINE).split(" ")[0].strip() for _ in range(count)]

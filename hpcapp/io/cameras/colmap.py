@@ -10,11 +10,12 @@ import struct
 from pathlib import Path
 from typing import TextIO
 
-from hpcapp.geometry.points import FloatArray
-from hpcapp.io.cameras.poses import FORWARDS, quaternion_matrices, world_to_camera
+from hpcapp.io.cameras.colmap_lenses import read_lenses
+from hpcapp.io.cameras.poses import FORWARDS, Camera, quaternion_matrices, world_to_camera
 
 _NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
-_IMAGE = re.compile(rf"\s*\d+\s+((?:{_NUMBER}\s+){{7}})\d+\s+(\S+)", re.ASCII)
+_IMAGE = re.compile(rf"\s*\d+\s+((?:{_NUMBER}\s+){{7}})(\d+)\s+(\S[^\r\n]*)", re.ASCII)
+_FIRST_NUMBER = rf"{_NUMBER}(?:\s|$)"
 _TITLE = "IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ"
 _PARTS = {"# Camera list": "cameras.txt", "# 3D point list": "points3D.txt"}
 _PARTS |= {"# Rig ": "rigs.txt", "# Frame list": "frames.txt"}
@@ -31,7 +32,7 @@ def has_images(head: str) -> bool:
     """Tell whether a text begins as images.txt does."""
     rows = [line for line in head.splitlines() if line.strip() and not line.startswith("#")]
     found = _IMAGE.match(rows[0]) if rows else None
-    return _TITLE in head or (found is not None and not re.fullmatch(_NUMBER, found[2]))
+    return _TITLE in head or (found is not None and not re.match(_FIRST_NUMBER, found[3]))
 
 
 def find_colmap_part(head: str) -> str | None:
@@ -39,12 +40,13 @@ def find_colmap_part(head: str) -> str | None:
     return next((name for title, name in _PARTS.items() if head.startswith(title)), None)
 
 
-def read_images_text(path: Path, encoding: str) -> FloatArray:
+def read_images_text(path: Path, encoding: str) -> list[Camera]:
     """Read the cameras of images.txt: a line for an image, then one for its points, or empty.
 
     Raise ValueError where a line is neither.
     """
     numbers: list[list[float]] = []
+    pictures: list[tuple[int, str]] = []
     with path.open(encoding=encoding, errors="replace") as file:
         while line := file.readline(_LONGEST_LINE):
             line = line.removeprefix("\ufeff")
@@ -54,18 +56,20 @@ def read_images_text(path: Path, encoding: str) -> FloatArray:
             if not found or len(line) == _LONGEST_LINE:
                 raise ValueError(f"no line of an image: {line.strip()[:60]!r}")
             numbers.append([float(word) for word in found[1].split()])
+            pictures.append((int(found[2]), found[3].rstrip()))
             if (last := _pass_line(file)) and not re.fullmatch(r"-?\d+", last, re.ASCII):
                 raise ValueError(
                     f"the line after image {len(numbers)} is not that of its points (it may be "
                     f"empty, but not missing): it ends in {last[-60:]!r}"
                 )
-    return _place(numbers)
+    return _place(path, numbers, pictures)
 
 
-def read_images_binary(path: Path) -> FloatArray:
+def read_images_binary(path: Path) -> list[Camera]:
     """Read the cameras of images.bin; raise ValueError where it is cut, or something else."""
     size, place = path.stat().st_size, _COUNT.size
     numbers: list[tuple[float, ...]] = []
+    pictures: list[tuple[int, str]] = []
     with path.open("rb") as file:
         head = file.read(place)
         count = _COUNT.unpack(head)[0] if len(head) == place else 0
@@ -77,7 +81,9 @@ def read_images_binary(path: Path) -> FloatArray:
             end = head.find(b"\0", _POSE.size) + 1
             if not 0 < end <= len(head) - _COUNT.size:
                 raise ValueError(f"image {image} has no name that ends, or the file is cut there")
-            numbers.append(_POSE.unpack_from(head)[1:8])
+            _, *pose, lens = _POSE.unpack_from(head)
+            numbers.append(tuple(pose))
+            pictures.append((lens, head[_POSE.size : end - 1].decode("utf-8", "replace")))
             keypoints = _COUNT.unpack_from(head, end)[0]
             place += end + _COUNT.size
             if keypoints > (size - place) // _KEYPOINT:
@@ -85,7 +91,7 @@ def read_images_binary(path: Path) -> FloatArray:
             place += keypoints * _KEYPOINT
     if place != size:
         raise ValueError(f"{count} images end at byte {place} of {size}")
-    return _place(numbers)
+    return _place(path, numbers, pictures)
 
 
 def _pass_line(file: TextIO) -> str:
@@ -99,6 +105,15 @@ def _pass_line(file: TextIO) -> str:
     return words[-1] if words else ""
 
 
-def _place(numbers: list[list[float]] | list[tuple[float, ...]]) -> FloatArray:
+def _place(
+    path: Path,
+    numbers: list[list[float]] | list[tuple[float, ...]],
+    pictures: list[tuple[int, str]],
+) -> list[Camera]:
+    """Return the cameras of poses, and of the numbers of lenses and the names of pictures."""
     rotations = quaternion_matrices([row[:4] for row in numbers])
-    return world_to_camera(rotations, [row[4:] for row in numbers], FORWARDS)
+    lenses = read_lenses(path.parent)
+    return world_to_camera(
+        rotations, [row[4:] for row in numbers], FORWARDS,
+        [name for _, name in pictures], [lenses.get(number) for number, _ in pictures],
+    )  # fmt: skip

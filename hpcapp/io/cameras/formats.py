@@ -26,6 +26,7 @@ from hpcapp.io.cameras.json_poses import (
     split_json,
 )
 from hpcapp.io.cameras.metashape import read_metashape
+from hpcapp.io.cameras.poses import Camera, list_places
 from hpcapp.io.points.point_source import translated
 from hpcapp.io.text.lines import find_encoding
 from hpccomponent.dataclass import dataclass
@@ -62,14 +63,14 @@ class Content:
 class CameraFormat:
     """A format of camera files, by program and usual name, a dialect of some kind.
 
-    `tells` says whether content of that kind is this format's; `read` returns centres and
-    directions, of shape (n, 6), or raises ValueError where the file is damaged.
+    `tells` says whether content of that kind is this format's; `read` returns the cameras, or
+    raises ValueError where the file is damaged.
     """
 
     name: str
     kind: Kind
     tells: Callable[[Content], bool]
-    read: Callable[[Content], FloatArray]
+    read: Callable[[Content], list[Camera]]
 
 
 FORMATS = (
@@ -134,12 +135,20 @@ def find_camera_file(path: Path) -> Path:
     )
 
 
-def read_cameras(path: Path) -> FloatArray | None:
-    """Read where photographs were taken from, whatever the file is named.
+def read_places(path: Path) -> FloatArray | None:
+    """Read where photographs were taken from; see `read_cameras`.
 
-    Return the centre and the direction (n, 6) of at most 64 cameras, far from each other, in the
-    file's coordinates; None where a text is no camera file: it may be a trajectory. Raise
-    InputError where it is damaged, or neither a camera file nor a text.
+    Return the centre and the direction (n, 6) of at most 64 cameras, far from each other.
+    """
+    cameras = read_cameras(path)
+    return None if cameras is None else spread_places(list_places(cameras))
+
+
+def read_cameras(path: Path) -> list[Camera] | None:
+    """Read the cameras of photographs in the file's coordinates, whatever it is named.
+
+    Return None where a text is no camera file: it may be a trajectory. Raise InputError where it
+    is damaged, or neither a camera file nor a text.
     """
     with translated(path):
         content = _open(path)
@@ -149,14 +158,14 @@ def read_cameras(path: Path) -> FloatArray | None:
             return None
         try:
             cameras = found.read(content)
-            _check(cameras)
+            _check(list_places(cameras))
         except ValueError as error:
             raise InputError(
                 f"{path}: is {content.kind}, read as cameras of {found.name}: "
                 + str(error)[:_LONGEST_PROBLEM],
                 "export it again",
             ) from None
-    return spread_places(cameras)
+    return cameras
 
 
 def _open(path: Path) -> Content:

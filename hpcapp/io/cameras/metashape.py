@@ -7,7 +7,8 @@ coordinates are the world's.
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import field
+from collections.abc import Iterator
+from dataclasses import field, replace
 from pathlib import Path
 from typing import NoReturn
 from xml.parsers import expat
@@ -15,7 +16,8 @@ from xml.parsers import expat
 import numpy as np
 
 from hpcapp.geometry.points import FloatArray
-from hpcapp.io.cameras.poses import FORWARDS, camera_to_world, check_rotations
+from hpcapp.io.cameras.lens import Lens
+from hpcapp.io.cameras.poses import FORWARDS, Camera, camera_to_world, check_rotations
 from hpccomponent.dataclass import dataclass
 
 _LONGEST_TEXT = 4096  # characters of 16 numbers
@@ -24,25 +26,56 @@ _AT_ONCE = 1 << 20
 
 Numbers = dict[str, list[float]]
 """What a transform says: the numbers of its rotation, translation and scale."""
+_CALIBRATED = ("f", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2", "b1", "b2")
+
+
+@dataclass(slots=True)
+class _Sensor:
+    """What is said of a lens, the last of several calibrations, and the size of its pictures."""
+
+    kind: str
+    size: tuple[float, float] = (0.0, 0.0)
+    numbers: dict[str, float] = field(default_factory=dict)
+
+    def make_lens(self) -> Lens | None:
+        """Return the lens, whose p1 and p2 stand the other way round in OpenCV."""
+        f, cx, cy, k1, k2, k3, k4, p1, p2, b1, b2 = (self.numbers.get(n, 0.0) for n in _CALIBRATED)
+        if self.kind not in ("frame", "fisheye") or not f > 0.0 or not f + b1 > 0.0:
+            return None
+        return Lens(
+            self.size, (f + b1, f), (cx, cy), (k1, k2, k3, k4), (), (p2, p1), b2,
+            is_fisheye=self.kind == "fisheye",
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pose:
+    matrix: FloatArray
+    label: str
+    sensor: str
 
 
 @dataclass(slots=True)
 class _Chunk:
     """The poses of a chunk, by the component that each is of; of the chunk itself by ``""``."""
 
-    poses: dict[str, list[FloatArray]] = field(default_factory=lambda: defaultdict(list))
+    poses: dict[str, list[_Pose]] = field(default_factory=lambda: defaultdict(list))
     transforms: dict[str, Numbers] = field(default_factory=lambda: defaultdict(dict))
+    sensors: dict[str, _Sensor] = field(default_factory=dict)
 
-    def cameras(self) -> list[FloatArray]:
-        """Return the cameras in the coordinates of the world, those of each component together."""
+    def cameras(self) -> Iterator[Camera]:
+        """Yield the cameras in the coordinates of the world, those of each component together."""
         own = self.transforms.get("", {})
-        return [
-            _move(camera_to_world(poses, FORWARDS), self.transforms.get(name, own))
-            for name, poses in self.poses.items()
-        ]
+        lenses = {name: sensor.make_lens() for name, sensor in self.sensors.items()}
+        for name, poses in self.poses.items():
+            cameras = camera_to_world(
+                [pose.matrix for pose in poses], FORWARDS,
+                [pose.label for pose in poses], [lenses.get(pose.sensor) for pose in poses],
+            )  # fmt: skip
+            yield from _move(cameras, self.transforms.get(name, own))
 
 
-def read_metashape(path: Path) -> FloatArray:
+def read_metashape(path: Path) -> list[Camera]:
     """Read the cameras that were aligned; the others have no transform.
 
     Raise ValueError where the XML is not sound, declares a document type, or has words where
@@ -53,17 +86,17 @@ def read_metashape(path: Path) -> FloatArray:
         while part := file.read(_AT_ONCE):
             parser.feed(part)
         parser.feed(b"", is_last=True)
-    cameras = [some for chunk in parser.chunks for some in chunk.cameras()]
-    return np.concatenate([np.empty((0, 6)), *cameras])
+    return [camera for chunk in parser.chunks for camera in chunk.cameras()]
 
 
 class _TransformParser:
-    """Keeps the transforms of cameras, chunks and components, and nothing else."""
+    """Keeps the transforms of cameras, chunks and components, lenses, and nothing else."""
 
     def __init__(self) -> None:
         self.chunks: list[_Chunk] = []
         self._open: list[str] = []
         self._component = ""
+        self._label = self._sensor = ""
         self._text: str | None = None
         self._parser = expat.ParserCreate()
         self._parser.buffer_text = True
@@ -86,11 +119,29 @@ class _TransformParser:
             self.chunks.append(_Chunk())
         if name in ("camera", "component"):
             self._component = attributes.get("component_id" if name == "camera" else "id", "")
+        if self.chunks:
+            self._note(name, attributes)
         if self.chunks and self._is_wanted():
             self._text = ""
 
+    def _note(self, name: str, attributes: dict[str, str]) -> None:
+        """Keep what attributes say of lenses, and of the pictures of cameras."""
+        sensors = self.chunks[-1].sensors
+        if name == "camera":
+            self._label, self._sensor = attributes.get("label", ""), attributes.get("sensor_id", "")
+        elif name == "sensor":
+            self._sensor = attributes.get("id", "")
+            sensors[self._sensor] = _Sensor(attributes.get("type", "frame"))
+        elif self._open[-2:] == ["sensor", "resolution"]:
+            width, height = (float(attributes.get(side, "0")) for side in ("width", "height"))
+            sensors[self._sensor].size = width, height
+        elif self._open[-2:] == ["sensor", "calibration"]:
+            sensors[self._sensor].numbers.clear()
+
     def _is_wanted(self) -> bool:
         match self._open:
+            case [*_, "sensor", "calibration", one]:
+                return one in _CALIBRATED
             case [*_, "camera", "transform"]:
                 return True
             case [*_, "chunk" | "component", "transform", "rotation" | "translation" | "scale"]:
@@ -101,7 +152,10 @@ class _TransformParser:
         if self._text is not None and self._is_wanted():
             numbers, chunk = [float(word) for word in self._text.split()], self.chunks[-1]
             if name == "transform":
-                chunk.poses[self._component].append(_shape(name, numbers, 4, 4))
+                matrix = _shape(name, numbers, 4, 4)
+                chunk.poses[self._component].append(_Pose(matrix, self._label, self._sensor))
+            elif self._open[-2] == "calibration":
+                chunk.sensors[self._sensor].numbers[name] = float(_shape(name, numbers, 1)[0])
             else:
                 of_chunk = self._open[-3] == "chunk"
                 chunk.transforms["" if of_chunk else self._component][name] = numbers
@@ -118,7 +172,7 @@ class _TransformParser:
         raise ValueError("its XML declares a document type")
 
 
-def _move(cameras: FloatArray, transform: Numbers) -> FloatArray:
+def _move(cameras: list[Camera], transform: Numbers) -> Iterator[Camera]:
     """Take cameras from their chunk to the world."""
     rotation = _shape("rotation", transform.get("rotation", np.eye(3).ravel().tolist()), 3, 3)
     translation = _shape("translation", transform.get("translation", [0.0, 0.0, 0.0]), 3)
@@ -126,9 +180,10 @@ def _move(cameras: FloatArray, transform: Numbers) -> FloatArray:
     check_rotations(rotation[None])
     if not scale > 0.0:
         raise ValueError(f"the scale of its chunk is {scale:g}")
-    with np.errstate(over="ignore", invalid="ignore"):
-        centres = scale * cameras[:, :3] @ rotation.T + translation
-    return np.concatenate([centres, cameras[:, 3:] @ rotation.T], axis=1)
+    for camera in cameras:
+        with np.errstate(over="ignore", invalid="ignore"):
+            centre = scale * rotation @ camera.centre + translation
+        yield replace(camera, centre=centre, rotation=camera.rotation @ rotation.T)
 
 
 def _shape(name: str, numbers: list[float], *shape: int) -> FloatArray:

@@ -83,12 +83,12 @@ def _parse_places(word: str) -> tuple[Place, ...]:
 
 
 def _read_places(path: Path) -> tuple[Place, ...]:
-    from hpcapp.io.cameras.formats import find_camera_file, read_cameras  # numpy takes its time
+    from hpcapp.io.cameras.formats import find_camera_file, read_places  # numpy takes its time
     from hpcapp.io.text.endings import warn_of_cut
     from hpcapp.io.text.trajectory import read_trajectory
 
     path = find_camera_file(path)
-    cameras = read_cameras(path)
+    cameras = read_places(path)
     rows = read_trajectory(path) if cameras is None else cameras
     warn_of_cut(path)
     return tuple(cast(Place, tuple(row)) for row in rows.tolist())

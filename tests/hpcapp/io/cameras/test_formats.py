@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 
 from hpcapp.geometry.paths import MOST_PLACES
 from hpcapp.io.cameras.formats import FORMATS as READ
-from hpcapp.io.cameras.formats import find_camera_file, read_cameras
+from hpcapp.io.cameras.formats import find_camera_file, read_places
 from hpccomponent.errors import InputError
 
 PLACES, TARGET = ring(), np.array([0.3, -0.2, 0.5])
@@ -44,7 +44,7 @@ def test_each_format_has_a_file_here() -> None:
 @pytest.mark.parametrize("name", FORMATS)
 def test_all_formats_give_the_same_cameras_under_any_name(tmp_path: Path, name: str) -> None:
     write_cameras(tmp_path, name, PLACES, TARGET).rename(tmp_path / "something")
-    cameras = read_cameras(tmp_path / "something")
+    cameras = read_places(tmp_path / "something")
     assert cameras is not None
     assert np.allclose(cameras[:, :3], PLACES, atol=1e-9)
     arms = TARGET - PLACES
@@ -56,7 +56,7 @@ def test_all_formats_give_the_same_cameras_under_any_name(tmp_path: Path, name: 
 def test_texts_may_be_in_other_encodings(tmp_path: Path, name: str, encoding: str) -> None:
     path = tmp_path / name
     path.write_bytes(WHOLE[name].decode().encode(encoding))
-    cameras = read_cameras(path)
+    cameras = read_places(path)
     assert cameras is not None
     assert np.allclose(cameras[:, :3], PLACES, atol=1e-9)
 
@@ -75,7 +75,7 @@ def test_a_folder_of_colmap_is_one_of_its_files(tmp_path: Path) -> None:
 def test_images_have_a_line_of_points_of_any_length(tmp_path: Path, points: str) -> None:
     path = tmp_path / "images.txt"
     path.write_bytes(images_text(PLACES, TARGET, points))
-    cameras = read_cameras(path)
+    cameras = read_places(path)
     assert cameras is not None
     assert len(cameras) == len(PLACES)
 
@@ -90,7 +90,7 @@ def test_images_have_a_line_of_points_of_any_length(tmp_path: Path, points: str)
 def test_what_stands_around_cameras_may_be_missing(tmp_path: Path, whole: bytes) -> None:
     path = tmp_path / "cameras"
     path.write_bytes(whole)
-    cameras = read_cameras(path)
+    cameras = read_places(path)
     assert cameras is not None
     assert np.allclose(cameras[:, :3], PLACES, atol=1e-9)
 
@@ -109,7 +109,7 @@ def test_what_stands_around_cameras_may_be_missing(tmp_path: Path, whole: bytes)
 def test_one_camera_is_read(tmp_path: Path, text: str, camera: list[float]) -> None:
     path = tmp_path / "one.json"
     path.write_text(text)
-    assert read_cameras(path) == pytest.approx(np.array([camera]))
+    assert read_places(path) == pytest.approx(np.array([camera]))
 
 
 def test_a_chunk_without_a_transform_is_in_the_coordinates_of_the_world(tmp_path: Path) -> None:
@@ -117,7 +117,7 @@ def test_a_chunk_without_a_transform_is_in_the_coordinates_of_the_world(tmp_path
     text = metashape(PLACES, TARGET)
     first, last = text.rindex(b"<transform>"), text.rindex(b"</transform>")
     path.write_bytes(text[:first] + text[last + len(b"</transform>") :])
-    cameras = read_cameras(path)
+    cameras = read_places(path)
     assert cameras is not None
     apart = np.linalg.norm(cameras[1:, :3] - cameras[:-1, :3], axis=1)
     assert apart * 7.5 == pytest.approx(np.linalg.norm(PLACES[1:] - PLACES[:-1], axis=1))
@@ -129,9 +129,9 @@ def test_quaternions_of_few_digits_are_scaled(tmp_path: Path, length: float, is_
     path.write_text(f"1 {0.6 * length} 0 {0.8 * length} 0 0 0 5 1 a.jpg\n\n")
     if not is_read:
         with pytest.raises(InputError, match="quaternion"):
-            read_cameras(path)
+            read_places(path)
     else:
-        assert read_cameras(path) == pytest.approx(np.array([[4.8, 0, 1.4, -0.96, 0, -0.28]]))
+        assert read_places(path) == pytest.approx(np.array([[4.8, 0, 1.4, -0.96, 0, -0.28]]))
 
 
 @pytest.mark.parametrize(
@@ -149,13 +149,13 @@ def test_quaternions_of_few_digits_are_scaled(tmp_path: Path, length: float, is_
 def test_other_texts_are_left_to_whoever_reads_trajectories(tmp_path: Path, text: str) -> None:
     path = tmp_path / "path.txt"
     path.write_text(text)
-    assert read_cameras(path) is None
+    assert read_places(path) is None
 
 
 def test_of_many_cameras_some_are_taken_that_are_far_apart(tmp_path: Path) -> None:
     across = np.linspace(-50.0, 50.0, 40)
     places = np.stack(np.meshgrid(across, across, [30.0]), axis=-1).reshape(-1, 3)
-    cameras = read_cameras(write_cameras(tmp_path, "images.bin", places, places * (1, 1, 0)))
+    cameras = read_places(write_cameras(tmp_path, "images.bin", places, places * (1, 1, 0)))
     assert cameras is not None
     assert len(cameras) == MOST_PLACES
     gaps = np.linalg.norm(cameras[:, None, :3] - cameras[None, :, :3], axis=2) + 100 * np.eye(64)
@@ -249,7 +249,7 @@ def test_what_is_no_camera_file_is_refused_in_a_line(
     path = tmp_path / "cameras"
     path.write_bytes(content)
     with pytest.raises(InputError, match=problem) as caught:
-        read_cameras(path)
+        read_places(path)
     said = str(caught.value)
     assert said.startswith(f"{path}: ")
     assert "\n" not in said
@@ -259,7 +259,7 @@ def test_what_is_no_camera_file_is_refused_in_a_line(
 
 def test_a_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be read"):
-        read_cameras(tmp_path / "none")
+        read_places(tmp_path / "none")
 
 
 words = st.binary(max_size=8) | st.sampled_from(
@@ -281,7 +281,7 @@ def test_damaged_camera_files(
     path = tmp_path / "damaged"
     path.write_bytes(whole[: int(kept * 2 * len(whole))])  # half of them whole
     with suppress(InputError):
-        cameras = read_cameras(path)
+        cameras = read_places(path)
         if cameras is not None:
             assert np.isfinite(cameras).all()
             assert np.allclose(np.linalg.norm(cameras[:, 3:], axis=1), 1.0, atol=0.02)
