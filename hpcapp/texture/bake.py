@@ -2,7 +2,8 @@
 
 ::
 
-    light mesh ─> atlas ─> texels ─> places on the mesh ─┬─> points near them ─> colours
+    light mesh ─> atlas ─> texels ─> places on the mesh ─┬─> photographs of them ─> colours
+                                                         ├─> points near them ─> the others
                                                          └─> fine vertices near them ─> normals
 
 Some texels at a time: memory is that of the pictures, and of the fine vertices, of which no more
@@ -11,7 +12,7 @@ are taken than there are texels.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import ceil
 
@@ -21,12 +22,14 @@ from scipy.spatial import cKDTree
 
 from hpcapp.geometry.faces import cross_edges
 from hpcapp.geometry.mesh import Mesh
-from hpcapp.geometry.points import BoolArray, ByteArray, FloatArray, IntArray
+from hpcapp.geometry.points import BoolArray, ByteArray, FloatArray
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.meshes.texture import Texture
 from hpcapp.texture.atlas import Atlas, unwrap
+from hpcapp.texture.photos.painting import FindColours, paint
+from hpcapp.texture.request import Photo
 from hpcapp.texture.tangents import find_tangents, normalise
-from hpcapp.texture.texels import Texels, cover
+from hpcapp.texture.texels import cover
 from hpcapp.wording import say_count, say_number, say_share
 from hpccomponent.dataclass import dataclass
 
@@ -34,9 +37,6 @@ _NEAR = 5
 """Fine vertices around a place, of which the farthest weighs nothing: more blur, fewer show the
 triangles."""
 _STEEPEST = 0.1  # cosine between the two surfaces: a map holds no normals that look inwards
-
-FindColours = Callable[[FloatArray], ByteArray]
-"""Returns the colours of places on the mesh, shape (n, 3)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,12 +52,18 @@ class Baked:
         Share of the texels that lie on the mesh, 0 to 1.
     texel : float
         Side of one, in length units of the mesh.
+    photos : int
+        Photographs that were looked at.
+    seen : float
+        Share of the texels on the mesh that they show, 0 to 1.
     """
 
     mesh: MeshStream
     charts: int
     filled: float
     texel: float
+    photos: int = 0
+    seen: float = 0.0
 
     @property
     def pixels(self) -> int:
@@ -74,10 +80,17 @@ class Baked:
             f"texels, each {say_number(self.texel)} wide{beside}"
         )
 
+    def describe_photos(self, has_points: bool) -> str:
+        """Say what photographs have shown, and where the rest is from."""
+        rest = "takes the points' colours" if has_points else "takes the nearest colours"
+        count, share = say_count(self.photos, "photograph"), say_share(self.seen)
+        return f"texture: {share} of it is seen in {count}; the rest {rest}"
+
     def to_json(self) -> dict[str, float]:
         """Return what the report says of it."""
         sizes = {"filled": self.filled, "texel": self.texel}
-        return {"pixels": self.pixels, "charts": self.charts, **sizes}
+        shown = {"photographs": self.photos, "seen": self.seen} if self.photos else {}
+        return {"pixels": self.pixels, "charts": self.charts, **sizes, **shown}
 
 
 class FineNormals:
@@ -123,29 +136,40 @@ def bake(
     find_normals: FineNormals,
     find_colours: FindColours | None,
     pixels: int,
+    photos: Sequence[Photo] = (),
     advance: Callable[[int, int], object] = lambda *_: None,
 ) -> Baked:
     """Give a light mesh with normals a texture of so many pixels a side.
 
-    It has no colours where nothing finds them. `advance` is told how many faces are done, and how
-    many there are.
+    Its colours are those of the photographs, and where these show nothing those that are found; it
+    has none where there are neither. `advance` is told how much is done, and how much there is.
     """
     atlas = unwrap(light, pixels)
     mesh = _split(light, atlas)
     assert mesh.normals is not None  # noqa: S101 - it is asked for
     tangents = find_tangents(mesh.vertices, mesh.faces, mesh.normals, atlas.places)
+    faces = len(mesh.faces)
+    work = faces * (1 + len(photos))
+    painted = None
+    if photos:
+        painted = paint(mesh, atlas.places, pixels, photos, lambda n: advance(n * faces, work))
+        find_colours = find_colours or painted.find_nearest(mesh, atlas.places)
     colours = None if find_colours is None else np.zeros((pixels * pixels, 3), np.uint8)
+    is_seen = np.zeros(pixels * pixels, np.bool_) if painted is None else painted.is_seen
+    if painted is not None:
+        colours = painted.colours
     normals = np.zeros((pixels * pixels, 3), np.uint8)
     is_empty = np.ones(pixels * pixels, np.bool_)
     for texels in cover(atlas.places, atlas.faces, pixels):
-        places = _blend(texels, mesh.vertices, mesh.faces)
-        around = normalise(_blend(texels, mesh.normals, mesh.faces))
-        right = _blend(texels, tangents, mesh.faces)
+        places = texels.blend(mesh.vertices, mesh.faces)
+        around = normalise(texels.blend(mesh.normals, mesh.faces))
+        right = texels.blend(tangents, mesh.faces)
         normals[texels.cells] = _encode(find_normals.find(places, around), right, around)
         if colours is not None and find_colours is not None:
-            colours[texels.cells] = find_colours(places)
+            others = np.flatnonzero(~is_seen[texels.cells])
+            colours[texels.cells[others]] = find_colours(places[others])
         is_empty[texels.cells] = False
-        advance(int(texels.faces[-1]) + 1, len(mesh.faces))
+        advance(work - faces + int(texels.faces[-1]) + 1, work)
     filled = 1.0 - float(is_empty.mean())
     shown = [picture for picture in (colours, normals) if picture is not None]
     _fill(shown, is_empty.reshape(pixels, pixels))
@@ -158,7 +182,10 @@ def bake(
         atlas.sources,
     )
     texel = float(np.sqrt(_measure_area(mesh) / max(filled, 1e-9))) / pixels
-    return Baked(replace(as_stream(mesh), texture=texture), atlas.charts, filled, texel)
+    seen = float(is_seen.sum() / max(1.0, filled * is_seen.size))
+    read = 0 if painted is None else painted.photos
+    textured = replace(as_stream(mesh), texture=texture)
+    return Baked(textured, atlas.charts, filled, texel, read, seen)
 
 
 def _split(mesh: Mesh, atlas: Atlas) -> Mesh:
@@ -170,15 +197,6 @@ def _split(mesh: Mesh, atlas: Atlas) -> Mesh:
 def _measure_area(mesh: Mesh) -> float:
     cross = cross_edges(mesh.vertices[mesh.faces])
     return float(0.5 * np.sqrt((cross * cross).sum(axis=1)).sum())
-
-
-def _blend(texels: Texels, rows: FloatArray, faces: IntArray) -> FloatArray:
-    """Return what vertices have, at texels between them."""
-    corners = faces[texels.faces]
-    total = np.zeros((len(corners), rows.shape[1]))
-    for corner in range(3):
-        total += texels.weights[:, corner, None] * rows[corners[:, corner]]
-    return total
 
 
 def _encode(normals: FloatArray, right: FloatArray, around: FloatArray) -> ByteArray:

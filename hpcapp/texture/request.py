@@ -5,14 +5,31 @@ This module is imported for every ``--help``: nothing heavy is imported.
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import TYPE_CHECKING
+
 from hpcapp.extras import require_library
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
+
+if TYPE_CHECKING:
+    from hpcapp.io.cameras.lens import Lens
+    from hpcapp.io.cameras.poses import Camera
 
 LEAST_PIXELS, MOST_PIXELS = 256, 8192
 """Along a side: below, the gaps between charts take most of it; above, pictures have 200 MB."""
 
 MOST_FACES = 200_000
 """Triangles that are unwrapped: they take a minute, and more take longer than in proportion."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Photo:
+    """A photograph that can be read, its camera, and the lens as it is in this size."""
+
+    path: Path
+    camera: Camera
+    lens: Lens
 
 
 def check_texture(output: str, faces: int | None, size: str | None) -> None:

@@ -31,6 +31,14 @@ class Texels:
     faces: IntArray
     weights: FloatArray
 
+    def blend(self, rows: FloatArray, faces: IntArray) -> FloatArray:
+        """Return what vertices have, shape (v, k), at the texels between them, shape (n, k)."""
+        corners = faces[self.faces]
+        total = np.zeros((len(corners), rows.shape[1]))
+        for corner in range(3):
+            total += self.weights[:, corner, None] * rows[corners[:, corner]]
+        return total
+
 
 def cover(places: FloatArray, faces: IntArray, pixels: int) -> Iterator[Texels]:
     """Yield the texels of triangles, some at a time; those on a common edge are of one of two.

@@ -52,7 +52,7 @@ class DepthBuffer:
         # The depth in the upper half, the item from 1 in the lower one: the greater is nearer.
         self._keys = np.zeros((rows[1] - rows[0]) * width, np.uint64)
 
-    def draw_faces(self, screen: Screen, faces: IntArray, numbers: IntArray) -> None:
+    def draw_faces(self, screen: Screen | FloatArray, faces: IntArray, numbers: IntArray) -> None:
         """Draw the faces (f, 3) of these numbers (n,)."""
         limits = np.array([[0, self.rows[0]], [self.width, self.rows[1]]])
         for begin in range(0, len(numbers), _FACES):

@@ -87,6 +87,18 @@ def _check_texture(ctx: click.Context) -> None:
     parse_attributes(ctx.params["attributes"]).for_texture()
 
 
+def _check_images(ctx: click.Context) -> None:
+    """Raise UsageError where no texture takes photographs, or not from here."""
+    if ctx.params["texture"] is None:
+        raise UsageError("--images means nothing without --texture", "give --texture 4096, too")
+    cluster = ctx.params["cluster"]
+    if cluster is not None and cluster.suffix != ".json":
+        raise UsageError(
+            "--images and --cluster exclude each other: photographs are read on this machine",
+            "run it on the cluster's head, or here",
+        )
+
+
 def _only_without_cluster(ctx: click.Context) -> None:
     """Raise UsageError where workers were asked for beside those of the cluster."""
     if ctx.get_parameter_source("workers") is click.core.ParameterSource.COMMANDLINE:
@@ -113,6 +125,8 @@ def check_flags(ctx: click.Context) -> None:
         raise UsageError("--details means nothing without --json", "give --json too")
     if ctx.params["texture"] is not None:
         _check_texture(ctx)
+    if ctx.params["images"] is not None:
+        _check_images(ctx)
     if ctx.params["cluster"] is not None:
         _only_without_cluster(ctx)
     if ctx.params["backend"] != "auto":
@@ -305,7 +319,12 @@ def _read_options(options: dict[str, Any], names: Sequence[str]) -> partial[JobS
     from hpcapp.io.points.inputs import find_paths
     from hpcapp.simplification.size import read_size
 
+    viewpoints = options["viewpoint"]
     options = parse_typed(JobSettings, options)
+    if options["images"] is not None:
+        from hpcapp.texture.photos.folder import find_photos
+
+        options["images"] = find_photos(options["images"], viewpoints)
     if options["texture"] is not None:
         check_library()
         options["attributes"] = options["attributes"].for_texture()

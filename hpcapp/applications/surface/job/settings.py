@@ -23,7 +23,7 @@ from hpcapp.named_files import FILE_OR_WORD, MESH, PAGE, PICTURE, STORAGE
 from hpcapp.parts.crop import Crop
 from hpcapp.printing.request import Printing
 from hpcapp.simplification.target import Target
-from hpcapp.texture.request import LEAST_PIXELS, MOST_PIXELS
+from hpcapp.texture.request import LEAST_PIXELS, MOST_PIXELS, Photo
 from hpcapp.workforce import Workforce
 from hpccomponent.cli.named_files import InputFile
 from hpccomponent.dataclass import dataclass
@@ -143,6 +143,12 @@ class Settings:
         "With --faces: bake the colours of all points and the normals of the mesh as it was into a "
         "picture of so many pixels a side, in a .glb or beside an .obj.",
         low=LEAST_PIXELS, high=MOST_PIXELS, metavar="PIXELS",
+    )  # fmt: skip
+    images: tuple[Photo, ...] | None = _of_surface(
+        None,
+        "With --texture: take the colours from the photographs in a folder, whose cameras "
+        "--viewpoint names.",
+        kind=FILE_OR_WORD, metavar="FOLDER",
     )  # fmt: skip
     pieces: int | None = None
     smallest: float | None = None

@@ -14,7 +14,8 @@ from hpcapp.applications.surface.job.settings import Settings, choose_threads
 from hpcapp.geometry.points import ByteArray, FloatArray
 from hpcapp.io import write_mesh
 from hpcapp.progress import StageClock
-from hpcapp.texture.bake import Baked, FindColours, FineNormals, bake
+from hpcapp.texture.bake import Baked, FineNormals, bake
+from hpcapp.texture.photos.painting import FindColours
 
 log = logging.getLogger("hpcapp")
 
@@ -27,6 +28,8 @@ def write_textured(
         baked = _bake(settings, outcome, carrying, clock)
     facts = outcome.result.facts
     log.info("%s", baked.describe(facts.get("spacing")))
+    if baked.photos:
+        log.info("%s", baked.describe_photos(carrying.layout.colours is not None))
     with clock.stage("write"):
         write_mesh(target, replace(baked.mesh, crs=carrying.crs), carrying.placement)
     result = replace(outcome.result, facts={**facts, "texture": baked.to_json()})
@@ -43,7 +46,8 @@ def _bake(settings: Settings, outcome: Outcome, carrying: Carrying, clock: Stage
     with outcome.fine.open_stream() as stream:
         normals = FineNormals(shape.to_stream(stream), settings.texture**2, threads)
     colours = _find_colours(carrying)
-    return bake(light, normals, colours, settings.texture, clock.progress.advance)
+    photos = settings.images or ()
+    return bake(light, normals, colours, settings.texture, photos, clock.progress.advance)
 
 
 def _find_colours(carrying: Carrying) -> FindColours | None:
