@@ -22,14 +22,13 @@ BALLS = np.array([[0.0, 0.0, 0.62, 0.5], [0.9, 0.25, 0.42, 0.3], [-0.35, -0.85, 
 GROUND = 2.0  # half the side of the square z = 0
 LIGHT = 0.55
 
-Radial = tuple[float, float, float]
+HUES = np.array([[0.75, 0.7, 0.6], [1.0, 0.25, 0.2], [0.2, 1.0, 0.3], [0.25, 0.35, 1.0]])
 
 
 def paint(places: FloatArray, things: IntArray) -> FloatArray:
     """Return the light, 0 to 1, of places on things: each has a hue, and waves of its own."""
-    hues = np.array([[0.75, 0.7, 0.6], [1.0, 0.25, 0.2], [0.2, 1.0, 0.3], [0.25, 0.35, 1.0]])
     waves = 0.55 + 0.2 * np.sin(9.0 * places).prod(axis=1) + 0.25 * np.sin(31.0 * places[:, 0])
-    light: FloatArray = LIGHT * hues[things] * np.clip(waves, 0.15, 1.0)[:, None]
+    light: FloatArray = LIGHT * HUES[things] * np.clip(waves, 0.15, 1.0)[:, None]
     return light
 
 
@@ -39,6 +38,28 @@ def to_srgb(light: FloatArray) -> FloatArray:
     values = np.where(kept <= 0.0031308, 12.92 * kept, 1.055 * kept ** (1 / 2.4) - 0.055)
     srgb: FloatArray = 255.0 * values
     return srgb
+
+
+def tell_things(colours: FloatArray) -> IntArray:
+    """Return whose paint colours (n, 3), 0 to 255, are."""
+    known = to_srgb(0.3 * HUES)
+    shares = [c / np.maximum(c.sum(axis=1, keepdims=True), 1.0) for c in (colours, known)]
+    things: IntArray = np.linalg.norm(shares[0][:, None] - shares[1], axis=2).argmin(axis=1)
+    return things
+
+
+def find_things(places: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Return the places on things nearest to places beside them, and which things these are."""
+    arms = places[:, None] - BALLS[:, :3]
+    lengths = np.linalg.norm(arms, axis=2)
+    far = np.concatenate([np.abs(places[:, 2:]), np.abs(lengths - BALLS[:, 3])], axis=1)
+    things = far.argmin(axis=1)
+    on = places * (1.0, 1.0, 0.0)
+    for number, ball in enumerate(BALLS, start=1):
+        own = things == number
+        units = arms[own, number - 1] / lengths[own, number - 1, None]
+        on[own] = ball[:3] + ball[3] * units
+    return on, things
 
 
 def cast(origins: FloatArray, rays: FloatArray) -> tuple[FloatArray, IntArray]:
@@ -62,11 +83,12 @@ def cast(origins: FloatArray, rays: FloatArray) -> tuple[FloatArray, IntArray]:
 class Shot:
     """A camera with Brown's distortion, and an exposure."""
 
-    def __init__(self, place: FloatArray, target: FloatArray, size: tuple[int, int], focal: float,
-                 radial: Radial, tangential: tuple[float, float], exposure: float) -> None:  # fmt: skip
-        self.place, self.rotation = place, look_at(place[None], target)[0]
-        self.size, self.focal, self.exposure = size, focal, exposure
-        self.radial, self.tangential = radial, tangential
+    radial = (-0.12, 0.05, -0.01)
+    tangential = (0.001, -0.0015)
+
+    def __init__(self, place: FloatArray, size: tuple[int, int], exposure: float) -> None:
+        self.place, self.rotation = place, look_at(place[None], np.array([0.1, -0.1, 0.35]))[0]
+        self.size, self.focal, self.exposure = size, 1.05 * size[0], exposure
 
     def _bend(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         k1, k2, k3 = self.radial
@@ -111,9 +133,7 @@ def make_shots(count: int, size: tuple[int, int] = (480, 360), seed: int = 3) ->
     places = np.stack([reach * np.cos(turns), reach * np.sin(turns), heights], axis=1)
     logs = rng.uniform(-0.5, 0.5, count)
     exposures = np.exp(np.log(1.5) * (logs - logs.mean()) / np.ptp(logs))
-    target = np.array([0.1, -0.1, 0.35])
-    return [Shot(place, target, size, 1.05 * size[0], (-0.12, 0.05, -0.01), (0.001, -0.0015), gain)
-            for place, gain in zip(places, exposures.tolist(), strict=True)]  # fmt: skip
+    return [Shot(place, size, gain) for place, gain in zip(places, exposures.tolist(), strict=True)]
 
 
 def write_shots(folder: Path, shots: Sequence[Shot], suffix: str = "png") -> Path:
