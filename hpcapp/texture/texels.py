@@ -36,7 +36,7 @@ class Texels:
         corners = faces[self.faces]
         total = np.zeros((len(corners), rows.shape[1]))
         for corner in range(3):
-            total += self.weights[:, corner, None] * rows[corners[:, corner]]
+            total += self.weights[:, corner, None] * rows.take(corners[:, corner], axis=0)
         return total
 
 

@@ -15,7 +15,6 @@ from hpcapp.texture.photos.best import BestLooks
 from hpcapp.texture.photos.picture import Picture, read_picture
 from hpcapp.texture.photos.view import View
 from hpcapp.texture.request import Photo
-from hpcapp.texture.tangents import normalise
 from hpcapp.texture.texels import cover
 from hpccomponent.dataclass import dataclass
 
@@ -72,7 +71,6 @@ def paint(
     Its vertices lie at `places`, shape (v, 2), right and down, 0 to 1, in a picture of so many
     pixels a side. `advance` is told how many photographs are done.
     """
-    assert mesh.normals is not None  # noqa: S101 - it is asked for
     looks = BestLooks(pixels * pixels, len(photos))
     texel = _measure_texel(mesh, places, pixels)
     read = 0
@@ -84,14 +82,10 @@ def paint(
             log.warning("warning: %s: cannot be read, and is left out: %s", photo.path, error)
             continue
         read += 1
-        view = View(mesh.vertices, mesh.faces, mesh.origin, photo.camera, photo.lens)
-        faces = mesh.faces[view.faces]
-        for texels in cover(places, faces, pixels):
-            own = view.faces[texels.faces]
-            at = texels.blend(mesh.vertices, faces)
-            found = view.look(at, normalise(texels.blend(mesh.normals, faces)), own)
-            widths = np.sqrt(found.density) * texel
-            colours = picture.find(found.pixels, widths)
+        view = View(mesh, photo.camera, photo.lens)
+        for texels in cover(places, mesh.faces[view.faces], pixels):
+            found = view.look(texels)
+            colours = picture.find(found.pixels, np.sqrt(found.density) * texel)
             looks.add(number, texels.cells[found.rows], found.scores, colours)
     colours, scores = looks.blend()
     return Painted(colours, scores > 0.0, read)

@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
+from hpcapp.geometry.faces import cross_edges
+from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 from hpcapp.io.cameras.lens import Lens
 from hpcapp.io.cameras.poses import Camera
 from hpcapp.pages.drawing.depth_buffer import DepthBuffer
+from hpcapp.texture.texels import Texels
 from hpccomponent.dataclass import dataclass
 
 _MOST_SAMPLES = 1 << 20
@@ -52,33 +55,33 @@ class Looks:
 
 
 class View:
-    """A camera in front of a mesh (v, 3), (f, 3), whose coordinates have that origin (3,)."""
+    """A camera in front of a mesh with normals.
 
-    def __init__(
-        self, vertices: FloatArray, faces: IntArray, origin: FloatArray, camera: Camera, lens: Lens
-    ) -> None:
-        self._rotation, self._centre = camera.rotation, camera.centre - origin
+    `faces` are those that it may see: they turn to the camera, and reach into the window.
+    """
+
+    def __init__(self, mesh: Mesh, camera: Camera, lens: Lens) -> None:
+        assert mesh.normals is not None  # noqa: S101 - it is asked for
         self._lens = lens
         self._low, self._high = _find_window(lens)
         extent = np.maximum(self._high - self._low, 1e-9)
         dense = np.sqrt(_MOST_SAMPLES / extent.prod())
         self._scale = float(min(dense, max(lens.focal)))
-        seen = self._turn(vertices)
-        self._is_before = np.zeros(len(faces), np.bool_)
-        far = float(np.abs(seen).max(initial=1e-30))
-        corners = seen[faces]
-        self._flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        self._flat /= np.maximum(np.linalg.norm(self._flat, axis=1, keepdims=True), 1e-300)
-        self._near = self._draw(
-            _cut_near(corners, _NEAREST * far), (1.0 / far, 1.0 / _NEAREST / far)
-        )
+        self._places = (mesh.vertices - (camera.centre - mesh.origin)) @ camera.rotation.T
+        self._normals = mesh.normals @ camera.rotation.T
+        corners = self._places[mesh.faces]
+        far = float(np.abs(corners).max(initial=1e-30))
+        parts = _cut_near(corners, _NEAREST * far)
+        self._near = self._draw(parts, (1.0 / far, 1.0 / _NEAREST / far))
         self._worth = _find_worth(self._near)
         self._front = ndimage.maximum_filter(self._near, 2 * _AROUND + 1)
-        self.faces = self._find_faces(corners)
-
-    def _turn(self, places: FloatArray) -> FloatArray:
-        turned: FloatArray = (places - self._centre) @ self._rotation.T
-        return turned
+        crosses = cross_edges(corners)
+        reaches = -(crosses * corners[:, 0]).sum(axis=1)  # times the length: above 0 in front
+        self.faces = np.flatnonzero((reaches > 0.0) & self._find_inside(corners))
+        self._corners = mesh.faces[self.faces]
+        # 1 / z of a plane changes by that much from a sample to the next one
+        slopes = np.abs(crosses[self.faces, :2]).sum(axis=1) / reaches[self.faces]
+        self._slopes = slopes / self._scale
 
     def _draw(self, corners: FloatArray, nearness: tuple[float, float]) -> FloatArray:
         """Return 1 / z of what is nearest at each sample, 0 where nothing is."""
@@ -96,44 +99,49 @@ class View:
         samples: FloatArray = (directions - self._low) * self._scale
         return samples
 
-    def _find_faces(self, corners: FloatArray) -> IntArray:
-        """Return the faces that may be seen: they turn to the camera, and reach into the window."""
+    def _find_inside(self, corners: FloatArray) -> BoolArray:
+        """Tell which faces may reach into the window."""
         z = corners[:, :, 2]
-        is_seen = ((self._flat * corners[:, 0]).sum(axis=1) < 0.0) & (z > 0.0).any(axis=1)
+        is_inside: BoolArray = np.logical_or.reduce(z > 0.0, axis=1)
         is_whole = (z > 0.0).all(axis=1)
         flat = corners[is_whole, :, :2] / corners[is_whole, :, 2:]
         is_in = (flat.max(axis=1) >= self._low) & (flat.min(axis=1) <= self._high)
-        is_seen[is_whole] &= is_in.all(axis=1)
-        return np.flatnonzero(is_seen)
+        is_inside[is_whole] &= is_in.all(axis=1)
+        return is_inside
 
-    def look(self, places: FloatArray, normals: FloatArray, faces: IntArray) -> Looks:
-        """Return how the camera sees places (n, 3) with smooth normals (n, 3), of those faces."""
-        seen = self._turn(places)
-        z = seen[:, 2]
-        flat = self._flat[faces]
-        reach = -(flat * seen).sum(axis=1)  # distance of the camera from the plane
-        cosines = -((normals @ self._rotation.T) * seen).sum(axis=1) / np.linalg.norm(seen, axis=1)
-        rows = np.flatnonzero((z > 0.0) & (reach > 0.0) & (cosines > _STEEPEST))
-        directions = seen[rows, :2] / z[rows, None]
-        is_in = ((directions >= self._low) & (directions <= self._high)).all(axis=1)
-        rows, directions = rows[is_in], directions[is_in]
-        pixels = self._lens.project(directions)
-        border = np.minimum(pixels, np.array(self._lens.size) - pixels).min(axis=1)
-        # 1 / z of a plane changes by that much from a sample to the next one
-        slope = np.abs(flat[rows, :2]).sum(axis=1) / reach[rows]
+    def look(self, texels: Texels) -> Looks:
+        """Return how the camera sees texels of its `faces`."""
+        x, y, z = texels.blend(self._places, self._corners).T
+        a, b, c = texels.blend(self._normals, self._corners).T
+        squares = x * x + y * y + z * z
+        lengths = np.sqrt(squares * (a * a + b * b + c * c))
+        cosines = -(a * x + b * y + c * z) / np.maximum(lengths, 1e-300)
+        rows = np.flatnonzero((z > 0.0) & (cosines > _STEEPEST))
         near = 1.0 / z[rows]
-        worth = self._find_free(directions, near, (slope + near) / self._scale)
+        directions = np.stack([x[rows] * near, y[rows] * near], axis=1)
+        (left, top), (right, bottom) = self._low, self._high
+        across, down = directions.T
+        is_in = (across >= left) & (across <= right) & (down >= top) & (down <= bottom)
+        rows, directions, near = rows[is_in], directions[is_in], near[is_in]
+        pixels = self._lens.project(directions)
+        across, down = pixels.T
+        width, height = self._lens.size
+        border = np.minimum(np.minimum(across, width - across), np.minimum(down, height - down))
+        slopes = self._slopes[texels.faces[rows]] + near / self._scale
+        worth = self._find_free(directions, near, slopes)
         is_free = (worth > 0.0) & (border > 1.0)
-        rows, pixels, border = rows[is_free], pixels[is_free], border[is_free]
-        inside = np.clip(border / (_BORDER * max(self._lens.size)), _LEAST, 1.0)
-        along = self._lens.focal[0] * self._lens.focal[1] / (seen[rows] ** 2).sum(axis=1)
-        scores = along * cosines[rows] ** 2 * inside * worth[is_free]
-        return Looks(rows, pixels, along, scores)
+        rows, pixels = rows[is_free], pixels[is_free]
+        inside = np.clip(border[is_free] / (_BORDER * max(width, height)), _LEAST, 1.0)
+        density = self._lens.focal[0] * self._lens.focal[1] / squares[rows]
+        scores = density * cosines[rows] ** 2 * inside * worth[is_free]
+        return Looks(rows, pixels, density, scores)
 
-    def _find_free(self, directions: FloatArray, near: FloatArray, slope: FloatArray) -> FloatArray:
+    def _find_free(
+        self, directions: FloatArray, near: FloatArray, slopes: FloatArray
+    ) -> FloatArray:
         """Return how far from edges places are seen, 0 to 1; 0 of those that something hides.
 
-        Of places so near none of the four samples around may be nearer by their slope from one
+        Of places so near none of the four samples around may be nearer by the slope from one
         sample to the next, and none beside these in front of an edge.
         """
         at = self._to_samples(directions) - 0.5
@@ -141,9 +149,9 @@ class View:
         low = np.clip(np.floor(at).astype(np.int64), 0, last)
         high = np.minimum(low + 1, last)
         nearest = np.clip(np.rint(at).astype(np.int64), 0, last)
-        limits = near * (1.0 + _JUMP) + (_AROUND + 1) * slope
+        limits = near * (1.0 + _JUMP) + (_AROUND + 1) * slopes
         is_free: BoolArray = self._front[nearest[:, 1], nearest[:, 0]] <= limits
-        limits = near + slope
+        limits = near + slopes
         for columns in (low[:, 0], high[:, 0]):
             for rows in (low[:, 1], high[:, 1]):
                 is_free &= self._near[rows, columns] <= limits
