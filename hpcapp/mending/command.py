@@ -26,7 +26,7 @@ log = logging.getLogger("hpcapp")
 GROUPS = {
     "In this order": (
         "fill_holes", "box", "around", "polygon", "pieces", "smallest", "up", "faces", "tolerance",
-        "size", "attributes",
+        "size", "attributes", "texture", "images", "viewpoint",
     ),
     GROUP: NAMES,
     "Output": ("output", "origin"),

@@ -10,10 +10,17 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hpcapp.geometry.axis_names import AXES
+from hpcapp.named_files import FILE_OR_WORD, SCAN
 from hpcapp.named_files import MESH as MESH_FILE
-from hpcapp.named_files import SCAN
 from hpcapp.parts.crop import Crop
 from hpcapp.parts.options import PLACE, cropped
+from hpcapp.texture.request import (
+    LEAST_PIXELS,
+    MOST_PIXELS,
+    check_images,
+    check_library,
+    check_texture,
+)
 from hpccomponent.cli.verb import Verb
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
@@ -21,6 +28,7 @@ from hpccomponent.errors import UsageError
 if TYPE_CHECKING:
     from hpcapp.geometry.mesh import Mesh
     from hpcapp.io.crs import Crs
+    from hpcapp.texture.request import Photo
 
 log = logging.getLogger("hpcapp")
 
@@ -72,11 +80,34 @@ _ATTRIBUTES = click.option(
     help="What of its vertices stays: auto (all), none, or names as normals,colours,c.",
 )
 _SIZE = click.option("--size", metavar="BYTES", help="Simplify it to a file of at most that: 20MB.")
+_TEXTURE = click.option(
+    "--texture",
+    type=click.IntRange(LEAST_PIXELS, MOST_PIXELS),
+    metavar="PIXELS",
+    help="With --faces: bake colours and normals of the mesh as it was into a picture of so many "
+    "pixels a side, in a .glb or beside an .obj.",
+)
+_IMAGES = click.option(
+    "--images",
+    type=FILE_OR_WORD,
+    metavar="FOLDER",
+    help="With --texture: take the colours from the photographs in a folder, whose cameras "
+    "--viewpoint names.",
+)
+_VIEWPOINT = click.option(
+    "--viewpoint",
+    type=FILE_OR_WORD,
+    multiple=True,
+    metavar="CAMERAS",
+    help="With --images: a file of cameras (COLMAP, OpenDroneMap, Metashape and others), in the "
+    "coordinates of the mesh; may be given several times.",
+)
 
 
 def with_output(command: Callable[..., Any]) -> Callable[..., Any]:
     """Give a verb the options of a mesh that is simplified and written: those of `Output`."""
-    for option in (UP, ORIGIN, _ATTRIBUTES, _SIZE, _TOLERANCE, _FACES, _OUTPUT):
+    textured = (_VIEWPOINT, _IMAGES, _TEXTURE)
+    for option in (UP, ORIGIN, *textured, _ATTRIBUTES, _SIZE, _TOLERANCE, _FACES, _OUTPUT):
         command = option(command)
     return command
 
@@ -90,6 +121,9 @@ class Output:
     tolerance: float | None
     size: str | None
     attributes: str
+    texture: int | None
+    images: str | None
+    viewpoint: tuple[str, ...]
     origin: str
     up: str | None
 
@@ -132,22 +166,44 @@ class Output:
 
         target = Target(self.faces, self.tolerance)
         target.check()
+        photos = self._find_photos()
         origin, choice = parse_origin(self.origin), parse_attributes(self.attributes)
         most_bytes = None if self.size is None else read_size(self.size, self.output)
         with open_output(self.output) as path:
             whole = choice.select_of_mesh(read_mesh(mesh), str(mesh))
             crs = find_mesh_crs(mesh)
             placement = Placement(origin, self.up or find_mesh_up(mesh))
-            light = simplify_mesh(change(whole, crs), target)
+            changed = change(whole, crs)
+            light = simplify_mesh(changed, target)
             if most_bytes is not None:
                 light = fit_mesh(light, most_bytes, path.suffix, crs, placement, choice.named)
             if finish is not None:
                 (light, crs), placement = finish(light, crs, placement.up), Placement(up="z")
-            write_mesh(path, replace(as_stream(light), crs=crs), placement)
+            stream = as_stream(light)
+            if self.texture is not None:
+                from hpcapp.texture.of_mesh import texture_mesh
+
+                stream = texture_mesh(light, changed, self.texture, photos)
+            write_mesh(path, replace(stream, crs=crs), placement)
         is_bound = self.faces is not None and self.tolerance is None
         if is_bound and len(light.faces) > (self.faces or 0):
             log.warning("warning: %d faces are left: fewer would break the mesh", len(light.faces))
         return whole, light
+
+    def _find_photos(self) -> tuple[Photo, ...]:
+        """Return the photographs that are asked for; UsageError where no texture can come of it."""
+        check_images(self.images, self.texture)
+        if self.viewpoint and self.images is None:
+            raise UsageError("--viewpoint means nothing without --images", "give --images, too")
+        if self.texture is None:
+            return ()
+        check_texture(self.output, self.faces, self.size)
+        check_library()
+        if self.images is None:
+            return ()
+        from hpcapp.texture.photos.folder import find_photos
+
+        return find_photos(self.images, self.viewpoint)
 
 
 @click.command(

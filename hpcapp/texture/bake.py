@@ -80,11 +80,11 @@ class Baked:
             f"texels, each {say_number(self.texel)} wide{beside}"
         )
 
-    def describe_photos(self, has_points: bool) -> str:
-        """Say what photographs have shown, and where the rest is from."""
-        rest = "takes the points' colours" if has_points else "takes the nearest colours"
+    def describe_photos(self, others: str | None) -> str:
+        """Say what photographs have shown, and whose colours the rest has; None of the nearest."""
         count, share = say_count(self.photos, "photograph"), say_share(self.seen)
-        return f"texture: {share} of it is seen in {count}; the rest {rest}"
+        rest = "the nearest colours" if others is None else f"the colours of the {others}"
+        return f"texture: {share} of it is seen in {count}; the rest takes {rest}"
 
     def to_json(self) -> dict[str, float]:
         """Return what the report says of it."""

@@ -47,6 +47,12 @@ def check_texture(output: str, faces: int | None, size: str | None) -> None:
         raise UsageError("--texture and --size exclude each other", "give --faces")
 
 
+def check_images(images: str | None, texture: int | None) -> None:
+    """Raise UsageError where there are photographs and no texture to take their colours."""
+    if images is not None and texture is None:
+        raise UsageError("--images means nothing without --texture", "give --texture 4096, too")
+
+
 def check_library() -> None:
     """Raise MissingLibraryError where nothing is here that makes an atlas."""
     require_library("xatlas", "--texture needs the package xatlas", "texture")

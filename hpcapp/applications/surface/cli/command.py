@@ -36,7 +36,7 @@ from hpcapp.parts.options import AROUND, BOX, CLASSES, GROUND, INPUTS, NOT_CLASS
 from hpcapp.printing.request import PrintOptions, take_printing
 from hpcapp.progress import Progress
 from hpcapp.simplification.command import ORIGIN, UP
-from hpcapp.texture.request import check_library, check_texture
+from hpcapp.texture.request import check_images, check_library, check_texture
 from hpcapp.timeline import Timeline
 from hpccomponent.cli.named_files import STREAM, json_option
 from hpccomponent.cli.terminal import align_rows, echo, echo_json
@@ -89,8 +89,7 @@ def _check_texture(ctx: click.Context) -> None:
 
 def _check_images(ctx: click.Context) -> None:
     """Raise UsageError where no texture takes photographs, or not from here."""
-    if ctx.params["texture"] is None:
-        raise UsageError("--images means nothing without --texture", "give --texture 4096, too")
+    check_images(ctx.params["images"], ctx.params["texture"])
     cluster = ctx.params["cluster"]
     if cluster is not None and cluster.suffix != ".json":
         raise UsageError(

@@ -29,7 +29,8 @@ def write_textured(
     facts = outcome.result.facts
     log.info("%s", baked.describe(facts.get("spacing")))
     if baked.photos:
-        log.info("%s", baked.describe_photos(carrying.layout.colours is not None))
+        others = None if carrying.layout.colours is None else "points"
+        log.info("%s", baked.describe_photos(others))
     with clock.stage("write"):
         write_mesh(target, replace(baked.mesh, crs=carrying.crs), carrying.placement)
     result = replace(outcome.result, facts={**facts, "texture": baked.to_json()})

@@ -77,7 +77,7 @@ def test_the_rest_takes_the_colours_of_the_points(
     pink = np.tile(np.array([255, 0, 255], np.uint8), (8_000, 1))
     write_points(tmp_path / "pink.ply", PointCloud(samples.positions, samples.normals, pink))
     run(files._replace(points=tmp_path / "pink.ply"), tmp_path / "a.obj", *photographed(files))
-    assert "the rest takes the points' colours" in caplog.text
+    assert "the rest takes the colours of the points" in caplog.text
     picture = np.asarray(Image.open(tmp_path / "a_colours.png"), int)
     is_pink = (np.abs(picture - (255, 0, 255)) < 3).all(axis=2).mean()
     assert 0.005 < is_pink < 0.2
