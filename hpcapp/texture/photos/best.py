@@ -25,14 +25,14 @@ class BestLooks:
     def __init__(self, texels: int, photos: int) -> None:
         self._photos = photos
         self._scores = np.zeros((KEPT, texels), np.float32)
-        self._numbers = np.zeros((KEPT, texels), np.uint16)
+        self._numbers = np.zeros((KEPT, texels), np.min_scalar_type(photos))
         self._colours = np.zeros((KEPT, texels, 3), np.uint8)
 
     def add(self, number: int, cells: IntArray, scores: FloatArray, colours: ByteArray) -> None:
         """Add what a photograph shows in texels, each of which is named once."""
         new: list[NDArray[Any]] = [
             scores.astype(np.float32),
-            np.full(len(cells), number, np.uint16),
+            np.full(len(cells), number, self._numbers.dtype),
             colours,
         ]
         for slot in range(KEPT):

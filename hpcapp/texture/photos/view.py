@@ -19,8 +19,8 @@ _MOST_SAMPLES = 1 << 20
 _GRID = 65  # directions along a side that tell which part of space a picture shows
 _NEAREST = 1e-4  # of the farthest corner: nearer faces are cut
 _JUMP = 0.02
-"""Change of the slope of depths, relative to the distance, that is an edge: creases of faces seen
-at 84 degrees have it (benchmarks/photographs.py)."""
+"""Change of 1 / z from a sample to the next that is an edge, beside that of a plane, relative to
+it: of 1,000 samples to the distance, a crease from straight on to 87 degrees, or a step of 2 %."""
 _EDGE = 6.0
 """Samples from an edge within which a photograph counts less: 6 of some 1,000 along a side."""
 _AROUND = 2

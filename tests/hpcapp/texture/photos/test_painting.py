@@ -30,7 +30,7 @@ from hpcapp.texture.photos.exposure import Exposures
 from hpcapp.texture.photos.folder import find_photos
 from hpcapp.texture.photos.painting import Painted
 from hpcapp.texture.photos.painting import paint as paint_by
-from hpcapp.texture.photos.view import View
+from hpcapp.texture.photos.view import Looks, View
 from hpcapp.texture.request import Photo
 from hpcapp.texture.texels import Texels, cover
 
@@ -183,6 +183,64 @@ def test_a_floor_that_goes_on_behind_the_camera_is_seen() -> None:
     weights = np.array([[0.1, 0.3, 0.6], [0.0, 0.5, 0.5], [0.6, 0.2, 0.2]])  # at z 7.2, 9, -1.8
     looks = view.look(Texels(np.arange(3), np.ones(3, int), weights))
     assert looks.rows.tolist() == [0, 1]
+
+
+def look_straight(at: FloatArray, lens: Lens, turn: float = 0.0, step: float = 0.0) -> Looks:
+    """Return how places (n, 2) across and down on a wall 10 away are seen.
+
+    The wall turns from the camera by some degrees; to the right of the middle is another one,
+    nearer by the step.
+    """
+    slope = np.tan(np.radians(turn))
+    wall = np.array([[x, y, 10.0 + slope * x] for x, y in [(-9, -9), (9, -9), (9, 9), (-9, 9)]])
+    vertices, faces = wall, np.array([[0, 2, 1], [0, 3, 2]])
+    if step:
+        vertices = np.concatenate([wall, wall * (1, 1, 0) + (9.0, 0.0, 10.0 - step)])
+        faces = np.concatenate([faces, faces + 4])
+    normal = np.array([slope, 0.0, -1.0]) / np.hypot(slope, 1.0)
+    mesh = Mesh(vertices, faces, normals=np.tile(normal, (len(vertices), 1)))
+    view = View(mesh, Camera(np.zeros(3), np.eye(3)), lens)
+    # weights of the corners 0, 2 and 1 of the first face, on which x is above y
+    x, y = (at.T + 9.0) / 18.0
+    weights = np.stack([1.0 - x, y, x - y], axis=1)
+    return view.look(Texels(np.arange(len(at)), np.zeros(len(at), int), weights))
+
+
+WIDE = Lens((1000.0, 1000.0), (1000.0, 1000.0))
+
+
+def test_a_photograph_counts_less_at_its_border() -> None:
+    """In its outer 3 %, of the score of the middle."""
+    pixels = np.array([500.0, 965.0, 985.0, 993.0])
+    at = np.stack([(pixels - 500.0) / 100.0, np.full(4, -0.1)], axis=1)
+    looks = look_straight(at, WIDE)
+    straight = looks.scores * (1.0 + (at**2).sum(axis=1) / 100.0) ** 2  # without angle and distance
+    assert straight / straight[0] == pytest.approx([1.0, 1.0, 0.5, 7 / 30], rel=0.02)
+    assert not len(look_straight(np.array([[5.02, -0.1]]), WIDE).rows)
+
+
+@pytest.mark.parametrize(("degrees", "is_seen"), [(0, True), (79, True), (81, False)])
+def test_what_is_seen_from_the_side_alone_is_left_out(degrees: float, is_seen: bool) -> None:
+    looks = look_straight(np.array([[0.0, -0.1]]), WIDE, turn=degrees)
+    assert bool(len(looks.rows)) is is_seen
+    if is_seen:
+        assert looks.scores[0] == pytest.approx(1e4 * np.cos(np.radians(degrees)) ** 2, rel=0.01)
+
+
+@pytest.mark.parametrize("step", [0.1, 1.0])
+def test_a_photograph_counts_less_before_an_edge(step: float) -> None:
+    """From a step of 2 % of the distance on, up to 7 samples beside it."""
+    pixels = 500.0 - np.array([12.0, 5.0, 1.0])
+    at = np.stack([(pixels - 500.0) / 100.0, np.full(3, -2.0)], axis=1)
+    looks = look_straight(at, WIDE, step=step)
+    scores = np.zeros(3)
+    scores[looks.rows] = looks.scores
+    assert scores[0] == pytest.approx(1e4, rel=0.1)
+    if step > 0.2:
+        assert 0.2 < scores[1] / scores[0] < 0.8
+        assert scores[2] == 0.0
+    else:
+        assert scores[1:] == pytest.approx(scores[0], rel=0.1)
 
 
 @pytest.mark.parametrize("ratio", [1.0, 1.5, 3.0])
