@@ -52,7 +52,8 @@ class Lens:
 
     def __post_init__(self) -> None:
         numbers = (*self.size, *self.focal, *self.offset, *self.radial, *self.divisor)
-        if not np.isfinite((*numbers, *self.tangential, self.skew)).all() or min(self.focal) <= 0:
+        is_number = np.isfinite((*numbers, *self.tangential, self.skew)).all()
+        if not is_number or min(self.focal) <= 0.0 or min(self.size) < 0.0:
             raise ValueError(f"a lens has the focal length {self.focal}"[:200])
 
     def fit(self, width: int, height: int) -> Lens:
