@@ -26,7 +26,7 @@ from hpcapp.geometry.points import BoolArray, ByteArray, FloatArray
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.meshes.texture import Texture
 from hpcapp.texture.atlas import Atlas, unwrap
-from hpcapp.texture.photos.painting import FindColours, paint
+from hpcapp.texture.photos.painting import FindColours, Painted, paint
 from hpcapp.texture.request import Photo
 from hpcapp.texture.tangents import find_tangents, normalise
 from hpcapp.texture.texels import cover
@@ -36,6 +36,12 @@ from hpccomponent.dataclass import dataclass
 _NEAR = 5
 """Fine vertices around a place, of which the farthest weighs nothing: more blur, fewer show the
 triangles."""
+_DETAIL = 1.0 / 3.0
+"""Of the spacing of the points: what lies closer together shows nothing more, as colours are means
+of eight points and normals of five vertices."""
+_FILLED = 0.5
+"""Least share of a picture that charts fill: real scans have 0.52 and more."""
+_MOST_STEP = 4  # texels: the gap between charts
 _STEEPEST = 0.1  # cosine between the two surfaces: a map holds no normals that look inwards
 
 
@@ -137,55 +143,116 @@ def bake(
     find_colours: FindColours | None,
     pixels: int,
     photos: Sequence[Photo] = (),
+    spacing: float | None = None,
     advance: Callable[[int, int], object] = lambda *_: None,
 ) -> Baked:
     """Give a light mesh with normals a texture of so many pixels a side.
 
     Its colours are those of the photographs, and where these show nothing those that are found; it
-    has none where there are neither. `advance` is told how much is done, and how much there is.
+    has none where there are neither. What is found is so far apart as points of a `spacing` tell
+    it. `advance` is told how much is done, and how much there is.
     """
     atlas = unwrap(light, pixels)
     mesh = _split(light, atlas)
-    assert mesh.normals is not None  # noqa: S101 - it is asked for
-    tangents = find_tangents(mesh.vertices, mesh.faces, mesh.normals, atlas.places)
-    faces = len(mesh.faces)
+    faces, area = len(mesh.faces), _measure_area(mesh)
     work = faces * (1 + len(photos))
     painted = None
     if photos:
         painted = paint(mesh, atlas.places, pixels, photos, lambda n: advance(n * faces, work))
         find_colours = find_colours or painted.find_nearest(mesh, atlas.places)
-    colours = None if find_colours is None else np.zeros((pixels * pixels, 3), np.uint8)
-    is_seen = np.zeros(pixels * pixels, np.bool_) if painted is None else painted.is_seen
+    step = choose_step(np.sqrt(area) / pixels, pixels, spacing)
+    tangents, pictures, filled = _find(
+        mesh, atlas, pixels // step, find_normals, find_colours,
+        None if painted is None else _find_unseen(painted.is_seen, pixels, step),
+        lambda n: advance(work - faces + n, work),
+    )  # fmt: skip
+    normals, *colours = (_enlarge(picture, step) for picture in pictures)
     if painted is not None:
-        colours = painted.colours
-    normals = np.zeros((pixels * pixels, 3), np.uint8)
-    is_empty = np.ones(pixels * pixels, np.bool_)
-    for texels in cover(atlas.places, atlas.faces, pixels):
+        colours = [_overlay(painted, colours[0], mesh, atlas)]
+    texture = Texture(
+        atlas.places, tangents, colours[0] if colours else None, normals, atlas.sources
+    )
+    textured = replace(as_stream(mesh), texture=texture)
+    texel = float(np.sqrt(area / max(filled, 1e-9))) / pixels
+    if painted is None:
+        return Baked(textured, atlas.charts, filled, texel)
+    seen = min(1.0, float(painted.is_seen.mean()) / max(filled, 1e-9))
+    return Baked(textured, atlas.charts, filled, texel, painted.photos, seen)
+
+
+def choose_step(least: float, pixels: int, spacing: float | None) -> int:
+    """Return how many texels along each side share what points and fine vertices tell.
+
+    A texel is so large at least: as where the picture is filled.
+    """
+    step = 1
+    while (
+        spacing is not None
+        and 2 * step <= _MOST_STEP
+        and pixels % (2 * step) == 0
+        and 2 * step * least / np.sqrt(_FILLED) <= _DETAIL * spacing
+    ):
+        step *= 2
+    return step
+
+
+def _find_unseen(is_seen: BoolArray, pixels: int, step: int) -> BoolArray:
+    """Tell which texels of a picture that is smaller by the step hold one that nobody sees."""
+    side = pixels // step
+    unseen: BoolArray = ~is_seen.reshape(side, step, side, step).all(axis=(1, 3)).ravel()
+    return unseen
+
+
+def _find(
+    mesh: Mesh,
+    atlas: Atlas,
+    side: int,
+    find_normals: FineNormals,
+    find_colours: FindColours | None,
+    is_wanted: BoolArray | None,
+    advance: Callable[[int], object],
+) -> tuple[FloatArray, list[ByteArray], float]:
+    """Return tangents, the pictures of normals and colours, and which share of these is filled.
+
+    They have a side of so many texels, of which colours are found where they are wanted.
+    """
+    assert mesh.normals is not None  # noqa: S101 - it is asked for
+    tangents = find_tangents(mesh.vertices, mesh.faces, mesh.normals, atlas.places)
+    pictures = [np.zeros((side * side, 3), np.uint8) for _ in range(1 + (find_colours is not None))]
+    is_empty = np.ones(side * side, np.bool_)
+    for texels in cover(atlas.places, atlas.faces, side):
         places = texels.blend(mesh.vertices, mesh.faces)
         around = normalise(texels.blend(mesh.normals, mesh.faces))
         right = texels.blend(tangents, mesh.faces)
-        normals[texels.cells] = _encode(find_normals.find(places, around), right, around)
-        if colours is not None and find_colours is not None:
-            others = np.flatnonzero(~is_seen[texels.cells])
-            colours[texels.cells[others]] = find_colours(places[others])
+        pictures[0][texels.cells] = _encode(find_normals.find(places, around), right, around)
+        if find_colours is not None:
+            rows = slice(None) if is_wanted is None else np.flatnonzero(is_wanted[texels.cells])
+            pictures[1][texels.cells[rows]] = find_colours(places[rows])
         is_empty[texels.cells] = False
-        advance(work - faces + int(texels.faces[-1]) + 1, work)
-    filled = 1.0 - float(is_empty.mean())
-    shown = [picture for picture in (colours, normals) if picture is not None]
-    _fill(shown, is_empty.reshape(pixels, pixels))
-    square = (pixels, pixels, 3)
-    texture = Texture(
-        atlas.places,
-        tangents,
-        None if colours is None else colours.reshape(square),
-        normals.reshape(square),
-        atlas.sources,
-    )
-    texel = float(np.sqrt(_measure_area(mesh) / max(filled, 1e-9))) / pixels
-    seen = float(is_seen.sum() / max(1.0, filled * is_seen.size))
-    read = 0 if painted is None else painted.photos
-    textured = replace(as_stream(mesh), texture=texture)
-    return Baked(textured, atlas.charts, filled, texel, read, seen)
+        advance(int(texels.faces[-1]) + 1)
+    _fill(pictures, is_empty.reshape(side, side))
+    return tangents, [p.reshape(side, side, 3) for p in pictures], 1.0 - float(is_empty.mean())
+
+
+def _enlarge(picture: ByteArray, step: int) -> ByteArray:
+    """Return a picture larger by a step, with blends between its texels."""
+    if step == 1:
+        return picture
+    from PIL import Image
+
+    side = step * len(picture)
+    resized = Image.fromarray(picture).resize((side, side), Image.Resampling.BILINEAR)
+    return np.asarray(resized)
+
+
+def _overlay(painted: Painted, others: ByteArray, mesh: Mesh, atlas: Atlas) -> ByteArray:
+    """Return what photographs show, on a picture (p, p, 3) of what the other texels have."""
+    colours = np.where(painted.is_seen[:, None], painted.colours, others.reshape(-1, 3))
+    is_empty = np.ones(len(colours), np.bool_)
+    for texels in cover(atlas.places, mesh.faces, len(others)):
+        is_empty[texels.cells] = False
+    _fill([colours], is_empty.reshape(others.shape[:2]))
+    return colours.reshape(others.shape)
 
 
 def _split(mesh: Mesh, atlas: Atlas) -> Mesh:

@@ -17,6 +17,7 @@ from hpcapp.applications.surface.cli.command import reconstruct
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.geometry.points import FloatArray, PointCloud
 from hpcapp.io import read_mesh, write_points
+from hpcapp.texture.bake import choose_step
 from hpccomponent.errors import HpcError, MissingLibraryError, UsageError
 
 POINTS, FACES, PIXELS = 40_000, 600, 512
@@ -232,3 +233,23 @@ def test_a_missing_library_is_named(
     monkeypatch.setattr("hpcapp.extras.find_spec", lambda name: None)
     with pytest.raises(MissingLibraryError, match="xatlas"):
         run(sphere, tmp_path / "m.glb", "--faces", "500", "--texture", "512")
+
+
+def test_texels_finer_than_a_third_of_the_spacing_are_blended() -> None:
+    """Of a surface of 1 unit a side, on half of the picture: 0.0014 wide, and 0.0007."""
+    spacings = (None, 0.0082, 0.0084, 0.0165, 0.0167, 9.0)
+    assert [choose_step(1 / 1024, 1024, spacing) for spacing in spacings] == [1, 1, 2, 2, 4, 4]
+    assert choose_step(1 / 1023, 1023, 9.0) == 1
+
+
+@pytest.mark.slow
+def test_a_finer_picture_shows_what_the_points_tell(sphere: Path, tmp_path: Path) -> None:
+    """Of points .0177 apart, 2,048 texels along a side tell as much as 1,024."""
+    run(sphere, tmp_path / "fine.glb", "--faces", str(FACES), "--texture", "2048")
+    glb = Glb(tmp_path / "fine.glb")
+    assert glb.colours.shape == glb.normals.shape == (2048, 2048, 3)
+    for weights in [(1 / 3, 1 / 3, 1 / 3), (0.02, 0.03, 0.95)]:
+        colours, normals = errors(glb.sample(np.array(weights)))
+        assert np.median(colours) < 4.0
+        assert np.quantile(colours, 0.99) < 25.0
+        assert np.median(normals) < 1.5

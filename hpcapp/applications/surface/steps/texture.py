@@ -48,7 +48,9 @@ def _bake(settings: Settings, outcome: Outcome, carrying: Carrying, clock: Stage
         normals = FineNormals(shape.to_stream(stream), settings.texture**2, threads)
     colours = _find_colours(carrying)
     photos = settings.images or ()
-    return bake(light, normals, colours, settings.texture, photos, clock.progress.advance)
+    spacing = outcome.result.facts.get("spacing")
+    advance = clock.progress.advance
+    return bake(light, normals, colours, settings.texture, photos, spacing, advance)
 
 
 def _find_colours(carrying: Carrying) -> FindColours | None:
