@@ -7,6 +7,7 @@ answer the same questions, so that nobody else asks which of them it is.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any, Protocol
 
@@ -174,7 +175,7 @@ class MemoryCloud:
     def take_blocks(self, keys: IntArray) -> Points:
         """See `ArrangedCloud`; views where the blocks lie side by side."""
         assert self.points.normals is not None  # noqa: S101 - checked when it was arranged
-        slices = self._find_rows(keys)
+        slices = self.find_rows(keys)
         positions = _join([self.points.positions[some] for some in slices])
         return positions, _join([self.points.normals[some] for some in slices])
 
@@ -185,18 +186,18 @@ class MemoryCloud:
 
     def take_columns(self, keys: IntArray) -> PointCloud:
         """See `ArrangedCloud`; a view where the blocks lie side by side. Colours come too."""
-        slices = self._find_rows(keys)
+        slices = self.find_rows(keys)
         if len(slices) < 2:
             return self.points.view(*slices or [slice(0)])
-        return self.points.take(np.concatenate([np.arange(run.start, run.stop) for run in slices]))
+        return self.points.take(list_rows(slices))
 
     def take_all(self, most: float, refusal: HpcError) -> PointCloud:
         """See `ArrangedCloud`: none are read."""
         del most, refusal
         return self.points
 
-    def _find_rows(self, keys: IntArray) -> list[slice]:
-        """Return where the points of some blocks are."""
+    def find_rows(self, keys: IntArray) -> list[slice]:
+        """Return where the points of some blocks are, whose keys (k,) are sorted."""
         rows = find_keys(self.keys, keys)
         runs = find_runs(rows[rows < len(self.keys)])
         return [slice(int(self.offsets[run.start]), int(self.offsets[run.stop])) for run in runs]
@@ -272,6 +273,11 @@ def find_runs(rows: IntArray) -> list[slice]:
     breaks = np.flatnonzero(np.diff(rows) != 1) + 1
     bounds = [0, *breaks.tolist(), len(rows)]
     return [slice(int(rows[a]), int(rows[b - 1]) + 1) for a, b in pairwise(bounds)]
+
+
+def list_rows(slices: Sequence[slice]) -> IntArray:
+    """Return the numbers in some runs of rows, one run at least."""
+    return np.concatenate([np.arange(run.start, run.stop) for run in slices])
 
 
 def _join(parts: list[NDArray[Any]]) -> NDArray[Any]:

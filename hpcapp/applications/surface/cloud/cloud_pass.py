@@ -18,7 +18,13 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.cloud.arranged import ArrangedCloud, CloudMeasures, MemoryCloud
+from hpcapp.applications.surface.cloud.arranged import (
+    ArrangedCloud,
+    CloudMeasures,
+    MemoryCloud,
+    list_rows,
+)
+from hpcapp.applications.surface.cloud.cutting import cut_regions, find_near_blocks
 from hpcapp.applications.surface.cloud.regions import MemoryRegion, ReplacedRows
 from hpcapp.cancellation import check_cancelled
 from hpcapp.geometry.bounds import bound_points
@@ -32,6 +38,7 @@ PassT = TypeVar("PassT", bound="CloudPass")
 
 POINTS_AT_ONCE = 1 << 19
 """Of a region in memory: tasks with margins hold much of each point."""
+_SMALLER = 1.5  # regions than that, as blocks are uneven: few need to be halved then
 
 
 class CloudPass(Protocol):
@@ -108,20 +115,25 @@ class MemoryPass:
         return replace(self, cloud=replace(self.cloud, noted=measured))
 
     def _cut(self, margin: float) -> Iterator[MemoryRegion]:
-        """Yield the regions: all points at once where they are few, or no margin is asked for."""
-        points = self.cloud.points
+        """Yield the regions: all points at once where they are few, or no margin is asked for.
+
+        Blocks are cut first, so that of each region only the points in blocks around are looked at.
+        """
+        cloud, points = self.cloud, self.cloud.points
         positions, normals = points.positions, points.normals
-        everything = np.arange(len(positions))
-        boxes = _cut_boxes(positions, everything) if margin else [everything]
-        if len(boxes) == 1:
+        if not margin or len(positions) <= POINTS_AT_ONCE:
             own = np.ones(len(positions), np.bool_)
             yield MemoryRegion(positions, normals, own, slice(None), self.threads)
             return
-        for rows in boxes:
-            check_cancelled()
-            near, own = _find_near(positions, rows, margin)
-            given = None if normals is None else normals[near]
-            yield MemoryRegion(positions[near], given, own, rows, self.threads)
+        pieces = int(_SMALLER * len(positions) / POINTS_AT_ONCE) + 1
+        steps = int(np.ceil(margin / cloud.arrangement.edge))
+        for blocks in cut_regions(cloud.keys, cloud.counts, pieces):
+            around = list_rows(cloud.find_rows(find_near_blocks(cloud.keys, blocks, steps)))
+            for rows in _cut_boxes(positions, list_rows(cloud.find_rows(blocks))):
+                check_cancelled()
+                near, own = _find_near(positions, rows, around, margin)
+                given = None if normals is None else normals[near]
+                yield MemoryRegion(positions[near], given, own, rows, self.threads)
 
     def _replace(
         self, changes: list[ReplacedRows], added: Mapping[str, Float32Array]
@@ -168,11 +180,13 @@ def _cut_boxes(positions: FloatArray, rows: IntArray) -> list[IntArray]:
     return [box for half in halves for box in _cut_boxes(positions, half)]
 
 
-def _find_near(positions: FloatArray, rows: IntArray, margin: float) -> tuple[IntArray, BoolArray]:
-    """Return some points and those around them, in their order, and which are the points."""
+def _find_near(
+    positions: FloatArray, rows: IntArray, around: IntArray, margin: float
+) -> tuple[IntArray, BoolArray]:
+    """Return some points and those near them of what lies around, and which are the points."""
     low, high = bound_points(positions[rows])
-    columns = zip(positions.T, low - margin, high + margin, strict=True)
-    # (n,): in the box around them and the margin, so that some are farther off than that.
+    columns = zip(positions[around].T, low - margin, high + margin, strict=True)
+    # (a,): in the box around them and the margin, so that some are farther off than that.
     is_near = np.logical_and.reduce([(column >= a) & (column <= b) for column, a, b in columns])
-    near = np.flatnonzero(is_near)
+    near = around[is_near]
     return near, find_keys(rows, near) < len(rows)

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from hpcapp.geometry.lattice import unique_keys, unpack_keys
-from hpcapp.geometry.points import FloatArray, IntArray
+from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 
 
 def cut_even(counts: IntArray, pieces: int) -> list[slice]:
@@ -62,3 +62,21 @@ def cut_tiles(cells: IntArray, work: IntArray | FloatArray, count: int) -> IntAr
         cut = min(max(cut, lower), len(rows) - (parts - lower))  # a cell for each tile
         pending += [(rows[:cut], first, lower), (rows[cut:], first + lower, parts - lower)]
     return tiles
+
+
+def find_near_blocks(keys: IntArray, blocks: IntArray, steps: int) -> IntArray:
+    """Return those of a cloud's blocks that lie so many steps from some of them, or fewer."""
+    places, wanted = unpack_keys(keys), unpack_keys(blocks)
+    low = places.min(axis=0)
+    sides = places.max(axis=0) - low + 1  # some 64 at most: see `choose_arrangement`
+    near = np.zeros(sides, np.int64)
+    # (x, y, z): 1 at the wanted blocks, and then, axis by axis, at all within reach of one.
+    near[tuple((wanted - low).T)] = 1
+    for axis, side in enumerate(sides):
+        summed = np.insert(np.cumsum(near, axis=axis), 0, 0, axis=axis)
+        at = np.arange(side)
+        # How many there are in a window of 2 steps + 1, as a difference of running sums.
+        above = summed.take(np.minimum(at + steps + 1, side), axis=axis)
+        near = np.sign(above - summed.take(np.maximum(at - steps, 0), axis=axis))
+    is_near: BoolArray = near[tuple((places - low).T)] > 0
+    return keys[is_near]

@@ -19,6 +19,7 @@ from hpcapp.applications.surface.cloud.arrangement import (
     PackedPoints,
     unpack_near,
 )
+from hpcapp.applications.surface.cloud.cutting import find_near_blocks
 from hpcapp.applications.surface.cloud.folder.disk import DiskCloud, open_disk_cloud
 from hpcapp.applications.surface.cloud.folder.parts import write_part
 from hpcapp.geometry.lattice import find_keys, unpack_keys
@@ -209,22 +210,4 @@ def _bound(
 
 def _take_near(cloud: DiskCloud, blocks: IntArray, margin: float) -> PackedPoints:
     steps = int(np.ceil(margin / cloud.arrangement.edge))
-    return cloud.take_packed(_find_near(cloud.keys, blocks, steps))
-
-
-def _find_near(keys: IntArray, blocks: IntArray, steps: int) -> IntArray:
-    """Return those of a cloud's blocks that lie so many steps from some of them, or fewer."""
-    places, wanted = unpack_keys(keys), unpack_keys(blocks)
-    low = places.min(axis=0)
-    sides = places.max(axis=0) - low + 1  # some 64 at most: see `choose_arrangement`
-    near = np.zeros(sides, np.int64)
-    # (x, y, z): 1 at the wanted blocks, and then, axis by axis, at all within reach of one.
-    near[tuple((wanted - low).T)] = 1
-    for axis, side in enumerate(sides):
-        summed = np.insert(np.cumsum(near, axis=axis), 0, 0, axis=axis)
-        at = np.arange(side)
-        # How many there are in a window of 2 steps + 1, as a difference of running sums.
-        above = summed.take(np.minimum(at + steps + 1, side), axis=axis)
-        near = np.sign(above - summed.take(np.maximum(at - steps, 0), axis=axis))
-    is_near: BoolArray = near[tuple((places - low).T)] > 0
-    return keys[is_near]
+    return cloud.take_packed(find_near_blocks(cloud.keys, blocks, steps))
