@@ -122,7 +122,7 @@ def test_the_places_of_trajectories_and_cameras_travel(
     flight = tmp_path / "flight.csv"
     flight.write_text("time,x,y,z\n10,1,2,3\n11,4,5,6\n")
     submit(tmp_path, sphere_file, "--viewpoint", str(flight))
-    places = ["--viewpoint", "1.0,2.0,3.0", "--viewpoint", "4.0,5.0,6.0"]
+    places = ["--viewpoint", "1.0,2.0,3.0@10.0", "--viewpoint", "4.0,5.0,6.0@11.0"]
     assert cluster.options == places
     here = (tmp_path / "cluster.yaml", sphere_file, tmp_path / "m.ply")
     assert check_job(*here, ["--viewpoint", str(flight)]) == places
