@@ -53,10 +53,15 @@ class Looks:
     def __init__(self, looks: list[Look], nearest: float = 0.0, time: str | None = None) -> None:
         self.looks, self.nearest, self._time = looks, nearest, time
 
+    @property
+    def is_path(self) -> bool:
+        """Whether they are pieces of a path."""
+        return self._time is not None
+
     @cached_property
     def judges(self) -> IntArray:
         """Which of them look at what others have measured."""
-        return np.arange(0, len(self.looks), 1 if self._time is None else _PASSED)
+        return np.arange(0, len(self.looks), _PASSED if self.is_path else 1)
 
     def number(self, part: PointCloud) -> IntArray | None:
         """Return the look of each point, (n,), or -1; None where points do not tell."""
@@ -71,7 +76,7 @@ class Looks:
         """Return which judges may have looked through a point of one: at another time."""
         judges = self.judges
         is_other = judges != number
-        if self._time is not None:
+        if self.is_path:
             begin, end = self.looks[number].times
             times = np.array([one.times for one in self.looks])[judges]
             is_other = (times[:, 0] - end > _APART_S) | (begin - times[:, 1] > _APART_S)

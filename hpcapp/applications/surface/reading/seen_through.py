@@ -35,7 +35,7 @@ stood in one of three scans of a room 82 to 98 % go with 1 bin, 78 to 96 % with 
 with 10, by the number of points; of a town, a room and a heap nothing. Where a room's noise is
 3 cm, .07, .01 and .006 % of it go; where its scans do not fit by 10 cm, 2.8, 1.2 and .4 %."""
 
-_MOST = 0.3  # of the points of a scan: where more are seen through, scans stood elsewhere
+_MOST = 0.3  # of the points of a scan, or of a path: where more go, scans stood elsewhere
 _PATIENCE = 4  # times as many are looked at to find those along a path that are not too near
 _TOGETHER = 0.5
 """Share of the rim of what no other look tells, beyond which it goes with what was looked through
@@ -168,10 +168,16 @@ def look_around(source: PointSource, path: FloatArray) -> SeenThrough | None:
             if number in spheres:
                 spheres[number].add(positions[rows])
     around = SeenThrough(looks, spheres)
-    for number, sample in enumerate(samples):
-        numbers = np.full(len(sample.positions), number)
-        if np.count_nonzero(around.find(sample.positions, numbers)) > _MOST * len(numbers):
-            return None
+    # (s,): of the sample of each look; a path is right or wrong as a whole
+    counts = np.array([len(sample.positions) for sample in samples])
+    gone = np.array([
+        np.count_nonzero(around.find(sample.positions, np.full(count, number)))
+        for number, (sample, count) in enumerate(zip(samples, counts.tolist(), strict=True))
+    ])  # fmt: skip
+    if looks.is_path:
+        counts, gone = counts.sum(), gone.sum()
+    if np.any(gone > _MOST * counts):
+        return None
     around.grow()
     return around
 
