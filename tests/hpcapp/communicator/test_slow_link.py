@@ -25,13 +25,15 @@ class SlowLink:
         host, port = endpoint.removeprefix("tcp://").rsplit(":", 1)
         self._listening = socket.create_server(("127.0.0.1", 0))
         self.endpoint = f"tcp://127.0.0.1:{self._listening.getsockname()[1]}"
-        self._master = socket.create_connection((host, int(port)))
+        self._address = host, int(port)
         self._is_over = threading.Event()
         self._threads = [threading.Thread(target=self._pass_up)]
         self._threads[0].start()
 
     def _pass_up(self) -> None:
         component, _ = self._listening.accept()
+        # Not before: of a connection without a word the master is patient for half a minute.
+        self._master = socket.create_connection(self._address)
         back = threading.Thread(target=self._pass_down, args=[component])
         self._threads.append(back)
         back.start()
