@@ -97,9 +97,10 @@ class Sensor:
 
 
 def find_path(viewpoint: Viewpoint) -> FloatArray:
-    """Return the places whose times are said, with the times last, shape (n, 4)."""
+    """Return the places whose times are said, as time goes on, with it last, shape (n, 4)."""
     places = () if isinstance(viewpoint, str) else viewpoint
-    return np.array([place for place in places if len(place) == TIMED]).reshape(-1, TIMED)
+    path = np.array([place for place in places if len(place) == TIMED]).reshape(-1, TIMED)
+    return path[np.argsort(path[:, 3], kind="stable")]
 
 
 def sensor_of(viewpoint: Viewpoint, upright: FloatArray | None = None) -> Sensor:

@@ -6,6 +6,7 @@ This module is imported for every ``--help``: nothing heavy is imported.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import isfinite
 from pathlib import Path
 from typing import Literal, cast, get_args
 
@@ -24,7 +25,7 @@ Place = (
 Viewpoint = Direction | tuple[Place, ...]
 """From which direction points were measured, or from which places; no places: nobody has said."""
 
-TIMED = 4
+TIMED = 4  # numbers of a place of a path: x, y, z and the time
 _DIRECTIONS: tuple[Direction, ...] = get_args(Direction)
 
 
@@ -73,7 +74,9 @@ def _parse_places(word: str) -> tuple[Place, ...]:
         if word and (path.is_file() or path.is_dir()):
             return _read_places(path)
     else:
-        if (len(numbers), len(times)) in ((3, 0), (3, 1), (6, 0)) and is_place(*numbers):
+        if (len(numbers), len(times)) in ((3, 0), (3, 1), (6, 0)) and (
+            is_place(*numbers) and all(map(isfinite, times))
+        ):
             return (cast(Place, (*numbers, *times)),)
     raise UsageError(
         f"{name_option('viewpoint', word)} is neither {', '.join(_DIRECTIONS)}, nor three numbers "

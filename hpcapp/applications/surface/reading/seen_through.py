@@ -16,7 +16,6 @@ import numpy as np
 
 from hpcapp.applications.surface.reading.depth_sphere import DepthSphere
 from hpcapp.applications.surface.reading.looks import Looks, find_looks, list_parts
-from hpcapp.applications.surface.reading.reach import EvenSample
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray, PointCloud
 from hpcapp.geometry.validity import are_finite
 from hpcapp.io import PointSource
@@ -26,8 +25,8 @@ SEEN_THROUGH = "seen through from elsewhere"
 """Why points are left out of a file of several scans, or along a path of which times are known."""
 
 MOST_ASKED = 8
-"""Looks, the nearest to a point. Along a path of 20 s to and fro through rooms 37 % of what moved
-goes with 4, 72 % with 8 and 77 % with 12; each takes a microsecond a point."""
+"""Looks, the nearest to a point. Along a path to and fro through rooms 37 % of what moved goes with
+4, 72 % with 8 and 77 % with 12; four more take about a microsecond a point."""
 
 _BEYOND = 5.0
 """Bins across: so much farther away, at the point, is what was seen behind it. Of somebody who
@@ -35,11 +34,11 @@ stood in one of three scans of a room 82 to 98 % go with 1 bin, 78 to 96 % with 
 with 10, by the number of points; of a town, a room and a heap nothing. Where a room's noise is
 3 cm, .07, .01 and .006 % of it go; where its scans do not fit by 10 cm, 2.8, 1.2 and .4 %."""
 
-_MOST = 0.3  # of the points of a scan, or of a path: where more go, scans stood elsewhere
+_MOST = 0.3  # of what a scan saw, or a path: where more go, scans stood elsewhere
 _PATIENCE = 4  # times as many are looked at to find those along a path that are not too near
 _TOGETHER = 0.5
 """Share of the rim of what no other look tells, beyond which it goes with what was looked through
-around it. In four streets 85 % of what moved goes with it, and 62 % without; with a share of all of
+around it. In four streets 85 % of what moved goes with it, and 54 % without; with a share of all of
 its bins instead, floors that one scan sees go with who stands on them (.27 % of a room, not
 .02)."""
 
@@ -71,15 +70,29 @@ class SeenThrough:
                 )
         return goes
 
-    def grow(self) -> None:
-        """Let go, of each look, what lies between what was not there, and no other look tells."""
+    def grow(self) -> bool:
+        """Let go, of each look, what lies between what was not there, and no other look tells.
+
+        False, and nothing is let go, where so much was not there that the places must be wrong: of
+        a scan, or of a path as a whole.
+        """
         from scipy.sparse import coo_matrix  # takes its time
         from scipy.sparse.csgraph import connected_components
 
-        for number, sphere in self._spheres.items():
-            is_gone, is_seen = self._judge_bins(number)
+        judged = {number: self._judge_bins(number) for number in self._spheres}
+        # (s, 2): of each look the bins that go, and those in which it saw something
+        counts = np.array([
+            (np.count_nonzero(gone), np.count_nonzero(np.isfinite(self._spheres[number].nearest)))
+            for number, (gone, _) in judged.items()
+        ])  # fmt: skip
+        if self.looks.is_path:
+            counts = counts.sum(axis=0, keepdims=True)
+        if (counts[:, 0] > _MOST * counts[:, 1]).any():
+            return False
+        for number, (is_gone, is_seen) in judged.items():
             if not is_gone.any():
                 continue
+            sphere = self._spheres[number]
             is_open = np.isfinite(sphere.nearest) & ~is_gone & ~is_seen
             # (p, 2): bins that touch, and whose depths follow each other
             pairs = sphere.list_neighbours()
@@ -91,9 +104,10 @@ class SeenThrough:
             # (e, 2): a bin of a part, and one on its rim
             rim = np.concatenate([pairs, pairs[:, ::-1]])
             rim = rim[is_open[rim[:, 0]] & ~is_open[rim[:, 1]]]
-            counts = np.bincount(parts[rim[:, 0]], minlength=size)
+            totals = np.bincount(parts[rim[:, 0]], minlength=size)
             hits = np.bincount(parts[rim[:, 0]], is_gone[rim[:, 1]], minlength=size)
-            self._gone[number] = is_gone | is_open & (hits > _TOGETHER * counts)[parts]
+            self._gone[number] = is_gone | is_open & (hits > _TOGETHER * totals)[parts]
+        return True
 
     def _judge_bins(self, number: int) -> tuple[BoolArray, BoolArray]:
         """Tell, by bin of a look, (b,), what others look through, and what they have seen, too."""
@@ -161,25 +175,12 @@ def look_around(source: PointSource, path: FloatArray) -> SeenThrough | None:
         number: DepthSphere(looks.looks[number].place, looks.looks[number].points)
         for number in looks.judges.tolist()
     }
-    samples = [EvenSample() for _ in looks.looks]
     for positions, numbers in list_parts(source, looks):
         for number, rows in group_rows(numbers):
-            samples[number].add(positions[rows])
             if number in spheres:
                 spheres[number].add(positions[rows])
     around = SeenThrough(looks, spheres)
-    # (s,): of the sample of each look; a path is right or wrong as a whole
-    counts = np.array([len(sample.positions) for sample in samples])
-    gone = np.array([
-        np.count_nonzero(around.find(sample.positions, np.full(count, number)))
-        for number, (sample, count) in enumerate(zip(samples, counts.tolist(), strict=True))
-    ])  # fmt: skip
-    if looks.is_path:
-        counts, gone = counts.sum(), gone.sum()
-    if np.any(gone > _MOST * counts):
-        return None
-    around.grow()
-    return around
+    return around if around.grow() else None
 
 
 def drop_seen_through(source: PointSource, path: FloatArray) -> PointSource:

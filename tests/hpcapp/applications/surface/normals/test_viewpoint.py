@@ -49,6 +49,8 @@ def test_places_and_trajectories_stand_together(tmp_path: Path) -> None:
         ["1,2@3"],
         ["1@2,3,4"],
         ["1,2,3@4@5"],
+        ["1,2,3@nan"],
+        ["1,2,3@"],
         ["1,2,nan"],
         ["1,2,3,0,0,nan"],
         ["1e300,0,0"],

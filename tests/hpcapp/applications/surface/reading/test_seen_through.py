@@ -62,11 +62,12 @@ def _write(path: Path, scans: Scans) -> Path:
 
 
 def _walk(
-    folder: Path, count: int = 400_000, late: float = 0.0
+    folder: Path, count: int = 400_000, late: float = 0.0, begin: float = 0.0, second: float = 1.0
 ) -> tuple[PointSource, Path, BoolArray]:
     """A scanner that is carried to and fro through the room for 40 s; the person leaves after 10.
 
-    Return the points, with times that are late, the path, and which points are the person's.
+    Return the points, with times that are late, the path, and which points are the person's. Times
+    begin somewhere, in units of which a second has so many.
     """
     random = np.random.default_rng(1)
     times = np.linspace(0.0, 40.0, count)
@@ -78,10 +79,14 @@ def _walk(
     enters, leaves = planes[0].max(axis=1), planes[1].min(axis=1)
     is_person = (enters < leaves) & (enters > 0.0) & (times < 10.0)
     far = np.where(is_person, enters, far) + random.normal(0.0, 0.003, count)
-    np.savez(folder / "scan.npz", xyz=eyes + far[:, None] * rays, gps_time=times + late)
-    rows = np.column_stack([times, eyes])[:: count // 400]
+    np.savez(
+        folder / "scan.npz",
+        xyz=eyes + far[:, None] * rays,
+        gps_time=second * (begin + times + late),
+    )
+    rows = np.column_stack([second * (begin + times), eyes])[:: count // 400]
     way = folder / "way.csv"
-    np.savetxt(way, rows, "%.4f", ",", header="time,x,y,z", comments="")
+    np.savetxt(way, rows, "%.6f", ",", header="time,x,y,z", comments="")
     return open_points(folder / "scan.npz"), way, is_person
 
 
@@ -175,8 +180,11 @@ def test_scans_of_several_files_are_told_apart(
     assert json.loads(said)["dropped"][SEEN_THROUGH] > 200
 
 
-def test_who_left_while_a_scanner_was_carried_goes_and_all_else_stays(tmp_path: Path) -> None:
-    source, way, is_person = _walk(tmp_path)
+@pytest.mark.parametrize(("begin", "second"), [(0.0, 1.0), (1.7e9, 1e3), (1.7e9, 1e9)])
+def test_who_left_while_a_scanner_was_carried_goes_and_all_else_stays(
+    begin: float, second: float, tmp_path: Path
+) -> None:
+    source, way, is_person = _walk(tmp_path, begin=begin, second=second)
     around = look_around(source, find_path(parse_viewpoint([str(way)])))
     goes = are_seen_through(read_whole(source), around)
     assert goes[is_person].mean() > 0.7
@@ -190,6 +198,18 @@ def test_times_that_are_not_those_of_the_path_are_said(tmp_path: Path) -> None:
         "what moved is not looked for: points were measured from 1e+06 to 1.00004e+06, the "
         "trajectory goes from 0 to 39.91"
     ]
+
+
+@pytest.mark.parametrize("time", [0.0, 5.0, 6e10])
+def test_times_that_are_no_seconds_are_said(time: float, tmp_path: Path) -> None:
+    """All the same, or so far apart that the way would have pieces without end."""
+    points = random_directions(500, np.random.default_rng(2))
+    np.savez(tmp_path / "scan.npz", xyz=points, gps_time=np.linspace(0.0, time, 500))
+    path = np.array([[0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.1, time]])
+    source = open_points(tmp_path / "scan.npz")
+    around = look_around(source, path)
+    assert (around is None) == (time != 5.0)
+    assert bool(source.findings.warnings) == (time != 5.0)
 
 
 def test_a_path_tells_a_job_and_the_file_of_what_goes(
