@@ -20,6 +20,7 @@ three points are very near. What is found depends on the place and the cloud alo
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -156,11 +157,14 @@ def measure_clearance(
 
 
 def find_bare(
-    places: FloatArray, cloud: PointCloud, rule: SupportRule, threads: int = 1
+    places: FloatArray, clouds: Iterable[PointCloud], rule: SupportRule, threads: int = 1
 ) -> BoolArray:
-    """Tell which of a few places on a surface no points support."""
-    points = _lay_ellipsoids(cloud, rule.radii(cloud.positions), rule)
-    bare: BoolArray = kernels.count_supporting(places, *points, threads)[0] < _AGREEING
+    """Tell which of a few places on a surface no points support; the points come in pieces."""
+    supporting = np.zeros(len(places), np.int64)
+    for cloud in clouds:
+        points = _lay_ellipsoids(cloud, rule.radii(cloud.positions), rule)
+        supporting += kernels.count_supporting(places, *points, threads)[0]
+    bare: BoolArray = supporting < _AGREEING
     return bare
 
 

@@ -9,6 +9,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from hpcapp.applications.surface.boundary.clearance import SupportRule, find_bare, measure_clearance
@@ -28,6 +30,7 @@ from hpcapp.applications.surface.boundary.patterns import (
     opening_seams,
 )
 from hpcapp.applications.surface.cloud.arranged import Place
+from hpcapp.applications.surface.cloud.cutting import cut_even
 from hpcapp.applications.surface.cloud.folder.disk import open_place
 from hpcapp.applications.surface.extraction.part_places import starts_of
 from hpcapp.applications.surface.extraction.parts import MeshPart
@@ -35,11 +38,14 @@ from hpcapp.applications.surface.extraction.summary import PartSummary
 from hpcapp.applications.surface.extraction.taken_bricks import TakenBricks
 from hpcapp.applications.surface.tiles.patterns import Exits
 from hpcapp.applications.surface.tiles.tasks import give_part
+from hpcapp.geometry.lattice import find_keys
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray, PointCloud
 from hpccomponent.dataclass import dataclass
 from hpccomponent.protocol.records import record
 from hpccomponent.runtime.tasks import declare
 from hpccomponent.store.places import hold_store
+
+_POINTS_AT_ONCE = 1 << 19  # with what a search makes of them, 80 MB
 
 Part = MeshPart | tuple[str, str]
 """A part, or a store (see `store.places`) and the name under which it is there."""
@@ -60,7 +66,17 @@ class Near:
 
     def read(self) -> PointCloud:
         """Return the points."""
-        return PointCloud(*open_place(self.cloud).take_within(self.blocks, *self.box))
+        return self._take(self.blocks)
+
+    def read_pieces(self) -> Iterator[PointCloud]:
+        """Yield the points, block after block, about `_POINTS_AT_ONCE` at a time."""
+        cloud = open_place(self.cloud)
+        counts = np.append(cloud.counts, 0)[find_keys(cloud.keys, self.blocks)]
+        for run in cut_even(counts, -(-int(counts.sum()) // _POINTS_AT_ONCE)) if len(counts) else ():
+            yield self._take(self.blocks[run])
+
+    def _take(self, blocks: IntArray) -> PointCloud:
+        return PointCloud(*open_place(self.cloud).take_within(blocks, *self.box))
 
 
 @declare(result=judged_support, limit=lambda _part, taken, *_: judged_bytes(taken))
@@ -77,7 +93,7 @@ def judge_support(
     areas[taken.mark(held)] = taken.areas(one_in)
     first = starts_of(held.vertex_counts)[:-1][areas > 0]
     places = held.vertices[first]
-    bare = find_bare(places, near.read(), rule, threads)
+    bare = find_bare(places, near.read_pieces(), rule, threads)
     return int(areas[areas > 0][bare].sum()), int(areas.sum()), places[bare]
 
 

@@ -98,7 +98,17 @@ def test_points_support_as_far_as_their_own_spacing_asks() -> None:
     dense, sparse, beyond_dense, beyond_sparse = measure_clearance(places, cloud, rule)
     assert max(dense, sparse, beyond_sparse) < 1.0
     assert beyond_dense > 1.0
-    assert find_bare(places, cloud, rule).tolist() == [False, False, True, False]
+    assert find_bare(places, [cloud], rule).tolist() == [False, False, True, False]
+
+
+def test_points_in_pieces_support_what_all_at_once_do() -> None:
+    cloud, rule = two_densities()
+    places = np.random.default_rng(3).uniform(-1.2, 2.2, (500, 3)) * [1.0, 1.0, 0.01]
+    bare = find_bare(places, [cloud], rule)
+    assert 0 < bare.sum() < len(bare)
+    # Neighbours are in different pieces.
+    pieces = [cloud.take(np.arange(first, len(cloud), 7)) for first in range(7)]
+    np.testing.assert_array_equal(find_bare(places, pieces, rule), bare)
 
 
 def test_sparse_points_support_no_thicker_than_usual() -> None:
