@@ -152,6 +152,21 @@ def find_layers(keys: IntArray, first: int, last: int) -> slice:
     return slice(int(start), int(stop))
 
 
+def find_within(keys: IntArray, first: IntArray, last: IntArray) -> IntArray:
+    """Return the rows of the sorted keys between the lowest place, (3,), and the highest one, (3,).
+
+    Examples
+    --------
+    >>> keys = pack_places(np.array([[-1, 5, 0], [2, -7, 1], [2, 3, 0], [4, 0, 0]]))
+    >>> find_within(keys, np.array([0, -9, 0]), np.array([4, 0, 1])).tolist()
+    [1, 3]
+    """
+    run = find_layers(keys, int(first[0]), int(last[0]))
+    places = unpack_keys(keys[run])[:, 1:]
+    is_within = ((places >= first[1:]) & (places <= last[1:])).all(axis=1)
+    return run.start + np.flatnonzero(is_within)
+
+
 def merge_counts(keys: IntArray, counts: IntArray) -> tuple[IntArray, IntArray]:
     """Return the different keys, sorted, and the sum of each one's counts, or rows of these."""
     order, ordered, begins = _order(keys)

@@ -72,7 +72,9 @@ class Near:
         """Yield the points, block after block, about `_POINTS_AT_ONCE` at a time."""
         cloud = open_place(self.cloud)
         counts = np.append(cloud.counts, 0)[find_keys(cloud.keys, self.blocks)]
-        for run in cut_even(counts, -(-int(counts.sum()) // _POINTS_AT_ONCE)) if len(counts) else ():
+        for run in (
+            cut_even(counts, -(-int(counts.sum()) // _POINTS_AT_ONCE)) if len(counts) else ()
+        ):
             yield self._take(self.blocks[run])
 
     def _take(self, blocks: IntArray) -> PointCloud:

@@ -22,14 +22,26 @@ from hpcapp.applications.surface.hierarchical.tiles import Tiling
 from hpcapp.applications.surface.methods.method import Advance, ShowPart, show_nothing
 from hpcapp.applications.surface.stitching.surface import Surface
 from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
+from hpcapp.applications.surface.tiles.halo import widen_box
 from hpcapp.applications.surface.tiles.patterns import tile_surface
+from hpcapp.applications.surface.tiles.plan import CoarseLevels, Gap, TilePlan
+from hpcapp.applications.surface.tiles.points import CellPoints
 from hpcapp.applications.surface.tiles.tasks import mesh_gap, mesh_tile
-from hpcapp.geometry.lattice import find_keys, find_overlapping, unique_keys
+from hpcapp.geometry.lattice import (
+    find_keys,
+    find_overlapping,
+    find_within,
+    number_keys,
+    pack_places,
+    unique_keys,
+    unpack_keys,
+)
 from hpcapp.geometry.points import FloatArray, IntArray
 from hpcapp.kernels.types.grid import BRICK
 from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.errors import JobError
 
+_LEAST_EDGE = 8  # bricks of a box in which gaps are spanned
 _MOST_ROUNDS = 1000  # each goes on by a coarse cell at least; a grid has no more
 
 
@@ -92,10 +104,13 @@ class _Growth:
         for index, name in enumerate(names):
             self._take(name, found[index], workers.get(index))
 
-    def left(self) -> IntArray:
-        """Return the bricks that the surface leaves for, and that no part has."""
+    def held(self) -> IntArray:
+        """Return the bricks that parts have, sorted."""
+        return unique_keys(np.concatenate([found.bricks for found in self.surface.summaries]))
+
+    def left(self, held: IntArray) -> IntArray:
+        """Return the bricks that the surface leaves for, and that are not among those held."""
         wanted = unique_keys(np.concatenate(self._exits))
-        held = unique_keys(np.concatenate([found.bricks for found in self.surface.summaries]))
         left: IntArray = wanted[find_keys(held, wanted) == len(held)]
         return left
 
@@ -127,6 +142,49 @@ class _Growth:
         self._exits.append(exits)
 
 
+def cut_gaps(plan: TilePlan, left: IntArray, wide: float) -> list[tuple[IntArray, IntArray]]:
+    """Group the bricks that the surface leaves for by boxes, keys (e,).
+
+    With the halo of what is evaluated in it a box is so `wide`, in length units. Returns the boxes,
+    (2, 3) bricks each, and the keys of those in it.
+    """
+    halo = 2 * (2 + plan.grid.rim)
+    edge = max(int(wide / (BRICK * plan.step)) - halo, _LEAST_EDGE)
+    places = unpack_keys(left) // edge
+    boxes, box_of = number_keys(pack_places(places))
+    corners = edge * unpack_keys(boxes)
+    most = np.array(plan.bricks)
+    return [
+        (np.stack([corner, np.minimum(corner + edge, most)]), left[box_of == index])
+        for index, corner in enumerate(corners)
+    ]
+
+
+def _plan_gap(
+    tiling: Tiling,
+    coarse: Coarse,
+    box: IntArray,
+    exits: IntArray,
+    held: IntArray,
+    checkpoint: Checkpoint | None,
+) -> tuple[str, tuple[TilePlan, Gap, CellPoints, CoarseLevels]]:
+    """Return the name of what spans the gaps in a box, and what the task is called with."""
+    plan, edge = coarse.plan, BRICK * coarse.plan.step
+    lattices = plan.grid_origin, edge, plan.origin, plan.coarse_size
+    near = tiling.near(find_overlapping(exits, *lattices))
+    # Whose points matter in the box, or around it; and what of these other parts have.
+    first, end = widen_box(plan.grid, box)
+    beside = held[find_within(held, first, end - 1)]
+    low, high = plan.grid_origin + edge * np.stack([first, end])
+    ends = np.stack([low - plan.reach, high + plan.reach]) - plan.origin
+    within = np.zeros(len(near), np.bool_)
+    within[find_within(tiling.cells, *np.floor(ends / plan.coarse_size).astype(np.int64))] = True
+    gap = Gap(box, exits, beside, tiling.cells[within & ~near])
+    name = "" if checkpoint is None else checkpoint.name(plan, gap, tiling.cells[near])
+    low, high = plan.grid_origin + edge * box
+    return name, (plan, gap, tiling.around(tiling.cells[near]), coarse.within(low, high))
+
+
 def mesh_all_tiles(
     tiling: Tiling,
     coarse: Coarse,
@@ -134,14 +192,16 @@ def mesh_all_tiles(
     advance: Advance,
     origin: FloatArray,
     points: int,
+    wide: float,
     checkpoint: Checkpoint | None = None,
     show_part: ShowPart = show_nothing,
 ) -> Surface:
     """Reconstruct the surface tile by tile on the workers, and between the tiles.
 
     It holds every brick that the surface reaches. `origin`, (3,), is that of the cloud's local
-    frame; without a checkpoint, finished tiles come back to this process. `advance` is told (tiles
-    done, tiles in all). JobError where the surface still grows after more rounds than any needs.
+    frame; boxes are so `wide` in which gaps are spanned (see `cut_gaps`); without a checkpoint,
+    finished tiles come back to this process. `advance` is told (tiles done, tiles in all). JobError
+    where the surface still grows after more rounds than any needs.
     """
     plan = coarse.plan
     growth = _Growth(workforce, origin, checkpoint, show_part, points)
@@ -155,15 +215,15 @@ def mesh_all_tiles(
 
     growth.run(mesh_tile, tiles(), len(tiling), advance)
     for _ in range(_MOST_ROUNDS):
-        left = growth.left()
+        held = growth.held()
+        left = growth.left(held)
         if not len(left):
             return growth.surface
-        edge = BRICK * plan.step
-        cells = find_overlapping(left, plan.grid_origin, edge, plan.origin, plan.coarse_size)
-        near = tiling.near(cells)
-        missing = tiling.cells[~near]
-        name = "" if checkpoint is None else checkpoint.name(plan, left, missing)
-        nearby = tiling.around(tiling.cells[near])
-        gap = (plan, left, nearby, missing, coarse.whole())
-        growth.run(mesh_gap, [(name, gap)], 1, lambda _done, _all: None)
+        gaps = cut_gaps(plan, left, wide)
+        growth.run(
+            mesh_gap,
+            (_plan_gap(tiling, coarse, *gap, held, checkpoint) for gap in gaps),
+            len(gaps),
+            lambda _done, _all: None,
+        )
     raise JobError("the surface does not come to an end", "report this, with the point cloud")

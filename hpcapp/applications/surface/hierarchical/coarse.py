@@ -29,6 +29,7 @@ from hpcapp.applications.surface.tiles.tasks import solve_far
 from hpcapp.geometry.lattice import (
     ancestor_keys,
     cells_of,
+    find_within,
     lay_lattice,
     number_keys,
     pack_places,
@@ -88,13 +89,34 @@ class Coarse:
         high = plan.origin + size * (places.max(axis=0) + 1) + margin
         return CoarseLevels(parents, trust, tuple(levels), crop_far_field(self.far, low, high))
 
-    def whole(self) -> CoarseLevels:
-        """Return all of it."""
-        low = self.far.origin
-        high = low + self.far.step * len(self.far.values)
-        far = crop_far_field(self.far, low, high)
-        trust = self.levels[0].trust if self.levels else None
-        return CoarseLevels(self.parents, trust, self.levels[1:], far)
+    def within(self, low: FloatArray, high: FloatArray) -> CoarseLevels:
+        """Return what must be known to evaluate in a box, and a brick and a rim beyond it.
+
+        `low` and `high` (3,) are in length units of the input.
+        """
+        plan, above = self.plan, self.parents
+        size = plan.cell_size * 2.0**plan.coarse
+        margin = (halo_steps(plan.grid) + BRICK) * plan.step
+
+        def find(keys: IntArray, edge: float) -> IntArray:
+            """Return the rows of a level's corners there."""
+            far = margin + 3.0 * edge
+            ends = np.floor((np.stack([low - far, high + far]) - plan.origin) / edge)
+            return find_within(keys, *ends.astype(np.int64))
+
+        rows = find(above.keys, size)
+        parents = Parents(*(of[rows] for of in (
+            above.keys, above.coefficients, above.support, above.variances,
+        )))  # fmt: skip
+        trust = self.levels[0].trust[rows] if self.levels else None
+        coarser = []
+        for depth, level in enumerate(self.levels[1:], start=1):
+            rows = find(level.keys, size * 2**depth)
+            coarser.append(
+                FieldLevel(level.keys[rows], level.coefficients[rows], level.trust[rows])
+            )
+        far = crop_far_field(self.far, low - margin - 3.0 * size, high + margin + 3.0 * size)
+        return CoarseLevels(parents, trust, tuple(coarser), far)
 
 
 def choose_nodes(

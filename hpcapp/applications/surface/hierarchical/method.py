@@ -211,6 +211,8 @@ class HierarchicalMethod:
                 advance,
                 origin,
                 len(partition.cloud),
+                # A surface crosses such a box with as many points as a tile has.
+                (self.tile_points or TILE_POINTS) ** 0.5 * partition.scale.spacing,
                 self.checkpoint,
                 self.show_part,
             )

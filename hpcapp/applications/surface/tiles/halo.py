@@ -98,30 +98,49 @@ def plan_tile(grid: Grid, own: IntArray, earlier: IntArray, later: IntArray) -> 
 
 
 def plan_gap(
-    grid: Grid, exits: IntArray, seeds: IntArray, missing: FloatArray, size: float, reach: float
+    grid: Grid,
+    box: IntArray,
+    exits: IntArray,
+    taken: IntArray,
+    missing: FloatArray,
+    size: float,
+    reach: float,
 ) -> BrickKinds:
     """Tell how far the surface may be followed from bricks without points, as over a hole.
 
-    `exits` (e,) are keys of the bricks to begin with, `seeds` sorted keys of those that hold points
-    around them. `missing` (c, 3) are low corners of the cells, of edge `size`, whose points are not
-    known here; `reach` is how far a point matters, all in length units.
+    It stays in a `box` (2, 3) of bricks, from the lowest to before the last. `exits` (e,) are keys
+    of the bricks in it to begin with, `taken` of those that are others', as all with points.
+    `missing` (c, 3) are low corners of the cells, of edge `size`, whose points are not known here;
+    `reach` is how far a point matters, all in length units.
     """
     edge = BRICK * grid.step
-    # (x, y, z) of the grid: bricks of which every point that matters is known here.
-    known_all = np.ones(grid.bricks, np.bool_)
+    first, end = widen_box(grid, box)
+    # (x, y, z) of the box and its rim: bricks of which every point that matters is known here.
+    known_all = np.ones(end - first, np.bool_)
     # (c, 3): from which brick to before which the points of each missing cell matter.
     low = np.floor((missing - reach - grid.origin) / edge).astype(np.int64)
     high = np.floor((missing + size + reach - grid.origin) / edge).astype(np.int64) + 1
-    for first, end in zip(np.maximum(low, 0), high, strict=True):
-        known_all[first[0] : end[0], first[1] : end[1], first[2] : end[2]] = False
-    # (x, y, z): where the rim is known as well, the surface may grow.
-    inner = ~_mark_rim(grid, np.zeros(3, np.int64), ~known_all)
-    kinds = np.where(known_all, np.uint8(BESIDE), np.uint8(OUT))
-    kinds[inner] = OPEN
-    gap = BrickKinds(np.zeros(3, np.int64), kinds)
-    gap.mark(seeds[gap.at(seeds) != OUT], FOREIGN)
+    is_near = ((low < end) & (high > first)).all(axis=1)
+    starts, stops = np.maximum(low[is_near], first) - first, high[is_near] - first
+    for start, stop in zip(starts, stops, strict=True):
+        known_all[start[0] : stop[0], start[1] : stop[1], start[2] : stop[2]] = False
+    # (x, y, z): in the box, where the rim is known as well, the surface may grow.
+    is_inside = np.zeros_like(known_all)
+    is_inside[tuple(map(slice, box[0] - first, box[1] - first))] = True
+    gap = BrickKinds(first, np.full(known_all.shape, OUT, np.uint8))
+    gap.kinds[is_inside & ~_mark_rim(grid, first, ~known_all)] = OPEN
+    gap.mark(exits, OWN)
+    is_rim = _mark_rim(grid, first, gap.kinds != OUT)
+    gap.kinds[is_rim & (gap.kinds == OUT)] = BESIDE
+    gap.mark(taken[gap.at(taken) != OUT], FOREIGN)
     gap.mark(exits, OWN)
     return gap
+
+
+def widen_box(grid: Grid, box: IntArray) -> IntArray:
+    """Return a box of bricks, (2, 3), with what may be evaluated around it."""
+    far = 1 + grid.rim
+    return np.stack([np.maximum(box[0] - far, 0), np.minimum(box[1] + far, grid.bricks)])
 
 
 def near_bricks(

@@ -136,6 +136,23 @@ class CoarseLevels:
         return FieldLevel(self.parents.keys, self.parents.coefficients, self.trust), *self.coarser
 
 
+@record("surface.gap")
+@dataclass(frozen=True, slots=True, eq=False)
+class Gap:
+    """Where the surface left all tiles, and how far it is to be followed from there.
+
+    `exits` (e,) are keys of the bricks to begin with. They lie in a `box` (2, 3), from the lowest
+    brick of it to before the last. In the box or around it `held` (h,) are sorted keys of bricks
+    that others have taken, and `missing` (c,) those of coarse cells that hold points, but not
+    around the exits.
+    """
+
+    box: IntArray
+    exits: IntArray
+    held: IntArray
+    missing: IntArray
+
+
 @record("surface.coarse_lattice")
 @dataclass(frozen=True, slots=True, eq=False)
 class CoarseLattice:

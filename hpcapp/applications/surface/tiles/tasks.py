@@ -39,7 +39,13 @@ from hpcapp.applications.surface.tiles.patterns import (
     surface_bytes,
     tile_surface,
 )
-from hpcapp.applications.surface.tiles.plan import CoarseLattice, CoarseLevels, Samples, TilePlan
+from hpcapp.applications.surface.tiles.plan import (
+    CoarseLattice,
+    CoarseLevels,
+    Gap,
+    Samples,
+    TilePlan,
+)
 from hpcapp.applications.surface.tiles.points import CellPoints, estimate_work, take_points
 from hpcapp.applications.surface.tiles.prepared import PreparedTile, TileCache, finish, lay_corners
 from hpcapp.applications.surface.tiles.slabs import grow_tile
@@ -190,30 +196,30 @@ def mesh_tile(
 
 
 @declare(
-    cost=lambda _plan, exits, points, *_: len(exits) + estimate_work(points),
-    result=lambda plan, _exits, _points, _missing, _coarse, keep=None, *_: tile_surface(plan, keep),
-    limit=lambda plan, _exits, _points, _missing, coarse, keep=None, *_: surface_bytes(
+    cost=lambda _plan, gap, points, *_: len(gap.exits) + estimate_work(points),
+    result=lambda plan, _gap, _points, _coarse, keep=None, *_: tile_surface(plan, keep),
+    limit=lambda plan, _gap, _points, coarse, keep=None, *_: surface_bytes(
         plan, coarse, keep, spans_gaps=True
     ),
 )
 def mesh_gap(
     plan: TilePlan,
-    exits: IntArray,
+    gap: Gap,
     points: CellPoints,
-    missing: IntArray,
     coarse: CoarseLevels,
     keep: tuple[str, str] | None = None,
     threads: int = 1,
 ) -> tuple[MeshPart | None, PartSummary, Exits]:
     """Follow the surface from where it left all tiles, as over a hole (a task).
 
-    `exits` are keys of the bricks to begin with, `points` all that lie around them, `missing` keys
-    of the coarse cells of all other points, `coarse` all levels. The rest is as of `mesh_tile`.
+    `points` are all that lie around the gap's exits, and `coarse` what lies around its box. The
+    rest is as of `mesh_tile`.
     """
     taken = take_points(points, plan)
-    seeds = taken.seed_bricks(plan.grid, 0)
-    low = plan.origin + plan.coarse_size * unpack_keys(missing)
-    kinds = plan_gap(plan.grid, exits, seeds, low, plan.coarse_size, plan.reach)
+    others = np.concatenate([taken.seed_bricks(plan.grid, 0), gap.held])
+    low = plan.origin + plan.coarse_size * unpack_keys(gap.missing)
+    there = plan.grid, gap.box, gap.exits, others
+    kinds = plan_gap(*there, low, plan.coarse_size, plan.reach)
     levels, corners = [], [_NO_LEVEL.keys]
     if len(taken.finest.cells):
         levels = raise_levels(taken.finest, plan.coarse, threads)

@@ -5,6 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import cycle, product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +22,8 @@ from hpcapp.applications.surface.field import weights
 from hpcapp.applications.surface.field.levels import SlabFields
 from hpcapp.applications.surface.field.robust import find_tolerance
 from hpcapp.applications.surface.field.weights import BELIEVED
-from hpcapp.applications.surface.hierarchical import one_tile
+from hpcapp.applications.surface.hierarchical import all_tiles, one_tile
+from hpcapp.applications.surface.hierarchical.all_tiles import cut_gaps
 from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
 from hpcapp.applications.surface.hierarchical.tiles import Tiling
 from hpcapp.applications.surface.resolution import estimates
@@ -324,6 +326,26 @@ def test_any_tiling_and_any_slabs_give_the_same_bits(
     monkeypatch.setattr(slab_growth, "SLAB_QUADRICS", facts["patches"] // slabs)
     mesh, found = reconstruct(cloud, HierarchicalMethod(grid), tiles)
     assert found == facts | {"tiles": tiles or 1}
+    assert mesh.vertices.tobytes() == whole.vertices.tobytes()
+    assert mesh.faces.tobytes() == whole.faces.tobytes()
+
+
+def test_gaps_are_spanned_box_by_box_with_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole_sphere = sphere(6000)
+    cloud = whole_sphere.take(whole_sphere.positions[:, 2] < 0.2)
+    whole, _ = reconstruct(cloud, HierarchicalMethod(160))
+    boxes: list[int] = []
+
+    def cut(*given: Any) -> list[tuple[IntArray, IntArray]]:
+        gaps = cut_gaps(*given)
+        boxes.append(len(gaps))
+        return gaps
+
+    monkeypatch.setattr(all_tiles, "cut_gaps", cut)
+    # So few points in a tile that a box is 8 bricks wide, and the hole 16.
+    mesh, _ = reconstruct(cloud, HierarchicalMethod(160, tile_points=800), tiles=4)
+    assert len(boxes) > 1
+    assert boxes[0] >= 4
     assert mesh.vertices.tobytes() == whole.vertices.tobytes()
     assert mesh.faces.tobytes() == whole.faces.tobytes()
 

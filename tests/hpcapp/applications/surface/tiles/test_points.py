@@ -7,6 +7,7 @@ import pytest
 
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.cloud.arrangement import unpack_points
+from hpcapp.applications.surface.tiles.plan import Gap
 from hpcapp.applications.surface.tiles.points import PointsThere, estimate_work, pack_cells
 from hpcapp.applications.surface.tiles.tasks import mesh_gap, mesh_tile, sum_tile
 from hpcapp.geometry.lattice import pack_places, unique_keys
@@ -52,8 +53,8 @@ def test_groups_of_cells_are_packed_as_they_lie() -> None:
 
 def test_tasks_tell_what_they_cost_by_their_arguments() -> None:
     few, many = (PointsThere("/nowhere", (np.arange(count),)) for count in (10, 1000))
-    keys = np.arange(4)
-    for task, before in ((sum_tile, ((),)), (mesh_tile, ((),)), (mesh_gap, ((), keys))):
+    gap = Gap(np.zeros((2, 3), np.int64), np.arange(4), *np.empty((2, 0), np.int64))
+    for task, before in ((sum_tile, ((),)), (mesh_tile, ((),)), (mesh_gap, ((), gap))):
         cost = traits_of(task).cost
         assert cost is not None
         assert 0.0 < 50.0 * cost(*before, few, None) < cost(*before, many, None)
