@@ -185,8 +185,8 @@ def reconstruct(
         The share of the tasks that run again on another machine, from 0 to 1; by default 0.02 on
         a cluster with three workers or more.
     max_memory : str or float, optional
-        Of this process and of each worker: ``"2G"``, or bytes. Files that need more lie in a
-        folder meanwhile; the mesh itself is returned in memory.
+        Of all processes of a machine: ``"2G"``, or bytes. Files that need more lie in a folder
+        meanwhile; the mesh itself is returned in memory.
     temp_dir : str or PathLike, optional
         Where points and finished tiles of files lie meanwhile, as with ``--temp-dir``.
     resume : bool

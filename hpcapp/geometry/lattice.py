@@ -164,7 +164,8 @@ def find_within(keys: IntArray, first: IntArray, last: IntArray) -> IntArray:
     run = find_layers(keys, int(first[0]), int(last[0]))
     places = unpack_keys(keys[run])[:, 1:]
     is_within = ((places >= first[1:]) & (places <= last[1:])).all(axis=1)
-    return run.start + np.flatnonzero(is_within)
+    rows: IntArray = run.start + np.flatnonzero(is_within)
+    return rows
 
 
 def merge_counts(keys: IntArray, counts: IntArray) -> tuple[IntArray, IntArray]:

@@ -12,5 +12,5 @@ def leave_little_memory(patch: pytest.MonkeyPatch, tile: int | None = None) -> N
     """Let any points be too many for memory, and a tile have so many at most."""
     patch.setattr(plan, "fits_memory", lambda *_: False)
     if tile is not None:
-        for module in (run, site):
-            patch.setattr(module, "choose_tile", lambda *_: tile)
+        patch.setattr(run, "TILE_POINTS", tile)
+        patch.setattr(site, "choose_tile", lambda *_: tile)

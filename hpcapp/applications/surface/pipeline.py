@@ -103,7 +103,7 @@ def reconstruct_cloud(
     grid = find_grid(settings, loaded.cloud)
     with open_site(grid) as site:
         checks = Deferred(partial(check_points, grid, loaded.cloud))
-        method = open_method(settings, site, grid, len(loaded.cloud), clock)
+        method = open_method(settings, site, grid, loaded.cloud, clock)
         cloud = preprocess(settings, loaded.cloud, clock)
         result = make_surface(cloud, method, site.backend.workforce, clock, checks)
         if settings.crop.has_region:

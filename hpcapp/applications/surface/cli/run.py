@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from hpcapp.applications.surface.job.backend_choice import Opener, approach_workers
 from hpcapp.applications.surface.job.folder import find_point_workers
-from hpcapp.applications.surface.job.plan import JobPlan, Place, choose_tile, plan_job
+from hpcapp.applications.surface.job.plan import JobPlan, Place, plan_job
 from hpcapp.applications.surface.job.scan import Loaded, PointFolder
 from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.job.site import Site, open_site
@@ -62,6 +62,8 @@ def run_job(
     """
     verification = Verification(settings.verify)
     plan = plan_job(settings)
+    if (excess := plan.say_excess()) is not None:
+        log.warning("warning: %s", excess)
 
     def run(is_first: bool) -> dict[str, Any]:
         again = settings if is_first else replace(settings, resume=False)
@@ -140,7 +142,7 @@ def load_stored(
             if backend.workforce.in_process and plan.place is Place.SHARED:  # nobody else reads
                 checkpoint = None if settings.temp_dir is None else checkpoint
             else:
-                folder = _open_folder(settings, storage.folder, opened[0])
+                folder = _open_folder(settings, plan, storage.folder, opened[0])
         loaded = load(settings, clock, folder)
         loaded.report(settings.shown)
         yield loaded, partial(
@@ -149,10 +151,10 @@ def load_stored(
         )  # fmt: skip
 
 
-def _open_folder(settings: JobSettings, path: Path, backend: Backend) -> PointFolder:
+def _open_folder(settings: JobSettings, plan: JobPlan, path: Path, backend: Backend) -> PointFolder:
     """Return the folder that the points are put into."""
     log.info("the points are put into %s", path)
-    points = choose_tile(settings, backend) or TILE_POINTS
+    points = plan.tile or TILE_POINTS
     return PointFolder(path, find_point_workers(settings.points, path, backend, points))
 
 

@@ -105,16 +105,15 @@ class Coarse:
             return find_within(keys, *ends.astype(np.int64))
 
         rows = find(above.keys, size)
-        parents = Parents(*(of[rows] for of in (
-            above.keys, above.coefficients, above.support, above.variances,
-        )))  # fmt: skip
+        parents = Parents(
+            above.keys[rows], above.coefficients[rows], above.support[rows], above.variances[rows]
+        )
         trust = self.levels[0].trust[rows] if self.levels else None
         coarser = []
         for depth, level in enumerate(self.levels[1:], start=1):
             rows = find(level.keys, size * 2**depth)
-            coarser.append(
-                FieldLevel(level.keys[rows], level.coefficients[rows], level.trust[rows])
-            )
+            kept = FieldLevel(level.keys[rows], level.coefficients[rows], level.trust[rows])
+            coarser.append(kept)
         far = crop_far_field(self.far, low - margin - 3.0 * size, high + margin + 3.0 * size)
         return CoarseLevels(parents, trust, tuple(coarser), far)
 

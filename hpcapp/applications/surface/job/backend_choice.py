@@ -19,6 +19,7 @@ from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 from hpcapp.applications.surface.job.settings import Settings, choose_local, name_backend
+from hpcapp.applications.surface.resolution.memory import estimate_known, fitting_workers
 from hpcapp.backends.selection import Backend, open_backend, open_executor, wrap_communicator
 from hpcapp.capacity import count_carried
 from hpcapp.communicator.scheduling.verification import Verification
@@ -132,6 +133,12 @@ def choose_backend(settings: Settings, job: Job) -> BackendChoice:
         if carried < 2:
             return _stay(settings, job, f"no two workers fit here ({limit})")
         workers = min(workers, carried)
+        if settings.max_memory is not None:
+            fitting = fitting_workers(settings.max_memory, estimate_known(job.points))
+            if fitting < 2:
+                limit = f"{name_option('max_memory')} is too little"
+                return _stay(settings, job, f"no two workers fit here ({limit})")
+            workers = min(workers, fitting)
     if job.work < least_work(workers, is_remote=kind == "cluster"):
         return _stay(settings, job, f"{job}: too little for {workers} workers to pay")
     return BackendChoice(kind, workers, f"{job}: enough for {workers} workers", settings.workers)

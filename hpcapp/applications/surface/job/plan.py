@@ -14,6 +14,7 @@ import tempfile
 from enum import Enum
 from typing import Any
 
+from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.job.backend_choice import (
     SQUARE,
     BackendChoice,
@@ -34,13 +35,17 @@ from hpcapp.applications.surface.methods.method import (
 )
 from hpcapp.applications.surface.resolution.asked import guess_grid
 from hpcapp.applications.surface.resolution.memory import (
+    BYTES_OF_LOADERS,
     BYTES_PER_TILE_POINT,
     count_most_points,
+    estimate_known,
     fitting_tile,
+    may_lack_normals,
 )
 from hpcapp.backends import BACKENDS, IN_PROCESS
 from hpcapp.backends.selection import Backend
 from hpcapp.io import open_points
+from hpccomponent.cli.option_names import name_option
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import UsageError
 from hpccomponent.limits import available_cores, available_memory
@@ -67,7 +72,8 @@ class JobPlan:
 
     `tile` is how many points a tile may have; `memory`, `worker_memory` and `disk` are in bytes,
     of this process, of each worker in another, and of the temporary folder. `available` is the
-    memory that may be had here, None where nothing says so.
+    memory that may be had here, None where nothing says so. Workers are processes of this machine
+    if `works_here`.
     """
 
     job: Job
@@ -78,12 +84,27 @@ class JobPlan:
     worker_memory: float
     disk: float
     available: float | None
+    works_here: bool = True
+
+    @property
+    def memory_here(self) -> float:
+        """The bytes of all processes on this machine."""
+        return self.memory + (self.choice.workers * self.worker_memory if self.works_here else 0.0)
 
     @property
     def tiles(self) -> int:
         """Return how many tiles there are at least."""
         workers = 1 if self.choice.backend in IN_PROCESS else self.choice.workers
         return max(workers, -(-self.job.points // self.tile) if self.tile else 1)
+
+    def say_excess(self) -> str | None:
+        """Say that the job takes more than is allowed; None where it does not, or nothing is."""
+        if self.tile is None or self.available is None or self.memory_here <= self.available:
+            return None
+        return (
+            f"the job takes about {_say(self.memory_here)} of memory, where "
+            f"{name_option('max_memory')} allows {_say(self.available)}"
+        )
 
     def to_json(self) -> dict[str, Any]:
         """Return what ``--plan --json`` prints."""
@@ -95,7 +116,7 @@ class JobPlan:
             "choice": self.choice.to_json(),
             "tiles": self.tiles,
             "points_of_a_tile": self.tile,
-            "memory": int(self.memory),
+            "memory": int(self.memory_here),
             "memory_of_a_worker": int(self.worker_memory),
             "disk": int(self.disk),
             "memory_available": None if self.available is None else int(self.available),
@@ -116,7 +137,7 @@ class JobPlan:
             ("backend", f"{self.choice.backend}, workers {self.choice.workers}: "
                         f"{self.choice.reason}"),
             ("tiles", tiles),
-            ("memory", f"about {_say(self.memory)}{available}"),
+            ("memory", f"about {_say(self.memory_here)}{available}"),
         ]  # fmt: skip
         if self.worker_memory:
             rows.append(("each worker", f"about {_say(self.worker_memory)}"))
@@ -151,22 +172,44 @@ def plan_job(
             place = Place.DISK
         elif is_opened or choice.backend not in IN_PROCESS:
             place = Place.SHARED if _may_pay_in_folder(settings, job.points) else place
-    at_once = choice.workers if choice.backend in IN_PROCESS else 1
-    tile = None if limit is None else fitting_tile(limit, at_once)
-    memory, worker = _estimate_memory(settings.method, job, place, choice, tile)
+    is_local = works_here(settings)
+    has_normals = settings.normals != "estimate" and not may_lack_normals(settings.points)
+    own = _estimate_own(job.points, place, choice, has_normals=has_normals)
+    tile = None if limit is None else _fit_tile(limit, own, choice, is_local=is_local)
+    memory, worker = _estimate_memory(settings.method, job, place, choice, tile, own)
     disk = 0.0 if place is Place.MEMORY else _BYTES_ON_DISK * float(job.points)
-    return JobPlan(job, place, choice, tile, memory, worker, disk, available)
+    return JobPlan(job, place, choice, tile, memory, worker, disk, available, is_local)
+
+
+def _estimate_own(points: int, place: Place, choice: BackendChoice, *, has_normals: bool) -> float:
+    """Return the bytes of this process besides its tiles."""
+    if place is Place.MEMORY:
+        return BYTES_OF_PROGRAM + BYTES_PER_POINT * points
+    known = estimate_known(points, has_normals=has_normals)
+    return known - (BYTES_OF_LOADERS if choice.backend in IN_PROCESS else 0.0)
+
+
+def _fit_tile(limit: float, own: float, choice: BackendChoice, *, is_local: bool) -> int:
+    """Return how many points a tile may have; a worker elsewhere has a machine of its own."""
+    if not is_local:
+        return fitting_tile(limit, 0.0, 1, in_process=False)
+    in_process = choice.backend in IN_PROCESS
+    return fitting_tile(limit, own, choice.workers, in_process=in_process)
 
 
 def _estimate_memory(
-    method: MethodSettings, job: Job, place: Place, choice: BackendChoice, tile: int | None
+    method: MethodSettings,
+    job: Job,
+    place: Place,
+    choice: BackendChoice,
+    tile: int | None,
+    own: float,
 ) -> tuple[float, float]:
     """Return the bytes of this process, and of each worker in another."""
     is_here, most = choice.backend in IN_PROCESS, min(tile or TILE_POINTS, job.points)
     if is_here and place is Place.MEMORY and tile is None:
         cells = SQUARE * float(job.grid) ** 2 if job.is_chosen else _CELLS_OF_A_POINT * job.points
         return method.estimate_memory(job.grid, job.points, cells), 0.0
-    own = BYTES_OF_PROGRAM + (BYTES_PER_POINT * job.points if place is Place.MEMORY else 0.0)
     if is_here:
         return own + BYTES_PER_TILE_POINT * most * choice.workers, 0.0
     each = min(most, max(1, job.points // choice.workers))
@@ -212,9 +255,16 @@ def works_here(settings: Settings) -> bool:
     return settings.cluster is None and (name_backend(settings) or "zmq") in BACKENDS
 
 
-def choose_tile(settings: Settings, backend: Backend) -> int | None:
-    """Return how many points of a tile fit the memory of a process; None if it has no limit."""
+def choose_tile(settings: Settings, backend: Backend, cloud: ArrangedCloud) -> int | None:
+    """Return how many points of a tile fit into the memory that may be had; None without a limit.
+
+    It is of all processes of this machine; a worker of another one has that to itself.
+    """
     if settings.max_memory is None:
         return None
-    workforce = backend.workforce
-    return fitting_tile(settings.max_memory, workforce.workers if workforce.in_process else 1)
+    limit, workforce = settings.max_memory, backend.workforce
+    if not (workforce.in_process or backend.is_here):
+        return fitting_tile(limit, 0.0, 1, in_process=False)
+    points = len(cloud)
+    held = BYTES_OF_PROGRAM + BYTES_PER_POINT * points if cloud.is_here else estimate_known(points)
+    return fitting_tile(limit, held, workforce.workers, in_process=workforce.in_process)

@@ -105,7 +105,7 @@ class Settings:
     faces: int | None = _most_used(None, "Simplify the mesh to N triangles.", low=4)
     max_memory: float | None = _most_used(
         None,
-        "Most memory of this process and of each worker, as 2G; larger clouds stay on disk.",
+        "Most memory of all processes of a machine, as 2G; larger clouds stay on disk.",
         kind=click.STRING, metavar="SIZE", parse=_parse_limit,
     )  # fmt: skip
     cluster: Path | None = _most_used(

@@ -90,12 +90,12 @@ def preprocess(settings: Settings, cloud: ArrangedCloud, clock: StageClock) -> A
 
 
 def open_method(
-    settings: Settings, site: Site, grid: int, points: int, clock: StageClock
+    settings: Settings, site: Site, grid: int, cloud: ArrangedCloud, clock: StageClock
 ) -> Method[Any, Any]:
-    """Open the method for so many points, and log what runs where."""
+    """Open the method for a cloud, and log what runs where."""
     backend, workforce = site.backend, site.backend.workforce
-    threads = choose_threads(workforce, points)
-    tile_points = choose_tile(settings, backend)
+    threads = choose_threads(workforce, len(cloud))
+    tile_points = choose_tile(settings, backend, cloud)
     show_part = clock.progress.show_part if clock.progress.shows_parts else show_nothing
     method = settings.method.open(grid, Resources(threads, tile_points, site.checkpoint, show_part))
     log.info(

@@ -7,7 +7,7 @@ from pathlib import Path
 from hpcapp import kernels
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.cloud.spacing import estimate_spacing
-from hpcapp.applications.surface.methods.method import TILE_POINTS, MethodSettings
+from hpcapp.applications.surface.methods.method import BYTES_OF_PROGRAM, TILE_POINTS, MethodSettings
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.points import PointCloud
 from hpcapp.io.registry import find_point_reader
@@ -23,9 +23,15 @@ SAMPLED_POINTS = 1_000_000
 SMALL_GRID = 256
 
 
-#: What a tile takes of the process that makes its mesh, a point; measured from above.
-BYTES_PER_TILE_POINT = 800.0
+#: What a tile takes of the process that makes its mesh, or cuts it open, a point: 200 of a closed
+#: surface, 540 of a terrain without normals.
+BYTES_PER_TILE_POINT = 600.0
 LEAST_TILE = 50_000
+#: What waits beside local workers: their loaders and components.
+BYTES_OF_LOADERS = 1e8
+#: What this process knows of a cloud in a folder, a point: blocks, coarse cells and seams; and of
+#: one without normals, patches and their links, while their sides are told.
+BYTES_PER_KNOWN_POINT, BYTES_PER_UNTURNED_POINT = 20.0, 170.0
 
 
 def parse_limit(text: str) -> float:
@@ -65,12 +71,35 @@ def count_most_points(path: Path) -> int:
         return 0
 
 
-def fitting_tile(limit: float, at_once: int) -> int:
+def may_lack_normals(path: Path) -> bool:
+    """Tell whether a file holds no normals, by its head; False where that does not say so."""
+    try:
+        known = find_point_reader(path)
+        return known.states_count and not known.open(path).has_normals
+    except (OSError, HpcError):
+        return False
+
+
+def estimate_known(points: int, *, has_normals: bool = True) -> float:
+    """Return the bytes of a process that works with others on points in a folder, at most."""
+    each = BYTES_PER_KNOWN_POINT if has_normals else BYTES_PER_UNTURNED_POINT
+    return BYTES_OF_PROGRAM + BYTES_OF_LOADERS + each * points
+
+
+def fitting_workers(limit: float, own: float) -> int:
+    """Return how many processes with a least tile fit beside this one, which takes `own` bytes."""
+    each = BYTES_OF_PROGRAM + BYTES_PER_TILE_POINT * LEAST_TILE
+    return max(0, int((limit - own) / each))
+
+
+def fitting_tile(limit: float, own: float, workers: int, *, in_process: bool) -> int:
     """Return how many points a tile may have, from `LEAST_TILE` to `TILE_POINTS`.
 
-    `limit` is that of the process, in bytes; so many tiles are in it `at_once`.
+    `limit` is that of all processes in bytes, of which this one takes its `own` besides its tiles;
+    each of the `workers` makes one, in a process of its own unless `in_process`.
     """
-    points = (limit - LEAST_MEMORY / 2.0) / at_once / BYTES_PER_TILE_POINT
+    others = 0.0 if in_process else BYTES_OF_PROGRAM * workers
+    points = (limit - own - others) / workers / BYTES_PER_TILE_POINT
     return int(min(max(points, LEAST_TILE), TILE_POINTS))
 
 

@@ -34,7 +34,8 @@ def carry_columns(
         log.warning("warning: %s: left out: %s", name_option("attributes", CONFIDENCE), reason)
     if layout.colours is None and not layout.attributes and not choice.has_support:
         return Carrying(layout, None, None, choice.has_normals, loaded.crs, placement)
-    at_once = min(choose_tile(settings, outcome.backend) or _MOST_AT_ONCE, _MOST_AT_ONCE)
+    tile = choose_tile(settings, outcome.backend, cloud)
+    at_once = min(tile or _MOST_AT_ONCE, _MOST_AT_ONCE)
     threads = choose_threads(outcome.backend.workforce, len(cloud))
     with clock.stage("attributes"):
         spacing = float(outcome.result.facts.get("spacing", 0.0))

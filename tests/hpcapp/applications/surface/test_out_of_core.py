@@ -22,7 +22,14 @@ from hpcapp.applications.surface.hierarchical import method
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
 from hpcapp.applications.surface.job import plan, site
 from hpcapp.applications.surface.job.settings import JobSettings
-from hpcapp.applications.surface.resolution.memory import fitting_tile, parse_limit
+from hpcapp.applications.surface.methods.method import BYTES_OF_PROGRAM
+from hpcapp.applications.surface.resolution.memory import (
+    BYTES_PER_TILE_POINT,
+    estimate_known,
+    fitting_tile,
+    fitting_workers,
+    parse_limit,
+)
 from hpcapp.applications.surface.steps import read
 from hpcapp.applications.surface.stitching import shared_ply, surface, tile_ply
 from hpcapp.applications.surface.stitching.handle_groups import Mended
@@ -405,5 +412,23 @@ def test_what_is_no_size_is_refused(text: str) -> None:
 def test_tiles_follow_the_memory() -> None:
     assert parse_limit("1.5g") == 1.5 * 2**30
     assert parse_limit("300MiB") == 300 * 2**20
-    assert fitting_tile(2.0**29, 1) > fitting_tile(2.0**29, 2) >= 50_000
-    assert fitting_tile(2.0**40, 1) == fitting_tile(2.0**40, 8)
+    limit, own = 2.0**30, 2.0**28
+    alone = fitting_tile(limit, own, 1, in_process=True)
+    assert alone > fitting_tile(limit, own, 2, in_process=True) >= 50_000
+    assert fitting_tile(limit, own, 2, in_process=False) < fitting_tile(
+        limit, own, 2, in_process=True
+    )
+    assert fitting_tile(2.0**40, own, 1, in_process=True) == fitting_tile(
+        2.0**40, own, 8, in_process=False
+    )
+
+
+def test_all_processes_together_fit_the_limit() -> None:
+    own = estimate_known(1_000_000)
+    for limit in (2.0**29, 2.0**30, 2.0**32):
+        workers = fitting_workers(limit, own)
+        tile = fitting_tile(limit, own, workers, in_process=False)
+        whole = own + workers * (BYTES_OF_PROGRAM + BYTES_PER_TILE_POINT * tile)
+        assert workers >= 1
+        assert whole <= limit
+    assert fitting_workers(2.0**28, own) == 0

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from little_memory import leave_little_memory
 from standing import StartCluster
 
 import hpcapp
 from hpcapp.applications.surface.cli.run import run_job
 from hpcapp.applications.surface.job import backend_choice
-from hpcapp.applications.surface.job.backend_choice import Job, least_work
+from hpcapp.applications.surface.job.backend_choice import Job, choose_backend, least_work
 from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.paper.settings import Paper
 from hpcapp.backends.selection import open_executor
@@ -46,15 +47,29 @@ def test_only_what_is_known_before_the_points_are_read_is_told(
     sphere_file: Path,
     tmp_path: Path,
     caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     caplog.set_level(logging.INFO, "hpcapp")
-    report = run_job(
-        JobSettings(sphere_file, str(tmp_path / "mesh.ply"), grid=grid, max_memory=1e8),
-        Progress(),
-    )
+    leave_little_memory(monkeypatch)
+    settings = JobSettings(sphere_file, str(tmp_path / "mesh.ply"), grid=grid)
+    report = run_job(settings, Progress())
     [told] = [line for line in caplog.messages if line.startswith("backend")]
     assert told == f"backend {report['backend']}: {report['choice']['reason']}"
     assert report["choice"]["reason"].startswith(known.format(len(read_points(sphere_file))))
+
+
+@pytest.mark.usefixtures("two_cores")
+def test_no_more_workers_are_started_than_fit_into_the_memory_that_may_be_had(
+    sphere_file: Path, tmp_path: Path
+) -> None:
+    job = Job(4_000_000, 512)
+    much, little = (
+        choose_backend(JobSettings(sphere_file, str(tmp_path / "m.ply"), max_memory=most), job)
+        for most in (2e9, 3e8)
+    )
+    assert (much.backend, much.workers) == ("zmq", 2)
+    assert little.backend == "threads"
+    assert "max_memory" in little.reason
 
 
 @given(st.integers(1, 2000), st.integers(1, 2000), st.booleans())

@@ -97,7 +97,7 @@ def test_a_job_does_what_was_planned(
     )
     if is_little:
         leave_little_memory(monkeypatch)
-    monkeypatch.setattr(plan, "fitting_tile", lambda *_: 600)
+    monkeypatch.setattr(plan, "fitting_tile", lambda *_, **__: 600)
     planned = plan_job(settings)
     assert planned.place is (Place.DISK if is_little else Place.MEMORY)
     report = run_job(settings, Progress())
