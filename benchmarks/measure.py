@@ -93,8 +93,10 @@ def describe(result: Result, build: str) -> str:
     """Return a line: the age of a result, what makes it, and what that needs."""
     commit = result.read_commit()
     age = None if commit is None else count_age(commit)
-    told = "missing" if commit is None else "no such commit" if age is None else f"{age} commits"
-    told = "this build" if commit == build else f"{told}, old" if is_due(result) else told
+    if commit in (None, build):
+        told = "this build" if commit else "missing"
+    else:
+        told = "no such commit" if age is None else f"{age} commits{', old' * (age > OLD)}"
     needs = f"  ({', '.join(result.needs)})" if result.needs else ""
     return f"{result.name:24}{told:20}{result.minutes:4} min  {result.command}{needs}"
 
