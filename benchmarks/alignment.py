@@ -1,19 +1,18 @@
 #!/usr/bin/env python3
 """Show how often two scans in frames of their own are aligned rightly, and surely.
 
-    HPCAPP_DATA=DIR benchmarks/alignment.py [--seed S] [--count N] [--only REGEX] [-o FOLDER]
+    HPCAPP_DATA=DIR benchmarks/alignment.py [--seed S] [--count N] [--only REGEX] [-o FILE]
 
 Rooms, streets, fronts, pipe works by two tripods, an object from two of eight or of five sides,
 neighbouring flights over a terrain: any turn, half of the tripods upright, noise to a spacing. A
 pose is right where it places the points within half a spacing (root mean square). The other
 families have no answer: a pipe, a plain, an empty square hall, a round thing, and two different
 things. What traces rays lies in the folders `worlds` and `raw` of the shared scans; it needs
-`trimesh` and `embreex`. The last table is `alignment.json`.
+`trimesh` and `embreex`.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import re
 import time
@@ -24,7 +23,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from tables import Row, write_table
+from tables import Row, parser_of, write_table
 from worlds import load_tool
 
 from hpcapp.alignment.pair import align_pair
@@ -204,11 +203,10 @@ FAMILIES = (
 
 def main() -> None:
     """Align pairs of every family, and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--count", type=int, default=COUNT)
     parser.add_argument("--only", default=".", help="of the families, a regular expression")
-    parser.add_argument("-o", "--output", type=Path, help="folder of the table")
     asked = parser.parse_args()
     maker, rows = Maker(Path(os.environ["HPCAPP_DATA"])), list[Row]()
     for number, family in enumerate(FAMILIES):
@@ -227,13 +225,9 @@ def main() -> None:
             told = found.verdict.worth, found.next_worth, found.slid_worth, found.verdict.through
             rows.append([family, off, *(round(value, 3) for value in told), round(cost, 1)])
             print(*rows[-1], "sure" if found.is_sure else "", flush=True)
-    if asked.output is not None:
-        title = (
-            f"Pairs of scans of seed {asked.seed}: spacings off, and what tells that they are right"
-        )
-        command = "HPCAPP_DATA=DIR benchmarks/alignment.py -o benchmarks/results"
-        columns = ["family", "off", "worth", "next", "slid", "through", "CPU s"]
-        write_table(asked.output / "alignment.json", title, columns, rows, command)
+    title = f"Pairs of scans of seed {asked.seed}: spacings off, and what tells that they are right"
+    columns = ["family", "off", "worth", "next", "slid", "through", "CPU s"]
+    write_table(asked.output, title, columns, rows)
 
 
 if __name__ == "__main__":

@@ -1,15 +1,14 @@
 #!/usr/bin/env python3
 """Fit the probability that a scan is open: `boundary.closing.COEFFICIENTS`.
 
-    HPCAPP_DATA=DATA benchmarks/closing.py ROWS DIR...
+    HPCAPP_DATA=DIR benchmarks/closing.py [--seed S] [--count N] [--folders raw] [-o FILE]
 
-Each DIR has an ``expected.json`` that says of its scans whether they are ``closed``. Of which it
-does not, rooms and objects seen in part count as open, and others that came out closed by the share
-of that which lies away from what was seen. What is closed but read from inside, or a room but read
-from outside, is left out: its sides are wrong, and not its closing. ROWS is a file of one JSON
-object a scan: what is not in it is reconstructed, and added. Fitted by the likelihood with a little
-damping, over all scans and ten times without a tenth of them, on which it is then judged
-(`results/closing.json`).
+Of random worlds (see `worlds.py`) and of the folders' scans it is known whether they are closed.
+Where it is not, rooms and objects seen in part count as open, and others that came out closed by
+the share of that which lies away from what was seen. What is closed but read from inside, or a room
+but read from outside, is left out: its sides are wrong, and not its closing. What was found of each
+scan is kept in ``rows.jsonl``, here. Fitted by the likelihood with a little damping, over all scans
+and ten times without a tenth of them, on which it is then judged.
 """
 
 from __future__ import annotations
@@ -17,13 +16,12 @@ from __future__ import annotations
 import json
 import os
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tables import write_table
-from worlds import load_tool
+from tables import parser_of, write_table
+from worlds import FAMILIES, load_tool, make_worlds
 
 from hpcapp.applications.surface.boundary.closing import measure_opening
 from hpcapp.applications.surface.types.reading import Reading
@@ -98,7 +96,18 @@ def is_open(row: dict[str, Any]) -> bool | None:
 
 def main() -> None:
     """Collect, fit, judge, and write what came of it."""
-    rows = collect(Path(sys.argv[1]), [Path(folder) for folder in sys.argv[2:]])
+    parser = parser_of(__doc__)
+    parser.add_argument("--seed", type=int, default=59_001)
+    parser.add_argument("--count", type=int, default=8, help="worlds of each family")
+    parser.add_argument("--folders", nargs="*", default=[], help="of more scans, as raw")
+    asked = parser.parse_args()
+    data = Path(os.environ["HPCAPP_DATA"])
+    folders = [data / name for name in asked.folders]
+    for family in FAMILIES:
+        folders.append(Path("worlds", family).absolute())
+        if not (folders[-1] / "expected.json").exists():
+            make_worlds(data, folders[-1], family, asked.seed, asked.count)
+    rows = collect(Path("rows.jsonl"), folders)
     rows = [row for row in rows if row["reading"] and is_open(row) is not None]
     readings = [Reading.of_json(row["reading"]) for row in rows]
     shares = [row["unsupported"] for row in rows]
@@ -118,13 +127,11 @@ def main() -> None:
         *(f"wrong: {Path(rows[row]['scan']).name}" for row in np.flatnonzero(~is_right)),
     ]
     write_table(
-        Path(__file__).parent / "results" / "closing.json",
+        asked.output,
         "Open or closed: said how surely, right how often, on scans that were left out",
         ["from", "to", "scans", "right"],
         np.stack([_BINS[:-1], _BINS[1:], *counts], axis=1).tolist(),
-        "HPCAPP_DATA=DATA benchmarks/closing.py ROWS DIR...",
         notes,
-        "any",
     )
 
 

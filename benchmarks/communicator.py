@@ -1,6 +1,6 @@
 """Measure the communicator beside a minimal ROUTER/DEALER, in one run, CURVE on in both.
 
-Run it as ``python benchmarks/communicator.py [--rounds N] [--json FILE]``. Two workers on
+Run it as ``python benchmarks/communicator.py [--rounds N] [-o FILE]``. Two workers on
 loopback; each engine is measured in a process of its own, their rounds take turns, and medians
 are compared, because absolute figures drift while ratios in one run hold. The minimal peer has
 no scheduler, no failure handling and no second process per worker: it is the floor that ZeroMQ
@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from tables import Row, parser_of, write_table
 
 if TYPE_CHECKING:
     import zmq
@@ -373,11 +374,10 @@ def available() -> list[str]:
     return names
 
 
-def main() -> int:
-    """Measure, print the table, and return 1 if a limit is missed."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+def main() -> None:
+    """Measure, print the table, and tell which limits are missed."""
+    parser = parser_of(__doc__)
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--json", metavar="FILE", help="write every round here as well")
     parser.add_argument("--peer", nargs=2, help=argparse.SUPPRESS)
     parser.add_argument("--engine", choices=ENGINES, help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -385,7 +385,7 @@ def main() -> int:
         run_peer(*options.peer)
     if options.engine:
         print(json.dumps(measure(ENGINES[options.engine])))
-        return 0
+        return
     rounds: dict[str, list[dict[str, float]]] = {name: [] for name in available()}
     for _ in range(options.rounds):
         for name, taken in rounds.items():
@@ -397,17 +397,34 @@ def main() -> int:
         for name, taken in rounds.items()
         if taken
     }
-    verdicts = judge(medians)
+    judge(medians)
     print(json.dumps(medians, indent=2))
-    print("load average", *os.getloadavg())
-    if options.json:
-        Path(options.json).write_text(json.dumps(rounds, indent=2) + "\n", encoding="utf-8")
-    return 0 if all(verdicts) else 1
+    title = "The communicator beside its peers: medians, and what it must reach of theirs"
+    columns = ("measure", *medians, "communicator by others", "limits")
+    notes = [f"{options.rounds} rounds, in which the engines take turns; two workers on loopback."]
+    write_table(options.output, title, columns, tabulate(medians), notes)
 
 
-def judge(medians: dict[str, dict[str, float]]) -> list[bool]:
-    """Print one line per limit, and return whether each is kept."""
-    verdicts = []
+def tabulate(medians: dict[str, dict[str, float]]) -> list[Row]:
+    """Return a row for each metric."""
+    rows: list[Row] = []
+    for metric, limits in LIMITS.items():
+        figures: list[str | float] = [
+            f"{float(f'{taken[metric]:.3g}'):,g}" if metric in taken else "-"
+            for taken in medians.values()
+        ]
+        ours = medians["communicator"][metric]
+        peers = {other: medians[other][metric] for other in limits if other in medians}
+        ratios = ", ".join(f"{ours / theirs:.2g} {other}" for other, theirs in peers.items())
+        asked = ", ".join(
+            f"{sense} {factor:g} {other}" for other, (factor, sense) in limits.items()
+        )
+        rows.append([metric, *figures, ratios or "-", asked])
+    return rows
+
+
+def judge(medians: dict[str, dict[str, float]]) -> None:
+    """Print one line per limit: whether it is kept."""
     print(f"{'':16}  {'communicator':>12}  {'other':>12}  {'ratio':>6}  limit")
     for metric, limits in LIMITS.items():
         for other, (factor, sense) in limits.items():
@@ -416,12 +433,11 @@ def judge(medians: dict[str, dict[str, float]]) -> list[bool]:
             ours = medians["communicator"][metric]
             theirs = 1.0 if other == "itself" else medians[other][metric]
             ratio = ours / theirs
-            verdicts.append(ratio <= factor if sense == "at most" else ratio >= factor)
-            word = "ok" if verdicts[-1] else "MISSED"
+            is_kept = ratio <= factor if sense == "at most" else ratio >= factor
+            word = "ok" if is_kept else "MISSED"
             line = f"{metric:16}  {ours:12.2f}  {theirs:12.2f}  {ratio:6.2f}"
             print(f"{line}  {sense} {factor:g} x {other}: {word}")
-    return verdicts
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

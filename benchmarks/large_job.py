@@ -5,8 +5,8 @@
     cloud (see `big_cloud`) ── hpcapp reconstruct --resume ── SIGKILL ── the same command ──> mesh
                                   memory and disk are looked at every second
 
-FOLDER gets the cloud, if it is not there yet, the temporary folder and the mesh, and RESULTS, a
-table as they stand in ``benchmarks/results/``. What follows ``--`` is given to `hpcapp reconstruct`
+FOLDER, by default this one, gets the cloud, if it is not there yet, the temporary folder and the
+mesh. What follows ``--`` is given to `hpcapp reconstruct`
 in place of ``--max-memory 4G``.
 
 Memory is that of all processes of the job without the files that they map, which the system can
@@ -15,7 +15,6 @@ take back. CPU time is what they had taken when they were last looked at.
 
 from __future__ import annotations
 
-import argparse
 import os
 import re
 import subprocess
@@ -28,7 +27,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from big_cloud import measure_distances, write_cloud
-from tables import write_table
+from tables import parser_of, write_table
 
 from hpcapp.io import open_points
 
@@ -126,11 +125,10 @@ def run(command: Sequence[str], temp: Path, mesh: Path, *, is_killed: bool) -> U
 
 def main() -> None:
     """Run the job, and write what it took."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("points", type=int)
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("--folder", type=Path, default=Path())
     parser.add_argument("--uneven", type=float, default=RATIO, metavar="RATIO")
-    parser.add_argument("--results", type=Path, help="by default FOLDER/large-job.json")
     parser.add_argument("options", nargs="*", metavar="-- OPTION", default=[])
     asked = parser.parse_args()
     asked.folder.mkdir(parents=True, exist_ok=True)
@@ -156,7 +154,6 @@ def main() -> None:
         resumed.last_line.replace(str(mesh), "The mesh"),
         f"{vertices:,} vertices, off the formula by {rms:.2g} (rms), {largest:.2g} at most.",
     ]
-    shown = " ".join(["hpcapp", *job, *options]).replace(f"{asked.folder}/", "")
     runs = (killed, resumed)
     rows = [
         ["wall, s", *(f"{run.wall_s:,.0f}" for run in runs)],
@@ -166,11 +163,9 @@ def main() -> None:
         ["the same, bytes a point", *(f"{run.disk / asked.points:.1f}" for run in runs)],
         ["mesh, GB", *(f"{run.mesh / 1e9:.2f}" for run in runs)],
     ]
-    results = asked.results or asked.folder / "large-job.json"
     title = f"{asked.points:,} points, killed when half of the tiles were done"
-    columns, machine = ["", "until it was killed", "with --resume"], f"{os.cpu_count()} cores"
-    write_table(results, title, columns, rows, shown, notes, machine)
-    print(results.read_text(), end="")
+    print(*rows, *notes, sep="\n")
+    write_table(asked.output, title, ["", "until it was killed", "with --resume"], rows, notes)
 
 
 if __name__ == "__main__":

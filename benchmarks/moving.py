@@ -1,18 +1,16 @@
 #!/usr/bin/env python3
 """Show how much goes of what moved while a scene was scanned, and of what stood still.
 
-    HPCAPP_DATA=DIR benchmarks/moving.py [--seed S] [--count N] [--only REGEX]
+    HPCAPP_DATA=DIR benchmarks/moving.py [--seed S] [--count N] [--only REGEX] [-o FILE]
 
 Rooms and streets, by three or four tripods (PTX) or by a spinning scanner on a way whose times are
 known (points with times and a trajectory), with walkers, and with cars in streets: some stand for a
 while, some cross. A point is of what moved where its ray met a walker or a car. Scenes and rays are
-those of the folder `worlds` of the shared scans; it needs `trimesh` and `embreex`. The table is
-`moving.json`.
+those of the folder `worlds` of the shared scans; it needs `trimesh` and `embreex`.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import re
 import tempfile
@@ -22,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tables import Row, write_table
+from tables import Row, parser_of, write_table
 from worlds import load_tool
 
 from hpcapp.applications.surface.normals.sensor import find_path
@@ -248,7 +246,7 @@ FAMILIES = ("rooms_by_tripods", "streets_by_tripods", "rooms_by_hand", "streets_
 
 def main() -> None:
     """Print each scene and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = parser_of(__doc__)
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--count", type=int, default=COUNT)
     parser.add_argument("--only", default="")
@@ -273,14 +271,12 @@ def main() -> None:
             round(100 * lost / rest, 3),
         ])  # fmt: skip
     print(rows)
-    if not asked.only:
-        write_table(
-            Path(__file__).parent / "results/moving.json",
-            "Points of what moved while a scene was scanned: how many go, and how many of the rest",
-            ("scenes", "count", "points of movers", "share that goes", "% of the rest that goes"),
-            rows,
-            f"benchmarks/moving.py --seed {asked.seed} --count {asked.count}",
-        )
+    write_table(
+        asked.output,
+        "Points of what moved while a scene was scanned: how many go, and how many of the rest",
+        ("scenes", "count", "points of movers", "share that goes", "% of the rest that goes"),
+        rows,
+    )
 
 
 if __name__ == "__main__":

@@ -1,19 +1,23 @@
-"""Our command beside screened Poisson: python benchmarks/peers.py FOLDER [CLOUD ...].
+"""Our command beside screened Poisson: peers.py scans|cost|CLOUD ... [--folder DIR] [-o FILE].
 
 Every contender is a process of its own, started in turn in one run; CPU (user + sys), wall and
 peak memory are those of the whole process with its children, as the kernel counts them. Results
-of the peers are kept in FOLDER and used again (``--fresh`` measures them anew, interleaved with
-ours: what a published figure needs).
+are kept in the folder, by default this one. Those of the peers are used again, and ours of the same
+build; a run that measures costs (more than one of ``--repeats``) takes all anew.
+
+``scans`` are those of real objects with known truth: errors by those of the best of Open3D's depths
+7, 8 and 9, chosen scan by scan by the truth, and of PoissonRecon and MeshLab at depth 8. ``cost``
+are three clouds at grid 256 beside Open3D at depth 8. Other names are those of `clouds.py`.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
+import os
 import shlex
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import geometric_mean
@@ -21,13 +25,23 @@ from typing import Any
 
 import numpy as np
 from clouds import Cloud, find_clouds, open_truth
+from tables import Row, find_build, parser_of, write_table
 
 from hpcapp.applications.compare.metrics import as_json, measure_mesh
 from hpcapp.applications.compare.truth import Truth
 from hpcapp.io import read_mesh
 
 OURS = "ours"
+OUR_COMMAND = "hpcapp reconstruct {input} -o {output} --backend serial"
+BEST = "best of them"
 DEFAULT_PEERS = ("open3d:7", "open3d:8", "open3d:9")
+SCAN_PEERS = (*DEFAULT_PEERS, "pypoisson2:8", "pymeshlab:8")
+COST_CLOUDS = ("bunny-36k", "bunny-263k", "torus-1M")
+SCAN_COLUMNS = ("scan", "kind", "L1", *SCAN_PEERS, "by the best", "largest by depth 8",
+                "pieces", "genus", "right topology", "CPU s")  # fmt: skip
+COST_COLUMNS = ("cloud", "CPU s, ours", "Open3D", "Open3D by ours", "MB, ours", "Open3D")
+OPEN = ("gargoyle__one_side",)
+"""Scans that show a part of their truth: not in the means."""
 _HEAD = (
     f"{'cloud':20} {'contender':12} {'L1 %':>8} {'ratio':>6} {'rms %':>8} {'Hausd %':>8} "
     f"{'normal':>7} {'closed':>6} {'comps':>5} {'genus':>5} {'CPU s':>7} {'wall s':>7} {'MB':>6}"
@@ -67,6 +81,7 @@ class Outcome:
     contender: str
     usage: Usage
     measures: dict[str, Any] | None
+    build: str | None = None
 
 
 def measure_process(command: list[str], log: Path) -> Usage:
@@ -100,7 +115,7 @@ def run_contender(
         mesh = read_mesh(target)
         mesh = replace(mesh, vertices=mesh.vertices + mesh.origin, origin=np.zeros(3))
         measures = as_json(measure_mesh(mesh, truth, samples)) if len(mesh.faces) else None
-    outcome = Outcome(cloud, contender.name, usage, measures)
+    outcome = Outcome(cloud, contender.name, usage, measures, find_build())
     stem.with_suffix(".json").write_text(json.dumps(asdict(outcome)))
     return outcome
 
@@ -132,12 +147,14 @@ def run_all(
 
 
 def _recall(folder: Path, cloud: str, contender: Contender) -> Outcome | None:
-    """Return a peer's kept outcome; ours is always measured anew."""
+    """Return a kept outcome: of a peer, or of this build."""
     path = _stem(folder, cloud, contender).with_suffix(".json")
-    if contender.name == OURS or not path.exists():
+    if not path.exists():
         return None
     kept = json.loads(path.read_text())
-    return Outcome(kept["cloud"], kept["contender"], Usage(**kept["usage"]), kept["measures"])
+    if contender.name == OURS and kept.get("build") != find_build():
+        return None
+    return Outcome(**kept | {"usage": Usage(**kept["usage"])})
 
 
 def _stem(folder: Path, cloud: str, contender: Contender) -> Path:
@@ -185,7 +202,7 @@ def print_summary(clouds: list[list[Outcome]]) -> None:
         return
     rivals = [outcome.contender for outcome in clouds[0][1:]]
     print(f"\nours / theirs over {len(clouds)} clouds, geometric mean (worst)")
-    for rival in (*rivals, "best of them"):
+    for rival in (*rivals, BEST):
         parts = []
         for key in ("l1", "normal_deg", "cpu_s", "wall_s", "rss_mb"):
             values = ratios(clouds, rival, key)
@@ -206,7 +223,7 @@ def ratios(clouds: list[list[Outcome]], rival: str, key: str) -> list[float]:
     """
     worst = []
     for ours, *theirs in clouds:
-        named = [o for o in theirs if rival in (o.contender, "best of them")]
+        named = [o for o in theirs if rival in (o.contender, BEST)]
         values = [r for r in (_ratio(ours, o, key) for o in named) if r is not None]
         if values:
             worst.append(max(values))
@@ -224,36 +241,84 @@ def _ratio(ours: Outcome, theirs: Outcome, key: str) -> float | None:
     return ours_value / their_value if ours_value > 0.0 < their_value else None
 
 
+def tabulate_scans(clouds: list[list[Outcome]]) -> tuple[list[Row], list[str]]:
+    """Return a row for each scan, and the geometric means."""
+    told = json.loads(Path(os.environ["HPCAPP_DATA"], "tuning/manifest.json").read_text())["meshes"]
+    rows: list[Row] = []
+    for ours, *theirs in clouds:
+        assert ours.measures is not None, ours.cloud
+        mesh, shape = told[ours.cloud.split("__")[0]], ours.measures["topology"]
+        l1 = [f"{one.measures['l1']:.4f}" if one.measures else "-" for one in (ours, *theirs)]
+        is_right = shape["watertight"] and (shape["components"], shape["genus"]) == (
+            mesh["components"], mesh["genus"],
+        )  # fmt: skip
+        largest = _ratio(
+            ours, next(one for one in theirs if one.contender == "open3d:8"), "hausdorff"
+        )
+        rows.append([
+            ours.cloud, mesh["kind"], *l1, round(max(ratios([[ours, *theirs[:3]]], BEST, "l1")), 3),
+            round(largest or 0.0, 2), shape["components"], str(shape["genus"]),
+            "yes" if is_right else "no", round(ours.usage.cpu_s, 2),
+        ])  # fmt: skip
+    closed = [cloud for cloud in clouds if cloud[0].cloud not in OPEN]
+    right = sum(row[-2] == "yes" and row[0] not in OPEN for row in rows)
+    notes = [f"Open3D's best depth: {_mean(closed, DEFAULT_PEERS)}; right topology in {right}."]
+    for noise in ("low", "medium", "high"):
+        some = [cloud for cloud in closed if cloud[0].cloud.endswith(f"__{noise}")]
+        notes.append(f"{noise} noise: {_mean(some, DEFAULT_PEERS)}.")
+    notes += [f"{peer}: {_mean(closed, (peer,))}." for peer in SCAN_PEERS[3:]]
+    return rows, notes
+
+
+def _mean(clouds: list[list[Outcome]], peers: Sequence[str]) -> str:
+    """Return the geometric mean and the worst of our L1 by that of the best of some peers."""
+    some = [[ours, *(one for one in theirs if one.contender in peers)] for ours, *theirs in clouds]
+    found = ratios(some, BEST, "l1")
+    return f"{geometric_mean(found):.3f}, worst {max(found):.2f}, over {len(found)} scans"
+
+
+def tabulate_costs(clouds: list[list[Outcome]]) -> list[Row]:
+    """Return a row for each cloud, of ours and one peer."""
+    rows: list[Row] = []
+    for ours, theirs in clouds:
+        a, b = ours.usage, theirs.usage
+        rows.append([ours.cloud, round(a.cpu_s, 2), round(b.cpu_s, 2), round(b.cpu_s / a.cpu_s, 1),
+                     round(a.rss_mb), round(b.rss_mb)])  # fmt: skip
+    return rows
+
+
 def main() -> None:
-    """Run the comparison and print its table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path, help="where clouds, meshes and outcomes are kept")
-    parser.add_argument("clouds", nargs="*", help="clouds or groups (clouds.py); all by default")
-    parser.add_argument("--ours", default="hpcapp reconstruct {input} -o {output} --grid 256")
+    """Run the comparison, print it and write its table."""
+    parser = parser_of(__doc__)
+    parser.add_argument("clouds", nargs="*", help="scans, cost, or clouds and groups of clouds.py")
+    parser.add_argument("--folder", type=Path, default=Path())
+    parser.add_argument("--ours", default=OUR_COMMAND, help="with {input} and {output}")
     parser.add_argument(
-        "--peers",
-        nargs="*",
-        default=list(DEFAULT_PEERS),
-        help="open3d, pymeshlab or pypoisson2, as open3d:DEPTH",
+        "--peers", nargs="*", help="open3d, pymeshlab or pypoisson2, as open3d:DEPTH"
     )
     parser.add_argument("--peer-python", default=sys.executable, help="the interpreter with them")
-    parser.add_argument("--fresh", action="store_true", help="measure the peers anew")
     parser.add_argument("--repeats", type=int, default=1)
     parser.add_argument("--samples", type=int, default=50_000, help="points for the distances")
-    parser.add_argument("--json", type=Path, help="write every outcome to this file")
-    args = parser.parse_args()
-    contenders = _contenders(args.ours, args.peers, args.peer_python)
+    asked = parser.parse_args()
+    is_cost, is_scans = asked.clouds == ["cost"], asked.clouds == ["scans"]
+    standard = ["open3d:8"] if is_cost else SCAN_PEERS if is_scans else DEFAULT_PEERS
+    ours = f"{asked.ours} --grid 256" if is_cost else asked.ours  # as fine as depth 8
+    contenders = _contenders(ours, asked.peers or [*standard], asked.peer_python)
+    chosen = find_clouds([*COST_CLOUDS] if is_cost else asked.clouds)
     clouds: list[list[Outcome]] = []
     for outcomes in run_all(
-        find_clouds(args.clouds), contenders, args.folder, args.fresh, args.repeats, args.samples
+        chosen, contenders, asked.folder, asked.repeats > 1, asked.repeats, asked.samples
     ):
         clouds.append(outcomes)
         print_cloud(outcomes, with_head=len(clouds) == 1)
     print_summary(clouds)
-    if args.json:
-        args.json.write_text(
-            json.dumps([[asdict(outcome) for outcome in outcomes] for outcomes in clouds])
-        )
+    if is_cost:
+        title = "Cost at grid 256 beside Open3D's screened Poisson at depth 8"
+        notes = [f"Medians of {asked.repeats} runs, in which both take turns."]
+        write_table(asked.output, title, COST_COLUMNS, tabulate_costs(clouds), notes)
+    elif is_scans:
+        title = "Scans of real objects with known truth: mean errors in per cent of the diagonal"
+        write_table(asked.output, title, SCAN_COLUMNS, *tabulate_scans(clouds))
 
 
 if __name__ == "__main__":

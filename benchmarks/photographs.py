@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Show how far a texture from photographs is from the paint that they were made of.
 
-    benchmarks/photographs.py [--photos 12] [--width 800] [--pixels 1024] [--json FILE]
+    benchmarks/photographs.py [--photos 12] [--width 800] [--pixels 1024] [-o FILE]
 
 A ground and three balls in front of each other (`tests/helpers/painted_scene.py`), photographs with
 Brown's distortion and exposures that differ by up to 1.5. Colours are 0 to 255; a step is how much
@@ -12,8 +12,6 @@ another thing. `mesh` is the scene's own, with the cameras as they are or turned
 
 from __future__ import annotations
 
-import argparse
-import json
 import logging
 import sys
 import tempfile
@@ -38,6 +36,7 @@ from painted_scene import (
     to_srgb,
     write_shots,
 )
+from tables import parser_of, write_table
 
 from hpcapp.applications.surface.cli.command import reconstruct
 from hpcapp.geometry.mesh import Mesh
@@ -132,11 +131,10 @@ def measure_job(folder: Path, cameras: Path, pixels: int) -> Row:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--photos", type=int, default=12)
     parser.add_argument("--width", type=int, default=800)
     parser.add_argument("--pixels", type=int, default=1024)
-    parser.add_argument("--json", type=Path, help="write the rows as JSON")
     asked = parser.parse_args()
     logging.disable()
     with tempfile.TemporaryDirectory() as name:
@@ -147,8 +145,15 @@ def main() -> None:
         rows = [*measure_mesh(photos, asked.pixels), measure_job(folder, cameras, asked.pixels)]
     for row in (COLUMNS, *rows):
         print(f"{row[0]:28}" + "".join(f"{value:>13}" for value in row[1:]))
-    if asked.json:
-        asked.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    title = "Textures from photographs of known paint: errors of the texels seen, of 255"
+    notes = [
+        f"{asked.photos} photographs of {asked.width} x {asked.width * 3 // 4}, {asked.pixels:,} x "
+        f"{asked.pixels:,} texels; exposures differ by up to 1.5.",
+        "`step 0.99`: how much the difference of texels side by side is off, in one of 100. "
+        "`other paint`: texels with the hue of another thing.",
+        "`reconstruct` counts all texels, those that no photograph shows, too.",
+    ]
+    write_table(asked.output, title, COLUMNS, rows, notes)
 
 
 if __name__ == "__main__":

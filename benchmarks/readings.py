@@ -2,16 +2,16 @@
 """Fit how probable a reading is, to scans whose truth is known: `likelihood.FITTED`.
 
     HPCAPP_DATA=DIR benchmarks/readings.py --seeds 59001,59002 --count 6 [--folders raw lines]
-        [--rows FILE] [-o FOLDER]
+        [--rows FILE] [-o FILE]
     HPCAPP_DATA=DIR benchmarks/readings.py --judge 59005 --count 6
 
 Of each random world (see `worlds.py`) and scan of the folders, the readings are followed as a job
 does, and compared with the true sides. The fit is the maximum of the likelihood that a right one is
 true, or none where none is right, with a little damping; five times without a fifth of them, on
-which it then shows how often is right what is said (`readings.json`). ``--judge`` shows that of
+which it then shows how often is right what is said. ``--judge`` shows that of
 `FITTED` on other seeds.
 `tests/benchmarks/test_readings.py` decides the worlds of the fit again, of which
-`readings-worlds.jsonl` has the readings that may be true. Worlds in the file of ``--rows`` are not
+`FILE-worlds.jsonl` has the readings that may be true. Worlds in the file of ``--rows`` are not
 measured again: it is of one state of the code.
 """
 
@@ -31,7 +31,7 @@ from unittest.mock import patch
 
 import numpy as np
 from scipy.optimize import minimize
-from tables import Row, write_table
+from tables import Row, parser_of, write_table
 from worlds import FAMILIES, load_tool, make_worlds
 
 import hpcapp
@@ -257,14 +257,13 @@ def measure_worlds(data: Path, asked: argparse.Namespace) -> Iterator[Row]:
 
 def main() -> None:
     """Measure, fit, judge, and write what came of it."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--seeds", default="59001,59002", help="worlds of the fit")
     parser.add_argument("--judge", help="seeds on which the numbers as they stand are judged")
     parser.add_argument("--count", type=int, default=6, help="worlds of each family and seed")
     parser.add_argument("--only", default=".", help="of the families, a regular expression")
     parser.add_argument("--folders", nargs="*", default=[], help="of more scans, as raw and lines")
     parser.add_argument("--rows", type=Path, help="file of what was measured")
-    parser.add_argument("-o", "--output", type=Path, help="folder of the tables")
     asked = parser.parse_args()
     rows = list(measure_worlds(Path(os.environ["HPCAPP_DATA"]), asked))
     table = Table.of(rows)
@@ -277,16 +276,14 @@ def main() -> None:
     print(*wrong, fitted, f"| {counts} |", f"{is_right.sum()} of {len(rows)} right", sep="\n")
     if asked.output is None or asked.judge:
         return
-    words = f"--seeds {asked.seeds} --count {asked.count} --folders {' '.join(asked.folders)}"
-    command = f"HPCAPP_DATA=DIR benchmarks/readings.py {words} -o FOLDER"
     title = "Sides of scans: said how surely, right how often, on those left out of the fit"
     columns = ["from", "to", "worlds", "right"]
     notes = [f"{name}: {number}" for name, number in asdict(fitted).items()]
-    path = asked.output / "readings.json"
-    write_table(path, title, columns, reliability, command, notes)
+    write_table(asked.output, title, columns, reliability, notes)
     likely = [drop_unlikely(*one) for one in zip(rows, table.odds(numbers), strict=True)]
     lines = [json.dumps(row, separators=(",", ":")) + "\n" for row in likely]
-    (asked.output / "readings-worlds.jsonl").write_text("".join(lines), encoding="utf-8")
+    worlds = asked.output.with_name(f"{asked.output.stem}-worlds.jsonl")
+    worlds.write_text("".join(lines), encoding="utf-8")
 
 
 if __name__ == "__main__":

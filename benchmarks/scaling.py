@@ -15,12 +15,11 @@ paper    the paper's method, ``fed``
 =======  ==========================================================================
 
 Every mesh of the default method must be the serial one, byte for byte. FOLDER receives
-``scaling.json``; a table goes to the standard output.
+``scaling.json``; a table goes to the standard output, and to the file of ``-o``.
 """
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import itertools
 import json
@@ -45,6 +44,7 @@ from emulated_machines import (
     open_group,
     open_machines,
 )
+from tables import Row, parser_of, write_table
 
 CORES = {4: 0.2, 8: 0.2, 16: 0.1}
 SLOWER = 4.0
@@ -217,14 +217,16 @@ def check_mesh(runs: Sequence[Run]) -> None:
     assert len(meshes) < 2, f"the meshes differ: {[(run.variant, run.mesh) for run in runs]}"
 
 
-def print_table(runs: Sequence[Run]) -> None:
-    """Print one line of a Markdown table for each run."""
-    print("| variant | machines | core each | wall s | speed-up | CPU s: head | a worker | all "
-          "| all, by serial's | tiles | MB sent, received | load |")  # fmt: skip
-    print("|---|---|---|---|---|---|---|---|---|---|---|---|")
+COLUMNS = ("variant", "machines", "core each", "wall s", "speed-up", "CPU s: head", "a worker",
+           "all", "all, by serial's", "tiles", "MB sent, received", "load")  # fmt: skip
+
+
+def tabulate(runs: Sequence[Run]) -> list[Row]:
+    """Return one row for each run."""
+    rows: list[Row] = []
     for run in runs:
         base, report, used = find_base(runs, run), run.report, run.worker_cpu_s
-        cells = (
+        rows.append([
             run.variant,
             str(run.machines or 1),
             "-" if run.cores is None else f"{run.cores:g}",
@@ -237,13 +239,13 @@ def print_table(runs: Sequence[Run]) -> None:
             str(report.get("tiles", "-")),
             f"{report['bytes_sent'] / 1e6:.0f}, {report['bytes_received'] / 1e6:.0f}",
             f"{run.load:.1f}",
-        )
-        print(f"| {' | '.join(cells)} |")
+        ])  # fmt: skip
+    return rows
 
 
 def main() -> None:
     """Measure, print the table, and write all that was found."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("folder", type=Path, help="receives results; needs room for the points")
     parser.add_argument("cloud", type=Path, nargs="?", help="by default a sphere with bumps")
     parser.add_argument("--points", type=int, default=10_000_000, help="of that sphere")
@@ -274,7 +276,11 @@ def main() -> None:
         }  # fmt: skip
         (folder / "scaling.json").write_text(json.dumps(results, indent=2) + "\n")
         check_mesh(runs)
-    print_table(runs)
+    rows = tabulate(runs)
+    print(*(f"| {' | '.join(map(str, row))} |" for row in (COLUMNS, *rows)), sep="\n")
+    title = f"Emulated machines: {asked.points:,} points, grid {asked.grid}"
+    notes = ["A machine has so much of a core. `serial` is one of them with one thread."]
+    write_table(asked.output, title, COLUMNS, rows, notes)
 
 
 if __name__ == "__main__":

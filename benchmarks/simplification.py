@@ -1,20 +1,19 @@
-"""How far light meshes are off, beside Open3D's: simplification.py MESH=FACES ... [-o FILE].
+"""How far light meshes are off, beside Open3D's: HPCAPP_DATA=DIR simplification.py [-o FILE].
 
-Both simplify each mesh to the same number of triangles. Distances are from points on either
-surface, and its vertices, to the other one, in hundredths of the diagonal of the mesh.
+Both simplify each mesh of the folder ``tuning`` to a tenth of its triangles. Distances are from
+points on either surface, and its vertices, to the other one, in hundredths of the diagonal.
 """
 
 from __future__ import annotations
 
-import argparse
-import platform
+import os
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import open3d
-from tables import write_table
+from tables import Row, parser_of, write_table
 
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.geometry.mesh import Mesh
@@ -25,7 +24,7 @@ from hpcapp.simplification.mesh import simplify_mesh
 from hpcapp.simplification.target import Target
 
 COLUMNS = [
-    "mesh", "faces", "asked", "left", "manifold", "mean, %", "largest, %", "s",
+    "mesh", "faces", "left", "manifold", "mean, %", "largest, %", "s",
     "Open3D left", "Open3D manifold", "Open3D mean, %", "Open3D largest, %", "Open3D s",
 ]  # fmt: skip
 SAMPLES = 200_000
@@ -81,32 +80,16 @@ def measure(
 
 def main() -> None:
     """Measure, print and write."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("meshes", nargs="+", metavar="MESH=FACES")
-    parser.add_argument("-o", "--output", type=Path)
-    options = parser.parse_args()
-    rows: list[list[str | int | float]] = []
-    for given in options.meshes:
-        name, asked = given.rsplit("=", 1)
-        mesh, faces = read_mesh(name), int(asked)
+    asked = parser_of(__doc__).parse_args()
+    rows: list[Row] = []
+    for path in sorted(Path(os.environ["HPCAPP_DATA"]).glob("tuning/meshes/*.ply")):
+        mesh = read_mesh(path)
+        faces = len(mesh.faces) // 10
         ours = measure(mesh, faces, lambda mesh, faces: simplify_mesh(mesh, Target(faces)))
-        peer = measure(mesh, faces, simplify_peer)
-        rows.append([Path(name).stem, len(mesh.faces), faces, *ours, *peer])
+        rows.append([path.stem, len(mesh.faces), *ours, *measure(mesh, faces, simplify_peer)])
         print(*rows[-1], flush=True)
-    if options.output is None:
-        return
-    write_table(
-        options.output,
-        "Light meshes beside Open3D's",
-        COLUMNS,
-        rows,
-        f"python benchmarks/simplification.py {' '.join(Path(m).name for m in options.meshes)}",
-        [
-            "Mean and largest distance between the surfaces, both ways, in hundredths of the "
-            "diagonal; Open3D's `simplify_quadric_decimation` got the same mesh in memory."
-        ],
-        f"{platform.machine()}, shared with other work",
-    )
+    title = "Light meshes, a tenth of the triangles, beside Open3D's"
+    write_table(asked.output, title, COLUMNS, rows)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 """Show how often volumes and heights hold the truth within what is said of them.
 
     benchmarks/volumes.py [--seed 0] [--pairs 200] [--grounds 200] [--piles 30] [--heaps 200]
-                          [--json FILE]
+                          [-o FILE]
 
 Random pairs of epochs of a terrain (sites of 10 to 120 m, 700 to 20,000 points, noise to half a
 spacing; heaps, pits, layers, tilts, shifts, holes, ragged edges, steep walls, uneven density),
@@ -15,16 +15,14 @@ median error of what is not told exactly.
 
 from __future__ import annotations
 
-import argparse
-import json
 import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import shapely
+from tables import parser_of, write_table
 
 import hpcapp
 from hpcapp.applications.compare.volume.heap import measure_heaps
@@ -396,13 +394,12 @@ def summarize(rows: list[Row]) -> Iterator[list[str]]:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--seed", type=int, default=0, help="of the first pair")
     parser.add_argument("--pairs", type=int, default=200)
     parser.add_argument("--grounds", type=int, default=200)
     parser.add_argument("--piles", type=int, default=30)
     parser.add_argument("--heaps", type=int, default=200)
-    parser.add_argument("--json", type=Path, help="write the rows as JSON")
     asked = parser.parse_args()
     logging.disable()
     rows = [row for k in range(asked.pairs) for row in measure_pair(make_pair(asked.seed + k))]
@@ -416,8 +413,9 @@ def main() -> None:
     print("share of the ground with several heights (a warning above FEW_LAYERS)")
     for scene, share in measure_layers():
         print(f"{scene:18}{share:8.4f}")
-    if asked.json:
-        asked.json.write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
+    title = "Volumes and heights: how often the truth is within what is said, and how wide that is"
+    columns = ("what", "number", "within", "said by met", "false alarms")
+    write_table(asked.output, title, columns, table)
 
 
 if __name__ == "__main__":

@@ -1,18 +1,16 @@
 #!/usr/bin/env python3
 """Show which random scans come out right: worlds of one seed, made, meshed and judged.
 
-    HPCAPP_DATA=DIR benchmarks/worlds.py [--seed S] [--only REGEX] [-o FOLDER]
+    HPCAPP_DATA=DIR benchmarks/worlds.py [--seed S] [--only REGEX] [-o FILE]
 
 A world is a scene, a scanner, a density, a noise, a frame and a format, all drawn by lot, of
 sixteen families. It is right, right but warned of (`alarm`), wrong and said, or wrong in silence.
 What makes and judges worlds lies in the folder `worlds` of the shared scans; it needs `trimesh` and
-`embreex`. The table of the default seed is `worlds-ci.json`, and `tests/benchmarks/test_worlds.py`
-holds it.
+`embreex`. `tests/benchmarks/test_worlds.py` holds the table of the default seed.
 """
 
 from __future__ import annotations
 
-import argparse
 import io
 import json
 import logging
@@ -31,7 +29,7 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from tables import Row, write_table
+from tables import Row, parser_of, write_table
 
 import hpcapp
 from hpcapp.geometry.mesh import Mesh
@@ -111,10 +109,9 @@ def judge_family(data: Path, family: str, seed: int = SEED) -> Iterator[Verdict]
 
 def main() -> None:
     """Measure the families of a seed, and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--only", default=".", help="of the families, a regular expression")
-    parser.add_argument("-o", "--output", type=Path, help="folder of the table")
     asked = parser.parse_args()
     rows: list[Row] = []
     for family in filter(re.compile(asked.only).search, FAMILIES):
@@ -124,11 +121,8 @@ def main() -> None:
             print(f"{verdict.kind:<7}{verdict.name:<56}{', '.join(verdict.fails)}", flush=True)
         rows.append([family, *(counts[kind] for kind in KINDS)])
         print(" ".join(map(str, rows[-1])), flush=True)
-    if asked.output is not None:
-        title = f"Random worlds of seed {asked.seed}: right, also warned of, wrong and said, silent"
-        command = "HPCAPP_DATA=DIR benchmarks/worlds.py -o benchmarks/results"
-        path = asked.output / "worlds-ci.json"
-        write_table(path, title, ["family", *KINDS], rows, command)
+    title = f"Random worlds of seed {asked.seed}: right, also warned of, wrong and said, silent"
+    write_table(asked.output, title, ["family", *KINDS], rows)
 
 
 if __name__ == "__main__":

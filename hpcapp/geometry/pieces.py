@@ -14,9 +14,9 @@ from hpccomponent.errors import UsageError
 from hpccomponent.ranges import check_range
 
 SMALL = 0.003
-"""Of the area of the largest piece: a piece with less is small. ``benchmarks/pieces.py`` shows what
-it parts: furniture, roofs and statuettes have 0.0087 or more of the room, town or table that they
-are scanned with; shreds of them have 0.0009 or less."""
+"""Of the area of the largest piece: a piece with less is small. ``benchmarks/decisions.py`` shows
+what it parts: furniture, roofs and statuettes have 0.0087 or more of the room, town or table that
+they are scanned with; shreds of them have 0.0009 or less."""
 
 
 _BITS = 24

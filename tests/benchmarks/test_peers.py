@@ -18,6 +18,7 @@ from peers import (
     print_summary,
     ratios,
     run_all,
+    tabulate_costs,
 )
 
 from hpcapp.io import read_points, write_mesh
@@ -86,6 +87,12 @@ def test_the_best_peer_is_chosen_cloud_by_cloud() -> None:
     ]
     assert ratios(rows, "a", "l1") == [0.5, 0.125]
     assert ratios(rows, "best of them", "l1") == [0.5, 2.0]
+
+
+def test_costs_are_those_of_a_peer_by_ours() -> None:
+    ours = Outcome("a", "ours", Usage(0, 2.0, 1.0, 100.0), None)
+    theirs = Outcome("a", "open3d:8", Usage(0, 7.0, 1.0, 250.4), None)
+    assert tabulate_costs([[ours, theirs]]) == [["a", 2.0, 7.0, 3.5, 100, 250]]
 
 
 def test_a_cloud_is_made_once_and_the_same_each_time(tmp_path: Path) -> None:

@@ -29,11 +29,6 @@ EVIL_TEXT = "\x1b]0;owned\x07\x1b[2J\r<script>alert(1)</script>\u202e\n" + "no r
 """Of a failure: it clears a terminal and sets its title, is a page's script, and has 3 MB."""
 
 
-def list_tasks(subject: str) -> str:
-    """Return the tasks of a package of ``applications/surface``, with commas between them."""
-    return ",".join(name for name, of in _REAL.items() if f".surface.{subject}." in of)
-
-
 def fail(*arguments: object) -> object:
     """Fail, as a task does that was given what it cannot use."""
     raise InputError(f"there is no use for these {len(arguments)} values")

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 log = logging.getLogger("hpcapp")
 
 WORKERS_PAY = ((2, 3_000_000), (3, 2_000_000), (4, 1_750_000), (8, 1_500_000))
-"""So many workers of this machine pay from so much work on; see ``benchmarks/alternatives.py``."""
+"""So many workers of this machine pay from so much work on; see ``benchmarks/backends.py``."""
 SQUARE = 3
 """Points that make as much work as a cell of the grid's longest side squared: see `Job.work`."""
 REMOTE = 2

@@ -33,7 +33,7 @@ _TELLING = 20  # cells that two scans share, at least
 _MOST_SCANS = 256  # more numbers than that are of scan lines
 AGREEING = 0.7
 """Of these, at least, where scans are registered: it parts the registered and the moved scans of
-``benchmarks/registration.py``."""
+``benchmarks/decisions.py``."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -55,7 +55,7 @@ _FEWEST = 3  # points that tell whether a box's points lie along a line
 # of narrow points stays below 0.26 on even sheets, above 0.68 along noisy lines.
 _NARROW = 0.18
 SHARE = 0.35
-"""Of the points around, in boxes where they lie along a line: see ``benchmarks/scan_lines.py``."""
+"""Of the points around, in boxes where they lie along a line: see ``benchmarks/decisions.py``."""
 _AROUND = 1024  # points that are asked together
 
 

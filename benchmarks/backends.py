@@ -1,16 +1,8 @@
-"""One job done in two ways, turn by turn, each run a process of its own.
+"""Is ``--backend auto`` ever slower than this machine alone? backends.py [--sizes N ...].
 
-::
-
-    alternatives.py backend [--sizes N ...] [--pairs 10]
-    alternatives.py place CLOUD [--rounds N] [RECONSTRUCT OPTIONS]
-
-``backend``: is `auto` ever slower than this machine alone? `hpcapp reconstruct` as it is typed, and
-with the backend of one process. One line for each size and each way to ask: what was chosen, and
-the median of the pairs' ratios, of wall time and of CPU time (all processes together).
-
-``place``: what does a folder cost in place of memory? Points in memory, and in a folder (in TMPDIR:
-name a place in memory, such as /dev/shm); the least CPU time and memory of each, and the ratios.
+`hpcapp reconstruct` as it is typed, and with the backend of one process, turn by turn, each run a
+process of its own. One line for each size and each way to ask: what was chosen, and the median of
+the pairs' ratios, of wall time and of CPU time (all processes together).
 """
 
 from __future__ import annotations
@@ -21,7 +13,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 
@@ -30,14 +22,12 @@ from big_cloud import write_cloud
 from msgspec import convert
 from process_usage import run
 
-from hpcapp.applications.surface.job import plan
 from hpcapp.applications.surface.job.settings import THREADS_FROM_POINTS
 from hpccomponent.limits import available_cores
 
 SIZES = (1_000, 10_000, 100_000, 1_000_000)
 WAYS = ((), ("--workers", "2"))
 ENTRY = "import sys; from hpcapp.__main__ import main; sys.exit(main())"
-PLACES = ("memory", "folder")
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,41 +110,8 @@ def compare_backends(cloud: Path, points: int, grid: int, way: Sequence[str], pa
     )
 
 
-def reconstruct(place: str, arguments: list[str]) -> int:
-    """Run ``hpcapp`` in this process with its points in one place, whatever pays."""
-    from hpcapp.__main__ import main as hpcapp
-
-    vars(plan).update(
-        fits_memory=lambda *_: place == "memory", _may_pay_in_folder=lambda *_: place == "folder"
-    )
-    sys.argv = ["hpcapp", "reconstruct", *arguments]
-    return hpcapp()
-
-
-def compare_places(cloud: Path, rounds: int, options: list[str]) -> dict[str, list[float]]:
-    """Return the least CPU seconds and megabytes of each place; the meshes are the same."""
-    usage: dict[str, list[tuple[float, float]]] = {place: [] for place in PLACES}
-    meshes = set()
-    with tempfile.TemporaryDirectory() as folder:
-        mesh, log = Path(folder, "mesh.ply"), Path(folder, "log")
-        for number in range(rounds):
-            for place in PLACES if number % 2 == 0 else PLACES[::-1]:
-                job = [sys.executable, __file__, "--place", place, str(cloud), "-o", str(mesh)]
-                used = run(str(log), [*job, *options])
-                text = log.read_text()
-                if used["exit_code"] or ("points are put into" in text) != (place == "folder"):
-                    raise SystemExit(text)
-                usage[place].append((used["cpu_s"], used["rss_mb"]))
-                meshes.add(mesh.read_bytes())
-    if len(meshes) > 1:
-        raise SystemExit("the meshes differ")
-    return {place: [min(column) for column in zip(*rows, strict=True)]
-            for place, rows in usage.items()}  # fmt: skip
-
-
-def print_backends(sizes: Sequence[int], grid: int, pairs: int, target: Path | None) -> None:
+def print_backends(sizes: Sequence[int], grid: int, pairs: int) -> None:
     """Print a line for each size and each way to ask."""
-    rows = []
     with tempfile.TemporaryDirectory(prefix="alternatives-") as folder:
         print("load", np.round(os.getloadavg(), 1).tolist())
         for points in sizes:
@@ -162,7 +119,6 @@ def print_backends(sizes: Sequence[int], grid: int, pairs: int, target: Path | N
             write_cloud(cloud, points)
             for way in WAYS:
                 row = compare_backends(cloud, points, grid, way, pairs)
-                rows.append(row)
                 least, most = row.wall_ratios
                 print(
                     f"{points:>9} {row.way:12} {'/'.join(row.backends)} x{row.workers} "
@@ -171,40 +127,17 @@ def print_backends(sizes: Sequence[int], grid: int, pairs: int, target: Path | N
                     flush=True,
                 )
     print("load", np.round(os.getloadavg(), 1).tolist())
-    if target:
-        target.write_text(json.dumps([asdict(row) for row in rows], indent=1))
-
-
-def print_places(cloud: Path, rounds: int, options: list[str]) -> None:
-    """Print a line for each place, and the ratios."""
-    best = compare_places(cloud, rounds, options)
-    for place, (seconds, megabytes) in best.items():
-        print(f"{place}: {seconds:.2f} CPU s, {megabytes:.0f} MB")
-    time, memory = (b / a for a, b in zip(best["memory"], best["folder"], strict=True))
-    print(f"folder over memory: CPU time {time:.2f}, memory {memory:.2f}")
 
 
 def main() -> None:
     """Compare, and print."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    commands = parser.add_subparsers(dest="what", required=True)
-    backend = commands.add_parser("backend")
-    backend.add_argument("--sizes", type=int, nargs="+", default=SIZES)
-    backend.add_argument("--grid", type=int, default=256)
-    backend.add_argument("--pairs", type=int, default=10)
-    backend.add_argument("--json", type=Path)
-    place = commands.add_parser("place")
-    place.add_argument("cloud", type=Path)
-    place.add_argument("--rounds", type=int, default=5)
-    place.add_argument("options", nargs=argparse.REMAINDER)
+    parser.add_argument("--sizes", type=int, nargs="+", default=SIZES)
+    parser.add_argument("--grid", type=int, default=256)
+    parser.add_argument("--pairs", type=int, default=10)
     asked = parser.parse_args()
-    if asked.what == "backend":
-        print_backends(asked.sizes, asked.grid, asked.pairs, asked.json)
-    else:
-        print_places(asked.cloud, asked.rounds, asked.options)
+    print_backends(asked.sizes, asked.grid, asked.pairs)
 
 
 if __name__ == "__main__":
-    if sys.argv[1:2] == ["--place"]:
-        sys.exit(reconstruct(sys.argv[2], sys.argv[3:]))
     main()
