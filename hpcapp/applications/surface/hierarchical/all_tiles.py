@@ -11,6 +11,7 @@ Of a cloud that is one tile see `one_tile`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,9 +24,10 @@ from hpcapp.applications.surface.methods.method import Advance, ShowPart, show_n
 from hpcapp.applications.surface.stitching.surface import Surface
 from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
 from hpcapp.applications.surface.tiles.patterns import tile_surface
+from hpcapp.applications.surface.tiles.plan import CoarseLevels, TilePlan
 from hpcapp.applications.surface.tiles.tasks import mesh_gap, mesh_tile
-from hpcapp.geometry.lattice import find_keys, find_overlapping, unique_keys
-from hpcapp.geometry.points import FloatArray, IntArray
+from hpcapp.geometry.lattice import find_keys, find_overlapping, unique_keys, unpack_keys
+from hpcapp.geometry.points import BoolArray, ByteArray, FloatArray, IntArray
 from hpcapp.kernels.types.grid import BRICK
 from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.errors import JobError
@@ -88,6 +90,8 @@ class _Growth:
             found[started[batch]] = self._put(name, result)
             self._show(name, found[started[batch]][0])
             advance(len(found), count)
+        if task is mesh_tile:  # no gap
+            self.surface.taken += count - len(started)
         workers = {started[batch]: worker for batch, worker in makers.items()}
         for index, name in enumerate(names):
             self._take(name, found[index], workers.get(index))
@@ -127,6 +131,39 @@ class _Growth:
         self._exits.append(exits)
 
 
+def _name_tile(checkpoint: Checkpoint, tiling: Tiling, index: int, around: CoarseLevels) -> str:
+    """Return the name of a tile: a hash of all that the task is given, of points what they are."""
+    plan, groups = tiling.plan, tiling.groups(index)
+    if not checkpoint.recipe:  # it lies in a folder of this input and this plan
+        return checkpoint.name(plan, *groups)
+    near = _crop_plan(plan, groups[0])
+    points = tiling.identify(unique_keys(np.concatenate(groups)))
+    return checkpoint.name(*near, *groups, *points, around)
+
+
+def _crop_plan(plan: TilePlan, cells: IntArray) -> tuple[TilePlan, ByteArray | None]:
+    """Return what of a plan concerns a tile: all, and the strides around its coarse cells (c,)."""
+    if plan.strides is None:
+        return plan, None
+    edge, far = BRICK * plan.step, 2 + 2 * plan.grid.rim
+    there = plan.origin, plan.coarse_size, plan.grid_origin, edge
+    places = unpack_keys(find_overlapping(cells, *there))
+    first, last = places.min(axis=0) - far, places.max(axis=0) + far
+    x, y, z = (last - first + 1).tolist()
+    return replace(plan, strides=None), plan.strides.cells_within(first, (x, y, z))
+
+
+def _name_gap(
+    checkpoint: Checkpoint, tiling: Tiling, coarse: Coarse, left: IntArray, near: BoolArray
+) -> str:
+    """Return the name of what spans the gaps from some bricks on, as that of a tile."""
+    cells, missing = tiling.cells[near], tiling.cells[~near]
+    if not checkpoint.recipe:
+        return checkpoint.name(tiling.plan, left, missing)
+    points = tiling.identify(cells)
+    return checkpoint.name(tiling.plan, left, missing, *points, coarse.whole())
+
+
 def mesh_all_tiles(
     tiling: Tiling,
     coarse: Coarse,
@@ -148,8 +185,8 @@ def mesh_all_tiles(
 
     def tiles() -> Iterator[tuple[str, tuple[Any, ...]]]:
         for index in range(len(tiling)):
-            name = "" if checkpoint is None else checkpoint.name(plan, *tiling.groups(index))
             around = coarse.around(tiling.own(index))
+            name = "" if checkpoint is None else _name_tile(checkpoint, tiling, index, around)
             held = tiling.tile(index)
             yield name, (plan, held, tiling.tickets[index], around)
 
@@ -162,7 +199,7 @@ def mesh_all_tiles(
         cells = find_overlapping(left, plan.grid_origin, edge, plan.origin, plan.coarse_size)
         near = tiling.near(cells)
         missing = tiling.cells[~near]
-        name = "" if checkpoint is None else checkpoint.name(plan, left, missing)
+        name = "" if checkpoint is None else _name_gap(checkpoint, tiling, coarse, left, near)
         nearby = tiling.around(tiling.cells[near])
         gap = (plan, left, nearby, missing, coarse.whole())
         growth.run(mesh_gap, [(name, gap)], 1, lambda _done, _all: None)

@@ -30,7 +30,7 @@ from hpcapp.applications.surface.hierarchical.coarse import (
     fit_coarse,
 )
 from hpcapp.applications.surface.hierarchical.one_tile import mesh_one_tile
-from hpcapp.applications.surface.hierarchical.tiles import Tiling
+from hpcapp.applications.surface.hierarchical.tiles import Tiling, choose_level
 from hpcapp.applications.surface.methods.method import (
     LARGE_TILE,
     TILE_POINTS,
@@ -59,13 +59,25 @@ _POINTS_AT_ONCE = 2_000_000
 _ROBUST_LEVELS = 2  # whose fits ask the points themselves, where these are weighed
 
 
+def _anchor(coarse: Coarse, checkpoint: Checkpoint) -> Coarse:
+    """Return coarse levels as they are known of earlier jobs, which these are for as well."""
+    if not checkpoint.recipe:
+        return coarse
+    known = checkpoint.find_frame("coarse")
+    if known is None:
+        checkpoint.store.put(checkpoint.name_frame("coarse"), coarse.whole())
+        return coarse
+    return coarse.anchored(known)
+
+
 @dataclass(slots=True, eq=False)
 class HierarchicalPartition:
     """A cloud cut into tiles; without a tiling it is one tile, made into a mesh here.
 
-    `patches` are the finest cells with points, once they are counted; `closure` tells how the
-    borders of the surface came about, once it is there; `mended` what became of small handles and
-    hollows, where it is closed and has handles or pieces.
+    `patches` are the finest cells with points, once they are counted; so many tiles were `taken`
+    from a job of other scans. The `closure` tells how the borders of the surface came about, once
+    it is there; `mended` what became of small handles and hollows, where it is closed and has
+    handles or pieces.
     """
 
     cloud: ArrangedCloud
@@ -73,6 +85,7 @@ class HierarchicalPartition:
     plan: TilePlan
     tiling: Tiling | None
     patches: int = 0
+    taken: int = 0
     closure: Closure | None = None
     mended: Mended | None = None
 
@@ -141,7 +154,8 @@ class HierarchicalMethod:
         )
         if not count:
             return HierarchicalPartition(cloud, scale, plan, None)
-        tiling = Tiling(cloud, plan, count, workers, self.tile_points is not None)
+        level = choose_level(plan, scale.spacing) if self._outlasts else None
+        tiling = Tiling(cloud, plan, count, workers, self.tile_points is not None, level)
         return HierarchicalPartition(cloud, scale, plan, tiling)
 
     def fit(
@@ -177,7 +191,8 @@ class HierarchicalMethod:
             samples.append(sampled)
             partition.patches += patches
             advance(len(lattices), len(tiling))
-        return fit_coarse(plan, lattices, samples, workforce, self.threads)
+        coarse = fit_coarse(plan, lattices, samples, workforce, self.threads)
+        return coarse if self.checkpoint is None else _anchor(coarse, self.checkpoint)
 
     def extract(
         self,
@@ -214,6 +229,7 @@ class HierarchicalMethod:
                 self.checkpoint,
                 self.show_part,
             )
+            partition.taken = surface.taken
         if not surface.plan.face_count:
             raise InputError(
                 "no part of the cloud encloses a volume",
@@ -245,6 +261,11 @@ class HierarchicalMethod:
             if partition.mended.cut or partition.mended.hollows:
                 log.info("%s", partition.mended.say())
         return surface
+
+    @property
+    def _outlasts(self) -> bool:
+        """Whether tiles are for jobs of other scans, too."""
+        return self.checkpoint is not None and bool(self.checkpoint.recipe)
 
     def _find_shared(self, cloud: ArrangedCloud) -> Checkpoint | None:
         """Return the folder that workers read the points from, if they do."""
@@ -282,6 +303,7 @@ class HierarchicalMethod:
             "lam": plan.weights[partition.scale.finer].lam,
             "levels": plan.height,
             "tiles": 1 if partition.tiling is None else len(partition.tiling),
+            **({"tiles_taken": partition.taken} if self._outlasts else {}),
             **({} if partition.closure is None else partition.closure.facts()),
             **({} if partition.mended is None else partition.mended.facts()),
         }
