@@ -108,8 +108,10 @@ class Coarse:
             is_near = np.abs(far.values - before.values) <= _HARDLY_FAR * far.step
             far = replace(far, values=np.where(is_near, before.values, far.values))
         of_level = known.levels if known.trust is not None else known.coarser
-        levels = tuple(_anchor(*of) for of in zip(self.levels, of_level, strict=False))
-        return replace(self, parents=_anchor(self.parents, known.parents), levels=levels, far=far)
+        levels = tuple(anchor_quadrics(*of) for of in zip(self.levels, of_level, strict=True))
+        return replace(
+            self, parents=anchor_quadrics(self.parents, known.parents), levels=levels, far=far
+        )
 
     def whole(self) -> CoarseLevels:
         """Return all of it."""
@@ -120,7 +122,7 @@ class Coarse:
         return CoarseLevels(self.parents, trust, self.levels[1:], far)
 
 
-def _anchor(found: Quadrics, known: Quadrics) -> Quadrics:
+def anchor_quadrics(found: Quadrics, known: Quadrics) -> Quadrics:
     """Return some quadrics, those of the same vertices that are hardly others as they are known."""
     rows = find_keys(known.keys, found.keys)
     columns = [name for name in found.__dataclass_fields__ if name != "keys"]

@@ -11,7 +11,7 @@ from __future__ import annotations
 import logging
 import secrets
 from collections.abc import Iterator
-from dataclasses import field
+from dataclasses import field, replace
 from functools import partial
 from typing import Any
 
@@ -43,7 +43,7 @@ from hpcapp.applications.surface.resolution.chain import resolve
 from hpcapp.applications.surface.resolution.estimates import Scale, suited_steps
 from hpcapp.applications.surface.stitching.handle_groups import Mended, mend_handles
 from hpcapp.applications.surface.stitching.surface import Surface
-from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
+from hpcapp.applications.surface.tiles.checkpoint import Checkpoint, digest
 from hpcapp.applications.surface.tiles.patterns import coarse_lattice
 from hpcapp.applications.surface.tiles.plan import CoarseLattice, Samples, TilePlan
 from hpcapp.applications.surface.tiles.tasks import sum_tile
@@ -63,9 +63,11 @@ def _anchor(coarse: Coarse, checkpoint: Checkpoint) -> Coarse:
     """Return coarse levels as they are known of earlier jobs, which these are for as well."""
     if not checkpoint.recipe:
         return coarse
-    known = checkpoint.find_frame("coarse")
+    # Of these cells: less memory may ask for a coarser grid.
+    what = f"coarse-{digest(replace(coarse.plan, strides=None))}"
+    known = checkpoint.find_frame(what)
     if known is None:
-        checkpoint.store.put(checkpoint.name_frame("coarse"), coarse.whole())
+        checkpoint.store.put(checkpoint.name_frame(what), coarse.whole())
         return coarse
     return coarse.anchored(known)
 
@@ -230,6 +232,8 @@ class HierarchicalMethod:
                 self.show_part,
             )
             partition.taken = surface.taken
+            if self._outlasts:
+                log.info("took %d of %d tiles as they were", surface.taken, len(partition.tiling))
         if not surface.plan.face_count:
             raise InputError(
                 "no part of the cloud encloses a volume",

@@ -145,7 +145,12 @@ def _hold_tiles(folder: Path) -> HeldFolder:
     """Hold the folder of --update, which may be a new one; wait for whoever has it."""
     if not os.path.lexists(folder):
         return create_held(folder)
-    others = sorted({path.name for path in folder.iterdir()} - _OF_TILES)
+    try:
+        others = sorted(set(os.listdir(folder)) - _OF_TILES)
+    except OSError as error:
+        raise OutputError(
+            f"--update {folder}: cannot be looked into: {error.strerror}", "name another folder"
+        ) from error
     if others:
         raise UsageError(
             f"--update {folder}: holds other things than the tiles of a job, as {others[0]}",

@@ -182,6 +182,7 @@ class Checkpoint:
         return any(len(name) == 1 or name == POINTS_NOTE for name in names)
 
     def clear(self) -> None:
-        """Take away all that the job has kept."""
-        for name in self.store.list(f"{self.job}/"):
-            self.store.delete(name)
+        """Take away all that the job has kept, and what its tiles have in common."""
+        for folder in (self.job, FRAMES) if self.recipe else (self.job,):
+            for name in self.store.list(f"{folder}/"):
+                self.store.delete(name)
