@@ -85,6 +85,7 @@ TABLE = (
     Result("readings", f"readings.py --seeds {SEEDS} --count 6 --folders raw", RAYS, 60),
     Result("scans", "peers.py scans", (*PEERS, "pymeshlab", "poisson"), 40),
     Result("simplification", "simplification.py", PEERS, 3),
+    Result("update", "updates.py . --points 600_000", (), 3),
     Result("worlds-ci", "worlds.py", RAYS, 12),
 )
 

@@ -37,7 +37,7 @@ def _list_points(name: str, option: str, params: Mapping[str, Any]) -> Iterable[
 
 
 def _list_storage(name: str, option: str, params: Mapping[str, Any]) -> Iterator[Written]:
-    """Yield the folder of ``--temp-dir``; a bucket holds no file of this machine."""
+    """Yield the folder of ``--temp-dir`` or ``--update``; a bucket holds no file here."""
     del params
     if "://" not in name:
         yield Written(Path(name.removeprefix("folder:")), option, Role.SCRATCH)

@@ -30,6 +30,7 @@ from hpcapp.api.mesh_page import JobRecord
 from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.attributes.labels import find_labels
 from hpcapp.applications.surface.cli.run import load_stored
+from hpcapp.applications.surface.cloud.frame import Frame
 from hpcapp.applications.surface.job.backend_choice import approach_workers
 from hpcapp.applications.surface.job.outcome import Outcome
 from hpcapp.applications.surface.job.plan import plan_job
@@ -114,6 +115,7 @@ def reconstruct(
     verify: float | None = None,
     max_memory: str | float | None = None,
     temp_dir: PathName | None = None,
+    update: PathName | None = None,
     resume: bool = False,
     on_progress: OnProgress | None = None,
     cancel: Cancellation | None = None,
@@ -189,6 +191,8 @@ def reconstruct(
         meanwhile; the mesh itself is returned in memory.
     temp_dir : str or PathLike, optional
         Where points and finished tiles of files lie meanwhile, as with ``--temp-dir``.
+    update : str or PathLike, optional
+        Where a call with other files has left its tiles, and this one's are left: as ``--update``.
     resume : bool
         Whether to go on from what an earlier call has left in `temp_dir`, and to leave it there
         where this one fails.
@@ -255,6 +259,7 @@ def reconstruct(
         tolerance=tolerance,
         max_memory=None if max_memory is None else parse_limit(str(max_memory)),
         temp_dir=None if temp_dir is None else fspath(temp_dir),
+        update=None if update is None else fspath(update),
         resume=resume,
         crop=make_crop(box, around, polygon, classes, not_classes, ground),
         pieces=pieces,
@@ -269,8 +274,8 @@ def reconstruct(
         raise UsageError("align is for files", "leave it out")
     if sample is not None:
         check_range("sample", sample, 1)
-    if not names and (temp_dir is not None or resume):
-        raise UsageError("temp_dir and resume are for files", "leave them out")
+    if not names and (temp_dir is not None or update is not None or resume):
+        raise UsageError("temp_dir, resume and update are for files", "leave them out")
     if names and rows is not None:
         raise UsageError("normals stands beside files, which have their own", "leave it out")
     cancellation = cancel or Cancellation()
@@ -325,10 +330,11 @@ def _load_cloud(settings: Settings, cloud: PointCloud, sensor: Sensor, clock: St
     if settings.normals == "estimate":
         cloud = replace(cloud, normals=None)
     labels = find_labels(cloud.attributes)
-    read = replace(arrange_points(settings, cloud, labels, clock), sensor=sensor)
+    frame = Frame()
+    read = replace(arrange_points(settings, cloud, labels, frame, clock), sensor=sensor)
     del cloud  # makes room
     refuse_too_few(len(read.cloud_pass.cloud), Dropped(0, 0), "points")
-    loaded = prepare(settings, read, clock)
+    loaded = prepare(settings, read, frame, clock)
     for warning in loaded.oriented.warnings:
         log.warning("warning: %s", warning)
     return loaded
@@ -345,14 +351,14 @@ def _crop(crop: Crop, cloud: PointCloud) -> PointCloud:
 def _run_files(
     settings: JobSettings, source: str, executor: Executor | Client | None, reporter: _Reporter
 ) -> Mesh:
-    """Run a job that reads files; they lie in memory unless `max_memory` or `temp_dir` is given."""
+    """Run a job that reads files; without limit and room for them they lie in memory."""
     verification = _choose_verification(executor, settings.verify)
     plan = plan_job(settings, is_opened=executor is not None)
 
     def run(is_first: bool) -> Mesh:
         job = settings if is_first else replace(settings, resume=False)
         clock, in_memory = StageClock(Progress(reporter)), nullcontext(JobStorage(None, None))
-        is_bounded = job.max_memory is not None or job.temp_dir is not None or job.resume
+        is_bounded = job.max_memory is not None or job.room is not None or job.resume
         with (
             open_storage(job, plan.place) if is_bounded else in_memory as storage,
             attempt(verification, lambda error: error is reporter.raised),

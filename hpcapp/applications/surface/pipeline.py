@@ -23,7 +23,8 @@ from typing import Any
 from hpcapp.applications.surface.attributes.carrying import Carrying
 from hpcapp.applications.surface.cleaning.drive import clean, mend_normals
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
-from hpcapp.applications.surface.cloud.measure import measure_cloud
+from hpcapp.applications.surface.cloud.frame import Frame
+from hpcapp.applications.surface.cloud.measure import find_measures
 from hpcapp.applications.surface.job.outcome import Outcome, Reconstruction
 from hpcapp.applications.surface.job.resume import find_loaded, note_loaded
 from hpcapp.applications.surface.job.scan import Loaded, PointFolder, Scan
@@ -44,25 +45,31 @@ from hpcapp.workforce import Workforce
 from hpccomponent.runtime.background import Deferred
 
 
-def load(settings: JobSettings, clock: StageClock, folder: PointFolder | None = None) -> Loaded:
+def load(
+    settings: JobSettings,
+    clock: StageClock,
+    folder: PointFolder | None = None,
+    frame: Frame | None = None,
+) -> Loaded:
     """Read a job's points, and make of them what its method takes.
 
     They are put into the folder, or into memory: they are the same, bit for bit. With `resume`,
-    what is in the folder is taken, if it is whole.
+    what is in the folder is taken, if it is whole. By default they lie in a frame of their own.
     """
+    frame = Frame() if frame is None else frame
     whole = open_whole(settings)
     if settings.printing is not None:
         settings.printing.find_unit(whole.unit)  # refused before the work
     source, described = take_asked(settings, whole), describe_input(settings, whole)
     if folder is not None and settings.resume and (left := find_loaded(settings, source, folder)):
         return replace(left, described=described)
-    loaded = prepare(settings, read_file(settings, source, folder, clock), clock)
+    loaded = prepare(settings, read_file(settings, source, folder, frame, clock), frame, clock)
     if folder is not None:
         note_loaded(loaded, folder)
     return replace(loaded, described=described)
 
 
-def prepare(settings: Settings, scan: Scan, clock: StageClock) -> Loaded:
+def prepare(settings: Settings, scan: Scan, frame: Frame, clock: StageClock) -> Loaded:
     """Clean points that were read, give them normals, and measure their scale.
 
     Raises InputError where they are too few, or have no normals and lie on no surface.
@@ -71,6 +78,7 @@ def prepare(settings: Settings, scan: Scan, clock: StageClock) -> Loaded:
     with clock.stage("clean") if method.cleans else nullcontext():
         cloud_pass, cleaned, scale = clean(
             scan.cloud_pass,
+            frame,
             drops=method.cleans,
             in_cells=not method.needs_whole_cloud,
             has_normals=has_normals,
@@ -84,7 +92,8 @@ def prepare(settings: Settings, scan: Scan, clock: StageClock) -> Loaded:
         with clock.stage("mend normals"):
             cloud_pass, flipped = mend_normals(cloud_pass, scale.spacing)
         cleaned = replace(cleaned, flipped=flipped)
-    cloud = measure_cloud(cloud_pass, scale, reading).cloud
+    measures = frame.measure(partial(find_measures, cloud_pass, scale, reading))
+    cloud = cloud_pass.note(measures).cloud
     return scan.loaded(cloud, cleaned, oriented)
 
 

@@ -31,6 +31,7 @@ from hpcapp.applications.surface.boundary.tasks import (
     survey_support,
 )
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
+from hpcapp.applications.surface.cloud.block_hashes import BlockHashes
 from hpcapp.applications.surface.extraction.parts import MeshPart
 from hpcapp.applications.surface.extraction.summary import PartSummary
 from hpcapp.applications.surface.extraction.taken_bricks import TakenBricks
@@ -49,6 +50,7 @@ from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.cli.option_names import name_option
 from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import InputError
+from hpccomponent.protocol.declared import ANYTHING
 
 log = logging.getLogger("hpcapp")
 
@@ -129,6 +131,7 @@ class _ClosedParts:
     workforce: Workforce
     shared: Checkpoint | None
     threads: int
+    hashes: BlockHashes
 
     def __len__(self) -> int:
         return len(self.surface.parts)
@@ -170,16 +173,77 @@ class _ClosedParts:
         return Near(self.cloud.place, keys[is_near], np.stack([low.min(axis=0), high.max(axis=0)]))
 
     def run(
-        self, task: Callable[..., Any], batch: Callable[[int], tuple[Any, ...]]
-    ) -> Iterator[tuple[int, Any]]:
-        """Run a task for each part, on the workers or right here."""
-        indices = range(len(self))
+        self,
+        task: Callable[..., Any],
+        given: Callable[[int], tuple[Any, ...]],
+        more: Callable[[str], tuple[Any, ...]],
+        is_whole: Callable[[str], bool] = lambda _: True,
+        *,
+        is_returned: bool = True,
+    ) -> Iterator[tuple[int, str, Any]]:
+        """Run a task for each part, on the workers or right here, and yield what comes of it.
+
+        The task is called with the part, with what is `given` of it, which decides the result, and
+        with what follows from the result's name, which is yielded, too. Where jobs of other scans
+        have left the result, and what lies beside it `is_whole`, that is taken; all that
+        `is_returned` is left for them, the rest they find where it is kept.
+        """
+        names: list[str] = []
+        started: list[int] = []
+        found: list[tuple[int, str, Any]] = []
+
+        def batches() -> Iterator[tuple[Any, ...]]:
+            for index in range(len(self)):
+                arguments = given(index)
+                names.append(name := self._name(task, index, arguments))
+                if (kept := self._find(name, is_whole)) is not None:
+                    found.append((index, name, kept if is_returned else (None, *kept[1:])))
+                    continue
+                started.append(index)
+                yield self.part(index), *arguments, *more(name)
+
         if self.shared is not None:
-            at_once = 2 * self.workforce.workers
-            yield from stream_batches(self.workforce, task, map(batch, indices), at_once)
-            return
-        for index in indices:
-            yield index, task(*batch(index))
+            made = stream_batches(self.workforce, task, batches(), 2 * self.workforce.workers)
+        else:
+            made = ((batch, task(*arguments)) for batch, arguments in enumerate(batches()))
+        for batch, result in made:
+            index = started[batch]
+            if is_returned:
+                self._keep(names[index], result)
+            yield index, names[index], result
+        yield from found
+
+    def _name(self, task: Callable[..., Any], index: int, given: tuple[Any, ...]) -> str:
+        """Return the name of what a task makes of a part; empty where the part has none."""
+        checkpoint, part = self.surface.checkpoint, self.surface.parts[index]
+        if checkpoint is None or not isinstance(part, str):
+            return ""
+        if not checkpoint.recipe:  # the part is of this job, and so is what is made of it
+            return checkpoint.name_beside(part, task.__name__)
+        told = (self._tell(value) for value in given)
+        return checkpoint.name(task.__name__, part, *told)
+
+    def _tell(self, value: Any) -> Any:
+        """Return what tells a value from others: of points what they are, not where."""
+        if isinstance(value, Near):
+            return *self.hashes.of(value.blocks), value.box
+        match value:
+            case (str(), str(name)):  # of what is kept its name, not its place
+                return name
+        return value
+
+    def _find(self, name: str, is_whole: Callable[[str], bool]) -> Any | None:
+        """Return what jobs of other scans have left of a result."""
+        checkpoint = self.surface.checkpoint
+        if checkpoint is None or not checkpoint.recipe or not name or not is_whole(name):
+            return None
+        return checkpoint.find(name, ANYTHING)
+
+    def _keep(self, name: str, result: Any) -> None:
+        """Leave a result for jobs of other scans."""
+        checkpoint = self.surface.checkpoint
+        if checkpoint is not None and checkpoint.recipe and name:
+            checkpoint.store.put(name, result)
 
 
 def close_surface(
@@ -203,7 +267,8 @@ def close_surface(
         return surface, Closure(False, "closed, as asked")
     if not all(isinstance(part, str) for part in surface.parts):
         shared = None  # a cloud that is one tile is made into a mesh here
-    parts = _ClosedParts(surface, cloud, plan, workforce, shared, threads if shared is None else 1)
+    threads = threads if shared is None else 1
+    parts = _ClosedParts(surface, cloud, plan, workforce, shared, threads, BlockHashes(cloud))
     scale = cloud.measured.scale
     usual = SupportRule(max(_NOISES * plan.noise, _STEPS * plan.step), _SPACINGS, scale)
     closure = Closure(True, "open, as asked")
@@ -256,16 +321,15 @@ def _judge_support(
     """Return the share of a surface that no point supports, 0 to 1, and what tells more of it."""
     one_in = max(1, len(parts.surface.plan.bricks.keys) // _JUDGED_BRICKS)
 
-    def batch(index: int) -> tuple[Any, ...]:
+    def given(index: int) -> tuple[Any, ...]:
         taken = parts.taken(index)
-        near = parts.near(taken.sample(one_in), rule.reach)
-        return parts.part(index), taken, near, rule, one_in, parts.threads
+        return taken, parts.near(taken.sample(one_in), rule.reach), rule, one_in
 
-    found = []
-    for _, judged in parts.run(judge_support, batch):
-        found.append(judged)
+    found = {}
+    for index, _, judged in parts.run(judge_support, given, lambda _: (parts.threads,)):
+        found[index] = judged
         advance(len(found), _STEPS_OF_PART * len(parts))
-    bare, whole, places = zip(*found, strict=True)
+    bare, whole, places = zip(*(found[index] for index in range(len(parts))), strict=True)
     share = float(sum(bare) / max(1, sum(whole)))
     return share, lambda: measure_support(1.0 - share, np.concatenate(places), parts.cloud, rule)
 
@@ -276,7 +340,7 @@ def _cut_parts(
     """Cut all parts; return the open surface, and how many holes of it are filled."""
     surface, whole = parts.surface, _STEPS_OF_PART * len(parts)
     # Workers finish in any order.
-    surveys: dict[int, OpeningSurvey] = {}
+    surveys: dict[int, OpeningSurvey | tuple[str, str]] = {}
     seams: dict[int, OpeningSeams] = {}
     for index, found in _survey_parts(parts, rule):
         surveys[index], seams[index] = found
@@ -297,42 +361,58 @@ def _cut_parts(
 
 def _survey_parts(
     parts: _ClosedParts, rule: SupportRule
-) -> Iterator[tuple[int, tuple[OpeningSurvey, OpeningSeams]]]:
-    """Find out part by part where the border is, and what it has at the seams."""
-    surface = parts.surface
+) -> Iterator[tuple[int, tuple[OpeningSurvey | tuple[str, str], OpeningSeams]]]:
+    """Find out part by part where the border is, and what it has at the seams.
+
+    A survey that a worker has put away comes as the store and its name there.
+    """
+    surface, shared = parts.surface, parts.shared
     places = place_foreign(surface.plan)
 
-    def batch(index: int) -> tuple[Any, ...]:
+    def given(index: int) -> tuple[Any, ...]:
         taken, rim = parts.taken(index), surface.summaries[index].rim
-        near = parts.near(taken.keys, rule.reach)
-        return parts.part(index), taken, places[index], rim, near, rule, parts.threads
+        return taken, places[index], rim, parts.near(taken.keys, rule.reach), rule
 
-    return parts.run(survey_support, batch)
+    if shared is None:
+        run = parts.run(survey_support, given, lambda _: (None, parts.threads))
+        yield from ((index, found) for index, _, found in run)
+        return
+
+    def keep(name: str) -> tuple[str, str]:
+        return shared.place, shared.name_beside(name, "survey")
+
+    def is_whole(name: str) -> bool:
+        return shared.find(keep(name)[1], ANYTHING) is not None
+
+    run = parts.run(survey_support, given, lambda name: (keep(name), parts.threads), is_whole)
+    for index, name, (_, seams) in run:
+        yield index, (keep(name), seams)
 
 
 def _open_parts(
-    parts: _ClosedParts, surveys: dict[int, OpeningSurvey], matched: MatchedSeams
+    parts: _ClosedParts,
+    surveys: dict[int, OpeningSurvey | tuple[str, str]],
+    matched: MatchedSeams,
 ) -> Iterator[tuple[int, tuple[MeshPart | str, PartSummary]]]:
     """Cut part by part, and keep each where its closed one was kept."""
     surface, checkpoint = parts.surface, parts.surface.checkpoint
 
-    def batch(index: int) -> tuple[Any, ...]:
+    def given(index: int) -> tuple[Any, ...]:
         decided = matched.stays[index], matched.foreign_numbers[index], matched.seam_cuts[index]
-        keep = None
-        if parts.shared is not None:
-            keep = parts.shared.place, f"{surface.parts[index]}-open"
-        return parts.part(index), parts.taken(index), surveys[index], decided, keep
+        return parts.taken(index), surveys[index], decided
 
-    for index, (part, summary, exits) in parts.run(open_part, batch):
+    def keep(name: str) -> tuple[tuple[str, str] | None]:
+        return (None if parts.shared is None else (parts.shared.place, name),)
+
+    for index, name, (part, summary, exits) in parts.run(open_part, given, keep, is_returned=False):
         del surveys[index]  # it is of no more use, and large
-        name, kept = surface.parts[index], part
-        if isinstance(name, str):
-            kept = f"{name}-open"
-            if part is not None and checkpoint is not None:
-                checkpoint.store.put(kept, (part, summary, exits))
-        else:
+        kept: MeshPart | str = name
+        if part is not None and name:
+            assert checkpoint is not None  # noqa: S101 - or there would be no names
+            checkpoint.store.put(name, (part, summary, exits))
+        elif part is not None:
             # So that the closed and the open surface are not both in memory.
-            surface.parts[index] = MeshPart.empty()
+            kept, surface.parts[index] = part, MeshPart.empty()
         yield index, (kept, summary)
 
 

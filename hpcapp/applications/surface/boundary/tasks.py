@@ -107,13 +107,14 @@ def survey_support(
     rim: IntArray,
     near: Near,
     rule: SupportRule,
+    keep: tuple[str, str] | None = None,
     threads: int = 1,
 ) -> tuple[OpeningSurvey | None, OpeningSeams]:
     """Find where the points' support of a part ends (a task).
 
     `places` (g, 3) are where its foreign vertices are, `rim` (r,) rows of its vertices that other
-    parts may name, and `near` has all points within the rule's reach of the vertices. The survey of
-    a part that is kept is put beside it; it is None here.
+    parts may name, and `near` has all points within the rule's reach of the vertices. With `keep`,
+    a store and a name, the survey is put there; it is None here.
     """
     held = _hold(part)
     is_taken = taken.mark(held)
@@ -124,10 +125,10 @@ def survey_support(
     all_places = np.concatenate([held.vertices, places])
     clearances = measure_clearance(all_places, near.read(), rule, threads)
     survey, seams = survey_opening(held, places, clearances, rows)
-    if isinstance(part, MeshPart):
+    if keep is None:
         return survey, seams
-    place, name = part
-    hold_store(place).put(_beside(name), survey)
+    place, name = keep
+    hold_store(place).put(name, survey)
     return None, seams
 
 
@@ -138,23 +139,27 @@ def survey_support(
 def open_part(
     part: Part,
     taken: TakenBricks,
-    survey: OpeningSurvey | None,
+    survey: OpeningSurvey | tuple[str, str],
     decided: tuple[BoolArray, IntArray, IntArray],
     keep: tuple[str, str] | None = None,
 ) -> tuple[MeshPart | None, PartSummary, Exits]:
     """Cut a part open (a task); it is returned as `mesh_tile` does, without exits.
 
-    The survey is None where it is kept beside the part. `decided` are which patches stay, numbers
+    The survey is itself, or a store and its name there. `decided` are which patches stay, numbers
     of foreign vertices, and names of the cuts through edges with one face (see `cut_opening`). With
     `keep`, a store and a name, the result is put there.
     """
-    if survey is None:
-        assert not isinstance(part, MeshPart)  # noqa: S101 - its survey would be at hand
-        survey = hold_store(part[0]).get(_beside(part[1]))
+    if isinstance(survey, tuple):
+        survey = _take_survey(*survey)
     # The survey knows where the foreign vertices of what is left are: those of the part need not.
     held = _hold(part)
     held, _ = drop_copies(held, taken.mark(held), np.zeros((len(held.foreign_bricks), 3)))
     return give_part(cut_opening(held, survey, *decided), np.empty(0, np.int64), keep)
+
+
+def _take_survey(place: str, name: str) -> OpeningSurvey:
+    kept: OpeningSurvey = hold_store(place).get(name)
+    return kept
 
 
 def _hold(part: Part) -> MeshPart:
@@ -163,7 +168,3 @@ def _hold(part: Part) -> MeshPart:
     place, name = part
     held: MeshPart = hold_store(place).get(name)[0]
     return held
-
-
-def _beside(name: str) -> str:
-    return f"{name}-support"

@@ -13,6 +13,7 @@ far from every surface (see `outliers`), strays near one (see `strays`); wires a
 from __future__ import annotations
 
 from dataclasses import astuple
+from functools import partial
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from hpcapp.applications.surface.cleaning import tasks as tasks
 from hpcapp.applications.surface.cleaning.outlier_regions import DroppedCells
 from hpcapp.applications.surface.cleaning.strays import MARGIN, ROUNDS
 from hpcapp.applications.surface.cloud.cloud_pass import CloudPass, PassT
+from hpcapp.applications.surface.cloud.frame import Frame
 from hpcapp.applications.surface.cloud.measure import measure_lines, measure_scale, measure_spacing
 from hpcapp.applications.surface.cloud.surface_check import check_surface
 from hpcapp.applications.surface.normals import consistency
@@ -71,50 +73,59 @@ def drop_repeated(cloud_pass: PassT) -> tuple[PassT, int]:
 
 
 def clean(
-    cloud_pass: PassT, *, drops: bool, in_cells: bool, has_normals: bool
+    cloud_pass: PassT, frame: Frame, *, drops: bool, in_cells: bool, has_normals: bool
 ) -> tuple[PassT, Cleaned, LocalScale]:
     """Drop the points that are not needed, or that belong to no surface, and find the scale.
 
     There must be ten points or more, without far ones (see `drop_far`). Unless it `drops`, all
     stay. `in_cells` says that the cloud lies in blocks, in whose cells its spacing is told. Returns
     a pass through the points that remain, in their order, and their scale. Raises InputError where
-    points without normals lie on no surface.
+    points without normals lie on no surface. The `frame` tells spacings that are known already.
     """
     cleaned = Cleaned()
     if drops:
-        cloud_pass, cleaned, scale = thin_lines(cloud_pass)
+        cloud_pass, cleaned, scale = thin_lines(cloud_pass, frame)
     elif in_cells:
-        scale = measure_scale(cloud_pass)
+        scale = _measure_scale(cloud_pass, frame, "read")
     else:
         scale = LocalScale.uniform(measure_spacing(cloud_pass))
     if not has_normals and (problem := check_surface(cloud_pass, scale.spacing)) is not None:
         raise problem
     if drops:
-        cloud_pass, found, scale = drop_strays(cloud_pass, scale)
+        cloud_pass, found, scale = drop_strays(cloud_pass, scale, frame)
         cleaned = cleaned.plus(found)
     return cloud_pass, cleaned, scale
 
 
-def thin_lines(cloud_pass: PassT) -> tuple[PassT, Cleaned, LocalScale]:
+def _measure_scale(cloud_pass: CloudPass, frame: Frame, stage: str) -> LocalScale:
+    return measure_scale(cloud_pass, frame.space(stage, partial(measure_spacing, cloud_pass)))
+
+
+def thin_lines(cloud_pass: PassT, frame: Frame | None = None) -> tuple[PassT, Cleaned, LocalScale]:
     """Drop the points along scan lines that are closer than the lines' gap asks for."""
-    scale, boxes = measure_lines(cloud_pass)
+    frame = Frame() if frame is None else frame
+    spacing = frame.space("read", partial(measure_spacing, cloud_pass))
+    scale, boxes = measure_lines(cloud_pass, spacing)
     if len(boxes.keys):
         boxes = keep_lines(boxes, cloud_pass.each(tasks.count_lines, boxes))
     if not len(boxes.keys):
         return cloud_pass, Cleaned(), scale
     cloud_pass, counts = cloud_pass.rewrite(tasks.thin_lines, boxes)
-    scale = measure_scale(cloud_pass)
+    scale = _measure_scale(cloud_pass, frame, "thinned")
     gap, step = float(np.median(boxes.gaps)), float(np.median(boxes.steps))
     spared = sum(count for (count,) in counts)
     return cloud_pass, Cleaned(spared=spared, line_gap=gap, line_step=step), scale
 
 
-def drop_strays(cloud_pass: PassT, scale: LocalScale) -> tuple[PassT, Cleaned, LocalScale]:
+def drop_strays(
+    cloud_pass: PassT, scale: LocalScale, frame: Frame | None = None
+) -> tuple[PassT, Cleaned, LocalScale]:
     """Drop the points that belong to no surface; normals are not asked.
 
     Where some are gone, fewer are left that could vouch for the others: these are asked again. What
     is given and returned is as of `clean`.
     """
+    frame = Frame() if frame is None else frame
     spacing, margin = scale.spacing, MARGIN * scale.spacing
     outliers = strays = 0
     for _ in range(ROUNDS):
@@ -130,7 +141,7 @@ def drop_strays(cloud_pass: PassT, scale: LocalScale) -> tuple[PassT, Cleaned, L
             break
     cloud_pass, lone = _drop_lone_lines(cloud_pass, spacing)
     if outliers + strays + lone:
-        scale = measure_scale(cloud_pass)
+        scale = _measure_scale(cloud_pass, frame, "cleaned")
     return cloud_pass, Cleaned(outliers, strays, lone_lines=lone), scale
 
 

@@ -58,7 +58,7 @@ def _check_method_options(ctx: click.Context) -> None:
             )
     check_exclusive(find_method(method), {name for name in METHOD_OPTIONS if _is_typed(ctx, name)})
     if find_method(method).needs_whole_cloud:
-        for name in ("max_memory", "temp_dir", "resume"):
+        for name in ("max_memory", "temp_dir", "resume", "update"):
             if _is_typed(ctx, name):
                 raise UsageError(
                     f"{_flag(name)} means nothing to --method {method}, which needs all points in "

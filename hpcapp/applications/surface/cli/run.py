@@ -140,10 +140,11 @@ def load_stored(
             backend, choice = stack.enter_context(opener.open(plan.job, executor))
             opened = backend.record(clock.timeline), choice
             if backend.workforce.in_process and plan.place is Place.SHARED:  # nobody else reads
-                checkpoint = None if settings.temp_dir is None else checkpoint
+                checkpoint = None if settings.room is None else checkpoint
             else:
                 folder = _open_folder(settings, plan, storage.folder, opened[0])
-        loaded = load(settings, clock, folder)
+        loaded = load(settings, clock, folder, storage.frame)
+        storage.note_frame()
         loaded.report(settings.shown)
         yield loaded, partial(
             open_site, len(loaded.cloud), opener, clock,

@@ -7,9 +7,10 @@ answer the same questions, so that nobody else asks which of them it is.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import astuple
 from itertools import pairwise
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +54,17 @@ class CloudMeasures:
     def spacing(self) -> float:
         """Of the whole cloud, in length units of the input."""
         return self.scale.spacing
+
+    def to_values(self) -> tuple[Any, ...]:
+        """Return them as values that a store takes."""
+        columns = self.sample.positions, self.sample.normals
+        return astuple(self.scale), *columns, self.reading.to_json()
+
+    @classmethod
+    def of_values(cls, values: tuple[Any, ...]) -> Self:
+        """Return what `to_values` has told."""
+        scale, positions, normals, reading = values
+        return cls(LocalScale(*scale), PointCloud(positions, normals), Reading.of_json(reading))
 
 
 class ArrangedCloud(Protocol):
@@ -234,14 +246,20 @@ class MemoryCloud:
         counts = np.add.reduceat(kept, self.offsets[:-1], dtype=np.int64)
         offsets = np.append(0, np.cumsum(counts[counts > 0]))
         points, keys = self.points.take(kept), self.keys[counts > 0]
-        box = bound_points(points.positions)
+        box = self.arrangement.bound(*bound_points(points.positions))
         return MemoryCloud(points, self.arrangement, keys, offsets, *box)
 
 
-def arrange_cloud(cloud: PointCloud) -> MemoryCloud:
-    """Snap a cloud's finite points and sort them by blocks; InputError where all are the same."""
+def arrange_cloud(
+    cloud: PointCloud,
+    choose: Callable[[FloatArray, FloatArray], Arrangement] = choose_arrangement,
+) -> MemoryCloud:
+    """Snap a cloud's finite points and sort them by blocks; InputError where all are the same.
+
+    How its blocks are chosen by its box may be another way than its own (see `frame`).
+    """
     box = bound_points(cloud.positions)
-    arrangement = choose_arrangement(*box)
+    arrangement = choose(*box)
     snapped = snap_points(arrangement, cloud.positions)
     keys, offsets, rows = kernels.sort_points(snapped, arrangement.origin, arrangement.edge)
     check_cancelled()
@@ -252,7 +270,7 @@ def arrange_cloud(cloud: PointCloud) -> MemoryCloud:
     attributes = {name: column.take(rows) for name, column in cloud.attributes.items()}
     arranged = PointCloud(positions, normals, colours, attributes, cloud.origin)
     # Rounding leaves the least the least.
-    low, high = snap_points(arrangement, np.stack(box))
+    low, high = arrangement.bound(*snap_points(arrangement, np.stack(box)))
     return MemoryCloud(arranged, arrangement, keys, offsets, low, high)
 
 

@@ -43,16 +43,22 @@ BlockCounts = Annotated[IntArray, Column("b", low=0)]
 class Arrangement:
     """The lattice of blocks that a cloud is sorted by.
 
-    Block (0, 0, 0) has a corner at `origin` (3,); `edge` is the side of a block.
+    Block (0, 0, 0) has a corner at `origin` (3,); `edge` is the side of a block. A `box` (2, 3) is
+    to be taken for the one around the points, wherever lattices are laid by that (see `frame`).
     """
 
     origin: FloatArray
     edge: float
+    box: FloatArray | None = None
 
     @property
     def quantum(self) -> float:
         """What positions are rounded to, in length units of the input."""
         return self.edge / kernels.QUANTA
+
+    def bound(self, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the corners (3,) that a cloud's box is to have, given those around its points."""
+        return (low, high) if self.box is None else (self.box[0], self.box[1])
 
 
 @record("surface.packed_points")

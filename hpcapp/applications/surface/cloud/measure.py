@@ -50,26 +50,33 @@ def measure_spacing(cloud_pass: CloudPass) -> float:
     return search_spacing(count, len(cloud), cloud.low, cloud.high)
 
 
-def measure_scale(cloud_pass: CloudPass) -> LocalScale:
-    """Find how spacing changes from place to place; InputError where all points are the same."""
-    spacing, edge, _, counted = _count_scale(cloud_pass)
+def measure_scale(cloud_pass: CloudPass, spacing: float | None = None) -> LocalScale:
+    """Find how spacing changes from place to place; InputError where all points are the same.
+
+    That of the whole cloud is measured unless it is given.
+    """
+    spacing = measure_spacing(cloud_pass) if spacing is None else spacing
+    edge, _, counted = _count_scale(cloud_pass, spacing)
     return make_scale(spacing, cloud_pass.cloud.arrangement.origin, edge, counted)
 
 
-def measure_lines(cloud_pass: CloudPass) -> tuple[LocalScale, GapBoxes]:
+def measure_lines(
+    cloud_pass: CloudPass, spacing: float | None = None
+) -> tuple[LocalScale, GapBoxes]:
     """Find what `measure_scale` does, and where scan lines are."""
-    spacing, edge, depth, counted = _count_scale(cloud_pass)
+    spacing = measure_spacing(cloud_pass) if spacing is None else spacing
+    edge, depth, counted = _count_scale(cloud_pass, spacing)
     origin = cloud_pass.cloud.arrangement.origin
     return make_scale(spacing, origin, edge, counted), find_gaps(origin, edge, depth, counted)
 
 
-def _count_scale(cloud_pass: CloudPass) -> tuple[float, float, int, list[ScaleCounts]]:
-    """Return the spacing, edge and halvings of the finest cells, and what is counted in them."""
-    spacing, lattice = measure_spacing(cloud_pass), cloud_pass.cloud.arrangement
+def _count_scale(cloud_pass: CloudPass, spacing: float) -> tuple[float, int, list[ScaleCounts]]:
+    """Return edge and halvings of the finest cells, and what is counted in them."""
+    lattice = cloud_pass.cloud.arrangement
     edge = lattice.edge * 2.0**-HALVINGS
     depth = count_depth(edge, spacing)
     counted = cloud_pass.each(count_region_scale, lattice.origin, edge, depth)
-    return spacing, edge, depth, counted
+    return edge, depth, counted
 
 
 def find_scale(positions: FloatArray) -> LocalScale:
@@ -78,7 +85,12 @@ def find_scale(positions: FloatArray) -> LocalScale:
 
 
 def measure_cloud(cloud_pass: PassT, scale: LocalScale, reading: Reading = UNREAD) -> PassT:
-    """Keep with a cloud what methods ask of it: its scale and reading, and a sample.
+    """Keep with a cloud what methods ask of it (see `find_measures`)."""
+    return cloud_pass.note(find_measures(cloud_pass, scale, reading))
+
+
+def find_measures(cloud_pass: CloudPass, scale: LocalScale, reading: Reading) -> CloudMeasures:
+    """Put together what methods ask of a cloud: its scale and reading, and a sample.
 
     The sample has about 15,000 points; of a cloud in few boxes more, and all of a small one.
     """
@@ -86,7 +98,7 @@ def measure_cloud(cloud_pass: PassT, scale: LocalScale, reading: Reading = UNREA
     while True:
         sample = draw_boxes(cloud_pass, SAMPLED_BOX * scale.spacing, one_in)
         if one_in == 1 or len(sample[0]) > _SAMPLED_POINTS // 4:
-            return cloud_pass.note(CloudMeasures(scale, PointCloud(*sample), reading))
+            return CloudMeasures(scale, PointCloud(*sample), reading)
         one_in = max(one_in // 8, 1)
 
 

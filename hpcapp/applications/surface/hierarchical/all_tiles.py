@@ -11,6 +11,7 @@ Of a cloud that is one tile see `one_tile`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -36,7 +37,7 @@ from hpcapp.geometry.lattice import (
     unique_keys,
     unpack_keys,
 )
-from hpcapp.geometry.points import FloatArray, IntArray
+from hpcapp.geometry.points import ByteArray, FloatArray, IntArray
 from hpcapp.kernels.types.grid import BRICK
 from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.errors import JobError
@@ -100,6 +101,8 @@ class _Growth:
             found[started[batch]] = self._put(name, result)
             self._show(name, found[started[batch]][0])
             advance(len(found), count)
+        if task is mesh_tile:  # no gap
+            self.surface.taken += count - len(started)
         workers = {started[batch]: worker for batch, worker in makers.items()}
         for index, name in enumerate(names):
             self._take(name, found[index], workers.get(index))
@@ -142,6 +145,29 @@ class _Growth:
         self._exits.append(exits)
 
 
+def _name_tile(checkpoint: Checkpoint, tiling: Tiling, index: int, around: CoarseLevels) -> str:
+    """Return the name of a tile: a hash of all that the task is given, of points what they are."""
+    plan, groups = tiling.plan, tiling.groups(index)
+    if not checkpoint.recipe:  # it lies in a folder of this input and this plan
+        return checkpoint.name(plan, *groups)
+    there = plan.origin, plan.coarse_size, plan.grid_origin, BRICK * plan.step
+    bricks = unpack_keys(find_overlapping(groups[0], *there))
+    near = _crop_plan(plan, bricks.min(axis=0), bricks.max(axis=0))
+    points = tiling.identify(unique_keys(np.concatenate(groups)))
+    return checkpoint.name(*near, *groups, *points, around)
+
+
+def _crop_plan(
+    plan: TilePlan, first: IntArray, last: IntArray
+) -> tuple[TilePlan, ByteArray | None]:
+    """Return what of a plan concerns a box of bricks: all, and the strides in it and around it."""
+    if plan.strides is None:
+        return plan, None
+    far = 2 + 2 * plan.grid.rim
+    x, y, z = (last - first + 1 + 2 * far).tolist()
+    return replace(plan, strides=None), plan.strides.cells_within(first - far, (x, y, z))
+
+
 def cut_gaps(plan: TilePlan, left: IntArray, wide: float) -> list[tuple[IntArray, IntArray]]:
     """Group the bricks that the surface leaves for by boxes, keys (e,).
 
@@ -180,9 +206,14 @@ def _plan_gap(
     within = np.zeros(len(near), np.bool_)
     within[find_within(tiling.cells, *np.floor(ends / plan.coarse_size).astype(np.int64))] = True
     gap = Gap(box, exits, beside, tiling.cells[within & ~near])
-    name = "" if checkpoint is None else checkpoint.name(plan, gap, tiling.cells[near])
-    low, high = plan.grid_origin + edge * box
-    return name, (plan, gap, tiling.around(tiling.cells[near]), coarse.within(low, high))
+    cells, around = tiling.cells[near], coarse.within(*(plan.grid_origin + edge * box))
+    name = ""
+    if checkpoint is not None and checkpoint.recipe:
+        points = tiling.identify(cells)
+        name = checkpoint.name(*_crop_plan(plan, box[0], box[1] - 1), gap, cells, *points, around)
+    elif checkpoint is not None:
+        name = checkpoint.name(plan, gap, cells)
+    return name, (plan, gap, tiling.around(cells), around)
 
 
 def mesh_all_tiles(
@@ -208,8 +239,8 @@ def mesh_all_tiles(
 
     def tiles() -> Iterator[tuple[str, tuple[Any, ...]]]:
         for index in range(len(tiling)):
-            name = "" if checkpoint is None else checkpoint.name(plan, *tiling.groups(index))
             around = coarse.around(tiling.own(index))
+            name = "" if checkpoint is None else _name_tile(checkpoint, tiling, index, around)
             held = tiling.tile(index)
             yield name, (plan, held, tiling.tickets[index], around)
 

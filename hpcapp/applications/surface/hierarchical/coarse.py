@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any, TypeVar
+
 import numpy as np
 
 from hpcapp.applications.surface.cloud.arranged import CloudMeasures
@@ -29,6 +32,7 @@ from hpcapp.applications.surface.tiles.tasks import solve_far
 from hpcapp.geometry.lattice import (
     ancestor_keys,
     cells_of,
+    find_keys,
     find_within,
     lay_lattice,
     number_keys,
@@ -42,11 +46,15 @@ from hpcapp.kernels.types.grid import BRICK, Grid
 from hpcapp.workforce import Workforce, begin_batch
 from hpccomponent.dataclass import dataclass
 
+Quadrics = TypeVar("Quadrics", Parents, FieldLevel)
+
 _MOST_NODES = 256
 _BLURRED = 4.0  # standard deviations of the noise: shape that is smaller is not told from it
 _FOLD = 3.0  # steps of the coarser far field: how near sheets lie that it confuses
 _CANCELLED = 0.5  # length of a mean normal
 _FOLDED = 0.03  # share of the points from which on a finer far field pays
+_HARDLY_FAR = 2.0**-4  # steps of the far field: see `Coarse.anchored`
+_HARDLY = {"coefficients": 2.0**-8, "support": 2.0**-5, "variances": 2.0**-5, "trust": 2.0**-5}
 _FAR_CELLS = 0.5  # steps of the far field, which samples no smaller cells than these
 
 
@@ -116,6 +124,48 @@ class Coarse:
             coarser.append(kept)
         far = crop_far_field(self.far, low - margin - 3.0 * size, high + margin + 3.0 * size)
         return CoarseLevels(parents, trust, tuple(coarser), far)
+
+    def anchored(self, known: CoarseLevels) -> Coarse:
+        """Return the same with what is `known` of an earlier job wherever that is hardly another.
+
+        A point that is added changes all of it in the last digits, and each tile is named by all
+        that it is told. Hardly another is a value of the far field that is `_HARDLY_FAR` off, and a
+        quadric of which nothing is more than `_HARDLY` off, in cells, and of 1 or of what it was.
+        """
+        far, before = self.far, restore_far_field(known.far)
+        if far.values.shape == before.values.shape:
+            is_near = np.abs(far.values - before.values) <= _HARDLY_FAR * far.step
+            far = replace(far, values=np.where(is_near, before.values, far.values))
+        of_level = known.levels if known.trust is not None else known.coarser
+        levels = tuple(anchor_quadrics(*of) for of in zip(self.levels, of_level, strict=True))
+        return replace(
+            self, parents=anchor_quadrics(self.parents, known.parents), levels=levels, far=far
+        )
+
+    def whole(self) -> CoarseLevels:
+        """Return all of it."""
+        low = self.far.origin
+        high = low + self.far.step * len(self.far.values)
+        far = crop_far_field(self.far, low, high)
+        trust = self.levels[0].trust if self.levels else None
+        return CoarseLevels(self.parents, trust, self.levels[1:], far)
+
+
+def anchor_quadrics(found: Quadrics, known: Quadrics) -> Quadrics:
+    """Return some quadrics, those of the same vertices that are hardly others as they are known."""
+    rows = find_keys(known.keys, found.keys)
+    columns = [name for name in found.__dataclass_fields__ if name != "keys"]
+    is_near = rows < len(known.keys)
+    rows = np.where(is_near, rows, 0)
+    for name in columns if len(known.keys) else ():
+        new, old = getattr(found, name), getattr(known, name)[rows]
+        most = _HARDLY[name] * np.maximum(1.0, np.abs(old))
+        is_near &= (np.abs(new - old) <= most).reshape(len(rows), -1).all(axis=1)
+    kept: dict[str, Any] = {}
+    for name in columns:
+        kept[name] = getattr(found, name).copy()
+        kept[name][is_near] = getattr(known, name)[rows[is_near]]
+    return replace(found, **kept)
 
 
 def choose_nodes(

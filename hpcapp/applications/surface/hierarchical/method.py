@@ -11,7 +11,7 @@ from __future__ import annotations
 import logging
 import secrets
 from collections.abc import Iterator
-from dataclasses import field
+from dataclasses import field, replace
 from functools import partial
 from typing import Any
 
@@ -30,7 +30,7 @@ from hpcapp.applications.surface.hierarchical.coarse import (
     fit_coarse,
 )
 from hpcapp.applications.surface.hierarchical.one_tile import mesh_one_tile
-from hpcapp.applications.surface.hierarchical.tiles import Tiling
+from hpcapp.applications.surface.hierarchical.tiles import OUTLASTING, Tiling, choose_level
 from hpcapp.applications.surface.methods.method import (
     LARGE_TILE,
     TILE_POINTS,
@@ -43,7 +43,7 @@ from hpcapp.applications.surface.resolution.chain import resolve
 from hpcapp.applications.surface.resolution.estimates import Scale, suited_steps
 from hpcapp.applications.surface.stitching.handle_groups import Mended, mend_handles
 from hpcapp.applications.surface.stitching.surface import Surface
-from hpcapp.applications.surface.tiles.checkpoint import Checkpoint
+from hpcapp.applications.surface.tiles.checkpoint import Checkpoint, digest
 from hpcapp.applications.surface.tiles.patterns import coarse_lattice
 from hpcapp.applications.surface.tiles.plan import CoarseLattice, Samples, TilePlan
 from hpcapp.applications.surface.tiles.tasks import sum_tile
@@ -56,16 +56,31 @@ from hpccomponent.errors import InputError, UsageError
 log = logging.getLogger("hpcapp")
 
 _POINTS_AT_ONCE = 2_000_000
+_GAP_TILES = 16  # whose points are in a box in which gaps are spanned
 _ROBUST_LEVELS = 2  # whose fits ask the points themselves, where these are weighed
+
+
+def _anchor(coarse: Coarse, checkpoint: Checkpoint) -> Coarse:
+    """Return coarse levels as they are known of earlier jobs, which these are for as well."""
+    if not checkpoint.recipe:
+        return coarse
+    # Of these cells: less memory may ask for a coarser grid.
+    what = f"coarse-{digest(replace(coarse.plan, strides=None))}"
+    known = checkpoint.find_frame(what)
+    if known is None:
+        checkpoint.store.put(checkpoint.name_frame(what), coarse.whole())
+        return coarse
+    return coarse.anchored(known)
 
 
 @dataclass(slots=True, eq=False)
 class HierarchicalPartition:
     """A cloud cut into tiles; without a tiling it is one tile, made into a mesh here.
 
-    `patches` are the finest cells with points, once they are counted; `closure` tells how the
-    borders of the surface came about, once it is there; `mended` what became of small handles and
-    hollows, where it is closed and has handles or pieces.
+    `patches` are the finest cells with points, once they are counted; so many tiles were `taken`
+    from a job of other scans. The `closure` tells how the borders of the surface came about, once
+    it is there; `mended` what became of small handles and hollows, where it is closed and has
+    handles or pieces.
     """
 
     cloud: ArrangedCloud
@@ -73,6 +88,7 @@ class HierarchicalPartition:
     plan: TilePlan
     tiling: Tiling | None
     patches: int = 0
+    taken: int = 0
     closure: Closure | None = None
     mended: Mended | None = None
 
@@ -141,7 +157,8 @@ class HierarchicalMethod:
         )
         if not count:
             return HierarchicalPartition(cloud, scale, plan, None)
-        tiling = Tiling(cloud, plan, count, workers, self.tile_points is not None)
+        level = choose_level(plan, scale.spacing) if self._outlasts else None
+        tiling = Tiling(cloud, plan, count, workers, self.tile_points is not None, level)
         return HierarchicalPartition(cloud, scale, plan, tiling)
 
     def fit(
@@ -177,7 +194,8 @@ class HierarchicalMethod:
             samples.append(sampled)
             partition.patches += patches
             advance(len(lattices), len(tiling))
-        return fit_coarse(plan, lattices, samples, workforce, self.threads)
+        coarse = fit_coarse(plan, lattices, samples, workforce, self.threads)
+        return coarse if self.checkpoint is None else _anchor(coarse, self.checkpoint)
 
     def extract(
         self,
@@ -211,11 +229,13 @@ class HierarchicalMethod:
                 advance,
                 origin,
                 len(partition.cloud),
-                # A surface crosses such a box with as many points as a tile has.
-                (self.tile_points or TILE_POINTS) ** 0.5 * partition.scale.spacing,
+                self._span_gaps() * partition.scale.spacing,
                 self.checkpoint,
                 self.show_part,
             )
+            partition.taken = surface.taken
+            if self._outlasts:
+                log.info("took %d of %d tiles as they were", surface.taken, len(partition.tiling))
         if not surface.plan.face_count:
             raise InputError(
                 "no part of the cloud encloses a volume",
@@ -247,6 +267,20 @@ class HierarchicalMethod:
             if partition.mended.cut or partition.mended.hollows:
                 log.info("%s", partition.mended.say())
         return surface
+
+    def _span_gaps(self) -> float:
+        """Return how wide boxes are in which gaps are spanned, in spacings of the points.
+
+        A surface crosses one with as many points as a tile has. Where gaps are for jobs of other
+        scans, too, they are as small as leaves what lies around them a part of the work.
+        """
+        points = _GAP_TILES * OUTLASTING if self._outlasts else self.tile_points or TILE_POINTS
+        return float(np.sqrt(points))
+
+    @property
+    def _outlasts(self) -> bool:
+        """Whether tiles are for jobs of other scans, too."""
+        return self.checkpoint is not None and bool(self.checkpoint.recipe)
 
     def _find_shared(self, cloud: ArrangedCloud) -> Checkpoint | None:
         """Return the folder that workers read the points from, if they do."""
@@ -284,6 +318,7 @@ class HierarchicalMethod:
             "lam": plan.weights[partition.scale.finer].lam,
             "levels": plan.height,
             "tiles": 1 if partition.tiling is None else len(partition.tiling),
+            **({"tiles_taken": partition.taken} if self._outlasts else {}),
             **({} if partition.closure is None else partition.closure.facts()),
             **({} if partition.mended is None else partition.mended.facts()),
         }

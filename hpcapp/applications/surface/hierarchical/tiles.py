@@ -6,18 +6,27 @@ The paper's equal batches, by work instead of by count.
 from __future__ import annotations
 
 import secrets
+from math import log2, sqrt
 from typing import Any
 
 import numpy as np
 
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
+from hpcapp.applications.surface.cloud.block_hashes import BlockHashes
 from hpcapp.applications.surface.cloud.cutting import cut_tiles
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.tiles.halo import mark_near
 from hpcapp.applications.surface.tiles.plan import TilePlan
 from hpcapp.applications.surface.tiles.points import CellPoints, PointsThere, pack_cells
 from hpcapp.applications.surface.tiles.tasks import KEPT_TILES
-from hpcapp.geometry.lattice import find_overlapping, pack_places, unique_keys, unpack_keys
+from hpcapp.geometry.lattice import (
+    ancestor_keys,
+    find_overlapping,
+    number_keys,
+    pack_places,
+    unique_keys,
+    unpack_keys,
+)
 from hpcapp.geometry.points import BoolArray, FloatArray, IntArray
 from hpcapp.kernels.types.grid import BRICK
 
@@ -25,6 +34,8 @@ from hpcapp.kernels.types.grid import BRICK
 # point takes: from scans of bunny, table and rocker arm, whose finest cells were 1 to 6.5 cells of
 # the grid wide.
 _CELL_WORK, _STEP_WORK = 2.0, 0.4
+OUTLASTING = 5_000.0
+"""Points of a tile that jobs of other scans may take."""
 
 
 class Tiling:
@@ -33,6 +44,9 @@ class Tiling:
     Where `workers` do not see the points, these are sent with the tasks. If memory `is_short`,
     tiles have about as many points each instead of as much work, and a worker keeps one of them
     prepared until it is meshed; else `tiles.KEPT_TILES`.
+
+    With a `level` tiles are instead the points in each of the cells so many levels above the coarse
+    one: wherever points are added, other tiles are what they were.
 
     `cells` (c,) are sorted keys of the coarse cells that hold points. `tickets` are of the tiles,
     where workers may keep them: each prepares its points once then (see `tiles.sum_tile`). Not
@@ -46,13 +60,17 @@ class Tiling:
         count: int,
         workers: PointWorkers,
         is_short: bool,
+        level: int | None = None,
     ) -> None:
         workforce, are_read = workers.workforce, workers.workers_see
         self.cells, counts = workers.count_cells(cloud, plan.origin, plan.coarse_size)
         self._cloud = cloud
-        self._plan = plan
-        work = counts if is_short else weigh_cells(plan, counts)
-        self._tile_of = cut_tiles(self.cells, work, count)
+        self.plan = plan
+        if level is None:
+            work = counts if is_short else weigh_cells(plan, counts)
+            self._tile_of = cut_tiles(self.cells, work, count)
+        else:
+            _, self._tile_of = number_keys(ancestor_keys(self.cells, level))
         order = np.argsort(self._tile_of, kind="stable")
         ends = np.cumsum(np.bincount(self._tile_of))
         self._own: list[IntArray] = np.split(self.cells[order], ends[:-1])
@@ -60,6 +78,7 @@ class Tiling:
         self._share = workforce.share
         self._are_read = are_read
         self._shared: dict[int, Any] = {}
+        self._hashes = BlockHashes(cloud)
         self._groups: dict[int, list[IntArray]] = {}
         is_once = are_read or cloud.is_here
         kept = 1 if is_short else KEPT_TILES
@@ -108,24 +127,42 @@ class Tiling:
         shared: CellPoints = self._shared[index]
         return shared
 
+    def identify(self, cells: IntArray) -> tuple[IntArray, IntArray]:
+        """Return what tells the points in some coarse cells (c,) from others.
+
+        It is keys of the b blocks that these overlap, and a hash of each, (b, 2).
+        """
+        plan, blocks = self.plan, self._cloud.arrangement
+        there = plan.origin, plan.coarse_size, blocks.origin, blocks.edge
+        return self._hashes.of(find_overlapping(cells, *there))
+
     def around(self, cells: IntArray) -> CellPoints:
         """Return the points in coarse cells of sorted keys (k,), as one group."""
         return self._give([cells], None)
 
     def near(self, cells: IntArray) -> BoolArray:
         """Tell which of the tiling's `cells`, (c,), lie near enough around some to matter."""
-        return mark_halo(self._plan, self.cells, cells)
+        return mark_halo(self.plan, self.cells, cells)
 
     def _give(self, groups: list[IntArray], index: int | None) -> CellPoints:
         if self._are_read:
             return PointsThere(self._cloud.place, tuple(groups))
-        plan = self._plan
+        plan = self.plan
         packed = pack_cells(self._cloud, plan.origin, plan.coarse_size, groups)
         if index is not None and self._cloud.is_here:
             if index not in self._shared:
                 self._shared[index] = self._share(packed[0])
             packed[0] = self._shared[index]
         return tuple(packed)
+
+
+def choose_level(plan: TilePlan, spacing: float) -> int:
+    """Return how many levels above the coarse one are cells of about `OUTLASTING` points.
+
+    Points of a surface lie so far apart; by the plan alone, so that it is the same for each job.
+    """
+    edge = spacing * sqrt(OUTLASTING)
+    return max(0, round(log2(edge / plan.coarse_size)))
 
 
 def weigh_cells(plan: TilePlan, counts: IntArray) -> FloatArray:

@@ -234,7 +234,7 @@ def _may_pay_in_folder(settings: JobSettings, points: int) -> bool:
     That is where workers may be processes that will see the folder: those of this machine see any,
     others one that was named, and where they can read the input from the middle.
     """
-    name, place = name_backend(settings), settings.temp_dir
+    name, place = name_backend(settings), settings.room
     is_here = works_here(settings)
     if name is None and is_here:
         name = "zmq" if (settings.workers or available_cores()) > 1 else "serial"

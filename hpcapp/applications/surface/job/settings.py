@@ -187,6 +187,12 @@ class Settings:
         "finished if this one fails.",
         words=("--resume",),
     )
+    update: str | None = _of_place(
+        None,
+        "Take the tiles whose points are as they were from where a job of other scans has left "
+        "them, and leave this one's there: a folder, or s3://BUCKET/PREFIX.",
+        kind=STORAGE, metavar="PLACE", replaces=("temp_dir",),
+    )  # fmt: skip
     crop: Crop = field(default_factory=Crop)
     printing: Printing | None = None
 
@@ -217,6 +223,11 @@ class Settings:
         if self.printing is None or not is_free or reading.share_going_on > 0.5:
             return self
         return replace(self, method=replace(method, close="yes"))
+
+    @property
+    def room(self) -> str | None:
+        """The place that was named for points and tiles, if any."""
+        return self.temp_dir if self.update is None else self.update
 
     @property
     def target(self) -> Target:

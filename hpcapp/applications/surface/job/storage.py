@@ -7,6 +7,11 @@
                           ├── sums/                of one run
                           └── points/              the cloud, where it is not in memory
 
+    --update FOLDER ────> FOLDER/                  held while a job is at work
+                          ├── frames/              what all tiles have in common
+                          ├── tiles/               <hash>, sums/: as above, but for the next job
+                          └── points/              while a job is at work
+
 JOB is a hash of all that decides the mesh, RUN is random: two jobs of one input have a folder each.
 A job that resumes takes one that nobody holds any more, and waits where all are held. In a bucket
 nothing tells who lives: there it takes what is there.
@@ -19,12 +24,14 @@ import os
 import secrets
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
+from hpcapp.applications.surface.cloud.frame import Frame
 from hpcapp.applications.surface.job.plan import Place, works_here
 from hpcapp.applications.surface.job.settings import JobSettings
-from hpcapp.applications.surface.tiles.checkpoint import SUMS, Checkpoint, digest
+from hpcapp.applications.surface.tiles.checkpoint import FRAMES, SUMS, Checkpoint, digest
 from hpcapp.kernels.build import kernel_id
 from hpccomponent.cli.terminal import visible_text
 from hpccomponent.dataclass import dataclass
@@ -43,16 +50,28 @@ from hpccomponent.store.places import open_store
 
 log = logging.getLogger("hpcapp")
 
+_TILES = "tiles"
+_OF_TILES = {_TILES, FRAMES, "points", ".owner"}  # all that a folder of --update holds
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JobStorage:
     """Where a job has its points and tiles besides memory.
 
     The `checkpoint` keeps finished tiles; points lie in a `folder`, None where they are in memory.
+    The `frame` is that of tiles that outlast the job.
     """
 
     checkpoint: Checkpoint | None
     folder: Path | None
+    frame: Frame | None = None
+
+    def note_frame(self) -> None:
+        """Keep the frame for later jobs, if it is a new one and they are to have it."""
+        if self.frame is None or self.frame.is_known:
+            return
+        assert self.checkpoint is not None  # noqa: S101 - where the frame was looked for
+        self.checkpoint.begin_frame(self.frame.tell())
 
 
 @contextmanager
@@ -64,8 +83,14 @@ def open_storage(settings: JobSettings, planned: Place) -> Iterator[JobStorage]:
     cannot be had, InputError if the input cannot be looked at.
     """
     in_memory = planned is Place.MEMORY
-    if settings.method.needs_whole_cloud or (in_memory and settings.temp_dir is None):
+    if settings.method.needs_whole_cloud or (in_memory and settings.room is None):
         yield JobStorage(None, None)
+        return
+    if settings.update is not None:
+        with _open_tiles(settings, settings.update) as (checkpoint, folder):
+            known = checkpoint.find_frame("cloud")
+            points = None if in_memory else folder / "points"
+            yield JobStorage(checkpoint, points, Frame(known, keeps=True))
         return
     job, place = _name_job(settings), settings.temp_dir
     if place is None or "://" in place:
@@ -82,29 +107,81 @@ def open_storage(settings: JobSettings, planned: Place) -> Iterator[JobStorage]:
             with _taken_away(checkpoint):
                 yield JobStorage(checkpoint, points)
         return
-    held = _hold_folder(_find_folder(place), job, settings.resume)
+    held = _hold_folder(_find_folder(place, "--temp-dir"), job, settings.resume)
     checkpoint = Checkpoint(str(held.path.parent), held.path.name, settings.resume)
     with _taken_away(checkpoint, held):
         checkpoint.make_folders()
         yield JobStorage(checkpoint, None if in_memory else held.path / "points")
 
 
-def _find_folder(place: str) -> Path:
-    """Return the folder that --temp-dir names; its last part need not be there."""
+@contextmanager
+def _open_tiles(settings: JobSettings, place: str) -> Iterator[tuple[Checkpoint, Path]]:
+    """Open the tiles that jobs of unlike input share, and a folder for this one's points.
+
+    When the block ends well only the tiles stay that this job has asked for; if not, all.
+    """
+    recipe = digest(*_list_recipe(settings))
+    with ExitStack() as stack:
+        if "://" in place:
+            folder = stack.enter_context(temporary_folder())
+            checkpoint = Checkpoint(place, _TILES, True, recipe=recipe)
+            checkpoint.check()
+        else:
+            folder = _find_folder(place, "--update")
+            held = _hold_tiles(folder)
+            stack.callback(held.let_go)
+            stack.callback(remove_path, folder / "points")
+            checkpoint = Checkpoint(str(folder), _TILES, True, recipe=recipe)
+            checkpoint.make_folders()
+        try:
+            yield checkpoint, folder
+        except DistrustError:  # nothing of it is to be believed
+            checkpoint.clear()
+            raise
+        checkpoint.clear_others()
+
+
+def _hold_tiles(folder: Path) -> HeldFolder:
+    """Hold the folder of --update, which may be a new one; wait for whoever has it."""
+    if not os.path.lexists(folder):
+        return create_held(folder)
+    try:
+        others = sorted(set(os.listdir(folder)) - _OF_TILES)
+    except OSError as error:
+        raise OutputError(
+            f"--update {folder}: cannot be looked into: {error.strerror}", "name another folder"
+        ) from error
+    if others:
+        raise UsageError(
+            f"--update {folder}: holds other things than the tiles of a job, as {others[0]}",
+            "name a folder that --update has filled, or a new one",
+        )
+    held = hold(folder)
+    if held is None and (owner := read_owner(folder)) is not None:
+        log.info("waiting for %s, which has its tiles in %s", owner, folder)
+        held = hold(folder, waits=True)
+    if held is None:
+        raise OutputError(f"--update {folder}: cannot be held", "name a folder of your own")
+    remove_path(folder / _TILES / SUMS)
+    return held
+
+
+def _find_folder(place: str, option: str) -> Path:
+    """Return the folder that an option names; its last part need not be there."""
     text = place.removeprefix("folder:")
     if not text:
-        raise UsageError("--temp-dir names no folder", "name one, or s3://BUCKET/PREFIX")
+        raise UsageError(f"{option} names no folder", "name one, or s3://BUCKET/PREFIX")
     if text.startswith("~"):  # a shell has left it so: of --temp-dir=~/x, or no such user
         raise UsageError(
-            f"--temp-dir {text}: no such home folder is known here",
+            f"{option} {text}: no such home folder is known here",
             f"write the whole path, or ./{text} for a folder of that name",
         )
     folder = Path(os.path.realpath(text))  # a link may lead to itself
     if folder.exists() and not folder.is_dir():
-        raise OutputError(f"--temp-dir {text}: is not a folder", "name a folder")
+        raise OutputError(f"{option} {text}: is not a folder", "name a folder")
     if visible_text(str(folder)) != str(folder):
         raise OutputError(
-            f"--temp-dir {text}: its path is not UTF-8, or holds control characters: workers are "
+            f"{option} {text}: its path is not UTF-8, or holds control characters: workers are "
             "not told of it",
             "name another folder",
         )
@@ -113,11 +190,16 @@ def _find_folder(place: str) -> Path:
 
 def _name_job(settings: JobSettings) -> str:
     """Return a hash of the input, of what decides the mesh, and of the kernels."""
-    return digest(
-        *map(_identify, settings.files), settings.points.stat().st_size, settings.grid,
-        settings.depth, settings.voxel_size, repr(settings.method), settings.outliers,
-        settings.denoise, settings.resample, settings.normals, settings.viewpoint,
-        settings.attributes.has_confidence, repr(settings.crop), kernel_id(),
+    size = settings.points.stat().st_size
+    return digest(*map(_identify, settings.files), size, *_list_recipe(settings))
+
+
+def _list_recipe(settings: JobSettings) -> tuple[Any, ...]:
+    """Return all that decides the mesh of some input: settings and kernels."""
+    return (
+        settings.grid, settings.depth, settings.voxel_size, repr(settings.method),
+        settings.outliers, settings.denoise, settings.resample, settings.normals,
+        settings.viewpoint, settings.attributes.has_confidence, repr(settings.crop), kernel_id(),
     )  # fmt: skip
 
 

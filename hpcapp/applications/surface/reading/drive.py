@@ -20,9 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from hpcapp.applications.surface.cloud.arrangement import choose_arrangement, snap_points
+from hpcapp.applications.surface.cloud.arrangement import snap_points
 from hpcapp.applications.surface.cloud.folder.disk import DiskCloud, write_index
 from hpcapp.applications.surface.cloud.folder.parts import FilePart
+from hpcapp.applications.surface.cloud.frame import Frame
 from hpcapp.applications.surface.cloud.point_workers import PointWorkers
 from hpcapp.applications.surface.reading.patterns import RangeSurvey
 from hpcapp.applications.surface.reading.reach import EvenSample, even_step, find_reach
@@ -72,21 +73,36 @@ class _Survey:
     box: FloatArray
     sample: FloatArray
 
+    def moved(self, frame: Frame) -> _Survey:
+        """Return the same in the local frame of another origin, if that is known already."""
+        shift = self.origin - (origin := frame.place(self.origin))
+        if not shift.any():
+            return self
+        return replace(self, origin=origin, box=self.box + shift, sample=self.sample + shift)
+
 
 def ingest_file(
-    source: PointSource, folder: Path, workers: PointWorkers, *, drop_far: bool = True
+    source: PointSource,
+    folder: Path,
+    workers: PointWorkers,
+    frame: Frame | None = None,
+    *,
+    drop_far: bool = True,
 ) -> Ingested:
     """Arrange the usable points of a file in a folder, which exists.
 
     They are those that `drop_unusable`, `drop_far` and `arrange_cloud` leave of the whole file, bit
-    for bit, whatever the workers; unless asked to `drop_far`, those far from all others stay. Some
-    17 bytes a point are written (see `layout`). Raises InputError where the file is damaged or
-    holds no surface, OutputError where the disk is full or the folder cannot be written.
+    for bit, whatever the workers; unless asked to `drop_far`, those far from all others stay. The
+    `frame` chooses their blocks, by default by their box. Some 17 bytes a point are written (see
+    `layout`). Raises InputError where the file is damaged or holds no surface, OutputError where
+    the disk is full or the folder cannot be written.
     """
     name = str(source.path)
     if not workers.workers_see_input:
         workers = replace(workers, workers_see=False)
-    found = _survey_records(source, workers) if source.records else _survey_parts(source, workers)
+    frame = Frame() if frame is None else frame
+    survey = _survey_records if source.records else _survey_parts
+    found = survey(source, workers).moved(frame)
     refuse_too_few(found.points, found.dropped, name)
     refuse_degenerate(found.box[0], found.box[1], found.points, name)
     refuse_line(
@@ -101,8 +117,8 @@ def ingest_file(
         bounded = list(_run(source, workers, bound_range, lambda _: (found.origin, reach)))
         points = sum(count for count, _ in bounded)
         box = unite_boxes([part for _, part in bounded])
-    blocks = choose_arrangement(*box)
-    low, high = snap_points(blocks, box)  # rounding leaves the least the least
+    blocks = frame.arrange(*box)
+    low, high = blocks.bound(*snap_points(blocks, box))  # rounding leaves the least the least
     common = found.origin, reach, blocks
     written = _run(source, workers, arrange_range, lambda i: (*common, (str(folder), i)))
     parts = [FilePart.whole(i, *arranged) for i, arranged in enumerate(written)]

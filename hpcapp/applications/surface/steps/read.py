@@ -13,6 +13,7 @@ from hpcapp.applications.surface.cleaning.drive import Cleaned, drop_repeated
 from hpcapp.applications.surface.cloud.arranged import MemoryCloud, arrange_cloud
 from hpcapp.applications.surface.cloud.cloud_pass import MemoryPass
 from hpcapp.applications.surface.cloud.folder.folder_pass import FolderPass, make_cloud_folder
+from hpcapp.applications.surface.cloud.frame import Frame, shift_points
 from hpcapp.applications.surface.job.columns import CarriedColumns
 from hpcapp.applications.surface.job.scan import PointFolder, Scan
 from hpcapp.applications.surface.job.settings import JobSettings, Settings, count_own_threads
@@ -32,11 +33,15 @@ from hpccomponent.files.private_files import remove_path
 
 
 def read_file(
-    settings: JobSettings, source: PointSource, folder: PointFolder | None, clock: StageClock
+    settings: JobSettings,
+    source: PointSource,
+    folder: PointFolder | None,
+    frame: Frame,
+    clock: StageClock,
 ) -> Scan:
-    """Read the points of a file, each place once: into a folder, or by default into memory.
+    """Read the points of a file, each place once: into a folder, or without one into memory.
 
-    They are the same, bit for bit.
+    They are the same, bit for bit. The `frame` chooses their origin and their blocks.
     """
     if settings.normals == "estimate":
         source = source.without_normals()
@@ -44,14 +49,16 @@ def read_file(
         with clock.stage("read"):
             source = drop_seen_through(source, _find_path(settings, source))
     if folder is None:
-        scan = _read_into_memory(settings, source, clock)
+        scan = _read_into_memory(settings, source, frame, clock)
     else:
-        scan = _read_into_folder(settings, source, folder, clock)
+        scan = _read_into_folder(settings, source, folder, frame, clock)
     refuse_too_few(len(scan.cloud_pass.cloud), scan.dropped, str(settings.points))
     return scan
 
 
-def _read_into_memory(settings: JobSettings, source: PointSource, clock: StageClock) -> Scan:
+def _read_into_memory(
+    settings: JobSettings, source: PointSource, frame: Frame, clock: StageClock
+) -> Scan:
     with clock.stage("read"):
         whole = read_whole(source)
         _check_scans([whole], source)
@@ -60,7 +67,8 @@ def _read_into_memory(settings: JobSettings, source: PointSource, clock: StageCl
         labels = find_labels(columns.attributes)
         points, dropped = drop_unusable(columns, str(settings.points))
         del columns
-    scan = arrange_points(settings, points, labels, clock)
+        points = shift_points(points, frame.place(points.origin))
+    scan = arrange_points(settings, points, labels, frame, clock)
     return replace(
         scan,
         dropped=dropped,
@@ -73,7 +81,11 @@ def _read_into_memory(settings: JobSettings, source: PointSource, clock: StageCl
 
 
 def arrange_points(
-    settings: Settings, points: PointCloud, labels: frozenset[str], clock: StageClock
+    settings: Settings,
+    points: PointCloud,
+    labels: frozenset[str],
+    frame: Frame,
+    clock: StageClock,
 ) -> Scan:
     """Smooth the steps of depths, drop far points, arrange the rest, and drop those that repeat.
 
@@ -89,7 +101,7 @@ def arrange_points(
             cloud = MemoryCloud.as_they_are(points)
         else:
             near = drop_far(points) if method.cleans else points
-            cloud = arrange_cloud(near)
+            cloud = arrange_cloud(near, frame.arrange)
         whole = MemoryPass(cloud, count_own_threads(settings, len(points)))
         cloud_pass, repeated = drop_repeated(whole)
     cleaned = Cleaned(len(points) - len(near), repeated=repeated, smoothed=smoothed)
@@ -99,7 +111,11 @@ def arrange_points(
 
 
 def _read_into_folder(
-    settings: JobSettings, source: PointSource, folder: PointFolder, clock: StageClock
+    settings: JobSettings,
+    source: PointSource,
+    folder: PointFolder,
+    frame: Frame,
+    clock: StageClock,
 ) -> Scan:
     remove_path(folder.path)
     place, smoothed = make_cloud_folder(folder.path), 0
@@ -107,7 +123,9 @@ def _read_into_folder(
         if settings.method.cleans:
             source, smoothed = smooth_source(source)
         _check_scans(source.chunks(folder.workers.points), source)
-        ingested = ingest_file(source, place, folder.workers, drop_far=settings.method.cleans)
+        ingested = ingest_file(
+            source, place, folder.workers, frame, drop_far=settings.method.cleans
+        )
     with clock.stage("arrange"):
         cloud_pass = FolderPass(ingested.cloud, folder.path, folder.workers)
         cloud_pass, repeated = drop_repeated(cloud_pass)

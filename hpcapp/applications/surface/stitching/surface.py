@@ -55,7 +55,7 @@ class Surface:
 
     Parts that `checkpoint` keeps are named; `workers` made them, None where that is not known.
     Their vertices are in the local frame of `origin` (3,). `crumb` and `points` are for
-    `plan_stitching`.
+    `plan_stitching`; `taken` counts the parts that jobs of other scans had made.
     """
 
     parts: list[MeshPart | str]
@@ -65,6 +65,7 @@ class Surface:
     workers: list[str | None] = field(default_factory=list)
     crumb: int | None = None
     points: int | None = None
+    taken: int = 0
     _plan: StitchingPlan | None = None
     _topology: Deferred[Topology] | None = None
     _checked: set[int] = field(default_factory=set)

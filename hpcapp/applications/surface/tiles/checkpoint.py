@@ -1,8 +1,8 @@
-"""Finished tiles, kept where a job that was killed finds them again.
+"""Finished tiles, kept where a job that was killed, or one of more scans, finds them again.
 
-A tile's name is a hash of all that it is made of: the input, the settings, the kernels, and which
-cells are its own. So nothing that is found can be of another job. The sums of tiles lie beside
-them, for the time of one run.
+A tile's name is a hash of all that it is made of: the settings, the kernels, which cells are its
+own, and its points, or the whole input, in whose folder it lies then. So nothing that is found can
+be of another job. The sums of tiles lie beside them, for the time of one run.
 """
 
 from __future__ import annotations
@@ -26,6 +26,9 @@ log = logging.getLogger("hpcapp")
 
 SUMS = "sums"
 """The folder of what is of one run."""
+
+FRAMES = "frames"
+"""The folder of what the tiles of a mesh have in common, beside that of the tiles."""
 
 POINTS_NOTE = ["points", "loaded"]
 """Where it says that all points are there."""
@@ -54,13 +57,18 @@ class Checkpoint:
     folder of the job, or the prefix of its names. What is there already is taken if it `resumes`.
     Where the place `is_shared`, workers see it: then they put their tiles there themselves, and
     read points from a folder in it.
+
+    With a `recipe`, a hash of the settings and the kernels alone, tiles are named by their points
+    as well, and lie there for jobs of other input.
     """
 
     place: str
     job: str
     resumes: bool = False
     is_shared: bool = True
+    recipe: str = ""
     _store: list[Store] = field(default_factory=list)
+    _names: set[str] = field(default_factory=set)
 
     @property
     def store(self) -> Store:
@@ -94,7 +102,19 @@ class Checkpoint:
 
     def name(self, *values: Any) -> str:
         """Return the name of what is made of some values (see `digest`)."""
-        return f"{self.job}/{digest(*values)}"
+        name = f"{self.job}/{digest(self.recipe, *values)}"
+        self._names.add(name)
+        return name
+
+    def name_beside(self, name: str, what: str) -> str:
+        """Return the name of what is made of something that has a name."""
+        beside = f"{name}-{what}"
+        self._names.add(beside)
+        return beside
+
+    def name_frame(self, what: str) -> str:
+        """Return the name of something that all tiles of the recipe have in common."""
+        return f"{FRAMES}/{self.recipe}-{what}"
 
     def name_sums(self, run: str, tile: int) -> str:
         """Return the name of a tile's sums; `run` differs from that of any other run of the job."""
@@ -134,12 +154,35 @@ class Checkpoint:
         self.store.delete(name)
         return None
 
+    def find_frame(self, what: str) -> Any | None:
+        """Return what all tiles of the recipe have in common, None where nothing is, or damaged."""
+        name = self.name_frame(what)
+        try:
+            return self.store.get(name) if self.store.has(name) else None
+        except JobError as error:
+            log.warning("warning: %s: all tiles are made again", error.problem)
+            self.store.delete(name)
+            return None
+
+    def begin_frame(self, frame: Any) -> None:
+        """Keep what all tiles of the recipe have in common from now on."""
+        for name in self.store.list(f"{FRAMES}/"):
+            self.store.delete(name)
+        self.store.put(self.name_frame("cloud"), frame)
+
+    def clear_others(self) -> None:
+        """Take away what this job has not named: other tiles, what was cut of tiles, and sums."""
+        for name in self.store.list(f"{self.job}/"):
+            if name not in self._names:
+                self.store.delete(name)
+
     def holds_work(self) -> bool:
         """Tell whether another run could go on from what is kept: a tile, or all points."""
         names = (name.split("/")[1:] for name in self.store.list(f"{self.job}/"))
         return any(len(name) == 1 or name == POINTS_NOTE for name in names)
 
     def clear(self) -> None:
-        """Take away all that the job has kept."""
-        for name in self.store.list(f"{self.job}/"):
-            self.store.delete(name)
+        """Take away all that the job has kept, and what its tiles have in common."""
+        for folder in (self.job, FRAMES) if self.recipe else (self.job,):
+            for name in self.store.list(f"{folder}/"):
+                self.store.delete(name)

@@ -23,7 +23,7 @@ import itertools
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import astuple, field
+from dataclasses import field
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -43,8 +43,6 @@ from hpcapp.applications.surface.cloud.arrangement import (
 from hpcapp.applications.surface.cloud.folder.layout import FoldedLayout, RecordLayout, SingleLayout
 from hpcapp.applications.surface.cloud.folder.part_check import check_part
 from hpcapp.applications.surface.cloud.folder.parts import FilePart, translated
-from hpcapp.applications.surface.scale.local_scale import LocalScale
-from hpcapp.applications.surface.types.reading import Reading
 from hpcapp.geometry.lattice import find_keys, merge_counts
 from hpcapp.geometry.points import ByteArray, Float32Array, FloatArray, IntArray, PointCloud
 from hpccomponent.dataclass import dataclass
@@ -267,17 +265,15 @@ def write_index(
     index = {
         "edge": float(arrangement.edge),
         "corner": arrangement.origin,
+        "framed": arrangement.box,
         "origin": origin,
         "box": np.stack(box),
         "parts": [_tell(part) for part in parts],
         "attributes": {
             name: [_tell(part) for part in some] for name, some in (attributes or {}).items()
         },
-        "measured": None,
+        "measured": None if measured is None else measured.to_values(),
     }
-    if measured is not None:
-        columns = (measured.sample.positions, measured.sample.normals)
-        index["measured"] = (astuple(measured.scale), *columns, measured.reading.to_json())
     with translated(folder):
         write_whole(folder / _INDEX, to_buffers(index, folder.name))
     return _put_together(folder, arrangement, origin, box, parts, measured, attributes or {})
@@ -312,12 +308,9 @@ def _open(folder: Path, *_version: int) -> DiskCloud:
     with open(folder / _INDEX, "rb", opener=open_at_once) as file:
         index = from_bytes(memoryview(file.read()), folder.name)
     parts = [FilePart(*part) for part in index["parts"]]
-    measured = None
-    if index["measured"] is not None:
-        scale, positions, normals, reading = index["measured"]
-        sample = PointCloud(positions, normals)
-        measured = CloudMeasures(LocalScale(*scale), sample, Reading.of_json(reading))
-    arrangement = Arrangement(index["corner"], index["edge"])
+    told = index["measured"]
+    measured = None if told is None else CloudMeasures.of_values(told)
+    arrangement = Arrangement(index["corner"], index["edge"], index["framed"])
     attributes = {
         name: [FilePart(*part) for part in some] for name, some in index["attributes"].items()
     }

@@ -101,7 +101,7 @@ class FolderPass:
             for name, some in cloud.attributes.items()
         }
         replaced = self._index(folder, (cloud.low, cloud.high), written, {**added, **columns})
-        if len(replaced.cloud) == len(cloud):
+        if len(replaced.cloud) == len(cloud) or cloud.arrangement.box is not None:
             return replaced
         # Points are gone, and with them what may have bounded the box.
         assert not replaced.cloud.attributes  # noqa: S101 - see `CloudPass.rewrite`
