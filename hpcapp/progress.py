@@ -69,6 +69,11 @@ class Progress:
         self._observers = observers
         self._stage = ""
 
+    @property
+    def stage(self) -> str:
+        """The present stage; empty between stages."""
+        return self._stage
+
     def begin(self, stage: str) -> None:
         """Announce that a stage begins."""
         self._stage = stage
@@ -82,6 +87,7 @@ class Progress:
 
     def end(self, stage: str, seconds: float) -> None:
         """Announce that a stage has ended well."""
+        self._stage = ""
         for observer in self._observers:
             observer.on_end(stage, seconds)
 

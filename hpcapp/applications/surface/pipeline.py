@@ -44,6 +44,9 @@ from hpcapp.progress import StageClock
 from hpcapp.workforce import Workforce
 from hpccomponent.runtime.background import Deferred
 
+# How often stages go through the points, about; more often where strays are dropped.
+_PASSES = {"clean": 8, "normals": 5, "mend normals": 1}
+
 
 def load(
     settings: JobSettings,
@@ -77,7 +80,7 @@ def prepare(settings: Settings, scan: Scan, frame: Frame, clock: StageClock) -> 
     method, has_normals = settings.method, scan.has_normals
     with clock.stage("clean") if method.cleans else nullcontext():
         cloud_pass, cleaned, scale = clean(
-            scan.cloud_pass,
+            scan.cloud_pass.watched(clock.progress, _PASSES),
             frame,
             drops=method.cleans,
             in_cells=not method.needs_whole_cloud,

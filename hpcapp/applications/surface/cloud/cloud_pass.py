@@ -30,6 +30,7 @@ from hpcapp.cancellation import check_cancelled
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.lattice import find_keys
 from hpcapp.geometry.points import BoolArray, Float32Array, FloatArray, IntArray
+from hpcapp.progress import Progress
 from hpccomponent.dataclass import dataclass
 
 Rows = IntArray | slice
@@ -76,6 +77,12 @@ class CloudPass(Protocol):
         If the pass that is returned is another, this one's points are not there any more.
         """
 
+    def watched(self: PassT, progress: Progress, passes: Mapping[str, int]) -> PassT:
+        """Return the same pass, which tells how far stages of about so many `passes` have come.
+
+        It does so where the points lie in a folder: in memory they are soon done.
+        """
+
     def note(self: PassT, measured: CloudMeasures) -> PassT:
         """Keep what was found out about the cloud with it."""
 
@@ -109,6 +116,11 @@ class MemoryPass:
             added = {attribute: _place(values, np.empty(len(self.cloud), np.float32))}
             others = [rest[:-1] for rest in others]
         return self._replace(changes, added) if accepts(others) else self, others
+
+    def watched(self, progress: Progress, passes: Mapping[str, int]) -> MemoryPass:
+        """See `CloudPass`."""
+        del progress, passes
+        return self
 
     def note(self, measured: CloudMeasures) -> MemoryPass:
         """See `CloudPass`."""

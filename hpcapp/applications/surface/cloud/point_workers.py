@@ -6,10 +6,10 @@ the rest runs in this process: it is done sooner than the points have travelled.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import is_dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.cloud.cutting import cut_even, cut_regions
@@ -18,13 +18,40 @@ from hpcapp.applications.surface.cloud.regions import SentBlocks, StoredBlocks, 
 from hpcapp.applications.surface.cloud.tasks import count_block_cells, merge_cells
 from hpcapp.backends.serial import SerialExecutor
 from hpcapp.geometry.points import FloatArray, IntArray
+from hpcapp.progress import Progress
 from hpcapp.workforce import Workforce, map_batches, stream_batches
 from hpccomponent.cutting import cut_equal
 from hpccomponent.dataclass import dataclass
 
+Result = TypeVar("Result")
+
 _RANGE_PIECES = 8
 """Pieces whose points a range may have: sorted and packed a point takes 70 bytes, in the tasks of
 a piece up to 800 (see `resolution.memory`)."""
+
+
+class PassWatch:
+    """Tells how far stages have come that go through a cloud, so many times each or more often.
+
+    A stage that `passes` does not name tells nothing; nobody is told by default.
+    """
+
+    def __init__(self, progress: Progress | None = None, passes: Mapping[str, int] = {}) -> None:
+        self._progress, self._passes = progress or Progress(), passes
+        self._stage, self._ended = "", 0
+
+    def follow(self, results: Iterable[Result], regions: int) -> Iterator[Result]:
+        """Yield the results of one pass, as many as it has regions."""
+        if self._progress.stage != self._stage:
+            self._stage, self._ended = self._progress.stage, 0
+        expected = self._passes.get(self._stage)
+        for done, result in enumerate(results, 1):
+            if expected is not None:
+                whole = max(expected, self._ended + 1)
+                # In hundredths of the stage.
+                self._progress.advance(int(100 * (self._ended + done / regions) / whole), 100)
+            yield result
+        self._ended += 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,12 +99,14 @@ class PointWorkers:
         margin: float,
         given: Sequence[Any],
         target: Path | None,
+        watch: PassWatch,
     ) -> Iterator[tuple[int, bool, Any]]:
         """Run a task over the regions of a cloud, and yield results as they come.
 
         Without a margin regions are runs of blocks. Records in `given` are shared; what changes is
         written to `target`. With each result come the index of its region, in the order of the
-        blocks where these are runs, and whether what has changed is written already.
+        blocks where these are runs, and whether what has changed is written already. The `watch`
+        is told of each.
         """
         if margin:
             regions = cut_regions(cloud.keys, cloud.counts, self.count_pieces(len(cloud)))
@@ -97,7 +126,8 @@ class PointWorkers:
 
         # What is sent waits in memory: one region more than there are workers.
         at_once = len(regions) if sees else workforce.workers + 1
-        for index, result in stream_batches(workforce, task, batches(), max(at_once, 1)):
+        results = stream_batches(workforce, task, batches(), max(at_once, 1))
+        for index, result in watch.follow(results, len(regions)):
             yield index, sees, result
 
     def count_cells(

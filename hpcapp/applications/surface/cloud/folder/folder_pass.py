@@ -6,7 +6,7 @@ import os
 import secrets
 import shutil
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import field, replace
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, TypeVar
@@ -16,9 +16,10 @@ import numpy as np
 from hpcapp.applications.surface.cloud.arranged import CloudMeasures
 from hpcapp.applications.surface.cloud.folder.disk import DiskCloud, write_index
 from hpcapp.applications.surface.cloud.folder.parts import FilePart, write_attribute, write_part
-from hpcapp.applications.surface.cloud.point_workers import PointWorkers
+from hpcapp.applications.surface.cloud.point_workers import PassWatch, PointWorkers
 from hpcapp.applications.surface.cloud.tasks import bound_region
 from hpcapp.geometry.points import FloatArray
+from hpcapp.progress import Progress
 from hpccomponent.dataclass import dataclass
 from hpccomponent.files.private_files import make_private_folder
 
@@ -31,12 +32,14 @@ _PREFIX = "points-"  # of the folders of clouds
 class FolderPass:
     """The pass through a cloud in a folder, by whoever sees it.
 
-    In `place` clouds get folders: some 17 bytes for each point that changes.
+    In `place` clouds get folders: some 17 bytes for each point that changes. The `watch` is told
+    how far this pass, and those that come of it, have come.
     """
 
     cloud: DiskCloud
     place: Path
     workers: PointWorkers
+    watch: PassWatch = field(default_factory=PassWatch)
 
     @property
     def threads(self) -> int:
@@ -46,7 +49,7 @@ class FolderPass:
 
     def each(self, task: Callable[..., Result], *given: Any, margin: float = 0.0) -> list[Result]:
         """See `CloudPass`."""
-        results = self.workers.run(task, self.cloud, margin, given, None)
+        results = self.workers.run(task, self.cloud, margin, given, None, self.watch)
         return [result for _, _, result in sorted(results, key=itemgetter(0))]
 
     def rewrite(
@@ -63,7 +66,7 @@ class FolderPass:
         columns: dict[int, FilePart] = {}
         others: dict[int, tuple[Any, ...]] = {}
         for index, is_written, (replaced, *rest) in self.workers.run(
-            task, self.cloud, margin, given, folder
+            task, self.cloud, margin, given, folder, self.watch
         ):
             if replaced is not None:
                 # Whoever does not see the folder has sent the blocks, and they are written here.
@@ -79,6 +82,10 @@ class FolderPass:
             cloud_pass = self._replace(folder, [parts[i] for i in sorted(parts)], added)
         cloud_pass._remove_others()
         return cloud_pass, results
+
+    def watched(self, progress: Progress, passes: Mapping[str, int]) -> FolderPass:
+        """See `CloudPass`."""
+        return replace(self, watch=PassWatch(progress, passes))
 
     def note(self, measured: CloudMeasures) -> FolderPass:
         """See `CloudPass`."""

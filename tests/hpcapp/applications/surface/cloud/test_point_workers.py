@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 
 from hpcapp.applications.surface.cloud.arranged import arrange_cloud
 from hpcapp.applications.surface.cloud.cutting import cut_even, cut_regions
-from hpcapp.applications.surface.cloud.point_workers import PointWorkers
+from hpcapp.applications.surface.cloud.point_workers import PassWatch, PointWorkers
 from hpcapp.backends.serial import SerialExecutor
 from hpcapp.geometry.points import PointCloud
+from hpcapp.progress import Progress, ProgressObserver, StageClock
 from hpcapp.workforce import Workforce
 
 
@@ -68,3 +69,38 @@ def test_ranges_are_few(workers: int, in_process: bool, points: int, ranges: int
     assert len(cut) == ranges
     assert sum(some.stop - some.start for some in cut) == points
     assert max(some.stop - some.start for some in cut) <= 8 * 1_500_000
+
+
+class Told(ProgressObserver):
+    def __init__(self) -> None:
+        self.advances: list[tuple[str, int, int]] = []
+
+    def on_advance(self, stage: str, done: int, total: int) -> None:
+        self.advances.append((stage, done, total))
+
+
+@given(st.lists(st.integers(1, 5), min_size=1, max_size=6), st.integers(1, 6))
+def test_a_stage_of_several_passes_tells_how_far_it_has_come(
+    regions: list[int], expected: int
+) -> None:
+    told = Told()
+    clock = StageClock(Progress(told))
+    watch = PassWatch(clock.progress, {"clean": expected})
+    list(watch.follow("ab", 2))  # of no stage
+    for _ in range(2):
+        told.advances.clear()
+        with clock.stage("clean"):
+            for count in regions:
+                assert list(watch.follow(range(count), count)) == list(range(count))
+        assert len(told.advances) == sum(regions)
+        hundredths = [
+            done for stage, done, total in told.advances if (stage, total) == ("clean", 100)
+        ]
+        if len(regions) <= expected:
+            assert hundredths == sorted(hundredths)
+            assert hundredths[-1] == 100 * len(regions) // expected
+        else:
+            assert hundredths[-1] == 100
+        with clock.stage("other"):
+            list(watch.follow("c", 1))
+        assert told.advances[-1][0] == "clean"
