@@ -129,8 +129,8 @@ def main() -> None:
     parser.add_argument("points", type=int)
     parser.add_argument("--folder", type=Path, default=Path())
     parser.add_argument("--uneven", type=float, default=RATIO, metavar="RATIO")
-    parser.add_argument("options", nargs="*", metavar="-- OPTION", default=[])
-    asked = parser.parse_args()
+    at = sys.argv.index("--") if "--" in sys.argv else len(sys.argv)
+    asked = parser.parse_args(sys.argv[1:at])
     asked.folder.mkdir(parents=True, exist_ok=True)
     cloud, mesh, temp = (asked.folder / name for name in ("cloud.ply", "mesh.ply", "temp"))
     if not cloud.exists() or open_points(cloud).count != asked.points:
@@ -139,7 +139,7 @@ def main() -> None:
         write_cloud(begun, asked.points, ratio=asked.uneven)
         begun.rename(cloud)
         print(f"cloud: {time.perf_counter() - began:.0f} s", file=sys.stderr)
-    options = asked.options or [*OPTIONS]
+    options = sys.argv[at + 1 :] or [*OPTIONS]
     job = ["reconstruct", str(cloud), "-o", str(mesh), "--temp-dir", str(temp), "--resume"]
     command = [sys.executable, "-m", "hpcapp", *job, *options]
     killed = run(command, temp, mesh, is_killed=True)
