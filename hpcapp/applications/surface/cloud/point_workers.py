@@ -47,9 +47,9 @@ class PassWatch:
         expected = self._passes.get(self._stage)
         for done, result in enumerate(results, 1):
             if expected is not None:
-                whole = max(expected, self._ended + 1)
-                # In hundredths of the stage.
-                self._progress.advance(int(100 * (self._ended + done / regions) / whole), 100)
+                # In hundredths of the stage; as if one more pass were to come where there are more.
+                gone = self._ended + done / regions
+                self._progress.advance(int(100 * gone / max(expected, gone + 1.0)), 100)
             yield result
         self._ended += 1
 
