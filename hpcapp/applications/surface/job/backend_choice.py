@@ -19,7 +19,7 @@ from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 from hpcapp.applications.surface.job.settings import Settings, choose_local, name_backend
-from hpcapp.applications.surface.resolution.memory import estimate_known, fitting_workers
+from hpcapp.applications.surface.resolution.memory import Together
 from hpcapp.backends.selection import Backend, open_backend, open_executor, wrap_communicator
 from hpcapp.capacity import count_carried
 from hpcapp.communicator.scheduling.verification import Verification
@@ -129,16 +129,17 @@ def choose_backend(settings: Settings, job: Job) -> BackendChoice:
         kind, workers = "zmq", min(settings.workers or available_cores(), available_cores())
         if workers < 2:
             return _stay(settings, job, f"{available_cores()} core(s), one of them to be used")
-        carried, limit = count_carried("zmq")
+        carried, carrier = count_carried("zmq")
         if carried < 2:
-            return _stay(settings, job, f"no two workers fit here ({limit})")
+            return _stay(settings, job, f"no two workers fit here ({carrier})")
         workers = min(workers, carried)
         if settings.max_memory is not None:
-            fitting = fitting_workers(settings.max_memory, estimate_known(job.points))
-            if fitting < 2:
-                limit = f"{name_option('max_memory')} is too little"
-                return _stay(settings, job, f"no two workers fit here ({limit})")
-            workers = min(workers, fitting)
+            fitting = range(workers, 1, -1)
+            limit = settings.max_memory
+            workers = next((n for n in fitting if Together(job.points, n).fits(limit)), 1)
+            if workers < 2:
+                reason = f"{name_option('max_memory')} is too little"
+                return _stay(settings, job, f"no two workers fit here ({reason})")
     if job.work < least_work(workers, is_remote=kind == "cluster"):
         return _stay(settings, job, f"{job}: too little for {workers} workers to pay")
     return BackendChoice(kind, workers, f"{job}: enough for {workers} workers", settings.workers)

@@ -35,11 +35,8 @@ from hpcapp.applications.surface.methods.method import (
 )
 from hpcapp.applications.surface.resolution.asked import guess_grid
 from hpcapp.applications.surface.resolution.memory import (
-    BYTES_OF_LOADERS,
-    BYTES_PER_TILE_POINT,
+    Together,
     count_most_points,
-    estimate_known,
-    fitting_tile,
     may_lack_normals,
 )
 from hpcapp.backends import BACKENDS, IN_PROCESS
@@ -53,6 +50,7 @@ from hpccomponent.limits import available_cores, available_memory
 FOLDER_FROM_POINTS = 200_000
 """With fewer, what is saved by workers that read for themselves is less than what files cost."""
 _BYTES_ON_DISK = 200  # a point: two copies of it, and finished tiles
+_ELSEWHERE = Together(TILE_POINTS, 1)  # a worker that has a machine to itself
 _CELLS_OF_A_POINT = 0.5
 """Of the surface, where the grid is chosen: jobs of 20 thousand to 2.5 million points took .73 to
 1.1 of the memory that it tells of (a knot, a bunny; in one process)."""
@@ -173,47 +171,27 @@ def plan_job(
         elif is_opened or choice.backend not in IN_PROCESS:
             place = Place.SHARED if _may_pay_in_folder(settings, job.points) else place
     is_local = works_here(settings)
-    has_normals = settings.normals != "estimate" and not may_lack_normals(settings.points)
-    own = _estimate_own(job.points, place, choice, has_normals=has_normals)
-    tile = None if limit is None else _fit_tile(limit, own, choice, is_local=is_local)
-    memory, worker = _estimate_memory(settings.method, job, place, choice, tile, own)
+    together = Together(
+        job.points, choice.workers, place is Place.MEMORY, choice.backend in IN_PROCESS,
+        settings.normals != "estimate" and not may_lack_normals(settings.points),
+    )  # fmt: skip
+    tile = None if limit is None else (together if is_local else _ELSEWHERE).fit(limit)
+    memory, worker = _estimate_memory(settings.method, job, together, tile)
     disk = 0.0 if place is Place.MEMORY else _BYTES_ON_DISK * float(job.points)
     return JobPlan(job, place, choice, tile, memory, worker, disk, available, is_local)
 
 
-def _estimate_own(points: int, place: Place, choice: BackendChoice, *, has_normals: bool) -> float:
-    """Return the bytes of this process besides its tiles."""
-    if place is Place.MEMORY:
-        return BYTES_OF_PROGRAM + BYTES_PER_POINT * points
-    known = estimate_known(points, has_normals=has_normals)
-    return known - (BYTES_OF_LOADERS if choice.backend in IN_PROCESS else 0.0)
-
-
-def _fit_tile(limit: float, own: float, choice: BackendChoice, *, is_local: bool) -> int:
-    """Return how many points a tile may have; a worker elsewhere has a machine of its own."""
-    if not is_local:
-        return fitting_tile(limit, 0.0, 1, in_process=False)
-    in_process = choice.backend in IN_PROCESS
-    return fitting_tile(limit, own, choice.workers, in_process=in_process)
-
-
 def _estimate_memory(
-    method: MethodSettings,
-    job: Job,
-    place: Place,
-    choice: BackendChoice,
-    tile: int | None,
-    own: float,
+    method: MethodSettings, job: Job, together: Together, tile: int | None
 ) -> tuple[float, float]:
     """Return the bytes of this process, and of each worker in another."""
-    is_here, most = choice.backend in IN_PROCESS, min(tile or TILE_POINTS, job.points)
-    if is_here and place is Place.MEMORY and tile is None:
+    if together.in_process and together.here and tile is None:
         cells = SQUARE * float(job.grid) ** 2 if job.is_chosen else _CELLS_OF_A_POINT * job.points
         return method.estimate_memory(job.grid, job.points, cells), 0.0
-    if is_here:
-        return own + BYTES_PER_TILE_POINT * most * choice.workers, 0.0
-    each = min(most, max(1, job.points // choice.workers))
-    return own, BYTES_OF_PROGRAM + BYTES_PER_TILE_POINT * each
+    tile = tile or TILE_POINTS
+    if together.in_process:
+        return together.whole(tile), 0.0
+    return together.own(tile), together.each(tile)
 
 
 def guess_job(settings: JobSettings, points: int | None = None) -> Job:
@@ -262,9 +240,7 @@ def choose_tile(settings: Settings, backend: Backend, cloud: ArrangedCloud) -> i
     """
     if settings.max_memory is None:
         return None
-    limit, workforce = settings.max_memory, backend.workforce
-    if not (workforce.in_process or backend.is_here):
-        return fitting_tile(limit, 0.0, 1, in_process=False)
-    points = len(cloud)
-    held = BYTES_OF_PROGRAM + BYTES_PER_POINT * points if cloud.is_here else estimate_known(points)
-    return fitting_tile(limit, held, workforce.workers, in_process=workforce.in_process)
+    workforce = backend.workforce
+    together = Together(len(cloud), workforce.workers, cloud.is_here, workforce.in_process)
+    is_local = workforce.in_process or backend.is_here
+    return (together if is_local else _ELSEWHERE).fit(settings.max_memory)

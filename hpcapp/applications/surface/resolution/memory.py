@@ -4,14 +4,22 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from hpcapp import kernels
 from hpcapp.applications.surface.cloud.arranged import ArrangedCloud
 from hpcapp.applications.surface.cloud.spacing import estimate_spacing
-from hpcapp.applications.surface.methods.method import BYTES_OF_PROGRAM, TILE_POINTS, MethodSettings
+from hpcapp.applications.surface.methods.method import (
+    BYTES_OF_PROGRAM,
+    BYTES_PER_POINT,
+    TILE_POINTS,
+    MethodSettings,
+)
 from hpcapp.geometry.bounds import bound_points
 from hpcapp.geometry.points import PointCloud
 from hpcapp.io.registry import find_point_reader
 from hpccomponent.cli.option_names import name_option
+from hpccomponent.dataclass import dataclass
 from hpccomponent.errors import HpcError, UsageError
 from hpccomponent.limits import available_memory
 from hpccomponent.units import parse_size
@@ -23,15 +31,18 @@ SAMPLED_POINTS = 1_000_000
 SMALL_GRID = 256
 
 
-#: What a tile takes of the process that makes its mesh, or cuts it open, a point: 200 of a closed
-#: surface, 540 of a terrain without normals.
+#: What a tile takes of the process that makes its mesh, a point: 200 of a closed surface, 540 of a
+#: terrain without normals.
 BYTES_PER_TILE_POINT = 600.0
 LEAST_TILE = 50_000
+_SIZES = 40  # of tiles that are looked at, each a tenth smaller
 #: What waits beside local workers: their loaders and components.
 BYTES_OF_LOADERS = 1e8
-#: What this process knows of a cloud in a folder, a point: blocks, coarse cells and seams; and of
-#: one without normals, patches and their links, while their sides are told.
-BYTES_PER_KNOWN_POINT, BYTES_PER_UNTURNED_POINT = 20.0, 170.0
+#: What this process knows of the seams of tiles in a folder, for each spacing of points along them:
+#: 3.6 to 8 kB of 10, 20 and 100 million points in 4 to 88 tiles.
+BYTES_PER_SEAM = 6e3
+#: A point without a normal, while patches and their links tell its side.
+BYTES_PER_UNTURNED_POINT = 170.0
 
 
 def parse_limit(text: str) -> float:
@@ -80,27 +91,48 @@ def may_lack_normals(path: Path) -> bool:
         return False
 
 
-def estimate_known(points: int, *, has_normals: bool = True) -> float:
-    """Return the bytes of a process that works with others on points in a folder, at most."""
-    each = BYTES_PER_KNOWN_POINT if has_normals else BYTES_PER_UNTURNED_POINT
-    return BYTES_OF_PROGRAM + BYTES_OF_LOADERS + each * points
+@dataclass(frozen=True, slots=True)
+class Together:
+    """What the processes of this machine take together that work on so many points.
 
-
-def fitting_workers(limit: float, own: float) -> int:
-    """Return how many processes with a least tile fit beside this one, which takes `own` bytes."""
-    each = BYTES_OF_PROGRAM + BYTES_PER_TILE_POINT * LEAST_TILE
-    return max(0, int((limit - own) / each))
-
-
-def fitting_tile(limit: float, own: float, workers: int, *, in_process: bool) -> int:
-    """Return how many points a tile may have, from `LEAST_TILE` to `TILE_POINTS`.
-
-    `limit` is that of all processes in bytes, of which this one takes its `own` besides its tiles;
-    each of the `workers` makes one, in a process of its own unless `in_process`.
+    These lie in this process's memory if they are `here`, else in a folder. Each of the `workers`
+    makes a tile, in a process of its own unless `in_process`.
     """
-    others = 0.0 if in_process else BYTES_OF_PROGRAM * workers
-    points = (limit - own - others) / workers / BYTES_PER_TILE_POINT
-    return int(min(max(points, LEAST_TILE), TILE_POINTS))
+
+    points: int
+    workers: int
+    here: bool = False
+    in_process: bool = False
+    has_normals: bool = True
+
+    def own(self, tile: int) -> float:
+        """Return the bytes of this process and of loaders, without tiles of so many points."""
+        if self.here:
+            return BYTES_OF_PROGRAM + BYTES_PER_POINT * self.points
+        # The sides of all tiles, each of a square of a surface.
+        known = BYTES_PER_SEAM * 4.0 * self.points / float(np.sqrt(tile))
+        if not self.has_normals:
+            known = max(known, BYTES_PER_UNTURNED_POINT * self.points)
+        return BYTES_OF_PROGRAM + known + (0.0 if self.in_process else BYTES_OF_LOADERS)
+
+    def each(self, tile: int) -> float:
+        """Return the bytes of a worker."""
+        tile = min(tile, max(1, self.points // self.workers))
+        return BYTES_PER_TILE_POINT * tile + (0.0 if self.in_process else BYTES_OF_PROGRAM)
+
+    def whole(self, tile: int) -> float:
+        """Return the bytes of all."""
+        return self.own(tile) + self.workers * self.each(tile)
+
+    def fits(self, limit: float) -> bool:
+        """Tell whether there is a tile with which all fit into so many bytes."""
+        return self.whole(self.fit(limit)) <= limit
+
+    def fit(self, limit: float) -> int:
+        """Return the largest tile with which all fit into so many bytes; else which takes least."""
+        tiles: list[int] = np.geomspace(TILE_POINTS, LEAST_TILE, _SIZES).astype(int).tolist()
+        fitting = [tile for tile in tiles if self.whole(tile) <= limit]
+        return fitting[0] if fitting else min(tiles, key=self.whole)
 
 
 def check_memory(method: MethodSettings, grid: int, cloud: ArrangedCloud) -> None:

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from directions import random_directions
+from hypothesis import given
+from hypothesis import strategies as st
 from little_memory import leave_little_memory
 
 from hpcapp.api.reconstruction import reconstruct
@@ -22,14 +24,8 @@ from hpcapp.applications.surface.hierarchical import method
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
 from hpcapp.applications.surface.job import plan, site
 from hpcapp.applications.surface.job.settings import JobSettings
-from hpcapp.applications.surface.methods.method import BYTES_OF_PROGRAM
-from hpcapp.applications.surface.resolution.memory import (
-    BYTES_PER_TILE_POINT,
-    estimate_known,
-    fitting_tile,
-    fitting_workers,
-    parse_limit,
-)
+from hpcapp.applications.surface.methods.method import TILE_POINTS
+from hpcapp.applications.surface.resolution.memory import LEAST_TILE, Together, parse_limit
 from hpcapp.applications.surface.steps import read
 from hpcapp.applications.surface.stitching import shared_ply, surface, tile_ply
 from hpcapp.applications.surface.stitching.handle_groups import Mended
@@ -412,23 +408,22 @@ def test_what_is_no_size_is_refused(text: str) -> None:
 def test_tiles_follow_the_memory() -> None:
     assert parse_limit("1.5g") == 1.5 * 2**30
     assert parse_limit("300MiB") == 300 * 2**20
-    limit, own = 2.0**30, 2.0**28
-    alone = fitting_tile(limit, own, 1, in_process=True)
-    assert alone > fitting_tile(limit, own, 2, in_process=True) >= 50_000
-    assert fitting_tile(limit, own, 2, in_process=False) < fitting_tile(
-        limit, own, 2, in_process=True
-    )
-    assert fitting_tile(2.0**40, own, 1, in_process=True) == fitting_tile(
-        2.0**40, own, 8, in_process=False
-    )
+    points = 10_000_000
+    tiles = [Together(points, 2).fit(limit) for limit in (2.0**40, 2.0**31, 2.0**30)]
+    assert tiles[0] == TILE_POINTS
+    assert tiles == sorted(tiles, reverse=True)
+    assert Together(points, 1, in_process=True).fit(2.0**31) > tiles[1]
 
 
-def test_all_processes_together_fit_the_limit() -> None:
-    own = estimate_known(1_000_000)
-    for limit in (2.0**29, 2.0**30, 2.0**32):
-        workers = fitting_workers(limit, own)
-        tile = fitting_tile(limit, own, workers, in_process=False)
-        whole = own + workers * (BYTES_OF_PROGRAM + BYTES_PER_TILE_POINT * tile)
-        assert workers >= 1
-        assert whole <= limit
-    assert fitting_workers(2.0**28, own) == 0
+@given(st.integers(1, 10**10), st.integers(1, 64), st.booleans(), st.floats(28.0, 40.0))
+def test_all_processes_together_fit_the_limit_or_take_the_least(
+    points: int, workers: int, has_normals: bool, power: float
+) -> None:
+    together, limit = Together(points, workers, has_normals=has_normals), 2.0**power
+    tile = together.fit(limit)
+    assert LEAST_TILE <= tile <= TILE_POINTS
+    whole = together.whole(tile)
+    assert whole == together.own(tile) + workers * together.each(tile)
+    if whole > limit:
+        assert not together.fits(limit)
+        assert all(together.whole(size) >= 0.9 * whole for size in (50_000, 400_000, 2_500_000))

@@ -19,6 +19,7 @@ from hpcapp.applications.surface.job import plan
 from hpcapp.applications.surface.job.plan import Place, plan_job
 from hpcapp.applications.surface.job.settings import JobSettings
 from hpcapp.applications.surface.paper.settings import Paper
+from hpcapp.applications.surface.resolution.memory import Together
 from hpcapp.geometry.mesh import Mesh
 from hpcapp.geometry.points import PointCloud
 from hpcapp.io import write_mesh, write_points
@@ -97,7 +98,7 @@ def test_a_job_does_what_was_planned(
     )
     if is_little:
         leave_little_memory(monkeypatch)
-    monkeypatch.setattr(plan, "fitting_tile", lambda *_, **__: 600)
+    monkeypatch.setattr(Together, "fit", lambda *_: 600)
     planned = plan_job(settings)
     assert planned.place is (Place.DISK if is_little else Place.MEMORY)
     report = run_job(settings, Progress())
