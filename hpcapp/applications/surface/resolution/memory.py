@@ -84,6 +84,8 @@ def count_most_points(path: Path) -> int:
 
 def may_lack_normals(path: Path) -> bool:
     """Tell whether a file holds no normals, by its head; False where that does not say so."""
+    if not path.is_file():  # looking into a pipe would wait for ever
+        return False
     try:
         known = find_point_reader(path)
         return known.states_count and not known.open(path).has_normals
