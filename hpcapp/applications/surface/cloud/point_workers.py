@@ -36,8 +36,10 @@ class PassWatch:
     A stage that `passes` does not name tells nothing; nobody is told by default.
     """
 
-    def __init__(self, progress: Progress | None = None, passes: Mapping[str, int] = {}) -> None:
-        self._progress, self._passes = progress or Progress(), passes
+    def __init__(
+        self, progress: Progress | None = None, passes: Mapping[str, int] | None = None
+    ) -> None:
+        self._progress, self._passes = progress or Progress(), passes or {}
         self._stage, self._ended = "", 0
 
     def follow(self, results: Iterable[Result], regions: int) -> Iterator[Result]:
